@@ -10,7 +10,6 @@ pub mod parsers;
 pub mod pictures;
 pub mod processes;
 pub mod proxy;
-pub mod random;
 pub mod reference;
 pub mod shim;
 pub mod statistics;

@@ -4,7 +4,7 @@
 //! then passed on or not; the answer is passed back as it comes. A message that is lost ends its connection
 //! without an answer, which is what a network does.
 
-use crate::random::Random;
+use forelight_random::Random;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -1,5 +1,7 @@
 //! The statistics by which images are compared.
 
+use forelight_forecast::student_two_sided;
+
 /// An estimated mean.
 #[derive(Debug, Clone, Copy)]
 pub struct Sample {
@@ -42,42 +44,6 @@ pub fn welch(a: Sample, b: Sample, resolution: f64) -> f64 {
     let t = (a.mean - b.mean).abs() / variance.sqrt();
     let freedom = variance.powi(2) / (a.variance.powi(2) / a.freedom + b.variance.powi(2) / b.freedom);
     student_two_sided(t, if freedom.is_finite() { freedom } else { 1e6 })
-}
-
-/// P(|T| > t) of Student's distribution, by the regularised incomplete beta function I_{ν/(ν+t²)}(ν/2, ½).
-pub fn student_two_sided(t: f64, freedom: f64) -> f64 {
-    incomplete_beta(freedom / (freedom + t * t), freedom / 2.0, 0.5)
-}
-
-/// Regularised incomplete beta function by its continued fraction (Abramowitz and Stegun 26.5.8), evaluated
-/// by Lentz's method.
-fn incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
-    if x <= 0.0 || x >= 1.0 {
-        return x.clamp(0.0, 1.0);
-    }
-    if x > (a + 1.0) / (a + b + 2.0) {
-        return 1.0 - incomplete_beta(1.0 - x, b, a);
-    }
-    let log_front = libm::lgamma(a + b) - libm::lgamma(a) - libm::lgamma(b) + a * x.ln() + b * (1.0 - x).ln();
-    let tiny = 1e-300;
-    let floor = |v: f64| if v.abs() < tiny { tiny } else { v };
-    let (mut c, mut d) = (1.0, 1.0 / floor(1.0 - (a + b) * x / (a + 1.0)));
-    let mut fraction = d;
-    for m in 1..10_000 {
-        let m = f64::from(m);
-        for numerator in [
-            m * (b - m) * x / ((a + 2.0 * m - 1.0) * (a + 2.0 * m)),
-            -(a + m) * (a + b + m) * x / ((a + 2.0 * m) * (a + 2.0 * m + 1.0)),
-        ] {
-            d = 1.0 / floor(1.0 + numerator * d);
-            c = floor(1.0 + numerator / c);
-            fraction *= c * d;
-        }
-        if (c * d - 1.0).abs() < 1e-14 {
-            break;
-        }
-    }
-    log_front.exp() * fraction / a
 }
 
 /// P(χ² > x) with this many degrees of freedom: the upper regularised incomplete gamma function Q(ν/2, x/2),

@@ -3,22 +3,11 @@
 //! `FORELIGHT_MUTATIONS` sets the number of mutations of each parser's input (default 400). `FORELIGHT_SEEDS`
 //! names a folder into which the good input is written, for fuzzing to start from: `tests/fuzz/corpus`.
 
+use forelight_random::Random;
 use forelight_tests::parsers::{PARSERS, Parser};
 use forelight_tests::repository;
 use serde_json::Value;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-
-/// Numbers from a counter (SplitMix64), so that a failure can be found again by its number.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, bound: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % bound.max(1) as u64) as usize
-    }
-}
 
 /// What is written in place of something else now and then.
 const WORDS: [&str; 24] = [
@@ -52,22 +41,22 @@ const WORDS: [&str; 24] = [
 /// early end.
 fn mutated(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
-    for _ in 0..=random.below(8) {
-        let at = random.below(bytes.len());
-        let length = random.below(16.min(bytes.len() - at + 1));
-        match random.below(9) {
-            0 if !bytes.is_empty() => bytes[at] ^= 1 << random.below(8),
-            1 if !bytes.is_empty() => bytes[at] = random.below(256) as u8,
+    for _ in 0..=random.index(8) {
+        let at = random.index(bytes.len());
+        let length = random.index(16.min(bytes.len() - at + 1));
+        match random.index(9) {
+            0 if !bytes.is_empty() => bytes[at] ^= 1 << random.index(8),
+            1 if !bytes.is_empty() => bytes[at] = random.index(256) as u8,
             2 => {
                 bytes.drain(at..at + length);
             }
             3 => {
                 let copy = bytes[at..at + length].to_vec();
-                let to = random.below(bytes.len() + 1);
+                let to = random.index(bytes.len() + 1);
                 bytes.splice(to..to, copy);
             }
             4 => {
-                let word = WORDS[random.below(WORDS.len())];
+                let word = WORDS[random.index(WORDS.len())];
                 bytes.splice(at..at + length, word.bytes());
             }
             // A word in place of a number.
@@ -76,15 +65,15 @@ fn mutated(bytes: &[u8], random: &mut Random) -> Vec<u8> {
                 if let Some(start) = bytes[at..].iter().position(is_number).map(|p| at + p) {
                     let end =
                         bytes[start..].iter().position(|b| !is_number(b)).map_or(bytes.len(), |p| start + p);
-                    bytes.splice(start..end, WORDS[random.below(11)].bytes());
+                    bytes.splice(start..end, WORDS[random.index(11)].bytes());
                 }
             }
             6 if at + 4 <= bytes.len() => {
                 let extreme = [0u32, 1, 0x7fff_ffff, 0x8000_0000, u32::MAX, 0x7f80_0000, 0x0001_0000];
-                bytes[at..at + 4].copy_from_slice(&extreme[random.below(7)].to_le_bytes());
+                bytes[at..at + 4].copy_from_slice(&extreme[random.index(7)].to_le_bytes());
             }
-            7 if random.below(4) == 0 => bytes.truncate(at),
-            _ if !bytes.is_empty() => bytes[at] = b"0123456789-./ e\n{}[],:\""[random.below(23)],
+            7 if random.index(4) == 0 => bytes.truncate(at),
+            _ if !bytes.is_empty() => bytes[at] = b"0123456789-./ e\n{}[],:\""[random.index(23)],
             _ => {}
         }
     }
@@ -135,8 +124,8 @@ fn mutated_input_of_every_parser_is_read_or_refused() {
     for parser in PARSERS {
         let seeds = (parser.seeds)();
         for number in 0..mutations {
-            let mut random = Random(number);
-            let seed = &seeds[random.below(seeds.len())];
+            let mut random = Random::new(number);
+            let seed = &seeds[random.index(seeds.len())];
             read(&parser, &mutated(seed, &mut random), &format!("mutation {number}"));
         }
     }

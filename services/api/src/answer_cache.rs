@@ -1,7 +1,8 @@
 //! Answers about plans that were worked out a moment ago.
 
+use parking_lot::Mutex;
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use forelight_protocol::AnswersDoc;
 use tokio::sync::Semaphore;
@@ -23,12 +24,12 @@ impl Default for AnswerCache {
 
 impl AnswerCache {
     pub fn find(&self, key: &[u8; 32]) -> Option<Arc<AnswersDoc>> {
-        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = self.kept.lock();
         kept.iter().find(|(other, _)| other == key).map(|(_, document)| document.clone())
     }
 
     pub fn keep(&self, key: [u8; 32], document: Arc<AnswersDoc>) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.kept.lock();
         kept.push_front((key, document));
         kept.truncate(KEPT);
     }

@@ -25,8 +25,9 @@ mod qualities;
 mod replan;
 pub(crate) mod settle;
 
+use parking_lot::Mutex;
 use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use forelight_forecast::Experience;
 use forelight_forecast::Strategy;

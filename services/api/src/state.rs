@@ -1,8 +1,9 @@
 //! What every handler can reach.
 
+use parking_lot::Mutex;
 use std::collections::HashSet;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_protocol::{JobId, ProblemKind, Timestamp};
@@ -67,7 +68,7 @@ impl InFlight {
     pub fn enter(&self, key: Option<&IdempotencyKey>) -> Result<Option<InFlightGuard>, ApiError> {
         let Some(key) = key else { return Ok(None) };
         let key = (key.principal, key.key.clone());
-        let mut keys = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut keys = self.0.lock();
         if !keys.insert(key.clone()) {
             return Err(ApiError::new(
                 ProblemKind::IdempotencyInFlight,
@@ -81,6 +82,6 @@ impl InFlight {
 
 impl Drop for InFlightGuard {
     fn drop(&mut self) {
-        self.keys.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.key);
+        self.keys.0.lock().remove(&self.key);
     }
 }

@@ -8,7 +8,8 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post, put};
 use forelight_client::{Backoff, Client, ClientError, Token};
 use forelight_protocol::{ArtifactHash, NodeRegistration, Problem, ProblemKind};
-use std::sync::{Arc, Mutex};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
@@ -22,7 +23,7 @@ struct Script {
 type Shared = Arc<Mutex<Script>>;
 
 async fn scripted(State(script): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
-    let mut script = script.lock().unwrap();
+    let mut script = script.lock();
     script.seen.push((headers, body));
     if script.answers.is_empty() {
         return StatusCode::NOT_FOUND.into_response();
@@ -87,7 +88,7 @@ async fn a_busy_service_is_asked_again_with_the_same_key_after_the_time_that_it_
     let node = client.register(&registration(), Uuid::from_u128(7)).await.unwrap();
     assert_eq!(node.name, "node-1");
     assert!(start.elapsed() >= Duration::from_secs(1));
-    let seen = &script.lock().unwrap().seen;
+    let seen = &script.lock().seen;
     assert_eq!(seen.len(), 3);
     for (headers, body) in seen {
         assert_eq!(headers["authorization"], "Bearer secret");
@@ -103,7 +104,7 @@ async fn a_refusal_is_final_and_carries_the_services_word() {
     let error = client.register(&registration(), Uuid::nil()).await.unwrap_err();
     assert!(error.is(ProblemKind::Invalid));
     assert!(error.to_string().contains("as the test wants it"), "{error}");
-    assert_eq!(script.lock().unwrap().seen.len(), 1);
+    assert_eq!(script.lock().seen.len(), 1);
 }
 
 #[tokio::test]

@@ -162,3 +162,4 @@ pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
 pub use strategies::{Classes, Design, Strategy};
 pub use stratum_sum::StratumSum;
+pub use student::student_two_sided;

@@ -1,18 +1,9 @@
 //! Counter-based random numbers: a pure function of the counters. Every draw can be repeated from its seed,
 //! on any machine and in any order.
 
-/// Mixes a 64-bit word so that every input bit affects every output bit: the finaliser of SplitMix64 (Steele,
-/// Lea, Flood 2014, "Fast splittable pseudorandom number generators").
-const fn mix(mut word: u64) -> u64 {
-    word ^= word >> 30;
-    word = word.wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    word ^= word >> 27;
-    word = word.wrapping_mul(0x94d0_49bb_1331_11eb);
-    word ^ (word >> 31)
-}
-
 /// 2^64 divided by the golden ratio: the step of the Kronecker sequence and the increment of SplitMix64.
-pub(crate) const GOLDEN_STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+pub(crate) use forelight_random::STEP as GOLDEN_STEP;
+use forelight_random::mix;
 
 /// One uniform 64-bit number for these counters. Numbers for different counters are independent.
 pub(crate) fn hash(counters: &[u64]) -> u64 {

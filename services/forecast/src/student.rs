@@ -1,4 +1,4 @@
-//! Quantiles of Student's t distribution, for any real number of degrees of freedom.
+//! Student's t distribution for any real number of degrees of freedom: quantiles and tails.
 
 /// From this number on, the t distribution equals the normal one to five digits, and differences of log-gamma
 /// would lose more.
@@ -24,10 +24,16 @@ pub(crate) fn quantile(p: f64, degrees_of_freedom: f64) -> f64 {
     t
 }
 
-/// P(T > t) = I_x(df/2, 1/2) / 2 with x = df / (df + t²), for t ≥ 0.
+/// P(|T| > t) of Student's t distribution, for t ≥ 0 and more than zero degrees of freedom ν: the regularised incomplete beta
+/// function I_x(ν/2, 1/2) at x = ν / (ν + t²) (DLMF 8.17).
+pub fn student_two_sided(t: f64, degrees_of_freedom: f64) -> f64 {
+    let (square, df) = (t * t, degrees_of_freedom);
+    incomplete_beta(df / (df + square), square / (df + square), df / 2.0, 0.5)
+}
+
+/// P(T > t), for t ≥ 0.
 fn upper_tail(t: f64, df: f64) -> f64 {
-    let square = t * t;
-    0.5 * incomplete_beta(df / (df + square), square / (df + square), df / 2.0, 0.5)
+    0.5 * student_two_sided(t, df)
 }
 
 /// Regularised incomplete beta function I_x(a, b). The caller gives `y` = 1 − x, which it knows without

@@ -4,17 +4,13 @@ use forelight_forecast::accuracy::{
     ImageNoise, NoiseCell, NoiseSample, PixelNoise, PixelSamples, Point, front, noise_cells,
 };
 use forelight_forecast::{Calibration, ForecastError, Stratum};
+use forelight_random::hash;
 use proptest::prelude::*;
 
 /// Uniform in [0, 1), a hash of its arguments.
 fn uniform(parts: &[u64]) -> f64 {
-    let mix = |state: u64, part: &u64| {
-        let mut z = (state ^ part).wrapping_add(0x9e37_79b9_7f4a_7c15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    };
-    (parts.iter().fold(7, mix) >> 11) as f64 / (1u64 << 53) as f64
+    let mixed = |state: u64, part: &u64| hash(state ^ part);
+    (parts.iter().fold(7, mixed) >> 11) as f64 / (1u64 << 53) as f64
 }
 
 /// A pixel of independent samples, uniform around `mean` with a standard deviation of `deviation`.

@@ -198,6 +198,20 @@ struct Setting<'s, 'a> {
     capacity: &'s [Vec<u128>],
 }
 
+/// Work of a job that is to be served by its deadline: its frames, or its seed.
+struct Demand<'s> {
+    job: usize,
+    /// Class of the work.
+    class: u32,
+    amount: u128,
+    /// Classes of nodes that can do it.
+    classes: &'s [usize],
+    release: i64,
+    deadline: i64,
+    /// See [`ranks`].
+    rank: f64,
+}
+
 /// The programme, and what its rows and columns stand for.
 struct Model<'s, 'a> {
     setting: &'s Setting<'s, 'a>,
@@ -228,31 +242,29 @@ impl<'s, 'a> Model<'s, 'a> {
         let ranks = ranks(problem);
         for (index, work) in problem.jobs.iter().enumerate() {
             let Some(deadline) = work.job.deadline.filter(|_| admitted[index]) else { continue };
-            let frames = (work.job.class, work.total(), &work.classes);
+            let release = work.release(problem.input.now);
+            let demand = |class, amount, classes| Demand {
+                job: index,
+                class,
+                amount,
+                classes,
+                release,
+                deadline,
+                rank: ranks[index],
+            };
+            let frames = demand(work.job.class, work.total(), &work.classes);
             let seed = work.job.seed.zip(work.seed);
-            let seed = seed.map(|(seed, amount)| (seed.class, u128::from(amount), &work.seed_classes));
-            for (class_of_work, amount, classes) in [Some(frames), seed].into_iter().flatten() {
-                if amount > 0 {
-                    model.demand(index, work, deadline, class_of_work, amount, classes, priced, ranks[index]);
-                }
+            let seed = seed.map(|(seed, work_of)| demand(seed.class, work_of.into(), &work.seed_classes));
+            for demand in [Some(frames), seed].into_iter().flatten().filter(|demand| demand.amount > 0) {
+                model.demand(&demand, priced);
             }
         }
         model
     }
 
     /// Adds a job's work, and a column for each class and slot that it can use.
-    #[allow(clippy::too_many_arguments)]
-    fn demand(
-        &mut self,
-        job: usize,
-        work: &Work,
-        deadline: i64,
-        class_of_work: u32,
-        amount: u128,
-        classes: &[usize],
-        priced: bool,
-        rank: f64,
-    ) {
+    fn demand(&mut self, demand: &Demand, priced: bool) {
+        let &Demand { job, class: class_of_work, amount, classes, release, deadline, rank } = demand;
         let Setting { problem, slots, capacity } = self.setting;
         // Hours of one node of a class for all of it. From exact times, so that the unit of work does not matter.
         let hours = |class: usize| {
@@ -270,7 +282,6 @@ impl<'s, 'a> Model<'s, 'a> {
         let column = self.programme.columns.len();
         let row = self.programme.row(needed, penalty);
         self.demands.push((job, column, needed));
-        let release = work.release(problem.input.now);
         for &class in classes {
             let served = needed / hours(class);
             let cost = price(class);

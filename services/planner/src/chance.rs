@@ -1,19 +1,12 @@
 //! Random numbers without a state: each is a hash of a seed and of what it is for, so that it does not matter in which order
 //! they are drawn, nor which others are.
 
-/// A number of 64 random bits for this seed and these indices: the finalizer of SplitMix64 (Steele, Lea, Flood 2014) over each in turn.
+use forelight_random::{STEP, hash, mix};
+
+/// A number of 64 random bits for this seed and these indices: SplitMix64 mixes each of them in turn.
 pub fn bits(seed: u64, indices: &[u64]) -> u64 {
-    indices.iter().fold(mix(seed.wrapping_add(STEP)), |hash, &index| {
-        mix(hash ^ mix(index.wrapping_mul(STEP).wrapping_add(STEP)))
-    })
-}
-
-const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
-
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    let mixed = |word: u64, &index: &u64| mix(word ^ hash(index.wrapping_mul(STEP)));
+    indices.iter().fold(hash(seed), mixed)
 }
 
 /// Uniform in the open interval from 0 to 1: never either end.

@@ -8,7 +8,7 @@
 use crate::lane::{Lane, Prefer, Unwanted, Wanted};
 use crate::model::Task;
 use crate::problem::{Problem, Work};
-use crate::schedule::broken;
+use crate::score::broken;
 use crate::state::{Placed, State};
 
 /// Sets of this many frames, at most.

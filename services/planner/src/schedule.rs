@@ -11,6 +11,7 @@ use crate::lane::{Fit, Prefer};
 use crate::model::{Booking, Bound, Input, InputError, Node, Plan, Task, price_of};
 use crate::outcome;
 use crate::problem::Problem;
+use crate::score::Score;
 use crate::state::{Only, Placed, Search, State};
 
 /// Frames that may be placed again in search of a plan that keeps more deadlines: three times those of a studio's week.
@@ -137,48 +138,6 @@ fn overcharged(state: &State, admission: &Admission) -> Vec<usize> {
         }
     }
     if above > all / WORTH_A_ROUND { found } else { Vec::new() }
-}
-
-/// What makes one plan better than another: less is better, part by part.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Score {
-    /// Weights of the jobs that miss their deadline, by priority, greatest first.
-    broken: Vec<u64>,
-    unplaced: usize,
-    lateness: i128,
-    cost: i64,
-}
-
-impl Score {
-    fn of(state: &State) -> Self {
-        let problem = state.problem;
-        let is_late = |job: usize| {
-            let deadline = problem.jobs[job].job.deadline;
-            deadline.is_some() && !state.is_kept(job)
-        };
-        let mut score = Score { broken: broken(problem, is_late), unplaced: 0, lateness: 0, cost: 0 };
-        for (job, work) in problem.jobs.iter().enumerate() {
-            score.unplaced += state.missing(job).len() + usize::from(state.misses_seed(job));
-            if let Some(deadline) = work.job.deadline {
-                score.lateness += (i128::from(state.finish(job)) - i128::from(deadline)).max(0);
-            }
-        }
-        score.cost = state.cost();
-        score
-    }
-}
-
-/// Weights of the jobs whose deadlines are broken, by priority, greatest first: less is better.
-pub(crate) fn broken(problem: &Problem, is_broken: impl Fn(usize) -> bool) -> Vec<u64> {
-    let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
-    priorities.sort_unstable_by_key(|&priority| Reverse(priority));
-    priorities.dedup();
-    let mut weights = vec![0; priorities.len()];
-    for (_, work) in problem.jobs.iter().enumerate().filter(|&(job, _)| is_broken(job)) {
-        let rank = priorities.partition_point(|&other| other > work.job.priority);
-        weights[rank] += u64::from(work.job.worth());
-    }
-    weights
 }
 
 /// Places everything that has no place yet. `early`: do not look at the price in the first place.

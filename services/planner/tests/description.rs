@@ -10,7 +10,7 @@ fn described(text: &str) -> Description {
 
 #[test]
 fn the_example_is_planned() {
-    let input = described(EXAMPLE).input().expect("an input");
+    let input = described(EXAMPLE).input(jiff::tz::db()).expect("an input");
     assert_eq!((input.nodes.len(), input.jobs.len()), (30, 4));
     let found = plan(&input).expect("a plan");
     assert_eq!(verify(&input, &found), Ok(()));
@@ -48,7 +48,7 @@ fn frames_lie_on_nodes_with_the_memory_and_the_cores_that_their_job_needs() {
             nodes.join(", "),
             jobs[place]
         );
-        let input = described(&text).input().expect("an input");
+        let input = described(&text).input(jiff::tz::db()).expect("an input");
         let found = plan(&input).expect("a plan");
         assert_eq!(verify(&input, &found), Ok(()));
         let name = |id: u64| input.nodes[id as usize].name.as_str();
@@ -71,7 +71,7 @@ fn frames_that_are_neither_a_count_nor_a_list_are_told_what_they_may_be() {
 fn mistakes_are_named() {
     let error = |from: &str, to: &str| {
         assert!(EXAMPLE.contains(from), "{from}");
-        described(&EXAMPLE.replace(from, to)).input().expect_err(to)
+        described(&EXAMPLE.replace(from, to)).input(jiff::tz::db()).expect_err(to)
     };
     assert!(matches!(
         error("\"project\": \"otter\", \"frames\": 120", "\"project\": \"seal\", \"frames\": 120"),
@@ -88,7 +88,13 @@ fn mistakes_are_named() {
         error("\"price_per_hour\": 0.40", "\"price_per_hour\": -1"),
         DescriptionError::Value { .. }
     ));
-    assert!(matches!(error("Europe/Berlin", "Mars/Olympus"), DescriptionError::Calendar { .. }));
+    assert!(matches!(
+        error("Europe/Berlin", "Mars/Olympus"),
+        DescriptionError::Unknown { what: "time zone", .. }
+    ));
+    let text = EXAMPLE.replace("\"mon\"", "\"monday\"");
+    let wrong = serde_json::from_str::<Description>(&text).expect_err("no such day").to_string();
+    assert!(wrong.contains("\"monday\" is no day of the week"), "{wrong}");
     let unknown = EXAMPLE.replace("\"hours\": 0.3", "\"hours\": 0.3, \"colour\": 1");
     assert!(serde_json::from_str::<Description>(&unknown).is_err());
 }

@@ -2,8 +2,8 @@
 
 use forelight_planner::{
     Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, Seed, Task, Usage, Verdict,
-    WorkTotal, difference, earliest_for_budget, explain, gantt, outlook, plan, price_curve, replan, simulate,
-    verify, ways_out, what_if,
+    WorkTotal, difference, earliest_for_budget, explain, outlook, plan, replan, simulate, verify, ways_out,
+    what_if,
 };
 
 const HOUR: i64 = 3_600_000_000;
@@ -246,18 +246,4 @@ fn one_more_node_and_a_dead_one_have_their_price() {
     let nowhere = what_if(&only, &Change::NodeGone { node: 1, from: 0 }).expect("an effect");
     let never = (&nowhere.broken[..], nowhere.moved()[&1], nowhere.end(1));
     assert_eq!(never, (&[1][..], 0, None), "what has no end any more is moved, too");
-}
-
-#[test]
-fn pictures_are_well_formed() {
-    let mut farm = input(vec![node(1, 1, 1_000_000)], vec![job(1, Some(9), &[1, 2])]);
-    farm.jobs[0].name = "<a & b>".into();
-    let svg = gantt(&farm, &sound(&farm));
-    assert!(svg.starts_with("<svg") && svg.ends_with("</svg>\n") && svg.contains("&lt;a &amp; b&gt;"));
-    assert_eq!(svg.matches("<rect").count(), 1 + 1 + 2, "ground, rental, frames");
-    let offers = forelight_planner::curve(&farm, 1, 4).expect("a curve");
-    assert!(
-        price_curve(&offers, |cost| format!("{cost} µ")).contains(&format!("{} µ</text>", offers[0].cost))
-    );
-    assert!(price_curve(&[], |cost| cost.to_string()).ends_with("</svg>\n"));
 }

@@ -1,122 +1,114 @@
-//! When a node is there: weekly windows of the wall clock, and what it is closed for beside them.
+//! When a node is available: weekly windows by the wall clock, and maintenance.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 
+use jiff::civil::{Time, Weekday};
 use jiff::tz::TimeZone;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use utoipa::ToSchema;
+use utoipa::openapi::{Array, Object, Type};
 
 use crate::Timestamp;
 
 /// Windows that a calendar may have.
 pub const MOST_WINDOWS: usize = 50;
 
-/// A day of the week.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Day {
-    /// Monday.
-    Mon,
-    /// Tuesday.
-    Tue,
-    /// Wednesday.
-    Wed,
-    /// Thursday.
-    Thu,
-    /// Friday.
-    Fri,
-    /// Saturday.
-    Sat,
-    /// Sunday.
-    Sun,
+/// The days in JSON, Monday first.
+const DAYS: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
+
+fn day_name(day: Weekday) -> &'static str {
+    DAYS[day.to_monday_zero_offset() as usize]
 }
 
-impl Day {
-    /// All days, Monday first.
-    pub const ALL: [Day; 7] = [Day::Mon, Day::Tue, Day::Wed, Day::Thu, Day::Fri, Day::Sat, Day::Sun];
-
-    /// `Mon`.
-    pub const fn short(self) -> &'static str {
-        ["Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun"][self as usize]
-    }
-
-    fn from_short(text: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|day| day.short().eq_ignore_ascii_case(text))
-    }
+fn day_named(name: &str) -> Option<Weekday> {
+    let place = DAYS.iter().position(|day| *day == name)?;
+    Weekday::from_monday_zero_offset(place as i8).ok()
 }
 
-/// A time of the wall clock, to the minute: `20:00`.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, ToSchema)]
-#[schema(value_type = String, pattern = "^([01][0-9]|2[0-3]):[0-5][0-9]$", example = "20:00")]
-pub struct ClockTime(u16);
+/// A day in JSON.
+struct JsonDay(Weekday);
 
-impl ClockTime {
-    /// 00:00.
-    pub const MIDNIGHT: Self = Self(0);
-
-    /// 0 to 23.
-    pub const fn hour(self) -> u8 {
-        (self.0 / 60) as u8
-    }
-
-    /// 0 to 59.
-    pub const fn minute(self) -> u8 {
-        (self.0 % 60) as u8
-    }
-}
-
-impl fmt::Display for ClockTime {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:02}:{:02}", self.hour(), self.minute())
-    }
-}
-
-impl FromStr for ClockTime {
-    type Err = MalformedCalendar;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let two = |part: &str, most: u16| {
-            let digits = part.len() == 2 && part.bytes().all(|byte| byte.is_ascii_digit());
-            part.parse().ok().filter(|&number: &u16| digits && number <= most)
-        };
-        let (hour, minute) = text.split_once(':').unwrap_or((text, ""));
-        match (two(hour, 23), two(minute, 59)) {
-            (Some(hour), Some(minute)) => Ok(Self(hour * 60 + minute)),
-            _ => Err(MalformedCalendar::new(text, "is no time of the day, such as 20:00")),
-        }
-    }
-}
-
-impl Serialize for ClockTime {
+impl Serialize for JsonDay {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
+        serializer.serialize_str(day_name(self.0))
     }
 }
 
-impl<'de> Deserialize<'de> for ClockTime {
+impl<'de> Deserialize<'de> for JsonDay {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = std::borrow::Cow::<'de, str>::deserialize(deserializer)?;
-        text.parse().map_err(D::Error::custom)
+        let name = Cow::<'de, str>::deserialize(deserializer)?;
+        day_named(&name).map(Self).ok_or_else(|| D::Error::unknown_variant(&name, &DAYS))
     }
 }
 
-/// A window that comes back every week.
+/// Lists of days in JSON.
+mod json_days {
+    use super::*;
+
+    pub fn serialize<S: Serializer>(days: &[Weekday], serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(days.iter().map(|&day| JsonDay(day)))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Weekday>, D::Error> {
+        Ok(Vec::<JsonDay>::deserialize(deserializer)?.into_iter().map(|day| day.0).collect())
+    }
+
+    pub fn schema() -> Array {
+        let day = Object::builder().schema_type(Type::String).enum_values(Some(DAYS));
+        Array::builder()
+            .items(day)
+            .max_items(Some(7))
+            .description(Some("Days on which the window opens. Empty: every day."))
+            .build()
+    }
+}
+
+/// `20:00`.
+fn clock(time: Time) -> String {
+    time.strftime("%H:%M").to_string()
+}
+
+fn parse_clock(text: &str) -> Result<Time, MalformedCalendar> {
+    // The parser also takes hours of one digit.
+    let time = Time::strptime("%H:%M", text).ok().filter(|&time| clock(time) == text);
+    time.ok_or_else(|| MalformedCalendar::new(text, "is not a time of day, such as 20:00"))
+}
+
+/// Times of the wall clock in JSON, to the minute.
+mod json_clock {
+    use super::*;
+
+    pub fn serialize<S: Serializer>(time: &Time, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&clock(*time))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Time, D::Error> {
+        parse_clock(&Cow::<'de, str>::deserialize(deserializer)?).map_err(D::Error::custom)
+    }
+}
+
+/// A weekly window.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeWindow {
-    /// Days on which it opens; none: every day.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[schema(max_items = 7)]
-    pub days: Vec<Day>,
-    /// When it opens.
-    pub from: ClockTime,
-    /// When it closes: on the next day if that is not after `from`. Equal times are a whole day.
-    pub until: ClockTime,
+    /// Days on which the window opens. Empty: every day.
+    #[serde(default, skip_serializing_if = "Vec::is_empty", with = "json_days")]
+    #[schema(schema_with = json_days::schema)]
+    pub days: Vec<Weekday>,
+    /// Time at which the window opens, to the minute.
+    #[serde(with = "json_clock")]
+    #[schema(value_type = String, pattern = "^([01][0-9]|2[0-3]):[0-5][0-9]$", example = "20:00")]
+    pub from: Time,
+    /// Time at which the window closes: on the next day if it is not after `from`. Equal times are a whole day.
+    #[serde(with = "json_clock")]
+    #[schema(value_type = String, pattern = "^([01][0-9]|2[0-3]):[0-5][0-9]$", example = "08:00")]
+    pub until: Time,
 }
 
-/// When a node is awake. Times are those of the wall clock of the time zone, with its daylight saving.
+/// When a node is awake. Times are wall-clock times of the time zone, with daylight saving.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeCalendar {
@@ -124,7 +116,7 @@ pub struct NodeCalendar {
     #[serde(default = "utc")]
     #[schema(default = "UTC", max_length = 100)]
     pub zone: String,
-    /// The windows, 1 to 50; the node sleeps outside of all of them.
+    /// The windows, 1 to 50. The node sleeps outside of them.
     #[schema(min_items = 1, max_items = 50)]
     pub windows: Vec<NodeWindow>,
 }
@@ -134,7 +126,10 @@ fn utc() -> String {
 }
 
 impl NodeCalendar {
-    /// Whether its numbers are in range and its time zone is known; if not, the field and the reason.
+    /// Checks that numbers are in range and the time zone is known.
+    ///
+    /// # Errors
+    /// The field and the reason.
     pub fn check(&self) -> Result<(), (&'static str, String)> {
         if !(1..=MOST_WINDOWS).contains(&self.windows.len()) {
             return Err(("windows", format!("a calendar has 1 to {MOST_WINDOWS} windows")));
@@ -149,7 +144,7 @@ impl NodeCalendar {
     }
 }
 
-/// Text that is no calendar.
+/// Text that is not a calendar.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{text}` {reason}")]
 pub struct MalformedCalendar {
@@ -164,18 +159,19 @@ impl MalformedCalendar {
     }
 }
 
-/// `Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin`: windows with commas between them, each with its days, or without for every
-/// day; then the time zone, or none for UTC. `always` is every hour of every day.
+/// Parses calendars such as `Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin`.
+///
+/// Commas separate windows. A window without days opens every day. The time zone is UTC unless one is given.
+/// `always` is every hour of every day.
 impl FromStr for NodeCalendar {
     type Err = MalformedCalendar;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         const SHAPE: &str =
-            "is no calendar, such as `Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin`";
+            "is not a calendar, such as `Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin`";
         let malformed = || MalformedCalendar::new(text, SHAPE);
         if text.trim() == "always" {
-            let window =
-                NodeWindow { days: Vec::new(), from: ClockTime::MIDNIGHT, until: ClockTime::MIDNIGHT };
+            let window = NodeWindow { days: Vec::new(), from: Time::midnight(), until: Time::midnight() };
             return Ok(Self { zone: utc(), windows: vec![window] });
         }
         let mut zone = utc();
@@ -192,22 +188,28 @@ impl FromStr for NodeCalendar {
                 _ => return Err(malformed()),
             };
             let (from, until) = times.split_once('-').ok_or_else(malformed)?;
-            windows.push(NodeWindow { days, from: from.parse()?, until: until.parse()? });
+            windows.push(NodeWindow { days, from: parse_clock(from)?, until: parse_clock(until)? });
         }
         let calendar = Self { zone, windows };
         calendar
             .check()
-            .map_err(|(_, reason)| MalformedCalendar::new(text, format!("cannot be: {reason}")))?;
+            .map_err(|(_, reason)| MalformedCalendar::new(text, format!("is not possible: {reason}")))?;
         Ok(calendar)
     }
 }
 
-/// `Mon`, or `Fri-Mon`.
-fn days_of(text: &str) -> Option<Vec<Day>> {
-    let Some((first, last)) = text.split_once('-') else { return Some(vec![Day::from_short(text)?]) };
-    let (first, last) = (Day::from_short(first)? as usize, Day::from_short(last)? as usize);
-    let count = (last + 7 - first) % 7 + 1;
-    Some((0..count).map(|step| Day::ALL[(first + step) % 7]).collect())
+/// `Mon`, or `Fri-Mon`, in either case.
+fn days_of(text: &str) -> Option<Vec<Weekday>> {
+    let day = |name: &str| day_named(&name.to_ascii_lowercase());
+    let Some((first, last)) = text.split_once('-') else { return Some(vec![day(text)?]) };
+    let (first, last) = (day(first)?, day(last)?);
+    Some(first.cycle_forward().take(first.until(last) as usize + 1).collect())
+}
+
+/// `Mon`.
+fn short(day: Weekday) -> String {
+    let (first, rest) = day_name(day).split_at(1);
+    first.to_ascii_uppercase() + rest
 }
 
 impl fmt::Display for NodeCalendar {
@@ -216,8 +218,8 @@ impl fmt::Display for NodeCalendar {
             if index > 0 {
                 write!(f, ", ")?;
             }
-            let days: Vec<&str> = window.days.iter().map(|day| day.short()).collect();
-            match days[..] {
+            let days: Vec<String> = window.days.iter().map(|&day| short(day)).collect();
+            match &days[..] {
                 [] => {}
                 [one] => write!(f, "{one} ")?,
                 [first, .., last] if days_of(&format!("{first}-{last}")).as_ref() == Some(&window.days) => {
@@ -225,13 +227,13 @@ impl fmt::Display for NodeCalendar {
                 }
                 _ => write!(f, "{} ", days.join("+"))?,
             }
-            write!(f, "{}-{}", window.from, window.until)?;
+            write!(f, "{}-{}", clock(window.from), clock(window.until))?;
         }
         write!(f, " {}", self.zone)
     }
 }
 
-/// What becomes of a task that still runs when its node's window ends.
+/// What happens to a task that still runs when its node's window ends.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WindowEnd {
@@ -258,7 +260,7 @@ impl WindowEnd {
 pub struct TimeSpan {
     /// First instant.
     pub start: Timestamp,
-    /// The instant after the last; absent: nobody knows.
+    /// The instant after the last. Absent: unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end: Option<Timestamp>,
 }
@@ -268,7 +270,7 @@ pub struct TimeSpan {
 pub struct NodePower {
     /// Awake or asleep.
     pub state: PowerState,
-    /// Until when; absent: for longer than two weeks.
+    /// End of this state. Absent: more than two weeks ahead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Timestamp>,
 }
@@ -279,7 +281,7 @@ pub struct NodePower {
 pub enum PowerState {
     /// It may work.
     Awake,
-    /// It gets nothing to do.
+    /// It gets no tasks.
     Asleep,
 }
 
@@ -301,13 +303,16 @@ mod tests {
             assert_eq!(serde_json::from_str::<NodeCalendar>(&json).unwrap(), calendar, "{json}");
         }
         let weekend: NodeCalendar = "fri-MON 18:00-06:00".parse().unwrap();
-        assert_eq!(weekend.windows[0].days, [Day::Fri, Day::Sat, Day::Sun, Day::Mon]);
+        assert_eq!(
+            weekend.windows[0].days,
+            [Weekday::Friday, Weekday::Saturday, Weekday::Sunday, Weekday::Monday]
+        );
         assert_eq!(weekend.zone, "UTC");
         assert_eq!("always".parse::<NodeCalendar>().unwrap().to_string(), "00:00-00:00 UTC");
     }
 
     #[test]
-    fn what_is_no_calendar_is_refused_in_one_line() {
+    fn malformed_calendars_are_refused_in_one_line() {
         for text in [
             "",
             "nights",
@@ -321,6 +326,11 @@ mod tests {
             let message = text.parse::<NodeCalendar>().unwrap_err().to_string();
             assert!(!message.contains('\n') && message.len() < 250, "{message}");
         }
-        assert!(serde_json::from_str::<ClockTime>("\"20:60\"").is_err());
+        for json in [
+            r#"{"from": "20:60", "until": "8:00"}"#,
+            r#"{"days": ["Mon"], "from": "20:00", "until": "08:00"}"#,
+        ] {
+            assert!(serde_json::from_str::<NodeWindow>(json).is_err(), "{json}");
+        }
     }
 }

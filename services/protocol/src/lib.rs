@@ -74,8 +74,7 @@ pub use cache::{
     SeedProgress,
 };
 pub use calendar::{
-    ClockTime, Day, MOST_WINDOWS, MalformedCalendar, NodeCalendar, NodePower, NodeWindow, PowerState,
-    TimeSpan, WindowEnd,
+    MOST_WINDOWS, MalformedCalendar, NodeCalendar, NodePower, NodeWindow, PowerState, TimeSpan, WindowEnd,
 };
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use confidence::Confidence;

@@ -6,11 +6,11 @@
 
 use crate::error::SceneError;
 use crate::limits::{Limits, RATIO_MATTERS_FROM};
+use parking_lot::Mutex;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use zip::ZipArchive;
 
 /// A readable bundle: a folder or a `.zip` file. Paths in it are relative and use `/`.
@@ -113,10 +113,10 @@ impl Bundle {
             Store::Folder(root) => self.read_from_folder(root, path)?,
             Store::Archive { archive, index } => {
                 let at = *index.get(path).ok_or_else(|| missing(path))?;
-                self.read_from_archive(&mut lock(archive), path, at)?
+                self.read_from_archive(&mut archive.lock(), path, at)?
             }
         };
-        let mut usage = lock(&self.usage);
+        let mut usage = self.usage.lock();
         usage.bytes += bytes.len() as u64;
         self.check(path, "bytes read from the bundle", usage.bytes, self.limits.total_bytes)?;
         if !usage.files.contains_key(path) {
@@ -130,7 +130,7 @@ impl Bundle {
     /// archive.
     pub fn digest(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();
-        for (path, hash) in &lock(&self.usage).files {
+        for (path, hash) in &self.usage.lock().files {
             hasher.update(&(path.len() as u64).to_le_bytes());
             hasher.update(path.as_bytes());
             hasher.update(hash.as_bytes());
@@ -191,12 +191,6 @@ impl std::fmt::Debug for Bundle {
 
 fn missing(path: &str) -> SceneError {
     SceneError::Io { file: path.to_owned(), source: std::io::ErrorKind::NotFound.into() }
-}
-
-/// Locks a mutex. A poisoned lock means that another reader panicked. The data behind these locks is valid at
-/// all times, so it can still be used.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn check_ratio(file: &str, expanded: u64, compressed: u64, limits: &Limits) -> Result<(), SceneError> {

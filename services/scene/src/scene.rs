@@ -15,7 +15,8 @@ use crate::limits::LARGEST_COORDINATE;
 use crate::shot::{Baked, Shot};
 use crate::{Camera, Environment, Frame, Geometry, Material, PointLight, Strata, Sun, Texture};
 use glam::{DMat4, DVec3, Vec3};
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 
 /// The content of a bundle, from which frames are made.
 ///
@@ -172,7 +173,7 @@ impl Scene {
         }
         // The lock is not held while vertices are computed, so threads that make frames do not wait for each
         // other.
-        let recent = || self.recent.lock().unwrap_or_else(PoisonError::into_inner);
+        let recent = || self.recent.lock();
         if let Some((_, geometry)) = recent().as_ref().filter(|(known, _)| self.same_places(known, &world)) {
             return Ok(geometry.clone());
         }

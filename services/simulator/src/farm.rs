@@ -8,7 +8,6 @@ use std::collections::{BTreeSet, BinaryHeap};
 
 use forelight_planner::{Job, Node};
 
-use crate::policy::Policy;
 use crate::record::{Attempt, JobRecord, Outcome, Record};
 use crate::world::{TrueTask, World};
 
@@ -26,6 +25,28 @@ enum Event {
     Withdraw { job: usize },
     Arrive { job: usize },
     Wake,
+}
+
+/// Decides what a farm does. It is told of every instant at which something happens.
+pub trait Policy {
+    /// A job came in: is its deadline promised?
+    fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool;
+
+    /// Starts what should start now ([`Farm::start`]). Returns when it wants to be asked again at the latest, if nothing
+    /// happens before.
+    fn act(&mut self, farm: &mut Farm) -> Option<i64>;
+
+    /// Whether the frames of a job, by its place, share a cache that is filled before them. Otherwise each fills one of its own, as they do where
+    /// nobody knows beforehand what it holds. What is no cache always comes first.
+    fn shares_cache(&self, world: &World, job: usize) -> bool {
+        let _ = job;
+        world.chances.own_cache == 0.0
+    }
+
+    /// How many plans it made.
+    fn plans(&self) -> u64 {
+        0
+    }
 }
 
 /// Why a task cannot start on a node.

@@ -18,10 +18,10 @@ mod report;
 mod scenario;
 mod world;
 
-pub use farm::{Farm, Refusal, run};
+pub use farm::{Farm, Policy, Refusal, run};
+pub use policy::PolicyKind;
 pub use policy::planned::Planned;
 pub use policy::queue::{Queue, QueueRule};
-pub use policy::{Policy, PolicyKind};
 pub use record::{Attempt, JobRecord, Outcome, Record, Rented};
 pub use report::{Report, report};
 pub use scenario::{Scenario, studio};

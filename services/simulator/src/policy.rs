@@ -5,32 +5,10 @@ pub mod queue;
 
 use serde::{Deserialize, Serialize};
 
-use crate::farm::Farm;
+use crate::farm::Policy;
 use crate::world::World;
 use planned::Planned;
 use queue::{Queue, QueueRule};
-
-/// Decides what a farm does. It is told of every instant at which something happens.
-pub trait Policy {
-    /// A job came in: is its deadline promised?
-    fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool;
-
-    /// Starts what should start now ([`Farm::start`]). Returns when it wants to be asked again at the latest, if nothing
-    /// happens before.
-    fn act(&mut self, farm: &mut Farm) -> Option<i64>;
-
-    /// Whether the frames of a job, by its place, share a cache that is filled before them. Otherwise each fills one of its own, as they do where
-    /// nobody knows beforehand what it holds. What is no cache always comes first.
-    fn shares_cache(&self, world: &World, job: usize) -> bool {
-        let _ = job;
-        world.chances.own_cache == 0.0
-    }
-
-    /// How many plans it made.
-    fn plans(&self) -> u64 {
-        0
-    }
-}
 
 /// The policies that there are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -81,6 +81,39 @@ fn share(part: u64, whole: u64) -> f64 {
     if whole == 0 { 1.0 } else { part as f64 / whole as f64 }
 }
 
+/// How jobs and their deadlines came out, those that were withdrawn left out.
+#[derive(Default)]
+struct Deadlines {
+    unfinished: u64,
+    promised: u64,
+    promises_kept: u64,
+    in_time: u64,
+    /// Hours after the deadline, one number for each job that has one, sorted.
+    late: Vec<f64>,
+}
+
+impl Deadlines {
+    fn of(world: &World, record: &Record) -> Self {
+        let mut found = Deadlines::default();
+        for (job, entry) in world.input.jobs.iter().zip(&record.jobs) {
+            if entry.withdrawn.is_some() {
+                continue;
+            }
+            found.unfinished += u64::from(entry.finish.is_none());
+            let Some(deadline) = job.deadline else { continue };
+            // What never ended counts as if it ended with the simulation.
+            let finish = entry.finish.unwrap_or(record.end.max(deadline.saturating_add(1)));
+            let kept = finish <= deadline;
+            found.promised += u64::from(entry.promised);
+            found.promises_kept += u64::from(entry.promised && kept);
+            found.in_time += u64::from(kept);
+            found.late.push(finish.saturating_sub(deadline).max(0) as f64 / HOUR);
+        }
+        found.late.sort_by(f64::total_cmp);
+        found
+    }
+}
+
 /// Sums a record up.
 pub fn report(
     world: &World,
@@ -90,24 +123,8 @@ pub fn report(
     cost_bound: i64,
     record: &Record,
 ) -> Report {
-    let mut late: Vec<f64> = Vec::new();
-    let (mut jobs, mut promised, mut promises_kept, mut in_time, mut unfinished) = (0, 0, 0, 0, 0);
-    for (job, entry) in world.input.jobs.iter().zip(&record.jobs) {
-        if entry.withdrawn.is_some() {
-            continue;
-        }
-        unfinished += u64::from(entry.finish.is_none());
-        let Some(deadline) = job.deadline else { continue };
-        // What never ended counts as if it ended with the simulation.
-        let finish = entry.finish.unwrap_or(record.end.max(deadline.saturating_add(1)));
-        let kept = finish <= deadline;
-        jobs += 1;
-        promised += u64::from(entry.promised);
-        promises_kept += u64::from(entry.promised && kept);
-        in_time += u64::from(kept);
-        late.push(finish.saturating_sub(deadline).max(0) as f64 / HOUR);
-    }
-    late.sort_by(f64::total_cmp);
+    let deadlines = Deadlines::of(world, record);
+    let late = &deadlines.late;
     let rank = (late.len() * 95).div_ceil(100);
     let hours_late_p95 = rank.checked_sub(1).and_then(|rank| late.get(rank)).copied().unwrap_or(0.0);
     let were_late = late.iter().filter(|&&hours| hours > 0.0).count();
@@ -142,12 +159,12 @@ pub fn report(
     Report {
         policy,
         pool,
-        jobs,
+        jobs: late.len() as u64,
         withdrawn: record.jobs.iter().filter(|job| job.withdrawn.is_some()).count() as u64,
-        unfinished,
-        promised,
-        promises_kept,
-        in_time,
+        unfinished: deadlines.unfinished,
+        promised: deadlines.promised,
+        promises_kept: deadlines.promises_kept,
+        in_time: deadlines.in_time,
         mean_hours_late: ratio(late.iter().sum(), were_late as f64),
         hours_late_p95,
         cost: record.rentals.iter().fold(0i64, |sum, rental| sum.saturating_add(rental.cost)),

@@ -3,9 +3,9 @@
 use anyhow::{Context, Result};
 use forelight_worker::{Progress, Step};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use parking_lot::Mutex;
 use serde::Serialize;
 use std::io::{ErrorKind, IsTerminal, Write};
-use std::sync::Mutex;
 
 /// Writes text to standard output. A reader that has gone away (`| head`) is not an error.
 pub fn print(text: &str) -> Result<()> {
@@ -109,7 +109,7 @@ impl RenderBar {
             Step::Tracing => "rendering",
         };
         // Whoever panicked while it was held left a bar that can still be drawn.
-        let mut current = self.current.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut current = self.current.lock();
         match &*current {
             Some((shown, bar)) if *shown == step => bar.set_position(done),
             before => {
@@ -124,7 +124,7 @@ impl RenderBar {
 
 impl Drop for RenderBar {
     fn drop(&mut self) {
-        let current = self.current.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let current = self.current.get_mut();
         current.iter().for_each(|(_, bar)| bar.finish_and_clear());
     }
 }

@@ -6,15 +6,8 @@
 //! points is scrambled in the same way (Burley 2020, "Practical Hash-based Owen Scrambling"), so that
 //! dimensions are uncorrelated.
 
+pub use forelight_random::hash;
 use glam::Vec2;
-
-/// Finaliser of SplitMix64 (Steele, Lea and Flood 2014). It mixes all bits of its input.
-pub fn hash(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
 
 /// The use of a random point. Purpose and path vertex together are a dimension.
 #[derive(Debug, Clone, Copy)]

@@ -23,10 +23,11 @@ use crate::{SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
 use forelight_scene::{Frame, Material};
 use glam::Vec3;
+use parking_lot::Mutex;
 use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 
 /// The kernel of a frame: traces its pixels, and the rays that plan and fill its irradiance cache.
 pub trait Trace: Send + Sync {
@@ -145,7 +146,7 @@ impl Tracer {
     pub fn plan(&self) {
         if let Some(settings) = self.settings.cache.filter(|_| self.effects.has(Effects::CACHE)) {
             self.cache.get_or_init(|| {
-                let mut cache = lock(&self.given).take().unwrap_or_default();
+                let mut cache = self.given.lock().take().unwrap_or_default();
                 cache.plan(self, &settings);
                 cache
             });
@@ -161,7 +162,7 @@ impl Tracer {
     /// If the cache belongs to another scene, other light or other settings.
     pub fn take_cache(&self, cache: Cache) -> Result<(), CacheError> {
         cache.check(self)?;
-        *lock(&self.given) = Some(cache);
+        *self.given.lock() = Some(cache);
         Ok(())
     }
 
@@ -422,9 +423,4 @@ fn timed(trace: impl FnOnce() -> Vec<Pixel>) -> Vec<Pixel> {
         pixels.iter_mut().map(|pixel| (0, &mut pixel.cpu_nanos)).collect()
     });
     pixels
-}
-
-/// Locks a mutex. Its data are valid after every statement, so a panic of another thread does no harm.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

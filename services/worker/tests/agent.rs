@@ -17,9 +17,10 @@ use forelight_worker::{
     Agent, AgentError, Assignment, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
     RenderError, Renderer,
 };
+use parking_lot::Mutex;
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
@@ -62,7 +63,7 @@ fn problem(kind: ProblemKind) -> Response {
 
 async fn claim(State(farm): State<Shared>, Json(request): Json<ClaimRequest>) -> Response {
     {
-        let mut farm = farm.lock().unwrap();
+        let mut farm = farm.lock();
         farm.wanted.push(request.task_id);
         if farm.over {
             return problem(ProblemKind::Conflict);
@@ -82,7 +83,7 @@ async fn claim(State(farm): State<Shared>, Json(request): Json<ClaimRequest>) ->
 }
 
 async fn register(State(farm): State<Shared>) -> Response {
-    farm.lock().unwrap().registrations += 1;
+    farm.lock().registrations += 1;
     let node = serde_json::json!({
         "id": Uuid::nil(), "name": "node-1", "speed": 1.0, "speed_set": false, "price_per_hour": 0, "price_set": false, "cores": 1, "drain": false,
         "task_id": null, "created_at": "2026-01-01T00:00:00Z", "last_seen_at": "2026-01-01T00:00:00Z",
@@ -91,7 +92,7 @@ async fn register(State(farm): State<Shared>) -> Response {
 }
 
 async fn renew(State(farm): State<Shared>, Json(renewal): Json<RenewRequest>) -> Response {
-    let mut farm = farm.lock().unwrap();
+    let mut farm = farm.lock();
     farm.renewals.push(renewal);
     match farm.order.unwrap_or(Ok(LeaseOrder::Continue)) {
         Ok(order) => {
@@ -105,7 +106,7 @@ async fn renew(State(farm): State<Shared>, Json(renewal): Json<RenewRequest>) ->
 }
 
 async fn report(State(farm): State<Shared>, Json(result): Json<ResultRequest>) -> Response {
-    let mut farm = farm.lock().unwrap();
+    let mut farm = farm.lock();
     farm.reports.push(result);
     match farm.refuse_reports.pop() {
         Some(kind) => problem(kind),
@@ -114,18 +115,18 @@ async fn report(State(farm): State<Shared>, Json(result): Json<ResultRequest>) -
 }
 
 async fn release(State(farm): State<Shared>, Path(lease): Path<LeaseId>) -> StatusCode {
-    farm.lock().unwrap().releases.push(lease);
+    farm.lock().releases.push(lease);
     StatusCode::NO_CONTENT
 }
 
 async fn store(State(farm): State<Shared>, Path(hash): Path<ArtifactHash>, body: Bytes) -> Response {
     assert_eq!(hash, ArtifactHash(*blake3::hash(&body).as_bytes()));
-    let existed = !farm.lock().unwrap().artifacts.insert(hash);
+    let existed = !farm.lock().artifacts.insert(hash);
     Json(serde_json::json!({ "hash": hash, "size": body.len(), "existed": existed })).into_response()
 }
 
 async fn fetch(State(farm): State<Shared>) -> Response {
-    farm.lock().unwrap().downloads += 1;
+    farm.lock().downloads += 1;
     std::future::pending().await
 }
 
@@ -278,7 +279,7 @@ impl Rig {
     /// Waits until the farm looks as it should, for at most ten seconds.
     async fn until(&self, what: &str, condition: impl Fn(&Farm) -> bool) {
         let start = Instant::now();
-        while !condition(&self.farm.lock().unwrap()) {
+        while !condition(&self.farm.lock()) {
             assert!(start.elapsed() < Duration::from_secs(10), "waited in vain until {what}");
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
@@ -297,7 +298,7 @@ async fn a_task_is_done_under_a_renewed_lease_and_its_artefacts_are_there_before
     let rig = Rig::new(farm, Slow::new(Duration::from_millis(2 * TTL_MS))).await;
     rig.until("a result came", |farm| !farm.reports.is_empty()).await;
     {
-        let farm = rig.farm.lock().unwrap();
+        let farm = rig.farm.lock();
         assert_eq!(farm.reports[0].fence, 3);
         for hash in farm.reports[0].result.as_ref().unwrap().artifacts() {
             assert!(farm.artifacts.contains(&hash));
@@ -316,10 +317,10 @@ async fn a_lost_lease_stops_the_work_and_nothing_is_reported() {
         let executor = rig.executor.clone();
         rig.until("the work was stopped", |_| executor.stopped.load(Ordering::SeqCst)).await;
         // The worker is free for the next task.
-        rig.farm.lock().unwrap().order = None;
-        rig.farm.lock().unwrap().ready.push(lease(2));
+        rig.farm.lock().order = None;
+        rig.farm.lock().ready.push(lease(2));
         rig.until("it works again", |_| executor.runs.load(Ordering::SeqCst) == 2).await;
-        assert!(rig.farm.lock().unwrap().reports.is_empty());
+        assert!(rig.farm.lock().reports.is_empty());
         rig.end().await;
     }
 }
@@ -333,7 +334,7 @@ async fn a_stale_result_is_dropped_and_the_worker_goes_on() {
     };
     let rig = Rig::new(farm, Slow::new(Duration::from_millis(10))).await;
     rig.until("the second result came", |farm| farm.reports.len() == 2).await;
-    assert_eq!(rig.farm.lock().unwrap().reports[1].fence, 2);
+    assert_eq!(rig.farm.lock().reports[1].fence, 2);
     rig.end().await;
 }
 
@@ -352,7 +353,7 @@ async fn a_result_outlives_a_restart_of_the_service() {
     let _ = first.await;
     // The work ends while nobody listens, and long after the lease's time.
     tokio::time::sleep(Duration::from_millis(1_000)).await;
-    assert!(farm.lock().unwrap().reports.is_empty());
+    assert!(farm.lock().reports.is_empty());
     let listener = loop {
         match tokio::net::TcpListener::bind(local).await {
             Ok(listener) => break listener,
@@ -362,7 +363,7 @@ async fn a_result_outlives_a_restart_of_the_service() {
     let app = app(farm.clone());
     tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
     rig.until("the result came", |farm| !farm.reports.is_empty()).await;
-    assert!(farm.lock().unwrap().reports[0].result.is_some());
+    assert!(farm.lock().reports[0].result.is_some());
     rig.end().await;
 }
 
@@ -377,7 +378,7 @@ async fn errors_and_panics_are_reported_with_whether_trying_again_can_help() {
         let executor = Slow { ends_as, panics, ..Slow::new(Duration::ZERO) };
         let rig = Rig::new(Farm { ready: vec![lease(1)], ..Farm::default() }, executor).await;
         rig.until("an error came", |farm| !farm.reports.is_empty()).await;
-        let error = rig.farm.lock().unwrap().reports[0].error.clone().unwrap();
+        let error = rig.farm.lock().reports[0].error.clone().unwrap();
         assert!(error.message.contains(message), "{}", error.message);
         assert_eq!(error.permanent, permanent, "{message}");
         rig.end().await;
@@ -392,7 +393,7 @@ async fn a_task_beyond_its_time_limit_is_stopped_and_the_limit_is_said_in_error_
         Rig::new(Farm { ready: vec![limited], ..Farm::default() }, Slow::new(Duration::from_secs(60))).await;
     rig.until("an error came", |farm| !farm.reports.is_empty()).await;
     assert!(rig.executor.stopped.load(Ordering::SeqCst));
-    let end = rig.farm.lock().unwrap().reports[0].clone();
+    let end = rig.farm.lock().reports[0].clone();
     let error = end.error.unwrap();
     assert_eq!((error.limit, error.permanent), (Some(TaskLimit::WallTime), false));
     assert!(error.message.contains("0.15 s"), "{}", error.message);
@@ -407,13 +408,13 @@ async fn a_paused_worker_stands_still_says_so_and_goes_on() {
     let rig = Rig::new(farm, Slow::new(Duration::from_millis(TTL_MS))).await;
     rig.until("it stands still", |farm| farm.renewals.last().is_some_and(|renewal| renewal.paused)).await;
     tokio::time::sleep(Duration::from_millis(3 * TTL_MS)).await;
-    assert!(rig.farm.lock().unwrap().reports.is_empty(), "it went on");
-    let told = rig.farm.lock().unwrap().renewals.last().and_then(|renewal| renewal.pixels);
+    assert!(rig.farm.lock().reports.is_empty(), "it went on");
+    let told = rig.farm.lock().renewals.last().and_then(|renewal| renewal.pixels);
     assert_eq!(told, Some(FinishedPixels { done: 6, all: 16, work: 600, cpu_nanos: 6000 }));
-    rig.farm.lock().unwrap().order = None;
+    rig.farm.lock().order = None;
     rig.until("the result came", |farm| !farm.reports.is_empty()).await;
     let said: Vec<String> = {
-        let farm = rig.farm.lock().unwrap();
+        let farm = rig.farm.lock();
         let renewed = farm.renewals.iter().flat_map(|renewal| &renewal.log);
         renewed.chain(&farm.reports[0].log).map(|line| line.text.clone()).collect()
     };
@@ -428,7 +429,7 @@ async fn a_result_that_the_service_refuses_is_reported_as_an_error() {
     let farm = Farm { ready: vec![lease(1)], refuse_reports: vec![ProblemKind::Invalid], ..Farm::default() };
     let rig = Rig::new(farm, Slow::new(Duration::ZERO)).await;
     rig.until("an error came", |farm| farm.reports.len() == 2).await;
-    let error = rig.farm.lock().unwrap().reports[1].error.clone().unwrap();
+    let error = rig.farm.lock().reports[1].error.clone().unwrap();
     assert!(error.message.contains("as the test wants it"), "{}", error.message);
     rig.end().await;
 }
@@ -439,7 +440,7 @@ async fn a_lost_artefact_is_uploaded_again() {
         Farm { ready: vec![lease(1)], refuse_reports: vec![ProblemKind::MissingArtifact], ..Farm::default() };
     let rig = Rig::new(farm, Slow::new(Duration::ZERO)).await;
     rig.until("the result was taken", |farm| farm.reports.len() == 2).await;
-    assert!(rig.farm.lock().unwrap().reports[1].result.is_some());
+    assert!(rig.farm.lock().reports[1].result.is_some());
     rig.end().await;
 }
 
@@ -454,7 +455,7 @@ async fn a_worker_that_is_stopped_gives_its_lease_back() {
     let farm = rig.farm.clone();
     let executor = rig.end().await;
     assert!(executor.stopped.load(Ordering::SeqCst));
-    let farm = farm.lock().unwrap();
+    let farm = farm.lock();
     assert_eq!(farm.releases, [id]);
     assert!(farm.reports.is_empty());
 }
@@ -469,7 +470,7 @@ async fn a_worker_that_is_stopped_while_it_downloads_gives_its_lease_back_at_onc
     rig.until("it downloads", |farm| farm.downloads == 1).await;
     let farm = rig.farm.clone();
     let executor = tokio::time::timeout(Duration::from_secs(10), rig.end()).await.expect("an end");
-    assert_eq!((executor.runs.load(Ordering::SeqCst), &farm.lock().unwrap().releases[..]), (0, &[id][..]));
+    assert_eq!((executor.runs.load(Ordering::SeqCst), &farm.lock().releases[..]), (0, &[id][..]));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -477,7 +478,7 @@ async fn a_node_that_the_service_forgot_registers_again() {
     let farm = Farm { ready: vec![lease(1)], forgot_nodes: true, ..Farm::default() };
     let rig = Rig::new(farm, Slow::new(Duration::ZERO)).await;
     rig.until("the result came", |farm| farm.reports.len() == 1).await;
-    assert_eq!(rig.farm.lock().unwrap().registrations, 2);
+    assert_eq!(rig.farm.lock().registrations, 2);
     rig.end().await;
 }
 
@@ -501,17 +502,17 @@ async fn a_process_for_one_task_waits_for_it_does_it_and_ends_and_ends_at_once_w
     let later = farm.clone();
     tokio::spawn(async move {
         tokio::time::sleep(Duration::from_millis(100)).await;
-        later.lock().unwrap().ready.push(Lease { task_id: task, ..lease(2) });
+        later.lock().ready.push(Lease { task_id: task, ..lease(2) });
     });
     assert_eq!(agent.run_task(task, CancellationToken::new()).await.unwrap(), Errand::Ended);
     {
-        let mut farm = farm.lock().unwrap();
+        let mut farm = farm.lock();
         assert_eq!((farm.reports.len(), farm.reports[0].fence), (1, 2));
         assert!(farm.wanted.len() > 1 && farm.wanted.iter().all(|&wanted| wanted == Some(task)));
         farm.over = true;
     }
     assert_eq!(agent.run_task(task, CancellationToken::new()).await.unwrap(), Errand::Needless);
-    farm.lock().unwrap().over = false;
+    farm.lock().over = false;
     let stop = CancellationToken::new();
     let stopping = stop.clone();
     tokio::spawn(async move {
@@ -519,7 +520,7 @@ async fn a_process_for_one_task_waits_for_it_does_it_and_ends_and_ends_at_once_w
         stopping.cancel();
     });
     assert_eq!(agent.run_task(task, stop).await.unwrap(), Errand::Stopped);
-    assert_eq!(farm.lock().unwrap().reports.len(), 1);
+    assert_eq!(farm.lock().reports.len(), 1);
 }
 
 #[tokio::test]
@@ -527,8 +528,8 @@ async fn a_worker_whose_node_sleeps_asks_for_nothing_until_it_wakes_up() {
     let rig = Rig::new(Farm { asleep: Some(2), ..Farm::default() }, Slow::new(Duration::ZERO)).await;
     rig.until("it has asked", |farm| farm.wanted.len() == 1).await;
     tokio::time::sleep(Duration::from_millis(1500)).await;
-    assert_eq!(rig.farm.lock().unwrap().wanted.len(), 1, "it asked in its sleep");
-    rig.farm.lock().unwrap().asleep = None;
+    assert_eq!(rig.farm.lock().wanted.len(), 1, "it asked in its sleep");
+    rig.farm.lock().asleep = None;
     rig.until("it has woken up", |farm| farm.wanted.len() > 1).await;
     rig.end().await;
 }
@@ -539,7 +540,7 @@ async fn the_heartbeat_sends_a_worker_to_sleep_after_its_task() {
     let rig = Rig::new(farm, Slow::new(Duration::from_millis(400))).await;
     rig.until("the task is done", |farm| farm.reports.len() == 1).await;
     tokio::time::sleep(Duration::from_millis(300)).await;
-    assert_eq!(rig.farm.lock().unwrap().wanted.len(), 1, "it asked for more");
+    assert_eq!(rig.farm.lock().wanted.len(), 1, "it asked for more");
     // Told to stop, it does so at once.
     let begun = Instant::now();
     rig.end().await;

@@ -13,13 +13,13 @@
 
 use super::{Acknowledged, counts, frames_of, job_of};
 use forelight_protocol::{Bundle, FrameState, Job, JobState, RenderStats, Role};
+use forelight_random::Random;
 use forelight_tests::bundles::{shipped, zipped};
 use forelight_tests::http::{Answer, Http};
 use forelight_tests::ledger::Ledger;
 use forelight_tests::pictures::Channels;
 use forelight_tests::processes::{Process, Service, run_well};
 use forelight_tests::proxy::Proxy;
-use forelight_tests::random::Random;
 use forelight_tests::shim::Shim;
 use forelight_tests::waiting::eventually;
 use reqwest::{Method, StatusCode};

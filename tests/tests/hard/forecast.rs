@@ -38,7 +38,7 @@ struct Picture {
 impl Picture {
     /// A mosaic of `objects` cells with lognormal costs of log-deviation `sigma` about their own means.
     fn mosaic(side: u32, objects: u32, sigma: f64, seed: u64) -> Self {
-        let mut stream = Stream(seed);
+        let mut stream = Stream::new(seed);
         let centres: Vec<(f64, f64, f64, f64)> = (0..objects)
             .map(|i| {
                 let pull = 0.2 / f64::from(1 + i).sqrt();
@@ -202,7 +202,7 @@ fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotFor
         .collect();
     let all: Vec<Vec<Observation>> = (0..frames)
         .map(|t| {
-            let mut stream = Stream(t as u64);
+            let mut stream = Stream::new(t as u64);
             let counts = &population[t].counts;
             let of = |h: usize, stream: &mut Stream| Observation {
                 stratum: h as u32,
@@ -253,7 +253,7 @@ fn quantiles_hold_as_often_as_they_promise_over_200_jobs() {
     let mut histogram = vec![0.0f64; bins];
     let mut errors = Moments::default();
     for job in 0..jobs {
-        let mut stream = Stream(u64::from(job) + 77);
+        let mut stream = Stream::new(u64::from(job) + 77);
         let sigma = 0.2 + 0.6 * stream.uniform();
         let objects = 3 + stream.below(40) as u32;
         let picture = Picture::mosaic(64, objects, sigma, u64::from(job) * 3 + 1);
@@ -361,7 +361,7 @@ fn estimates_have_no_drift_while_frames_are_finished() {
     let mut steps = vec![Moments::default(); frames - 1];
     let mut widths = vec![0.0f64; frames];
     for run in 0..runs {
-        let mut stream = Stream(run * 7 + 5);
+        let mut stream = Stream::new(run * 7 + 5);
         let mut level = [0.0f64; 2];
         let works: Vec<[f64; 2]> = (0..frames)
             .map(|_| {

@@ -2,31 +2,29 @@
 //! surfaces: the tree alone.
 
 use forelight_bvh::{Bvh, Hit, Ray, Traversal};
+use forelight_random::Random;
 use forelight_tests::case::case;
 use forelight_tests::world::{cuboid, icosphere};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// Numbers from a counter: SplitMix64.
+/// Random numbers.
 #[derive(Clone)]
-pub struct Stream(pub u64);
+pub struct Stream(Random);
 
 impl Stream {
-    fn word(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+    pub fn new(seed: u64) -> Self {
+        Self(Random::new(seed))
     }
 
     /// In [0, 1).
     pub fn uniform(&mut self) -> f64 {
-        (self.word() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.uniform()
     }
 
     /// Below `bound`.
     pub fn below(&mut self, bound: usize) -> usize {
-        (self.word() % bound as u64) as usize
+        self.0.index(bound)
     }
 
     /// In the cube of side 2 about the origin.
@@ -66,7 +64,7 @@ fn fans(corners: u32, height: f64) -> Mesh {
 
 /// A box whose faces are grids, the inner vertices moved out and in.
 fn rough_box(n: u32) -> Mesh {
-    let mut stream = Stream(3);
+    let mut stream = Stream::new(3);
     let mut positions = Vec::new();
     let mut known = std::collections::BTreeMap::new();
     let mut triangles = Vec::new();
@@ -125,7 +123,7 @@ fn no_ray_escapes_from_a_closed_mesh() {
         let lost: u64 = (0..chunks)
             .into_par_iter()
             .map(|chunk| {
-                let mut stream = Stream(chunk);
+                let mut stream = Stream::new(chunk);
                 let mut steps = Traversal::default();
                 let mut lost = 0;
                 for _ in 0..4096 {
@@ -210,7 +208,7 @@ impl Loose {
 /// A grid of boxes whose faces share planes, and a soup between them.
 fn lattice() -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let (mut positions, mut triangles) = (Vec::new(), Vec::new());
-    let mut stream = Stream(11);
+    let mut stream = Stream::new(11);
     for i in 0..4u32 {
         let low = DVec3::new(f64::from(i % 2), f64::from(i / 2), f64::from(i % 3) * 0.5) - 1.0;
         let (p, t) = cuboid(low, low + 1.0, i % 2 == 1);
@@ -232,7 +230,7 @@ fn rays_along_axes_and_from_box_faces_hit_what_testing_every_triangle_hits() {
     let (positions, triangles) = lattice();
     let bvh = Bvh::build(&positions, &triangles);
     let loose = Loose::new(&positions, &triangles);
-    let mut stream = Stream(5);
+    let mut stream = Stream::new(5);
     let (mut wrong, mut hits, rays) = (0, 0u64, 30_000);
     for _ in 0..rays {
         let corner = positions[stream.below(positions.len())];
@@ -283,7 +281,7 @@ fn degenerate_triangles_are_never_hit_and_hide_nothing() {
     triangles.extend(t);
     let sound = triangles.len() as u32;
     let clean = Bvh::build(&positions, &triangles);
-    let mut stream = Stream(7);
+    let mut stream = Stream::new(7);
     let mut add = |corners: [Vec3; 3]| {
         let first = positions.len() as u32;
         positions.extend(corners);
@@ -346,7 +344,7 @@ fn slivers_are_hit_where_they_are() {
         triangles.extend([[a, a + 2, a + 3], [a, a + 3, a + 1]]);
     }
     let bvh = Bvh::build(&positions, &triangles);
-    let mut stream = Stream(2);
+    let mut stream = Stream::new(2);
     let width = count as f32 * 1e-7;
     let (mut missed, rays) = (0, 100_000);
     let mut furthest = 0.0f64;
@@ -370,7 +368,7 @@ fn slivers_are_hit_where_they_are() {
 #[test]
 fn of_surfaces_in_the_same_place_the_same_one_wins_whatever_the_tree() {
     // The same rectangle several times, some of them turned, flipped and cut along the other diagonal.
-    let mut stream = Stream(13);
+    let mut stream = Stream::new(13);
     let (mut wrong, mut rays, mut not_lowest) = (0u64, 0u64, 0u64);
     for tilted in [false, true] {
         let (u, v) = if tilted {
@@ -425,7 +423,7 @@ fn of_equal_surfaces_the_first_one_wins() {
     let copies: Vec<[u32; 3]> =
         (0..10 * count).map(|i| once[((i + i / count * 37) % count) as usize]).collect();
     let (bvh, single) = (Bvh::build(&positions, &copies), Bvh::build(&positions, &once));
-    let mut stream = Stream(17);
+    let mut stream = Stream::new(17);
     let (mut wrong, mut rays) = (0, 0);
     for _ in 0..50_000 {
         let ray = Ray::new(stream.point() * 0.3, stream.point());

@@ -2,9 +2,9 @@
 
 use crate::media::{from, glass};
 use forelight_protocol::Integrator;
+use forelight_random::Random;
 use forelight_scene::{Material, Surface};
 use forelight_tests::case::case;
-use forelight_tests::random::Random;
 use forelight_tests::statistics::Moments;
 use forelight_tests::world::{View, World, grey, lambert, material, render, unsound, values};
 use forelight_tracer::Settings;

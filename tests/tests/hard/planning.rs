@@ -305,7 +305,7 @@ fn nights_in_which_clocks_change_lose_and_gain_their_hour() {
     // From 22:00 to 06:00 in Vienna: seven hours in the night to 29 March 2026, nine in that to 25 October,
     // eight in others.
     let night = Weekly {
-        zone: "Europe/Vienna".into(),
+        zone: jiff::tz::TimeZone::get("Europe/Vienna").expect("a time zone"),
         days: vec![Weekday::Saturday],
         from: time(22, 0, 0, 0),
         until: time(6, 0, 0, 0),
@@ -353,7 +353,7 @@ fn cheapest(nodes: &[(u64, u64)], loads: &mut Vec<u64>, works: &[u64], deadline:
 fn on_tiny_farms_a_plan_is_found_whenever_there_is_one_and_none_is_cheaper() {
     let (mut missed, mut wrong, mut tried, mut dearest) = (0, 0, 0, 1.0f64);
     for i in 0..2000u64 {
-        let mut stream = crate::meshes::Stream(i);
+        let mut stream = crate::meshes::Stream::new(i);
         let mut draw = |below: usize| stream.below(below) as u64;
         let nodes: Vec<(u64, u64)> = (0..1 + draw(3)).map(|_| (1 + draw(3), 1 + draw(5))).collect();
         let works: Vec<u64> = (0..1 + draw(6)).map(|_| 1 + draw(30)).collect();

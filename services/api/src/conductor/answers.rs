@@ -8,6 +8,8 @@ use std::time::{Duration, Instant};
 
 use forelight_planner as planner;
 use forelight_planner::Change;
+use forelight_plots as plots;
+use forelight_plots::PlotError;
 use forelight_protocol::{
     AccuracyRung, AnswersDoc, BudgetAnswer, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer, Timestamp,
 };
@@ -317,16 +319,12 @@ fn busiest(farm: &Farm, job: u64) -> Option<u64> {
 }
 
 /// The price curve as a picture.
-pub(crate) fn curve_svg(document: &AnswersDoc) -> String {
-    let offers: Vec<planner::Offer> = document
-        .curve
-        .iter()
-        .map(|offer| planner::Offer {
-            deadline: offer.deadline.micros(),
-            finish: offer.finish.micros(),
-            cost: offer.cost.micro_units(),
-            cost_bound: offer.cost_at_least.micro_units(),
-        })
-        .collect();
-    planner::price_curve(&offers, |micro_units| Money(micro_units).to_string())
+pub(crate) fn curve_svg(document: &AnswersDoc) -> Result<String, PlotError> {
+    let offer = |offer: &PriceOffer| plots::Offer {
+        deadline: offer.deadline.micros(),
+        cost: offer.cost.micro_units(),
+        cost_bound: offer.cost_at_least.micro_units(),
+    };
+    let offers: Vec<plots::Offer> = document.curve.iter().map(offer).collect();
+    plots::price_curve(&offers, |micro_units| Money(micro_units).to_string())
 }

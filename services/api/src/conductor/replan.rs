@@ -5,7 +5,6 @@
 //! takes what it should.
 
 use std::collections::BTreeSet;
-use std::sync::PoisonError;
 
 use forelight_protocol::{NodeId, PlanReason};
 use forelight_store::{NewPlan, StoreError, project};
@@ -77,7 +76,7 @@ impl Conductor {
         let nodes: BTreeSet<NodeId> =
             bookable(all.clone(), now, self.started).iter().map(|node| node.id).collect();
         let before = {
-            let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut seen = self.seen.lock();
             seen.replace(nodes.clone())
         };
         let name = |node: &NodeId| all.iter().find(|other| other.id == *node).map_or("", |node| &node.name);

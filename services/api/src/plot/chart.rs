@@ -1,6 +1,6 @@
-//! What the pictures share: size, colours, drawing into SVG, legends.
+//! What the pictures share: size, colours, legends.
 
-use plotters::coord::Shift;
+use forelight_plots::Drawn;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
@@ -9,24 +9,6 @@ pub(super) const SIZE: (u32, u32) = (1120, 470);
 pub(super) const CALIBRATED: RGBColor = RGBColor(0, 114, 178);
 pub(super) const FORMULAS: RGBColor = RGBColor(213, 94, 0);
 pub(super) const GREY: RGBColor = RGBColor(215, 215, 215);
-
-pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-pub(super) type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-/// A white picture with what is drawn on it.
-pub(super) fn svg(draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
-    let mut text = String::new();
-    {
-        let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        let draw = || -> Drawn {
-            area.fill(&WHITE)?;
-            draw(&area)?;
-            Ok(area.present()?)
-        };
-        draw().map_err(|error| error.to_string())?;
-    }
-    Ok(text)
-}
 
 /// A diagram with two axes of numbers.
 pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;

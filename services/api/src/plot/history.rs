@@ -1,14 +1,15 @@
 //! How a job's estimate moved, as a picture.
 
+use forelight_plots::{Area, Drawn, PlotError, svg};
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobState, Timestamp};
 use plotters::prelude::*;
 
-use super::chart::{Area, CALIBRATED, Chart, Drawn, FORMULAS, GREY, SIZE, legend, svg};
+use super::chart::{CALIBRATED, Chart, FORMULAS, GREY, SIZE, legend};
 
-/// Left, what the job was expected to take as its frames were finished, with what was booked and what it was in the end. Right, when it was
-/// expected to end.
-pub(crate) fn forecast_history(history: &ForecastHistory) -> Result<String, String> {
-    svg(|area| {
+/// Draws two charts. Left: the expected cost as frames finished, with the booked and the final cost. Right:
+/// the expected end.
+pub(crate) fn forecast_history(history: &ForecastHistory) -> Result<String, PlotError> {
+    svg(SIZE, |area| {
         let (left, right) = area.split_horizontally(SIZE.0 as i32 * 55 / 100);
         cost(&left, history)?;
         finish(&right, history)

@@ -1,11 +1,12 @@
 //! The track record as a picture.
 
 use forelight_forecast::share_interval;
+use forelight_plots::{Area, Drawn, PlotError, svg};
 use forelight_protocol::{Coverage, QuantileHits, TrackRecord};
 use forelight_store::FinishedJob;
 use plotters::prelude::*;
 
-use super::chart::{Area, CALIBRATED, Drawn, FORMULAS, GREY, SIZE, legend, svg};
+use super::chart::{CALIBRATED, FORMULAS, GREY, SIZE, legend};
 
 /// Errors beyond this are drawn at the edge.
 const LARGEST_ERROR: f64 = 1.0;
@@ -13,8 +14,8 @@ const LARGEST_ERROR: f64 = 1.0;
 const LEAST_RANGE: f64 = 0.1;
 
 /// The reliability diagram of all finished frames and jobs, and beside it the errors of `jobs`, the oldest first.
-pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result<String, String> {
-    svg(|area| {
+pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result<String, PlotError> {
+    svg(SIZE, |area| {
         let (left, right) = area.split_horizontally(SIZE.1 as i32);
         reliability(&left, record)?;
         errors(&right, jobs)

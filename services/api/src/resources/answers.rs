@@ -17,7 +17,7 @@ use crate::conductor::{AdvanceError, compute};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::resources::checks::HIGHEST_SUM;
-use crate::resources::responses;
+use crate::resources::forecasts::svg;
 use crate::schema::FileContent;
 use crate::state::App;
 
@@ -65,8 +65,7 @@ pub(crate) async fn price_curve(
     _: Reader,
     Segment(job): Segment<JobId>,
 ) -> ApiResult<Response> {
-    let svg = curve_svg(&*found(&app, job, &AnswersQuery::default()).await?);
-    Ok(responses::svg(svg))
+    svg(curve_svg(&*found(&app, job, &AnswersQuery::default()).await?))
 }
 
 async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<AnswersDoc>> {

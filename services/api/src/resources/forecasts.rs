@@ -4,6 +4,7 @@ use axum::Json;
 use axum::extract::State;
 use axum::response::Response;
 use forelight_forecast::Correction;
+use forelight_plots::PlotError;
 use forelight_protocol::{
     AccuracyDoc, CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Explanation, ForecastDoc,
     ForecastHistory, Job, JobId, ProblemKind, Timestamp, TrackRecord,
@@ -134,10 +135,8 @@ async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
 }
 
 /// A picture, or why it cannot be drawn.
-fn svg(drawn: Result<String, String>) -> ApiResult<Response> {
-    let svg = drawn.map_err(|reason| {
-        ApiError::new(ProblemKind::Internal, format!("the picture cannot be drawn: {reason}"))
-    })?;
+pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Response> {
+    let svg = drawn.map_err(|error| ApiError::new(ProblemKind::Internal, error.to_string()))?;
     Ok(responses::svg(svg))
 }
 

@@ -3,6 +3,7 @@
 
 use super::case::{Known, KnownFrame};
 use forelight_forecast::{Cost, Stratum};
+use forelight_random::Random;
 use serde::Serialize;
 
 /// What makes costs vary inside an object, beside light that falls off and the edge of a shadow.
@@ -38,16 +39,12 @@ impl Family {
 const SIDE: u32 = 32;
 const FRAMES: u32 = 8;
 
-/// A stream of uniform numbers in (0, 1): SplitMix64 (Steele, Lea, Flood 2014).
-struct Stream(u64);
+/// A stream of random numbers.
+struct Stream(Random);
 
 impl Stream {
     fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (((z ^ (z >> 31)) >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+        self.0.open_uniform()
     }
 
     fn between(&mut self, low: f64, high: f64) -> f64 {
@@ -75,7 +72,8 @@ struct Object {
 
 /// The shot with this number: always the same one.
 pub fn shot(family: Family, number: u64) -> Known {
-    let mut stream = Stream(number.wrapping_mul(0xd134_2543_de82_ef95) ^ 0x0005_f0a7_1e1d_0000);
+    let seed = number.wrapping_mul(0xd134_2543_de82_ef95) ^ 0x0005_f0a7_1e1d_0000;
+    let mut stream = Stream(Random::new(seed));
     let materials: Vec<(f64, (f64, f64))> = (0..6)
         .map(|_| {
             let mean = 3000.0 * libm::exp(0.7 * stream.normal());

@@ -1,6 +1,7 @@
 //! The rays that are measured: what a renderer asks for, drawn from a seed, the same on every machine.
 
 use forelight_bvh::{Bvh, Ray, Traversal, offset_origin, size_of};
+use forelight_random::hash;
 use forelight_scene::{Environment, Frame, Geometry};
 use glam::{Vec2, Vec3};
 
@@ -159,14 +160,6 @@ fn unit_square(seed: u64, pixel: u32, dimension: u64) -> Vec2 {
     let bits = hash(hash(seed ^ dimension << 48) ^ u64::from(pixel));
     let unit = |bits: u64| (bits & 0xff_ffff) as f32 / (1 << 24) as f32;
     Vec2::new(unit(bits), unit(bits >> 32))
-}
-
-/// Finaliser of SplitMix64 (Steele, Lea, Flood 2014): mixes all bits of its input.
-fn hash(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 #[cfg(test)]

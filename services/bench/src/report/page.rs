@@ -1,4 +1,6 @@
-//! A Markdown file with a section for every bench.
+//! A Markdown file with a block for every bench. People write the text around the blocks.
+//!
+//! A block begins with the line `<!-- bench NAME -->` and ends with the line `<!-- end -->`.
 
 use super::{Origin, Report};
 use anyhow::{Context, Result};
@@ -12,14 +14,17 @@ use std::path::{Path, PathBuf};
 /// Name of the file in a folder.
 const NAME: &str = "benchmarks.md";
 
-/// What a new file begins with.
+/// The start of a new file.
 const HEAD: &str = "\
 # Benchmarks
 
-`forelight bench NAME --write FILE` writes the section of each bench. Running the command of a section again replaces it.
+`forelight bench NAME --write FILE` writes the block of that bench, and leaves the rest as it is.
 ";
 
-/// The file that a path stands for: itself, or the page in a folder.
+/// Last line of every block.
+const END: &str = "<!-- end -->";
+
+/// Returns the file that a path stands for: the path itself, or the page in a folder.
 ///
 /// # Errors
 /// If the path is neither a folder nor the name of a Markdown file.
@@ -36,18 +41,28 @@ pub fn file(path: &Path) -> Result<PathBuf, BadInput> {
     }
 }
 
-/// Writes a bench's report into its section of the file. The other sections stay as they are.
+/// Writes a bench's report into its block of the file. The rest stays as it is.
+///
+/// A file without such a block gets a section with one at its end.
 pub fn write(file: &Path, bench: &str, origin: &Origin, report: &Report) -> Result<()> {
     let page = match fs::read_to_string(file) {
         Ok(page) => page,
         Err(error) if error.kind() == ErrorKind::NotFound => HEAD.to_owned(),
         Err(error) => return Err(error).with_context(|| format!("cannot read {}", file.display())),
     };
-    write_bytes(file, replaced(&page, bench, &section(bench, origin, report)).as_bytes())
+    let page = replaced(&page, bench, &block(bench, origin, report)).ok_or_else(|| {
+        let reason = format!("{}: the block `{}` has no end", file.display(), begin(bench));
+        BadInput::new(reason).hint(format!("close the block with a line `{END}`"))
+    })?;
+    write_bytes(file, page.as_bytes())
 }
 
-/// The section's heading, its origin and its tables.
-fn section(bench: &str, origin: &Origin, report: &Report) -> String {
+fn begin(bench: &str) -> String {
+    format!("<!-- bench {bench} -->")
+}
+
+/// The block: its markers, the command, the origin and the tables.
+fn block(bench: &str, origin: &Origin, report: &Report) -> String {
     let Origin { command, date, commit, processor, cores } = origin;
     let mut table = Table::new(&[
         ("date", Align::Left),
@@ -56,30 +71,20 @@ fn section(bench: &str, origin: &Origin, report: &Report) -> String {
         ("cores", Align::Right),
     ]);
     table.row([date.clone(), commit.clone(), processor.clone(), cores.to_string()]);
-    format!("{}\n\n```sh\n{command}\n```\n\n{}\n{}", heading(bench), table.markdown(), report.markdown())
+    let (begin, origin, report) = (begin(bench), table.markdown(), report.markdown());
+    format!("{begin}\n\n```sh\n{command}\n```\n\n{origin}\n{}\n\n{END}\n", report.trim())
 }
 
-fn heading(bench: &str) -> String {
-    format!("## {bench}")
-}
-
-/// The page with this section in place of the one that has its heading, or at the end if there is none.
-fn replaced(page: &str, bench: &str, section: &str) -> String {
-    let lines: Vec<&str> = page.lines().collect();
-    // In a block of code a line that begins with # is a comment.
-    let mut is_code = false;
-    let headings: Vec<usize> = (0..lines.len())
-        .filter(|&line| {
-            is_code ^= lines[line].starts_with("```");
-            !is_code && (lines[line].starts_with("# ") || lines[line].starts_with("## "))
-        })
-        .collect();
-    let found = headings.iter().position(|&line| lines[line].trim_end() == heading(bench));
-    let start = found.map_or(lines.len(), |at| headings[at]);
-    let end = found.and_then(|at| headings.get(at + 1)).copied().unwrap_or(lines.len());
-    let parts = [lines[..start].join("\n"), section.to_owned(), lines[end..].join("\n")];
-    let parts = parts.iter().map(|part| part.trim()).filter(|part| !part.is_empty());
-    parts.collect::<Vec<_>>().join("\n\n") + "\n"
+/// The page with `block` in place of the bench's block, or in a new section at the end if it has none. `None` if
+/// the bench's block has no end.
+fn replaced(page: &str, bench: &str, block: &str) -> Option<String> {
+    let lines: Vec<&str> = page.split_inclusive('\n').collect();
+    let is = |line: &str, marker: &str| line.trim_end() == marker;
+    let Some(start) = lines.iter().position(|line| is(line, &begin(bench))) else {
+        return Some(format!("{}\n\n## {bench}\n\n{block}", page.trim_end()));
+    };
+    let length = lines[start..].iter().position(|line| is(line, END))? + 1;
+    Some([&lines[..start].concat(), block, &lines[start + length..].concat()].concat())
 }
 
 #[cfg(test)]
@@ -97,29 +102,31 @@ mod tests {
     }
 
     #[test]
-    fn a_section_is_replaced_in_place_and_the_others_stay() {
+    fn a_block_is_replaced_in_place_and_the_rest_stays() {
         let folder = tempfile::tempdir().unwrap();
         let page = folder.path().join("docs").join(NAME);
         let read = || fs::read_to_string(&page).unwrap();
         let wrote = |bench: &str, date: &str, text: &str| {
             let report = Report::default().text(format!("{text}\n"));
-            write(&page, bench, &origin(date), &report).unwrap();
+            write(&page, bench, &origin(date), &report)
         };
-        wrote("plan", "first", "one");
+        wrote("plan", "first", "one").unwrap();
         let alone = format!(
-            "{HEAD}\n## plan\n\n```sh\nforelight bench plan --write docs/\n```\n\n\
+            "{HEAD}\n## plan\n\n<!-- bench plan -->\n\n```sh\nforelight bench plan --write docs/\n```\n\n\
              | date | commit | processor | cores |\n| --- | --- | --- | ---: |\n\
-             | first | 0123456789ab | A \\| B | 2 |\n\none\n"
+             | first | 0123456789ab | A \\| B | 2 |\n\none\n\n<!-- end -->\n"
         );
         assert_eq!(read(), alone);
-        wrote("rays", "first", "two");
-        // What people write between sections belongs to the section above; code holds no headings.
-        fs::write(&page, read() + "\n# Notes\n\n```sh\n# comment\n## plan\n```\n").unwrap();
-        let before = read();
-        wrote("plan", "second", "three");
+        wrote("rays", "first", "two").unwrap();
+        let before = read().replacen("## plan\n", "## Plans\n\nHow good are plans?\n", 1) + "\n## Notes\n";
+        fs::write(&page, &before).unwrap();
+        wrote("plan", "second", "three").unwrap();
         assert_eq!(read(), before.replacen("| first |", "| second |", 1).replacen("one\n", "three\n", 1));
-        wrote("plan", "first", "one");
+        wrote("plan", "first", "one").unwrap();
         assert_eq!(read(), before, "and back again");
+        fs::write(&page, before.replace(END, "")).unwrap();
+        let error = wrote("plan", "third", "four").unwrap_err().to_string();
+        assert!(error.contains("has no end"), "{error}");
     }
 
     #[test]

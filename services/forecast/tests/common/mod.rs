@@ -7,24 +7,22 @@
 #![allow(dead_code, reason = "every test file uses its own part of this module")]
 
 use forelight_forecast::{Cost, Expansion, FrameDesign, Observation, Pick, ProfiledFrame, Stratum};
+use forelight_random::Random;
 
 /// A stream of uniform numbers in (0, 1).
-pub struct Stream(u64);
+pub struct Stream(Random);
 
 impl Stream {
     pub fn new(seed: u64) -> Self {
-        let mut stream = Stream(seed.wrapping_mul(0xd134_2543_de82_ef95) ^ 0x5851_f42d_4c95_7f2d);
+        let mut stream =
+            Stream(Random::new(seed.wrapping_mul(0xd134_2543_de82_ef95) ^ 0x5851_f42d_4c95_7f2d));
         stream.uniform();
         stream.uniform();
         stream
     }
 
     pub fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64 + 0.5 / (1u64 << 53) as f64
+        self.0.open_uniform()
     }
 
     pub fn normal(&mut self) -> f64 {

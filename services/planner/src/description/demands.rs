@@ -6,8 +6,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::DescriptionError;
 use super::entries::{JobEntry, NodeEntry};
+use super::error::DescriptionError;
 use super::values::scaled;
 
 /// Work of a second at speed one.

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 
 use jiff::Timestamp;
-use jiff::civil::Time;
-use serde::Deserialize;
+use jiff::civil::{Time, Weekday};
+use jiff::fmt::strtime;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 
 /// A farm description.
 #[derive(Clone, Debug, Deserialize)]
@@ -75,23 +77,11 @@ pub(super) struct NodeEntry {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WindowEntry {
-    #[serde(default)]
-    pub(super) days: Vec<Day>,
+    #[serde(default, deserialize_with = "days")]
+    pub(super) days: Vec<Weekday>,
     pub(super) from: Time,
     pub(super) until: Time,
     pub(super) zone: Option<String>,
-}
-
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum Day {
-    Mon,
-    Tue,
-    Wed,
-    Thu,
-    Fri,
-    Sat,
-    Sun,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -161,6 +151,15 @@ pub(super) enum Frames {
 pub(super) struct FrameEntry {
     pub(super) number: i64,
     pub(super) hours: f64,
+}
+
+/// `mon`, `tue`, …
+fn days<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Weekday>, D::Error> {
+    let day = |name: &String| {
+        let parsed = strtime::parse("%a", name).ok().and_then(|time| time.weekday());
+        parsed.ok_or_else(|| D::Error::custom(format!("{name:?} is no day of the week, such as \"mon\"")))
+    };
+    Vec::<String>::deserialize(deserializer)?.iter().map(day).collect()
 }
 
 fn utc() -> String {

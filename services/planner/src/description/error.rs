@@ -11,7 +11,7 @@ pub enum DescriptionError {
     Unknown {
         /// Where it is used.
         at: String,
-        /// Node or project.
+        /// Node, project or time zone.
         what: &'static str,
         /// The name.
         name: String,

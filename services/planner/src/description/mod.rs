@@ -9,11 +9,11 @@ mod values;
 use std::collections::BTreeMap;
 
 use jiff::Timestamp;
-use jiff::civil::Weekday;
+use jiff::tz::TimeZoneDatabase;
 
 use self::demands::{Demands, WORK_PER_SECOND};
 pub use self::entries::Description;
-use self::entries::{Day, Frames, JobEntry, NodeEntry, ProjectEntry, RangeEntry, WindowEntry};
+use self::entries::{Frames, JobEntry, NodeEntry, ProjectEntry, RangeEntry, WindowEntry};
 pub use self::error::DescriptionError;
 use self::values::{duration, known, money, names, scaled};
 use crate::civil::{Weekly, expand};
@@ -28,11 +28,12 @@ const MOST_FRAMES: u32 = 1_000_000;
 const BEYOND: i64 = 28 * 86_400_000_000;
 
 impl Description {
-    /// The planner's input. Identities are places in the lists.
+    /// The planner's input. Identities are places in the lists. Time zones are looked up in `zones`, for instance
+    /// [`jiff::tz::db`].
     ///
     /// # Errors
     /// The first thing that is wrong.
-    pub fn input(&self) -> Result<Input, DescriptionError> {
+    pub fn input(&self, zones: &TimeZoneDatabase) -> Result<Input, DescriptionError> {
         let now = self.now.as_microsecond();
         let instants = self.jobs.iter().flat_map(|job| [job.release, job.deadline]).flatten();
         let horizon = instants.map(Timestamp::as_microsecond).fold(now, i64::max).saturating_add(BEYOND);
@@ -41,7 +42,7 @@ impl Description {
         let demands = Demands::new(&self.nodes, &self.jobs)?;
         let mut nodes: Vec<Node> = Vec::new();
         for entry in &self.nodes {
-            let model = self.node(entry, &demands, now, horizon)?;
+            let model = self.node(entry, &demands, zones, now, horizon)?;
             for copy in 0..entry.count {
                 let name = if entry.count == 1 {
                     entry.name.clone()
@@ -83,6 +84,7 @@ impl Description {
         &self,
         entry: &NodeEntry,
         demands: &Demands,
+        zones: &TimeZoneDatabase,
         now: i64,
         horizon: i64,
     ) -> Result<Node, DescriptionError> {
@@ -94,8 +96,9 @@ impl Description {
         let calendar = match &entry.calendar {
             None => vec![Interval { start: now, end: None }],
             Some(windows) => {
-                let weekly: Vec<Weekly> = windows.iter().map(|window| self.weekly(window)).collect();
-                expand(&weekly, now, horizon)
+                let weekly: Result<Vec<Weekly>, _> =
+                    windows.iter().map(|window| self.weekly(window, zones, &at)).collect();
+                expand(&weekly?, now, horizon)
                     .map_err(|error| DescriptionError::Calendar { at: at.clone(), error })?
             }
         };
@@ -120,24 +123,21 @@ impl Description {
         })
     }
 
-    fn weekly(&self, window: &WindowEntry) -> Weekly {
-        let day = |day: &Day| match day {
-            Day::Mon => Weekday::Monday,
-            Day::Tue => Weekday::Tuesday,
-            Day::Wed => Weekday::Wednesday,
-            Day::Thu => Weekday::Thursday,
-            Day::Fri => Weekday::Friday,
-            Day::Sat => Weekday::Saturday,
-            Day::Sun => Weekday::Sunday,
-        };
-        let all = [Day::Mon, Day::Tue, Day::Wed, Day::Thu, Day::Fri, Day::Sat, Day::Sun];
-        let days = if window.days.is_empty() { &all[..] } else { &window.days[..] };
-        Weekly {
-            zone: window.zone.clone().unwrap_or_else(|| self.zone.clone()),
-            days: days.iter().map(day).collect(),
+    fn weekly(
+        &self,
+        window: &WindowEntry,
+        zones: &TimeZoneDatabase,
+        at: &str,
+    ) -> Result<Weekly, DescriptionError> {
+        let name = window.zone.as_ref().unwrap_or(&self.zone);
+        let unknown =
+            |_| DescriptionError::Unknown { at: at.to_owned(), what: "time zone", name: name.clone() };
+        Ok(Weekly {
+            zone: zones.get(name).map_err(unknown)?,
+            days: window.days.clone(),
             from: window.from,
             until: window.until,
-        }
+        })
     }
 }
 

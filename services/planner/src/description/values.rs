@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use jiff::{SignedDuration, Span, SpanRelativeTo};
 
-use super::DescriptionError;
+use super::error::DescriptionError;
 
 const MICRO: f64 = 1e6;
 

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::{Input, Interval, Job, Node};
+use super::farm::{Interval, Node};
+use super::input::Input;
+use super::job::Job;
 
 /// Why an input has no meaning. Inputs that merely cannot be met have a verdict instead.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{MICROSECONDS_PER_HOUR, MICROSECONDS_PER_SECOND, in_millionths};
+use super::units::{MICROSECONDS_PER_HOUR, MICROSECONDS_PER_SECOND, in_millionths};
 
 /// A machine that renders one frame at a time, with all its cores. A machine that renders several at once is as
 /// many nodes.

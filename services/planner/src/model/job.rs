@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Task;
+use super::plan::Task;
 
 /// z of 80 % and 95 %, one-sided.
 const Z80: f64 = 0.841_621_233_572_914_2;

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::Violation;
+use super::violation::Violation;
 use crate::model::{Booking, Bound, Input, Job, JobPlan, Node, Seed, Task, Verdict};
 
 /// Every task once and rightly booked, and what the plan says of the job is true. Returns the end of the last

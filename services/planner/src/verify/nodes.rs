@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Violation;
+use super::violation::Violation;
 use crate::model::{Booking, Input, Interval, Node, Power, Rental};
 
 /// No overlaps, and nothing outside the calendar.

@@ -1,8 +1,9 @@
 //! Opens the Vulkan device, and turns its failures into errors.
 
 use crate::error::PreviewError;
+use parking_lot::Mutex;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 /// Time limit for one submission. A software driver on a busy machine takes seconds for the largest tiles. A
@@ -71,7 +72,7 @@ impl Device {
         .map_err(|error| error.to_string())?;
         let fault = Arc::new(Mutex::new(None));
         let note = |fault: &Arc<Mutex<Option<String>>>, message: String| {
-            fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(message);
+            fault.lock().get_or_insert(message);
         };
         let uncaptured = Arc::clone(&fault);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&uncaptured, error.to_string())));
@@ -152,7 +153,7 @@ impl Device {
 
     /// Returns the failure that the device reported asynchronously, if there was one.
     pub fn healthy(&self) -> Result<(), PreviewError> {
-        match &*self.fault.lock().unwrap_or_else(PoisonError::into_inner) {
+        match &*self.fault.lock() {
             Some(message) => Err(PreviewError::Device(message.clone())),
             None => Ok(()),
         }

@@ -16,8 +16,9 @@ use crate::limits::Limits;
 use crate::shot::{Mesh, Node, Part, Placement};
 use crate::{Color, Environment, Surface};
 use glam::{DVec3, Vec2, Vec3};
+use parking_lot::Mutex;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 /// The file that describes a bundle.
 const DESCRIPTION: &str = "scene.json";

@@ -2,30 +2,19 @@
 
 use crate::made::{Files, MTL, OBJ, triangle_bin, triangle_glb, triangle_gltf};
 use crate::made::{load_zip, zip};
+use forelight_random::Random;
 use forelight_scene::{Limits, Scene, SceneError};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// A counter-based generator (SplitMix64), so that a failure can be found again by its number.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, bound: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) % bound as u64) as usize
-    }
-}
-
 /// Changes, removes or doubles a few bytes.
 fn damage(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
-    for _ in 0..=random.below(3) {
-        let at = random.below(bytes.len());
-        match random.below(4) {
-            0 => bytes[at] = random.below(256) as u8,
-            1 => bytes[at] = b"0123456789-./ e\n"[random.below(16)],
+    for _ in 0..=random.index(3) {
+        let at = random.index(bytes.len());
+        match random.index(4) {
+            0 => bytes[at] = random.index(256) as u8,
+            1 => bytes[at] = b"0123456789-./ e\n"[random.index(16)],
             2 => {
                 bytes.remove(at);
             }
@@ -55,8 +44,8 @@ fn damaged_text_never_ends_the_program() {
         )
         .with("scene.obj", format!("{OBJ}o other\nf -4 -3 -2\nf 1//1 2//1 3//1\n"));
     for seed in 0..1500 {
-        let mut random = Random(seed);
-        let name = ["scene.obj", "scene.mtl", "scene.json"][random.below(3)];
+        let mut random = Random::new(seed);
+        let name = ["scene.obj", "scene.mtl", "scene.json"][random.index(3)];
         survives(good.clone().with(name, damage(&good.0[name], &mut random)).load());
     }
 }
@@ -65,9 +54,9 @@ fn damaged_text_never_ends_the_program() {
 fn damaged_gltf_files_never_end_the_program() {
     let (binary, text) = (triangle_glb(), triangle_gltf().to_string());
     for seed in 0..1500 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let files = Files(BTreeMap::new());
-        let files = match random.below(2) {
+        let files = match random.index(2) {
             0 => files.with("a.glb", damage(&binary, &mut random)),
             _ => files.with("a.gltf", damage(text.as_bytes(), &mut random)).with("tri.bin", triangle_bin()),
         };
@@ -109,6 +98,6 @@ fn damaged_archives_never_end_the_program() {
     let archive = zip(&entries);
     assert!(load_zip(&archive, &Limits::default()).is_ok());
     for seed in 0..1500 {
-        survives(load_zip(&damage(&archive, &mut Random(seed)), &Limits::default()));
+        survives(load_zip(&damage(&archive, &mut Random::new(seed)), &Limits::default()));
     }
 }

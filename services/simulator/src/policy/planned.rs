@@ -17,8 +17,7 @@ use forelight_planner::{
     plan_quickly,
 };
 
-use super::Policy;
-use crate::farm::{Farm, TaskState};
+use crate::farm::{Farm, Policy, TaskState};
 use crate::world::World;
 use learned::Learned;
 

@@ -9,8 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
-use super::Policy;
-use crate::farm::Farm;
+use crate::farm::{Farm, Policy};
 use crate::world::World;
 
 /// Who comes first.

@@ -4,8 +4,10 @@ use std::time::Duration;
 
 use forelight_planner as planner;
 use forelight_planner::{Interval, Weekly};
-use forelight_protocol::{ByClass, Day, Node, NodeCalendar, NodePower, NodeState, PowerState, Timestamp};
-use jiff::civil::{Time, Weekday};
+use forelight_protocol::{
+    ByClass, Node, NodeCalendar, NodePower, NodeState, NodeWindow, PowerState, Timestamp,
+};
+use jiff::tz::TimeZone;
 
 const DAY: i64 = 86_400_000_000;
 
@@ -27,8 +29,11 @@ pub fn free_time_of(node: &Node, from: Timestamp, until: Timestamp) -> Vec<Inter
     let (from, until) = (from.micros(), until.micros());
     let calendar = match &node.schedule {
         None => vec![Interval { start: from, end: None }],
-        // Calendars are checked when they are set, so expanding one fails only for years far outside any schedule.
-        Some(calendar) => planner::expand(&weekly(calendar), from, until).unwrap_or_default(),
+        // Calendars are checked when they are set. So the time zone is known, and expanding fails only for years
+        // far outside any schedule.
+        Some(calendar) => weekly(calendar)
+            .and_then(|windows| planner::expand(&windows, from, until).ok())
+            .unwrap_or_default(),
     };
     let maintenance = node
         .terms
@@ -39,31 +44,16 @@ pub fn free_time_of(node: &Node, from: Timestamp, until: Timestamp) -> Vec<Inter
     planner::free_time(&node, from, &[])
 }
 
-/// The calendar as the planner's types.
-fn weekly(calendar: &NodeCalendar) -> Vec<Weekly> {
-    let time = |clock: forelight_protocol::ClockTime| {
-        // Hours and minutes are in range.
-        Time::new(clock.hour() as i8, clock.minute() as i8, 0, 0).unwrap_or(Time::midnight())
+/// The calendar as the planner's types. `None` if its time zone is unknown.
+fn weekly(calendar: &NodeCalendar) -> Option<Vec<Weekly>> {
+    let zone = TimeZone::get(&calendar.zone).ok()?;
+    let weekly = |window: &NodeWindow| Weekly {
+        zone: zone.clone(),
+        days: window.days.clone(),
+        from: window.from,
+        until: window.until,
     };
-    let day = |day: &Day| match day {
-        Day::Mon => Weekday::Monday,
-        Day::Tue => Weekday::Tuesday,
-        Day::Wed => Weekday::Wednesday,
-        Day::Thu => Weekday::Thursday,
-        Day::Fri => Weekday::Friday,
-        Day::Sat => Weekday::Saturday,
-        Day::Sun => Weekday::Sunday,
-    };
-    calendar
-        .windows
-        .iter()
-        .map(|window| Weekly {
-            zone: calendar.zone.clone(),
-            days: if window.days.is_empty() { &Day::ALL[..] } else { &window.days }.iter().map(day).collect(),
-            from: time(window.from),
-            until: time(window.until),
-        })
-        .collect()
+    Some(calendar.windows.iter().map(weekly).collect())
 }
 
 /// Whether the node is awake at `now`, and until when.

@@ -14,7 +14,8 @@ use crate::tree::Tree;
 use forelight_protocol::{Integrator, MaterialMode};
 use forelight_scene::{Color, Frame, Material, Sun, Surface};
 use glam::Vec3;
-use std::sync::{Arc, Mutex, OnceLock};
+use parking_lot::Mutex;
+use std::sync::{Arc, OnceLock};
 
 impl Tracer {
     /// Builds the tree and collects the lights.

@@ -4,7 +4,7 @@ use crate::agent::execute::Control;
 use bytes::Bytes;
 use forelight_protocol::CHECKPOINT_BYTES;
 use forelight_tracer::{Pixel, Profile};
-use std::sync::{Mutex, PoisonError};
+use parking_lot::Mutex;
 use std::time::{Duration, Instant};
 
 /// The pixels of a frame as they are finished, with those that were taken over.
@@ -31,7 +31,7 @@ impl<'a> Checkpoints<'a> {
 
     /// These pixels are finished. If the last checkpoint is old enough, there is a new one.
     pub fn finished(&self, pixels: &[(u32, Pixel)]) {
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state.lock();
         let due = state.last.elapsed() >= self.interval;
         let Some(profile) = &mut state.profile else { return };
         profile.pixels.extend_from_slice(pixels);

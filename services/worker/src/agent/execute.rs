@@ -4,10 +4,10 @@ use bytes::Bytes;
 use forelight_protocol::{
     FinishedPixels, LOG_LINES, LogLevel, LogLine, Spent, TaskLimit, TaskResult, TaskSpec, Timestamp,
 };
+use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// A task with everything that it needs on this machine.
@@ -92,17 +92,17 @@ impl Control {
 
     /// All parts that are finished so far. Those that were offered before, and not fetched, are out of date.
     pub fn offer_checkpoint(&self, bytes: Bytes) {
-        *lock(&self.checkpoint) = Some(bytes);
+        *self.checkpoint.lock() = Some(bytes);
     }
 
     /// The parts that were offered since the last time.
     pub fn take_checkpoint(&self) -> Option<Bytes> {
-        lock(&self.checkpoint).take()
+        self.checkpoint.lock().take()
     }
 
     /// Pixels of the frame are finished, and took this much, beside those that were named before. The first call says of how many.
     pub fn finished_pixels(&self, finished: FinishedPixels) {
-        let mut pixels = lock(&self.pixels);
+        let mut pixels = self.pixels.lock();
         let FinishedPixels { done, all, work, cpu_nanos } = pixels.unwrap_or_default();
         *pixels = Some(FinishedPixels {
             done: done + finished.done,
@@ -114,7 +114,7 @@ impl Control {
 
     /// What the frame took before any of its pixels was begun: its irradiance cache.
     pub fn spent_before_pixels(&self, spent: Spent) {
-        *lock(&self.before_pixels) = spent;
+        *self.before_pixels.lock() = spent;
     }
 
     /// What is finished of the frame; none of other tasks.
@@ -122,8 +122,8 @@ impl Control {
     /// What a frame took before its pixels, F, is finished as a whole, and what its pixels will take, P in all, is known from those that are finished: together they
     /// are as large a part of the frame as so many pixels, (F + P done / all) / (F + P) of all.
     pub fn pixels(&self) -> Option<FinishedPixels> {
-        let finished = (*lock(&self.pixels))?;
-        let before = *lock(&self.before_pixels);
+        let finished = (*self.pixels.lock())?;
+        let before = *self.before_pixels.lock();
         let FinishedPixels { done, all, work, cpu_nanos } = finished;
         if before.work == 0 || done == 0 {
             return Some(finished);
@@ -144,11 +144,11 @@ impl Control {
     pub fn set_progress(&self, fraction: f64) {
         let fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
         self.progress.store(fraction.to_bits(), Ordering::Relaxed);
-        let mut pause = lock(&self.pause);
+        let mut pause = self.pause.lock();
         if *pause && !self.is_cancelled() {
             self.standing.fetch_add(1, Ordering::Relaxed);
             while *pause && !self.is_cancelled() {
-                pause = self.resumed.wait(pause).unwrap_or_else(PoisonError::into_inner);
+                self.resumed.wait(&mut pause);
             }
             self.standing.fetch_sub(1, Ordering::Relaxed);
         }
@@ -161,7 +161,7 @@ impl Control {
 
     /// Orders the work to stand still, or to go on.
     pub fn pause(&self, pause: bool) {
-        *lock(&self.pause) = pause;
+        *self.pause.lock() = pause;
         self.resumed.notify_all();
     }
 
@@ -174,7 +174,7 @@ impl Control {
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
         // Under the lock, so that nobody falls asleep between looking and waiting.
-        drop(lock(&self.pause));
+        drop(self.pause.lock());
         self.resumed.notify_all();
     }
 
@@ -191,7 +191,7 @@ impl Control {
     /// Adds a line to the task's log. It is sent with the next renewal. What is too much is left out, which the last line says.
     pub fn log(&self, level: LogLevel, text: impl Into<String>) {
         let text = text.into();
-        let mut book = lock(&self.log);
+        let mut book = self.log.lock();
         let number = book.next;
         // An error is the reason why people read a log at all: there is always room for the one that ends it.
         let (level, text) = match LOG_LINES - number.min(LOG_LINES) {
@@ -208,19 +208,14 @@ impl Control {
 
     /// The next lines to be sent.
     pub fn unsent(&self) -> Vec<LogLine> {
-        lock(&self.log).unsent.iter().take(Self::LINES_AT_ONCE).cloned().collect()
+        self.log.lock().unsent.iter().take(Self::LINES_AT_ONCE).cloned().collect()
     }
 
     /// The service has these lines.
     pub fn sent(&self, lines: &[LogLine]) {
         let Some(last) = lines.last() else { return };
-        lock(&self.log).unsent.retain(|line| line.number > last.number);
+        self.log.lock().unsent.retain(|line| line.number > last.number);
     }
-}
-
-/// What is behind these locks is whole after every statement, so a panic elsewhere does not spoil it.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Does tasks. Called on a thread pool that it may use all of; looks at `control` often.

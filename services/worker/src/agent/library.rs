@@ -5,9 +5,10 @@
 use crate::renderer::{OpenRenderer, RenderError, Renderer};
 use forelight_client::{Client, ClientError};
 use forelight_protocol::{ArtifactHash, BundleSource};
+use parking_lot::Mutex;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::SystemTime;
 
 /// Opened bundles that are kept: a worker goes from job to job, rarely between more than two at once.
@@ -84,7 +85,7 @@ impl Library {
             Stamp::of(path)
         };
         let slot = self.slot(stamp);
-        let mut place = slot.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut place = slot.lock();
         if let Some(renderer) = &*place {
             return Ok(renderer.clone());
         }
@@ -94,7 +95,7 @@ impl Library {
     }
 
     fn slot(&self, stamp: Stamp) -> Slot {
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut open = self.open.lock();
         let entry = match open.iter().position(|(known, _)| *known == stamp) {
             Some(index) => open.remove(index),
             None => (stamp, Slot::default()),

@@ -33,8 +33,9 @@ use forelight_protocol::{
     CACHE_BYTES, ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind,
     RenewRequest, Renewal, TaskId, TaskLimits, TaskSpec, Timestamp,
 };
+use parking_lot::Mutex;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
@@ -230,7 +231,7 @@ impl Agent {
     /// From now on, and for so many microseconds, this worker is to ask for nothing.
     fn go_to_sleep(&self, micros: i64) {
         let until = Timestamp::now().plus_micros(micros.max(0));
-        *self.asleep.lock().unwrap_or_else(PoisonError::into_inner) = Some(until);
+        *self.asleep.lock() = Some(until);
     }
 
     /// Follows what a renewal says of sleep. Its instants are those of the service's clock, which says when it is by when the lease ends.
@@ -240,13 +241,13 @@ impl Agent {
             renewed.expires_at.plus_micros(-i64::try_from(ttl).unwrap_or(i64::MAX).saturating_mul(1000));
         match renewed.sleep_until {
             Some(until) => self.go_to_sleep(until.micros_since(there)),
-            None => *self.asleep.lock().unwrap_or_else(PoisonError::into_inner) = None,
+            None => *self.asleep.lock() = None,
         }
     }
 
     /// Sleeps if it is to. The clock is looked at once in a while: a timer stands still while the machine is suspended.
     async fn sleep(&self, stop: &CancellationToken) {
-        let until = self.asleep.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let until = self.asleep.lock().take();
         let Some(until) = until else { return };
         tracing::info!(node = self.registration.name, %until, "asleep by its calendar");
         while !stop.is_cancelled() {

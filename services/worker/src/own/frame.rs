@@ -1,7 +1,7 @@
 //! One frame, ready to be traced.
 
 use super::shot::{AmbientShot, records};
-use super::{backend, lock, preview_spent};
+use super::{backend, preview_spent};
 use crate::profile::work_classes::by_class;
 use crate::render::spent;
 use crate::renderer::{CacheUse, Finished, FrameRenderer, Previewed, Progress, RenderError, Step};
@@ -12,8 +12,8 @@ use forelight_tracer::{
     Cache, CacheTotals, Effects, Passes, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts, Shared,
     Totals, Tracer, clocked,
 };
+use parking_lot::Mutex;
 use rayon::prelude::*;
-use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
 /// One frame, ready.
@@ -30,7 +30,7 @@ pub(super) struct AmbientFrame<'a> {
 impl AmbientFrame<'_> {
     /// What the irradiance cache came to, if there is one.
     fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
-        let shared = || lock(&self.shared).0.clone();
+        let shared = || self.shared.lock().0.clone();
         self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over, shared: shared() })
     }
 
@@ -91,7 +91,7 @@ impl FrameRenderer for AmbientFrame<'_> {
             None => self.fixed,
             Some(cache) => {
                 let CacheTotals { plan, plan_rays, .. } = cache.totals();
-                let taking = Spent { work: 0, cpu_nanos: lock(&self.shared).1 };
+                let taking = Spent { work: 0, cpu_nanos: self.shared.lock().1 };
                 FixedCosts { plan: spent(plan).plus(taking), plan_rays, ..self.fixed }
             }
         }
@@ -218,7 +218,7 @@ impl FrameRenderer for AmbientFrame<'_> {
         let reading = cache.reading_nanos();
         let (shared, taking) = clocked(|| self.take(cache));
         let shared = shared?;
-        *lock(&self.shared) = (shared.clone(), reading + taking);
+        *self.shared.lock() = (shared.clone(), reading + taking);
         Ok(shared)
     }
 

@@ -15,8 +15,9 @@ use forelight_preview::{Choice, PreviewError, Previewer};
 use forelight_protocol::{PreviewBackend, RenderSettings, Spent, UncoveredGathers};
 use forelight_scene::{Frame, Limits};
 use forelight_tracer::Settings;
+use parking_lot::Mutex;
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 /// Opens bundles for our renderer. One previewer serves them all: a process has one device.
 #[derive(Clone)]
@@ -45,7 +46,7 @@ impl SharedPreviewer {
         &self,
         work: impl FnOnce(&mut Previewer) -> Result<T, PreviewError>,
     ) -> Result<T, PreviewError> {
-        let mut made = lock(&self.made);
+        let mut made = self.made.lock();
         let previewer = match &mut *made {
             Some(previewer) => previewer,
             none => none.insert(Previewer::new(self.choice)?),
@@ -109,11 +110,6 @@ fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u64) -> Spen
         nodes => forelight_tracer::work(pixels, nodes, cost.triangles, 0, 0),
     };
     Spent { work, cpu_nanos: cost.cpu_nanos + cost.device_nanos + setup_nanos }
-}
-
-/// The data behind these locks is whole after every statement, so a panic elsewhere does not spoil it.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

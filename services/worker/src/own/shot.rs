@@ -1,7 +1,7 @@
 //! A bundle, opened by our renderer.
 
 use super::frame::AmbientFrame;
-use super::{SharedPreviewer, backend, lock, preview_spent};
+use super::{SharedPreviewer, backend, preview_spent};
 use crate::render::{counts, spent};
 use crate::renderer::{Counted, FrameRenderer, RenderError, Renderer, ShotInfo, StratumInfo};
 use forelight_protocol::{
@@ -9,9 +9,10 @@ use forelight_protocol::{
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{Cache, CacheTotals, Effects, Settings, Tracer, clocked, tracer_version};
+use parking_lot::Mutex;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex};
 
 /// A bundle, opened by our renderer.
 pub struct AmbientShot {
@@ -90,7 +91,7 @@ impl AmbientShot {
 
     /// What this process has paid once for the shot, as far as it has.
     pub(super) fn once(&self) -> ProcessCosts {
-        let build = if self.moves { Spent::default() } else { lock(&self.still_tree).built };
+        let build = if self.moves { Spent::default() } else { self.still_tree.lock().built };
         ProcessCosts { load: self.load, build }
     }
 
@@ -127,15 +128,15 @@ impl AmbientShot {
         };
         if Arc::ptr_eq(&frame.geometry, &self.still) {
             // Held while the tree is built, so that workers that share this shot wait for one build instead of doing two.
-            let mut still = lock(&self.still_tree);
+            let mut still = self.still_tree.lock();
             let (ready, tree) = ready(still.tree.as_ref());
             *still = Still { tree: Some(tree), built: still.built.plus(ready.built_now) };
             return ready;
         }
         // Not held: workers on different frames build different trees, at the same time.
-        let known = lock(&self.moved_tree).clone();
+        let known = self.moved_tree.lock().clone();
         let (ready, tree) = ready(known.as_ref());
-        *lock(&self.moved_tree) = Some(tree);
+        *self.moved_tree.lock() = Some(tree);
         ready
     }
 

@@ -277,7 +277,7 @@ fn world(args: &Args, chances: Chances) -> Result<(String, World)> {
     };
     let wrong = |error: String| BadInput::new(format!("{}: {error}", path.display()));
     let description: Description = json_file::read(path)?;
-    let input = description.input().map_err(|error| wrong(error.to_string()))?;
+    let input = description.input(jiff::tz::db()).map_err(|error| wrong(error.to_string()))?;
     let world = World::new(input, chances).map_err(|error| wrong(error.to_string()))?;
     Ok((path.display().to_string(), world))
 }

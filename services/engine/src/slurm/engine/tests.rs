@@ -1,7 +1,8 @@
 //! The loop against a cluster that does as it is told, or not.
 
+use parking_lot::Mutex;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use forelight_protocol::{
     BundleSource, EventKind, Job, JobId, JobRequest, JobState, Money, NodeChange, NodeId, NodeRegistration,
@@ -29,7 +30,7 @@ struct FakeCluster(Arc<Mutex<Fake>>);
 
 impl FakeCluster {
     fn with<T>(&self, change: impl FnOnce(&mut Fake) -> T) -> T {
-        change(&mut self.0.lock().unwrap())
+        change(&mut self.0.lock())
     }
 
     /// Slurm says this of all elements from now on.

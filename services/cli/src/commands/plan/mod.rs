@@ -1,11 +1,14 @@
 //! `forelight plan`: reads a farm description, plans it, and answers what-if questions.
 
+mod gantt;
+
+use self::gantt::gantt;
 use anyhow::{Result, anyhow};
 use forelight_planner::{
     Change, Confidence, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict,
-    curve, earliest_for_budget, explain, gantt, outlook, plan, price_curve, simulate, verify, ways_out,
-    what_if,
+    curve, earliest_for_budget, explain, outlook, plan, simulate, verify, ways_out, what_if,
 };
+use forelight_plots as plots;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::json_file;
@@ -122,10 +125,10 @@ pub fn run(args: &Args) -> Result<()> {
         effects.push(what_if(&input, &change)?);
     }
     if let Some(path) = &args.svg {
-        write_bytes(path, gantt(&input, &found).as_bytes())?;
+        write_bytes(path, gantt(&input, &found)?.as_bytes())?;
     }
     if let (Some(path), Some(answers)) = (&args.curve, &job) {
-        write_bytes(path, price_curve(&answers.curve, money).as_bytes())?;
+        write_bytes(path, price_curve(&answers.curve)?.as_bytes())?;
     }
     let document = Document {
         plan_id: found.id().to_string(),
@@ -140,9 +143,17 @@ pub fn run(args: &Args) -> Result<()> {
     if args.json { output::json(&document) } else { output::print(&report(&input, &document)) }
 }
 
+fn price_curve(offers: &[Offer]) -> Result<String> {
+    let offer =
+        |&Offer { deadline, cost, cost_bound, .. }: &Offer| plots::Offer { deadline, cost, cost_bound };
+    Ok(plots::price_curve(&offers.iter().map(offer).collect::<Vec<_>>(), money)?)
+}
+
 fn read(path: &std::path::Path) -> Result<Input> {
     let description: Description = json_file::read(path)?;
-    Ok(description.input().map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?)
+    Ok(description
+        .input(jiff::tz::db())
+        .map_err(|error| BadInput::new(format!("{}: {error}", path.display())))?)
 }
 
 fn job_id(input: &Input, name: &str) -> Result<u64> {
@@ -193,8 +204,8 @@ fn is_beyond((late, scenarios): (f64, u32), confidence: Confidence) -> bool {
     late > allowed + 3.0 * (allowed * (1.0 - allowed) / f64::from(scenarios.max(1))).sqrt()
 }
 
-fn report(input: &Input, document: &Document) -> String {
-    let found = &document.plan;
+/// A row for each job: whether and when it is ready, and what it costs.
+fn jobs(input: &Input, document: &Document) -> Table {
     let mut table = Table::new(&[
         ("job", Align::Left),
         ("ready by", Align::Left),
@@ -204,7 +215,7 @@ fn report(input: &Input, document: &Document) -> String {
         ("late", Align::Right),
         ("", Align::Left),
     ]);
-    for entry in &found.jobs {
+    for entry in &document.plan.jobs {
         let Some(job) = input.jobs.iter().find(|job| job.id == entry.job) else { continue };
         let risk = document.simulation.as_ref().and_then(|simulation| {
             let risk = simulation.jobs.iter().find(|risk| risk.job == entry.job)?;
@@ -238,7 +249,12 @@ fn report(input: &Input, document: &Document) -> String {
             word,
         ]);
     }
-    let mut text = table.render();
+    table
+}
+
+fn report(input: &Input, document: &Document) -> String {
+    let found = &document.plan;
+    let mut text = jobs(input, document).render();
     text += &format!(
         "\nplan {}: {} bookings on {} rentals for {}; no plan can cost less than {}\n",
         document.plan_id,

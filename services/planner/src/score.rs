@@ -1,0 +1,48 @@
+//! What makes one plan better than another.
+
+use std::cmp::Reverse;
+
+use crate::problem::Problem;
+use crate::state::State;
+
+/// What makes one plan better than another: less is better, part by part.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Score {
+    /// Weights of the jobs that miss their deadline, by priority, greatest first.
+    broken: Vec<u64>,
+    unplaced: usize,
+    lateness: i128,
+    cost: i64,
+}
+
+impl Score {
+    pub fn of(state: &State) -> Self {
+        let problem = state.problem;
+        let is_late = |job: usize| {
+            let deadline = problem.jobs[job].job.deadline;
+            deadline.is_some() && !state.is_kept(job)
+        };
+        let mut score = Score { broken: broken(problem, is_late), unplaced: 0, lateness: 0, cost: 0 };
+        for (job, work) in problem.jobs.iter().enumerate() {
+            score.unplaced += state.missing(job).len() + usize::from(state.misses_seed(job));
+            if let Some(deadline) = work.job.deadline {
+                score.lateness += (i128::from(state.finish(job)) - i128::from(deadline)).max(0);
+            }
+        }
+        score.cost = state.cost();
+        score
+    }
+}
+
+/// Weights of the jobs whose deadlines are broken, by priority, greatest first: less is better.
+pub(crate) fn broken(problem: &Problem, is_broken: impl Fn(usize) -> bool) -> Vec<u64> {
+    let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
+    priorities.sort_unstable_by_key(|&priority| Reverse(priority));
+    priorities.dedup();
+    let mut weights = vec![0; priorities.len()];
+    for (_, work) in problem.jobs.iter().enumerate().filter(|&(job, _)| is_broken(job)) {
+        let rank = priorities.partition_point(|&other| other > work.job.priority);
+        weights[rank] += u64::from(work.job.worth());
+    }
+    weights
+}
