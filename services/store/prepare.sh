@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Writes .sqlx: what SQLite says of each statement that `query!` and its kin check. Builds read that, and so need no database.
-# Run it after a change to a statement or a migration, and commit what it wrote.
+# Writes .sqlx: what SQLite says of each statement that is checked at compile time. Builds read these files and
+# so need no database. Run this after a change to a statement or a migration, and commit the files.
 #
-#   services/store/prepare.sh          writes .sqlx anew
-#   services/store/prepare.sh --check  fails if .sqlx is not what would be written
+#   services/store/prepare.sh          writes .sqlx
+#   services/store/prepare.sh --check  fails if .sqlx is out of date
 set -euo pipefail
 cd "$(dirname "$0")"
 made=$(mktemp -d)
@@ -22,14 +22,15 @@ for migration in sorted(pathlib.Path(migrations).glob("*.sql")):
 connection.close()
 PYTHON
 
-# The macros ask the database, and leave what it answers in the folder.
+# The macros ask this database about each statement, and write its answers to the folder.
 touch src/lib.rs
-DATABASE_URL="sqlite:$made/schema.sqlite" SQLX_OFFLINE=false SQLX_OFFLINE_DIR="$made/.sqlx" cargo check --quiet -p forelight-store
+FORELIGHT_SCHEMA="sqlite:$made/schema.sqlite" SQLX_OFFLINE=false SQLX_OFFLINE_DIR="$made/.sqlx" \
+    cargo check --quiet -p forelight-store
 touch src/lib.rs
 
 if [[ ${1:-} == --check ]]; then
     if ! diff -rq .sqlx "$made/.sqlx"; then
-        echo 'services/store/.sqlx is out of date: run services/store/prepare.sh and commit what it writes' >&2
+        echo 'services/store/.sqlx is out of date: run services/store/prepare.sh and commit .sqlx' >&2
         exit 1
     fi
 else

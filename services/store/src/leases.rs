@@ -94,8 +94,8 @@ pub(crate) enum LeaseState {
     Revoked,
 }
 
-/// A statement for rows of leases. It is put together here, and not checked at compile time, because the same text is both
-/// run by itself and asked with what was left for later.
+/// A statement for rows of leases. It is composed, and so not checked at compile time, because the same text is run
+/// by itself and asked with what was left for later.
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(

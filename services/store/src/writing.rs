@@ -171,14 +171,15 @@ impl Write {
         }
     }
 
-    /// Leaves a statement for later: it is done before anything is asked that comes after it, and before the write ends. Its parameters are
-    /// plain `?`.
+    /// Leaves a statement for later. It runs before the next question and before the write ends. Its parameters are
+    /// plain `?`. Use [`later!`] where the statement can be checked; `RELEASE` cannot.
     pub(crate) fn later(&mut self, statement: &'static str) -> Later<'_> {
         self.statements.push(statement);
         Later(self)
     }
 
-    /// A question whose parameters are plain `?`. What was left for later goes with it.
+    /// A question whose parameters are plain `?`. What was left for later goes with it. Use [`ask!`] where the
+    /// question is one literal.
     pub(crate) fn ask(&mut self, question: &'static str) -> Question<'_> {
         self.statements.push(question);
         Question(self)

@@ -71,8 +71,8 @@ pub(crate) type Query = QueryAs<'static, Sqlite, OfferedTask, SqliteArguments>;
 
 /// A statement for the first task by an index of which these hold and which the node, `?1`, may have now.
 ///
-/// These statements are put together of common pieces, which `query!` cannot do. Tests run each of them, and look at the steps that
-/// SQLite takes for it.
+/// These statements are composed of common pieces, so they are not checked at compile time. Tests run each of them,
+/// and look at the steps that SQLite takes for it.
 macro_rules! next_task {
     ($index:literal, $which:literal, $order:literal) => {
         $crate::claims::asking::next_task!("id", $index, $which, $order)
