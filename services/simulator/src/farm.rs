@@ -59,9 +59,9 @@ pub enum Refusal {
     /// It is done, held by a lease, not there yet, or withdrawn.
     #[error("the task does not wait")]
     NotWaiting,
-    /// The job's seed is not done.
-    #[error("the job's seed is not done")]
-    NoSeed,
+    /// The job's shared cache is not done.
+    #[error("the job's shared cache is not filled")]
+    NoSharedCache,
     /// The node cannot do work of this class.
     #[error("the node cannot do it")]
     Unfit,
@@ -98,7 +98,7 @@ struct NodeState {
 pub(crate) struct JobState {
     pub arrived: bool,
     pub withdrawn: bool,
-    /// Its tasks, the seed's first, then frames.
+    /// Its tasks, the shared cache's first, then frames.
     pub truth: Vec<TrueTask>,
     pub tasks: Vec<TaskState>,
     pub left: usize,
@@ -300,14 +300,14 @@ impl<'w> Farm<'w> {
         Some((job, task, self.record.attempts[attempt].start))
     }
 
-    /// Whether the seed is done, or there is none.
-    pub(crate) fn has_seed(&self, job: usize) -> bool {
+    /// Whether the shared cache is done, or there is none.
+    pub(crate) fn has_shared_cache(&self, job: usize) -> bool {
         let entry = &self.jobs[job];
         entry
             .truth
             .iter()
             .zip(&entry.tasks)
-            .take_while(|(truth, _)| truth.task.is_seed())
+            .take_while(|(truth, _)| truth.task.is_shared_cache())
             .all(|(_, &state)| state == TaskState::Done)
     }
 
@@ -370,8 +370,8 @@ impl<'w> Farm<'w> {
             return Err(Refusal::NotWaiting);
         }
         let truth = &entry.truth[task];
-        if !truth.task.is_seed() && !self.has_seed(job) {
-            return Err(Refusal::NoSeed);
+        if !truth.task.is_shared_cache() && !self.has_shared_cache(job) {
+            return Err(Refusal::NoSharedCache);
         }
         if machine.speed_of(truth.class) == 0 {
             return Err(Refusal::Unfit);

@@ -5,7 +5,7 @@
 //!
 //! * [`World`]: nodes and jobs in the planner's words, and what only the simulator knows: the true work, failures, withdrawals.
 //! * [`Farm`]: what happens. It enforces what holds of every farm, whatever the policy: a node does one task at a time, within its
-//!   calendar; no frame starts before its seed; a lost worker's frame goes back when its lease expires; rented time is paid.
+//!   calendar; no frame starts before its shared cache; a lost worker's frame goes back when its lease expires; rented time is paid.
 //! * [`Policy`]: who renders what. [`Planned`] is this project's; [`Queue`] is what farm managers do today.
 //! * [`Report`]: what came of it.
 //! * [`mod@reference`]: farms to measure plans on, and the optimum of small ones.

@@ -127,7 +127,7 @@ async fn dashboard_jobs(
             frames_total: job.frames_total,
             frames_done: job.frames_done,
             progress: job.progress,
-            seed: job.seed,
+            shared_cache: job.shared_cache,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
             eta,

@@ -165,7 +165,7 @@ impl JobRow {
             frames,
             settings: self.settings.0,
             cache: self.cache.0,
-            seed: progress.shared_cache,
+            shared_cache: progress.shared_cache,
             samples: self.samples,
             profile_frames: (!self.profiles_more).then_some(self.profile_frames),
             ladders: self.ladders.0,

@@ -12,7 +12,7 @@ mod rows;
 
 use forelight_protocol::{
     Booked, Confidence, Event, EventKind, JobId, JobVerdict, LiveForecast, MoneyQuantiles, PlanId, Quantiles,
-    SeedProgress, Timestamp,
+    SharedCacheProgress, Timestamp,
 };
 use forelight_quote::living::{self, Baseline, Comparison, Estimate, Frames, Off, is_due};
 use sqlx::SqliteConnection;
@@ -185,8 +185,8 @@ async fn cost(
     let cache = match parts::progress(connection, job).await? {
         _ if is_given_up => Quantiles::default(),
         None => for_cache,
-        Some(SeedProgress { ready: true, .. }) => Quantiles::default(),
-        Some(SeedProgress { cpu_seconds, .. }) => for_cache.less(cpu_seconds),
+        Some(SharedCacheProgress { ready: true, .. }) => Quantiles::default(),
+        Some(SharedCacheProgress { cpu_seconds, .. }) => for_cache.less(cpu_seconds),
     };
     let spent = ledger::spent_on(connection, job, now).await?;
     let quoted = quote.total.cpu_seconds.mean + for_cache.mean;

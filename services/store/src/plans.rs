@@ -273,8 +273,8 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
     }
     // Parts of a cache that the frames share stay where they are booked.
     sqlx::query!(
-        "INSERT INTO seed_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
-         SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM seed_bookings b \
+        "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
+         SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \
          JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
         plan_id.0,
         job_id.0

@@ -2,7 +2,7 @@
 
 use forelight_protocol::{
     Booking, BookingId, ByClass, ForecastTotals, FrameSet, Job, JobId, NodeId, PlanId, Quantiles,
-    RenderSettingsRequest, SceneDigest, SceneSummary, SeedBooking,
+    RenderSettingsRequest, SceneDigest, SceneSummary, SharedCacheBooking,
 };
 use forelight_quote::JobForecast;
 use forelight_store::{FarmFrame, FarmJob, Holder, OpenBooking, OpenCachePart, OpenJob, Wanted, project};
@@ -183,7 +183,13 @@ fn parts_of_a_shared_cache_cost_and_the_frames_come_after_them() {
         .map(|i| waiting(booking(i, 1, 7200 + 1800 * i64::from(i), 9000 + 1800 * i64::from(i))))
         .collect();
     let part = |part, start: i64, end: i64, done| OpenCachePart {
-        booking: SeedBooking { job_id: job_id(), part, node_id: node_id(2), start: at(start), end: at(end) },
+        booking: SharedCacheBooking {
+            job_id: job_id(),
+            part,
+            node_id: node_id(2),
+            start: at(start),
+            end: at(end),
+        },
         done,
         holder: None,
     };

@@ -44,11 +44,12 @@ impl Conductor {
         })
         .await?;
         let Settled { plan, jobs, outlooks } = self.passed(settled)?;
-        let of_cache = plan.bookings.iter().filter(|booking| booking.task.is_seed());
+        let of_cache = plan.bookings.iter().filter(|booking| booking.task.is_shared_cache());
         let shared_cache =
-            match (&forecast.shared_cache, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
-                (Some(seed), Some(line)) => Some(NewSharedCache {
-                    cache: seed.cache,
+            match (&forecast.shared_cache, kept.cache.as_ref().and_then(|cache| cache.shared_cache.as_ref()))
+            {
+                (Some(built), Some(line)) => Some(NewSharedCache {
+                    cache: built.cache,
                     parts: line.parts,
                     bookings: of_cache.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
                 }),
@@ -154,7 +155,7 @@ fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
 
 fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewPartBooking, AdvanceError> {
     let part = match booking.task {
-        planner::Task::SeedPart { part, .. } => part,
+        planner::Task::SharedCachePart { part, .. } => part,
         _ => 0,
     };
     match usize::try_from(booking.node).ok().and_then(|at| nodes.get(at)) {
@@ -177,9 +178,9 @@ fn price(kept: &mut JobForecast, forecast: &Quote, nodes: &[Node]) {
         for price in std::iter::once(&mut cache.private_price).chain(&mut cache.shared_price) {
             price.cost = cost(&Quantiles::known(price.cpu_seconds)).map(|cost| cost.mean);
         }
-        if let Some(seed) = &mut cache.seed {
-            seed.cost = cost(&seed.cpu_seconds);
-            seed.parts = forecast.shared_cache.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
+        if let Some(shared) = &mut cache.shared_cache {
+            shared.cost = cost(&shared.cpu_seconds);
+            shared.parts = forecast.shared_cache.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
         }
     }
     kept.cost = cost(&kept.total.cpu_seconds.plus(&kept.shared_cache_seconds()));

@@ -231,7 +231,7 @@ fn planner_job(
     planner::Job {
         id,
         class: class(id),
-        seed: forecast.cache.as_ref().filter(|_| is_new).and_then(|cache| seed(cache, id)),
+        shared_cache: forecast.cache.as_ref().filter(|_| is_new).and_then(|cache| shared_cache(cache, id)),
         name: job.name.clone(),
         project,
         release: release.micros(),
@@ -321,9 +321,10 @@ fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
 }
 
 /// The irradiance cache that the frames share and wait for, as the planner's work.
-fn seed(cache: &CacheQuote, job: u64) -> Option<planner::Seed> {
-    let seed = cache.seed.as_ref()?;
-    Some(planner::Seed { class: class(job), work: units(seed.cpu_seconds.p50).max(1), parts: seed.parts })
+fn shared_cache(cache: &CacheQuote, job: u64) -> Option<planner::SharedCache> {
+    let shared = cache.shared_cache.as_ref()?;
+    let work = units(shared.cpu_seconds.p50).max(1);
+    Some(planner::SharedCache { class: class(job), work, parts: shared.parts })
 }
 
 /// What is not planned again: frames that are with a worker, and parts of shared caches.

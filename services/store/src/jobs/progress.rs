@@ -1,6 +1,6 @@
 //! How far a job is.
 
-use forelight_protocol::{JobId, LiveForecast, SeedProgress};
+use forelight_protocol::{JobId, LiveForecast, SharedCacheProgress};
 use sqlx::SqliteConnection;
 
 use crate::error::StoreError;
@@ -16,7 +16,7 @@ pub(crate) struct Progress {
     /// What the job will have cost; none before it is booked.
     pub live: Option<LiveForecast>,
     /// Of the irradiance cache that the frames share and wait for, if they do.
-    pub shared_cache: Option<SeedProgress>,
+    pub shared_cache: Option<SharedCacheProgress>,
     /// Whether any frame is done or with a worker.
     pub begun: bool,
 }

@@ -110,7 +110,7 @@ async fn farm_job(
 async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64, StoreError> {
     let parts = sqlx::query!(
         r#"SELECT b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
-           FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id
+           FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id
            WHERE j.id = ?"#,
         job.0
     )

@@ -81,7 +81,7 @@ impl Store {
         )
         .fetch_all(&mut *transaction)
         .await?;
-        let cache_parts = parts::of_plan(&mut transaction, plan.0).await?;
+        let shared_cache_bookings = parts::of_plan(&mut transaction, plan.0).await?;
         Ok(Plan {
             id: plan,
             parent_id: row.parent_id.map(Into::into),
@@ -90,7 +90,7 @@ impl Store {
             created_at: row.created_at.into(),
             verdicts: row.verdicts.0,
             bookings,
-            seeds: cache_parts,
+            shared_cache_bookings,
         })
     }
 }

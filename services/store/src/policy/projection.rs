@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{Booking, Job, JobId, NodeId, SeedBooking, Timestamp, Waits};
+use forelight_protocol::{Booking, Job, JobId, NodeId, SharedCacheBooking, Timestamp, Waits};
 
 /// A booking whose frame is not rendered yet.
 #[derive(Clone, PartialEq, Debug)]
@@ -31,7 +31,7 @@ pub struct Holder {
 #[derive(Clone, PartialEq, Debug)]
 pub struct OpenCachePart {
     /// The booking: for all rounds of the part.
-    pub booking: SeedBooking,
+    pub booking: SharedCacheBooking,
     /// The share of the part whose rounds are done, 0 to 1.
     pub done: f64,
     /// The worker that has the part; `None` if none has. Its progress is that of the part, not of the round.
@@ -54,7 +54,7 @@ pub struct Projected<B = Booking> {
 }
 
 /// When and where a part of a cache is expected to be filled.
-pub type ProjectedCachePart = Projected<SeedBooking>;
+pub type ProjectedCachePart = Projected<SharedCacheBooking>;
 
 /// What is expected of the open bookings.
 #[derive(Clone, PartialEq, Debug, Default)]
@@ -251,7 +251,8 @@ mod tests {
 
         fn part(&self, node: usize, (start, end): (i64, i64), done: f64) -> OpenCachePart {
             let node_id = self.nodes[node];
-            let booking = SeedBooking { job_id: self.job, part: 0, node_id, start: at(start), end: at(end) };
+            let booking =
+                SharedCacheBooking { job_id: self.job, part: 0, node_id, start: at(start), end: at(end) };
             OpenCachePart { booking, done, holder: None }
         }
 

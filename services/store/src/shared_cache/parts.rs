@@ -1,6 +1,8 @@
 //! The parts of shared irradiance caches: where they are booked, and how far they are.
 
-use forelight_protocol::{JobId, NodeId, SeedBooking, SeedForecast, SeedProgress, Timestamp};
+use forelight_protocol::{
+    JobId, NodeId, SharedCacheBooking, SharedCacheForecast, SharedCacheProgress, Timestamp,
+};
 use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Json, Time};
@@ -56,7 +58,7 @@ impl From<Row> for OpenCachePart {
             started: started.into(),
             progress: with_worker,
         });
-        let booking = SeedBooking {
+        let booking = SharedCacheBooking {
             job_id: row.job_id.into(),
             part: row.part,
             node_id: row.node_id.into(),
@@ -74,9 +76,9 @@ macro_rules! rows {
             Row,
             "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, t.node_id AS holder, t.started_at, t.progress, \
              t.round AS \"round!\", \
-             (SELECT count(*) FROM seed_bookings o WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS \"parts!: u32\", \
-             (SELECT count(*) FROM json_each(j.forecast, '$.cache.seed.records') WHERE value > 0) AS \"levels!: u32\" \
-             FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
+             (SELECT count(*) FROM shared_cache_bookings o WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS \"parts!: u32\", \
+             (SELECT count(*) FROM json_each(j.forecast, '$.cache.shared_cache.records') WHERE value > 0) AS \"levels!: u32\" \
+             FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.round = \
              (SELECT max(l.round) FROM tasks l WHERE l.job_id = j.id AND l.kind = 'cache_fill' AND l.part = b.part) \
              WHERE j.state IN ('booked', 'rendering') AND EXISTS (SELECT 1 FROM tasks o WHERE o.job_id = j.id \
@@ -106,10 +108,10 @@ pub(crate) async fn open_of(
 pub(crate) async fn of_plan(
     connection: &mut SqliteConnection,
     plan: uuid::Uuid,
-) -> Result<Vec<SeedBooking>, StoreError> {
+) -> Result<Vec<SharedCacheBooking>, StoreError> {
     Ok(sqlx::query_as!(
-        SeedBooking,
-        r#"SELECT job_id, part, node_id, start_at AS start, end_at AS "end" FROM seed_bookings WHERE plan_id = ?
+        SharedCacheBooking,
+        r#"SELECT job_id, part, node_id, start_at AS start, end_at AS "end" FROM shared_cache_bookings WHERE plan_id = ?
            ORDER BY start_at, job_id, part"#,
         plan
     )
@@ -126,7 +128,7 @@ pub(crate) async fn keep_bookings(
 ) -> Result<(), StoreError> {
     for booking in bookings {
         sqlx::query!(
-            "INSERT INTO seed_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
+            "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
              VALUES (?, ?, ?, ?, ?, ?)",
             plan,
             job.0,
@@ -145,9 +147,9 @@ pub(crate) async fn keep_bookings(
 pub(crate) async fn progress(
     connection: &mut SqliteConnection,
     job: JobId,
-) -> Result<Option<SeedProgress>, StoreError> {
+) -> Result<Option<SharedCacheProgress>, StoreError> {
     let forecast = sqlx::query_scalar!(
-        r#"SELECT json_extract(forecast, '$.cache.seed') AS "forecast?: Json<SeedForecast>" FROM jobs WHERE id = ?"#,
+        r#"SELECT json_extract(forecast, '$.cache.shared_cache') AS "forecast?: Json<SharedCacheForecast>" FROM jobs WHERE id = ?"#,
         job.0
     )
     .fetch_optional(&mut *connection)

@@ -1,7 +1,7 @@
 //! Plans, bookings, projections.
 
 use super::*;
-use forelight_protocol::SeedBooking;
+use forelight_protocol::SharedCacheBooking;
 
 use crate::{Holder, OpenBooking, OpenCachePart, Projected, StoreError, project};
 use forelight_protocol::{Booking, BookingId, JobState, PlanId};
@@ -165,7 +165,7 @@ fn a_frame_under_way_takes_its_holder_not_its_booked_node_and_always_ends_after_
 #[test]
 fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
     let node = |node: u128| NodeId(uuid::Uuid::from_u128(node));
-    let part = |part, number: u128, start, end| SeedBooking {
+    let part = |part, number: u128, start, end| SharedCacheBooking {
         job_id: JobId(uuid::Uuid::nil()),
         part,
         node_id: node(number),

@@ -2,7 +2,7 @@
 
 use forelight_protocol::{
     CachePrice, CacheQuote, CacheSharing, EventKind, FrameState, JobState, Money, MoneyQuantiles,
-    SeedForecast, TaskError, TaskKind,
+    SharedCacheForecast, TaskError, TaskKind,
 };
 
 use super::*;
@@ -64,7 +64,7 @@ fn quote(parts: u32) -> CacheQuote {
         reason: "it takes less".to_owned(),
         private_price: CachePrice { records: 200, work: 2000.0, cpu_seconds: 2.0, cost: None },
         shared_price: Some(CachePrice { records: 70, work: 700.0, cpu_seconds: 0.7, cost: None }),
-        seed: Some(SeedForecast {
+        shared_cache: Some(SharedCacheForecast {
             records: vec![50, 20],
             parts,
             work: Quantiles::known(600.0),
@@ -143,7 +143,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
             assert!(again.duplicate);
         }
         let job = farm.store.job(job).await.unwrap();
-        let cache = job.seed.unwrap();
+        let cache = job.shared_cache.unwrap();
         assert_eq!(
             (job.state, cache.parts, cache.parts_done, cache.ready),
             (JobState::Rendering, 6, 3 * (round + 1), false)
@@ -164,7 +164,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
     assert_ne!(seen[0], seen[3]);
     assert!(states().await.all(|state| state == FrameState::Ready));
     assert_eq!(spent().await, 0, "it is full, and took no time");
-    assert!(farm.store.job(job).await.unwrap().seed.unwrap().ready);
+    assert!(farm.store.job(job).await.unwrap().shared_cache.unwrap().ready);
     assert!(farm.store.open_cache_parts().await.unwrap().is_empty());
     let cache = farm.artifact("a cache").await;
     for _ in 0..3 {
@@ -176,7 +176,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
     let done = farm.store.job(job).await.unwrap();
     assert_eq!(done.state, JobState::Done);
     // Quoted were six seconds for the cache, and it took twice as many.
-    let cache = done.seed.unwrap().cpu_seconds;
+    let cache = done.shared_cache.unwrap().cpu_seconds;
     assert!((cache - 12.0).abs() < 1e-3);
     // What is paid is the node's time, five seconds a frame at a unit an hour.
     assert_eq!(farm.store.spent_on(job, at(60)).await.unwrap(), Money(3 * 1389));
@@ -195,7 +195,7 @@ async fn parts_that_say_they_took_more_than_can_be_counted_leave_the_farm_readab
         let result = TaskResult::CacheFill(filled);
         farm.store.commit_result(lease.lease_id, lease.fence, &result, at(20)).await.unwrap();
     }
-    assert_eq!(farm.store.job(job).await.unwrap().seed.unwrap().work, u64::MAX);
+    assert_eq!(farm.store.job(job).await.unwrap().shared_cache.unwrap().work, u64::MAX);
     assert_eq!(farm.store.farm_jobs(at(20)).await.unwrap().len(), 1);
 }
 
@@ -285,4 +285,39 @@ async fn tasks_of_a_farm_from_before_caches_were_shared_are_kept_with_their_leas
     .await
     .unwrap();
     assert_eq!(found, ("preview".to_owned(), "active".to_owned(), 7, 8, 1));
+}
+
+#[tokio::test]
+async fn shared_caches_of_a_farm_from_before_they_had_that_name_are_kept() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.job_with_shared_cache(node, 2).await;
+    let plan = farm.store.job(job).await.unwrap().plan_id.unwrap();
+    let known = async |store: &Store| {
+        let (parts, plan) = (store.open_cache_parts().await.unwrap(), store.plan(plan).await.unwrap());
+        (store.job(job).await.unwrap(), store.forecast(job).await.unwrap(), plan, parts)
+    };
+    let before = known(&farm.store).await;
+    assert_eq!((before.2.shared_cache_bookings.len(), before.3.len()), (2, 2));
+    // As it was before migration 16.
+    for statement in [
+        "DROP INDEX shared_cache_bookings_by_job",
+        "DROP TRIGGER shared_cache_bookings_are_never_changed",
+        "DROP TRIGGER shared_cache_bookings_are_never_deleted",
+        "ALTER TABLE shared_cache_bookings RENAME TO seed_bookings",
+        "CREATE INDEX seed_bookings_by_job ON seed_bookings (job_id)",
+        "CREATE TRIGGER seed_bookings_are_never_changed BEFORE UPDATE ON seed_bookings BEGIN SELECT RAISE(ABORT, ''); END",
+        "CREATE TRIGGER seed_bookings_are_never_deleted BEFORE DELETE ON seed_bookings BEGIN SELECT RAISE(ABORT, ''); END",
+        r#"UPDATE jobs SET forecast = replace(forecast, '"shared_cache":', '"seed":')"#,
+        "DELETE FROM _sqlx_migrations WHERE version = 16",
+    ] {
+        let mut write = farm.store.write().await.unwrap();
+        sqlx::query(statement).execute(write.connection().await.unwrap()).await.unwrap();
+        farm.store.commit(write).await.unwrap();
+    }
+    let Farm { folder, store } = farm;
+    store.close().await;
+    drop(store);
+    let store = Store::open(folder.path()).await.unwrap();
+    assert_eq!(known(&store).await, before);
 }
