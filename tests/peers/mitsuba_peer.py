@@ -92,7 +92,7 @@ def load(mitsuba, bundle, size, materials, depth, sampler):
     transform = mitsuba.ScalarTransform4f().look_at(camera.origin, camera.target, camera.up)
     scene = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": depth, "rr_depth": 1000},
+        "integrator": {"type": "path", "max_depth": depth, "rr_depth": 8},
         "sensor": {
             "type": "perspective",
             "fov": camera.fov_x(size, size),

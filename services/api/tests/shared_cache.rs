@@ -16,10 +16,10 @@ use forelight_protocol::{
     NodeRegistration, Plan, ProblemKind, RenderSpec, Role, SharedCacheForecast, TaskKind, TaskResult,
     TaskSpec, Timestamp,
 };
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_renderer_own::{OwnRenderer, TaskRunner};
 use forelight_store::tokens;
-use forelight_worker::{
-    Agent, Ambient, Assignment, Control, Execute, ExecuteError, Library, Outcome, TaskRunner,
-};
+use forelight_worker::{Agent, Bundles};
 use reqwest::StatusCode;
 use serde_json::json;
 use support::{Answer, Farm};
@@ -65,9 +65,9 @@ impl Worker {
         let address = support::address(&farm.service);
         let client = Client::new(&address, Some(Token::new(&token))).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        let library = Arc::new(Library::new(folder.path(), Box::new(Ambient::new(Choice::Cpu))).unwrap());
+        let bundles = Arc::new(Bundles::new(folder.path()).unwrap());
         let executor = Arc::new(Doomed {
-            runner: TaskRunner::new(library.clone()),
+            runner: TaskRunner::new(OwnRenderer::new(Choice::Cpu)),
             began: AtomicBool::new(false),
             dead: AtomicBool::new(false),
             fills: AtomicU32::new(0),
@@ -82,7 +82,7 @@ impl Worker {
             schedule: None,
             worker: None,
         };
-        let agent = Agent::new(client, library, executor.clone(), registration).unwrap();
+        let agent = Agent::new(client, bundles, executor.clone(), registration).unwrap();
         let stop = CancellationToken::new();
         let stopped = stop.clone();
         let agent = tokio::spawn(async move {
@@ -153,7 +153,7 @@ async fn assert_offline_images_are_the_same(
     frames: &[FrameRow],
     runner: &TaskRunner,
 ) {
-    let shot = Ambient::new(Choice::Cpu).open(&scenes().join("corridor")).unwrap();
+    let shot = OwnRenderer::new(Choice::Cpu).open(&scenes().join("corridor")).unwrap();
     let never = AtomicBool::new(false);
     let planned = shot.plan_cache(&[0, 12, 24], &job.settings, &|_| (), &never).unwrap().unwrap();
     let filled = shot.fill_cache(planned, &job.settings, (0, 1), &|_, _| (), &never).unwrap().unwrap();

@@ -7,6 +7,7 @@ use crate::report::Report;
 use crate::statistics::{mean_absolute, relative_error};
 use anyhow::{Context, Result};
 use forelight_protocol::Rays;
+use forelight_renderer_own::{Given, QuoteOptions, quote, render_frame};
 use forelight_terminal::atomic_file;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
@@ -17,7 +18,6 @@ use forelight_terminal::output::{Bars, RenderBar};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
-use forelight_worker::{Given, QuoteOptions, Renderer, quote, render_frame};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -157,7 +157,7 @@ fn measure(args: &Args, local: &Local, bounces: u32, bars: &Bars, interrupt: &In
         let watcher = QuoteWatcher::new(&Bars::new(true), 1, interrupt);
         let quoted = local.pool.install(|| quote(&local.shot, &[args.frame], &settings, &options, &watcher));
         let total = match quoted {
-            Err(forelight_worker::ShotError::Cancelled) => return Err(Interrupted.into()),
+            Err(forelight_renderer_own::ShotError::Cancelled) => return Err(Interrupted.into()),
             other => other?.document,
         };
         let rays: f64 = total.total.rays.to_array().iter().map(|category| category.mean).sum();

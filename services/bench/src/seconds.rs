@@ -11,6 +11,7 @@ use anyhow::{Context, Result};
 use forelight_protocol::{
     CacheMode, FrameSet, Integrator, MaterialMode, NodeCalibration, NodeSeconds, RenderSettings, RenderStats,
 };
+use forelight_renderer_own::QuoteOptions;
 use forelight_terminal::atomic_file;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
@@ -21,7 +22,6 @@ use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::{percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
-use forelight_worker::{QuoteOptions, Renderer};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};

@@ -7,9 +7,9 @@
 use forelight_api::ServiceError;
 use forelight_client::ClientError;
 use forelight_protocol::Problem;
+use forelight_renderer_own::RenderError;
 use forelight_store::StoreError;
 use forelight_terminal::failure::{BadInput, Interrupted};
-use forelight_worker::RenderError;
 use std::fmt;
 
 /// A budget is threatened: nothing failed, and whoever called has to know. Ends the program with exit code 3.

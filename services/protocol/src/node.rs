@@ -86,6 +86,18 @@ pub struct Capabilities {
     pub calibration: Option<NodeCalibration>,
 }
 
+impl Capabilities {
+    /// Most characters of a name.
+    const LONGEST_NAME: usize = 200;
+
+    /// Turns the name of a processor or an adapter into one line of 1 to 200 characters. `None` if nothing is left.
+    pub fn name(text: &str) -> Option<String> {
+        let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let short: String = line.chars().filter(|c| !c.is_control()).take(Self::LONGEST_NAME).collect();
+        (!short.is_empty()).then_some(short)
+    }
+}
+
 /// Joins a machine to the farm with a one-time token.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

@@ -1,4 +1,4 @@
-//! What happens: events in the order of time, and the rules that no policy can break.
+//! Events in time order, and the rules that no policy can break.
 
 mod events;
 mod rentals;
@@ -11,8 +11,7 @@ use forelight_planner::{Job, Node};
 use crate::record::{Attempt, JobRecord, Outcome, Record};
 use crate::world::{TrueTask, World};
 
-/// Something that happens at an instant. Of what happens at the same instant, what is listed first comes first: a frame that ends when its
-/// node's window closes is done.
+/// An event. Events at the same instant happen in this order: a frame that ends as its window closes is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
     Finish { node: usize, attempt: usize },
@@ -27,23 +26,21 @@ enum Event {
     Wake,
 }
 
-/// Decides what a farm does. It is told of every instant at which something happens.
+/// Decides what a farm does. It is called at every instant at which something happens.
 pub trait Policy {
-    /// A job came in: is its deadline promised?
+    /// A job came in. Returns whether its deadline is promised.
     fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool;
 
-    /// Starts what should start now ([`Farm::start`]). Returns when it wants to be asked again at the latest, if nothing
-    /// happens before.
+    /// Starts tasks ([`Farm::start`]). Returns the latest time of the next call, if nothing happens before.
     fn act(&mut self, farm: &mut Farm) -> Option<i64>;
 
-    /// Whether the frames of a job, by its place, share a cache that is filled before them. Otherwise each fills one of its own, as they do where
-    /// nobody knows beforehand what it holds. What is no cache always comes first.
+    /// Whether a job's frames use a shared cache, rather than their own, where they have the choice.
     fn shares_cache(&self, world: &World, job: usize) -> bool {
         let _ = job;
         world.chances.own_cache == 0.0
     }
 
-    /// How many plans it made.
+    /// Number of plans made.
     fn plans(&self) -> u64 {
         0
     }
@@ -53,24 +50,24 @@ pub trait Policy {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// It is down, outside of its window, or busy.
+    /// The node is down, outside its window, or busy.
     #[error("the node is not idle")]
     NotIdle,
-    /// It is done, held by a lease, not there yet, or withdrawn.
-    #[error("the task does not wait")]
+    /// The task is done, leased or withdrawn, or its job has not come in.
+    #[error("the task is not waiting")]
     NotWaiting,
-    /// The job's shared cache is not done.
+    /// The job's shared cache is not filled.
     #[error("the job's shared cache is not filled")]
     NoSharedCache,
     /// The node cannot do work of this class.
-    #[error("the node cannot do it")]
+    #[error("the node cannot do this class of work")]
     Unfit,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TaskState {
     Waiting,
-    /// Leased under this token; the worker may be dead already.
+    /// Leased under this token. The worker may be dead.
     Held(usize),
     Done,
 }
@@ -84,13 +81,13 @@ struct OpenRental {
 #[derive(Clone, Debug)]
 struct NodeState {
     up: bool,
-    /// End of the window that is open; none while none is.
+    /// End of the open window. `None` while closed.
     until: Option<i64>,
     running: Option<usize>,
     rental: Option<OpenRental>,
     /// End of the last attempt in the rental.
     worked_until: i64,
-    /// Place in the order of cheapness.
+    /// Rank by price of work.
     rank: usize,
 }
 
@@ -98,16 +95,16 @@ struct NodeState {
 pub(crate) struct JobState {
     pub arrived: bool,
     pub withdrawn: bool,
-    /// Its tasks, the shared cache's first, then frames.
+    /// Its tasks: the shared cache's first, then frames.
     pub truth: Vec<TrueTask>,
     pub tasks: Vec<TaskState>,
     pub left: usize,
-    /// Tasks that are not done are `left`; those that wait, by their place.
+    /// Indices of waiting tasks. `left` counts the tasks that are not done.
     pub waiting: BTreeSet<usize>,
-    /// True work of its frames that are done, with their place: known to everyone.
+    /// Indices of finished frames, whose true work is known to everyone.
     pub measured: Vec<usize>,
     pub measured_work: u128,
-    /// Tasks that are leased.
+    /// Number of leased tasks.
     pub running: usize,
     /// Work per second of the nodes that hold them.
     pub running_speed: u64,
@@ -119,24 +116,24 @@ pub struct Farm<'w> {
     now: i64,
     nodes: Vec<NodeState>,
     pub(crate) jobs: Vec<JobState>,
-    /// Open, up and without a task, the cheapest first.
+    /// Open, up and without a task, cheapest first.
     idle: BTreeSet<(usize, usize)>,
     /// Jobs that came in and are neither done nor withdrawn.
     open: BTreeSet<usize>,
-    /// Place of job and task of every attempt.
+    /// Indices of job and task of every attempt.
     places: Vec<(usize, usize)>,
     events: BinaryHeap<Reverse<(i64, Event)>>,
     /// Nodes that lost their task at this instant.
     freed: Vec<usize>,
-    /// Jobs of which a task went back to the queue at this instant.
+    /// Jobs with a task that was requeued at this instant.
     pub(crate) given_back: Vec<usize>,
-    /// Jobs that are done or withdrawn.
+    /// Number of jobs that are done or withdrawn.
     over: usize,
     record: Record,
 }
 
-/// Lets a policy run a world until every job is done or withdrawn, or the world ends. `progress` is told how many of
-/// how many jobs are over.
+/// Runs a world under a policy until every job is done or withdrawn, or the world ends. `progress` receives
+/// the number of jobs that are over, and of all.
 pub fn run(world: &World, policy: &mut dyn Policy, mut progress: impl FnMut(u64, u64)) -> Record {
     let mut farm = Farm::new(world, policy);
     let all = farm.jobs.len();
@@ -244,7 +241,7 @@ impl<'w> Farm<'w> {
         }
     }
 
-    /// The instant.
+    /// The current instant.
     pub fn now(&self) -> i64 {
         self.now
     }
@@ -259,17 +256,16 @@ impl<'w> Farm<'w> {
         &self.world.input.nodes[node]
     }
 
-    /// Nodes that could start something now, the cheapest work first: places in the list of nodes by id.
+    /// Nodes that could start a task now, cheapest work first, as indices into the nodes by id.
     pub fn idle(&self) -> impl Iterator<Item = usize> + '_ {
         self.idle.iter().map(|&(_, node)| node)
     }
 
-    /// Jobs that came in and are not over: places in the list of jobs by id.
+    /// Jobs that came in and are not over, as indices into the jobs by id.
     pub fn open(&self) -> impl Iterator<Item = usize> + '_ {
         self.open.iter().copied()
     }
 
-    /// Whether the node is up.
     pub(crate) fn is_up(&self, node: usize) -> bool {
         self.nodes[node].up
     }
@@ -278,29 +274,28 @@ impl<'w> Farm<'w> {
         self.idle.contains(&(self.nodes[node].rank, node))
     }
 
-    /// Place of the node in the order of cheapness of work.
     pub(crate) fn rank(&self, node: usize) -> usize {
         self.nodes[node].rank
     }
 
-    /// End of the open window; the end of time if it has none.
+    /// End of the open window, or the end of time if it has none.
     pub(crate) fn open_until(&self, node: usize) -> Option<i64> {
         self.nodes[node].until
     }
 
-    /// Whether the node is paid for: what starts now needs no set-up.
+    /// Whether the node is rented, so that a task needs no set-up.
     pub(crate) fn is_warm(&self, node: usize) -> bool {
         self.nodes[node].rental.is_some()
     }
 
-    /// What the node works on: place of the job and of its task, and when that began.
+    /// Indices of the job and task that the node works on, and its start.
     pub(crate) fn running(&self, node: usize) -> Option<(usize, usize, i64)> {
         let attempt = self.nodes[node].running?;
         let (job, task) = self.places[attempt];
         Some((job, task, self.record.attempts[attempt].start))
     }
 
-    /// Whether the shared cache is done, or there is none.
+    /// Whether the shared cache is filled, or there is none.
     pub(crate) fn has_shared_cache(&self, job: usize) -> bool {
         let entry = &self.jobs[job];
         entry
@@ -311,7 +306,7 @@ impl<'w> Farm<'w> {
             .all(|(_, &state)| state == TaskState::Done)
     }
 
-    /// What a lease is for.
+    /// The attempt with this fencing token.
     pub(crate) fn attempt(&self, token: usize) -> &Attempt {
         &self.record.attempts[token]
     }
@@ -319,7 +314,7 @@ impl<'w> Farm<'w> {
     /// Starts a task on a node now.
     ///
     /// # Errors
-    /// If that cannot be; nothing has happened then.
+    /// If the task cannot start. Nothing has changed then.
     pub fn start(&mut self, node: usize, job: usize, task: usize) -> Result<(), Refusal> {
         self.can_start(node, job, task)?;
         let (world, now) = (self.world, self.now);
@@ -359,7 +354,7 @@ impl<'w> Farm<'w> {
     /// Whether a task could start on a node now.
     ///
     /// # Errors
-    /// Why not.
+    /// The reason why not.
     pub fn can_start(&self, node: usize, job: usize, task: usize) -> Result<(), Refusal> {
         let machine = self.node(node);
         let entry = &self.jobs[job];
@@ -379,7 +374,7 @@ impl<'w> Farm<'w> {
         Ok(())
     }
 
-    /// Whoever still works stops.
+    /// Stops all work.
     fn finish(mut self) -> Record {
         for node in 0..self.nodes.len() {
             if let Some(attempt) = self.nodes[node].running {
@@ -394,7 +389,7 @@ impl<'w> Farm<'w> {
     }
 }
 
-/// What a unit of work costs on a node, for comparison: micro-units of 10¹⁸ units. Where speeds differ by class, the greatest counts.
+/// Price of work on a node at its greatest speed, for comparison: micro-units per 10¹⁸ units of work.
 pub(crate) fn price_of_work(node: &Node) -> i128 {
     let speed = node.speeds.values().copied().fold(node.speed, u64::max).max(1);
     i128::from(node.price_per_hour) * 1_000_000_000_000_000_000 / i128::from(speed)

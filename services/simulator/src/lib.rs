@@ -1,13 +1,12 @@
-//! A farm's life, simulated: jobs come in, nodes die and come back, forecasts are wrong, and a policy decides who renders what.
+//! A simulated farm: jobs, failures, wrong forecasts, and a policy that decides which node renders what.
 //!
-//! Pure and seeded: discrete events, integer time and money, random numbers that are hashes of what they are for. The same
-//! world and policy give the same bits, and two policies meet the same jobs, the same true costs and the same failures.
+//! It is a pure simulation of discrete events, with integer time and money and hashes as random numbers. The
+//! same world and policy give the same bits. Two policies meet the same jobs, true costs and failures.
 //!
-//! * [`World`]: nodes and jobs in the planner's words, and what only the simulator knows: the true work, failures, withdrawals.
-//! * [`Farm`]: what happens. It enforces what holds of every farm, whatever the policy: a node does one task at a time, within its
-//!   calendar; no frame starts before its shared cache; a lost worker's frame goes back when its lease expires; rented time is paid.
-//! * [`Policy`]: who renders what. [`Planned`] is this project's; [`Queue`] is what farm managers do today.
-//! * [`Report`]: what came of it.
+//! * [`World`]: nodes and jobs as the planner sees them, and the truth that only the simulator knows.
+//! * [`Farm`]: the events. It enforces the rules of every farm, whatever the policy.
+//! * [`Policy`]: which node renders what. [`Planned`] is this project's, [`Queue`] is today's farm managers.
+//! * [`Report`]: the results.
 //! * [`mod@reference`]: farms to measure plans on, and the optimum of small ones.
 
 mod farm;

@@ -1,4 +1,4 @@
-//! Who renders what.
+//! Policies: which node renders what.
 
 pub mod planned;
 pub mod queue;
@@ -10,7 +10,7 @@ use crate::world::World;
 use planned::Planned;
 use queue::{Queue, QueueRule};
 
-/// The policies that there are.
+/// All policies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PolicyKind {
@@ -18,11 +18,11 @@ pub enum PolicyKind {
     Planned,
     /// The oldest job of the highest priority first.
     Fifo,
-    /// The project that has least of its share first.
+    /// The project furthest below its share first.
     FairShare,
-    /// The earliest deadline first, on whatever is free.
+    /// The earliest deadline first, on any idle node.
     Deadline,
-    /// The earliest deadline first, on as many nodes as three frames' cost says that it needs.
+    /// The earliest deadline first, on as many nodes as the cost of three frames suggests.
     ThreeFrames,
 }
 
@@ -36,7 +36,7 @@ impl PolicyKind {
         PolicyKind::Fifo,
     ];
 
-    /// For people.
+    /// Name for people.
     pub fn name(self) -> &'static str {
         match self {
             PolicyKind::Planned => "forelight",
@@ -47,8 +47,8 @@ impl PolicyKind {
         }
     }
 
-    /// The policy for a world. `every`: microseconds between two plans at most. `pool`: per cent of the nodes, the cheapest first, that
-    /// policies without plans may use; jobs that fit on none of them may use all.
+    /// The policy for a world. `every`: longest time between plans, in microseconds. `pool`: cheapest nodes
+    /// that policies without plans may use, in per cent. Jobs that fit on none of them may use all.
     pub fn policy(self, world: &World, every: i64, pool: u32) -> Box<dyn Policy> {
         let queue = |rule| -> Box<dyn Policy> { Box::new(Queue::new(world, rule, pool)) };
         match self {

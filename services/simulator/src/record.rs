@@ -6,9 +6,9 @@ use serde::Serialize;
 /// Everything that happened under one policy.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Record {
-    /// In the order in which they were handed out; the place is the fencing token.
+    /// In order of their leases. The index is the fencing token.
     pub attempts: Vec<Attempt>,
-    /// In the order in which they ended.
+    /// In order of their ends.
     pub rentals: Vec<Rented>,
     /// By job id.
     pub jobs: Vec<JobRecord>,
@@ -25,11 +25,11 @@ pub struct Attempt {
     pub node: u64,
     /// The job's id.
     pub job: u64,
-    /// What of the job.
+    /// The task of the job.
     pub task: Task,
-    /// When work began; a set-up comes before.
+    /// When work began, after any set-up.
     pub start: i64,
-    /// When it ended, whatever the outcome.
+    /// End, whatever the outcome.
     pub end: i64,
     /// How it ended.
     pub outcome: Outcome,
@@ -51,22 +51,22 @@ pub enum Outcome {
     Withdrawn,
 }
 
-/// A stretch of time for which a node was paid.
+/// An interval for which a node was paid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Rented {
     /// The node's id.
     pub node: u64,
-    /// First instant; a set-up begins here.
+    /// Start, with any set-up.
     pub start: i64,
-    /// The end of the last attempt.
+    /// End of the last attempt.
     pub end: i64,
     /// Whether it began with a set-up.
     pub setup: bool,
-    /// Micro-units: [`forelight_planner::Node::price`].
+    /// In micro-units, see [`forelight_planner::Node::price`].
     pub cost: i64,
 }
 
-/// What came of a job.
+/// Outcome of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct JobRecord {
     /// The job's id.
@@ -75,6 +75,6 @@ pub struct JobRecord {
     pub promised: bool,
     /// When its last frame was done.
     pub finish: Option<i64>,
-    /// When it was withdrawn, if it was before it was done.
+    /// When it was withdrawn before it was done.
     pub withdrawn: Option<i64>,
 }

@@ -1,5 +1,5 @@
-//! Farms to measure plans on, and the answer for small ones by trying everything. For scenarios, for the
-//! planner's tests and for `forelight bench plan`. The planner knows nothing of it.
+//! Reference farms, and the optimum of small ones by exhaustive search. For scenarios, for the planner's
+//! tests and for `forelight bench plan`. The planner does not know them.
 
 use std::collections::BTreeMap;
 
@@ -12,10 +12,10 @@ const HOUR: i64 = 60 * MINUTE;
 const DAY: i64 = 24 * HOUR;
 /// Work of an hour on a node of speed one.
 const WORK_OF_AN_HOUR: f64 = 3.6e12;
-/// Memory that a studio's jobs need, in GiB: each a class of work, first on processors, then on graphics processors.
+/// Memory classes of a studio's jobs, in GiB. Each is a class of work, on CPUs first, then on GPUs.
 const NEEDS: [u64; 3] = [32, 60, 100];
 
-/// How large a farm to draw.
+/// Size of a farm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
     /// Jobs.
@@ -36,9 +36,9 @@ impl Default for Size {
     }
 }
 
-/// A studio's week. Two fifths of the classes are its own farm, three tenths are workstations at night, three tenths are
-/// rented by the hour with a set-up; a fifth has graphics processors. A fifth of the jobs have shared caches, one in
-/// twenty needs a graphics processor. About a quarter of the farm's time is needed.
+/// A studio's week. Two fifths of the classes are its own farm, three tenths are workstations at night, and
+/// three tenths are rented by the hour with a set-up. A fifth has GPUs. A fifth of the jobs have shared
+/// caches, one in twenty needs a GPU. The jobs need about a quarter of the farm's time.
 pub fn studio(size: Size, seed: u64) -> Input {
     let mut input = Input::default();
     for id in 0..size.nodes {
@@ -86,7 +86,7 @@ fn studio_node(size: Size, seed: u64, id: u64, class: u64) -> Node {
     match kind {
         0..4 => {}
         4..7 => {
-            // From eight in the evening to eight in the morning.
+            // From 20:00 to 08:00.
             let night = |day: i64| Interval { start: day * DAY - 4 * HOUR, end: Some(day * DAY + 8 * HOUR) };
             node.calendar = (0..=size.days as i64).map(night).collect();
             node.price_per_hour /= 2;
@@ -100,7 +100,7 @@ fn studio_node(size: Size, seed: u64, id: u64, class: u64) -> Node {
     node
 }
 
-/// The class of work that needs so much memory.
+/// The class of work that needs this much memory in GiB.
 fn studio_class(on_gpu: bool, need: u64) -> u32 {
     let place = NEEDS.iter().position(|&most| need <= most).unwrap_or(NEEDS.len() - 1);
     (place + if on_gpu { NEEDS.len() } else { 0 }) as u32
@@ -141,8 +141,8 @@ fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
     }
 }
 
-/// A farm of one to three nodes and up to eight frames with tight deadlines, all in quarters of an hour. `in_steps`: some nodes are billed in steps of
-/// an hour, and some need a set-up.
+/// A farm of one to three nodes and up to eight frames with tight deadlines, all in quarters of an hour.
+/// `in_steps`: some nodes are billed by the hour, and some need a set-up.
 pub fn tiny(seed: u64, in_steps: bool) -> Input {
     let nodes = 1 + bits(seed, &[1]) % 3;
     let jobs = 1 + bits(seed, &[2]) % 3;
@@ -173,7 +173,7 @@ pub fn tiny(seed: u64, in_steps: bool) -> Input {
         let draw = |n: u64, low, high| between(seed, &[4, id, n], low, high);
         let count = draw(0, 1, 4).min(frames_left);
         frames_left -= count;
-        // On a node of speed two half of it, and still a multiple of a quarter of an hour.
+        // On a node of speed two, half of this is still a multiple of a quarter of an hour.
         let work = |n: u64| 1800 * draw(10 + n, 1, 8) as u64;
         let frames: Vec<Frame> =
             (0..count as u64).map(|n| Frame { number: n as i64, work: work(n), work_p80: 0 }).collect();
@@ -197,10 +197,9 @@ pub fn tiny(seed: u64, in_steps: bool) -> Input {
     }
 }
 
-/// The least that a plan for a [`tiny`] farm can cost if it keeps all deadlines; none if there is no such plan. Every
-/// assignment of frames to nodes is tried, with every order on each node. A frame starts when it can, or, where nodes
-/// are billed in steps, at any later quarter of an hour as well; as
-/// all times are such, no other starts could be cheaper.
+/// The least cost of a plan that keeps all deadlines of a [`tiny`] farm. `None` if there is no such plan.
+/// Tries every assignment of frames to nodes, and every order. A frame starts as early as it can or, where
+/// nodes are billed in steps, at any later quarter of an hour. All times are quarters, so this is exact.
 pub fn cheapest_by_trying_everything(input: &Input) -> Option<i64> {
     let works: Vec<(usize, u64)> = input
         .jobs
@@ -208,7 +207,7 @@ pub fn cheapest_by_trying_everything(input: &Input) -> Option<i64> {
         .enumerate()
         .flat_map(|(job, entry)| entry.bought_work().into_iter().map(move |work| (job, work)))
         .collect();
-    // By node: the least cost of every set of frames.
+    // For each node, the least cost of every set of frames.
     let tables: Vec<Vec<Option<i64>>> =
         input.nodes.iter().map(|node| Tried::new(input, node, &works).costs).collect();
     let mut best = None;
@@ -230,15 +229,15 @@ pub fn cheapest_by_trying_everything(input: &Input) -> Option<i64> {
     best
 }
 
-/// What every set of frames costs on one node, by depth first search over orders and starts.
+/// Cost of every set of frames on one node, by depth-first search over orders and starts.
 struct Tried<'a> {
     input: &'a Input,
     node: &'a Node,
     works: &'a [(usize, u64)],
-    /// When the node may be used; what touches is one.
+    /// When the node may be used. Adjacent intervals are merged.
     open: Vec<(i64, i64)>,
     costs: Vec<Option<i64>>,
-    /// By set, free instant, start of the open rental: the least cost with which that was reached before.
+    /// For set, free instant and start of the open rental, the least cost so far.
     seen: BTreeMap<(usize, i64, i64), i64>,
 }
 
@@ -258,7 +257,7 @@ impl<'a> Tried<'a> {
         tried
     }
 
-    /// `open`: start of the rental that pays for the last frame; `closed`: cost of those before.
+    /// `open`: start of the rental that pays for the last frame. `closed`: cost of earlier rentals.
     fn go(&mut self, set: usize, free_from: i64, open: Option<i64>, closed: i64) {
         let node = self.node;
         let has_setup = node.setup > 0 || node.setup_cost > 0;
@@ -287,11 +286,11 @@ impl<'a> Tried<'a> {
                     if rented >= free_from.max(opens) {
                         self.go(next, start + duration, Some(rented), cost);
                     }
-                    // Or the one that is open, if no closed time lies between.
+                    // Or the open one, if there is no closed time in between.
                     if let Some(open) = open.filter(|&open| open >= opens) {
                         self.go(next, start + duration, Some(open), closed);
                     }
-                    // Where time is billed as it is, and nothing is to be shared, later is never cheaper.
+                    // With exact billing and nothing to share, a later start is never cheaper.
                     if node.billing_step <= 1 && !has_setup {
                         break;
                     }

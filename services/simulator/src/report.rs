@@ -1,4 +1,4 @@
-//! What came of it, in numbers.
+//! Results in numbers.
 
 use forelight_planner::Interval;
 use serde::Serialize;
@@ -11,12 +11,12 @@ const HOUR: f64 = 3.6e9;
 /// Points of the curve of utilisation.
 const POINTS: usize = 240;
 
-/// One policy in one world. Shares are of one; withdrawn jobs count nowhere but in their own number and the cost.
+/// One policy in one world. Shares are fractions. Withdrawn jobs count only in `withdrawn` and `cost`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// The policy.
     pub policy: PolicyKind,
-    /// Per cent of the nodes that it may use.
+    /// Share of the nodes that it may use, in per cent.
     pub pool: u32,
     /// Jobs with a deadline that were not withdrawn.
     pub jobs: u64,
@@ -26,47 +26,47 @@ pub struct Report {
     pub unfinished: u64,
     /// Jobs whose deadline was promised.
     pub promised: u64,
-    /// Those of them that were in time.
+    /// Promised jobs that were in time.
     pub promises_kept: u64,
     /// Jobs that were in time, promised or not.
     pub in_time: u64,
-    /// Mean hours after the deadline, of those that were late.
+    /// Mean hours after the deadline of late jobs.
     pub mean_hours_late: f64,
-    /// Hours after the deadline that nineteen in twenty jobs do not exceed; zero if they are in time.
+    /// 95th percentile of hours after the deadline, zero for jobs in time.
     pub hours_late_p95: f64,
     /// Micro-units for all rented time.
     pub cost: i64,
-    /// What nobody can cost less than.
+    /// Lower bound of the cost, in micro-units.
     pub cost_bound: i64,
     /// Hours for which nodes were rented.
     pub rented_hours: f64,
-    /// Share of the rented time in which frames were rendered that were of use.
+    /// Share of the rented time that was spent on frames that were completed.
     pub useful: f64,
-    /// Share of all open time, from the start to the last job's end, in which frames were rendered.
+    /// Share of all open time, until the last job's end, in which frames were rendered.
     pub utilisation: f64,
     /// Hours from the start to the last job's end.
     pub makespan_hours: f64,
-    /// Tasks handed out.
+    /// Leases of tasks.
     pub attempts: u64,
-    /// Of them lost to dead nodes.
+    /// Attempts that were lost with their node.
     pub lost: u64,
-    /// Of them lost to windows that closed.
+    /// Attempts that were lost to closing windows.
     pub evicted: u64,
     /// Node failures.
     pub failures: u64,
     /// Plans made.
     pub plans: u64,
-    /// Share of the open time in which frames were rendered, over time: hours from the start, share.
+    /// Utilisation of the open time over time: hours from the start, fraction.
     pub curve: Vec<(f64, f64)>,
 }
 
 impl Report {
-    /// Share of the promises that were kept; one of none.
+    /// Share of promises kept, 1 without promises.
     pub fn kept(&self) -> f64 {
         share(self.promises_kept, self.promised)
     }
 
-    /// Share of all jobs that were in time; one of none.
+    /// Share of jobs in time, 1 without jobs.
     pub fn on_time(&self) -> f64 {
         share(self.in_time, self.jobs)
     }
@@ -81,14 +81,14 @@ fn share(part: u64, whole: u64) -> f64 {
     if whole == 0 { 1.0 } else { part as f64 / whole as f64 }
 }
 
-/// How jobs and their deadlines came out, those that were withdrawn left out.
+/// Outcomes of the deadlines of all jobs that were not withdrawn.
 #[derive(Default)]
 struct Deadlines {
     unfinished: u64,
     promised: u64,
     promises_kept: u64,
     in_time: u64,
-    /// Hours after the deadline, one number for each job that has one, sorted.
+    /// Hours after the deadline, for each job with a deadline, sorted.
     late: Vec<f64>,
 }
 
@@ -101,7 +101,7 @@ impl Deadlines {
             }
             found.unfinished += u64::from(entry.finish.is_none());
             let Some(deadline) = job.deadline else { continue };
-            // What never ended counts as if it ended with the simulation.
+            // Unfinished jobs count as finished at the end of the simulation.
             let finish = entry.finish.unwrap_or(record.end.max(deadline.saturating_add(1)));
             let kept = finish <= deadline;
             found.promised += u64::from(entry.promised);
@@ -114,7 +114,7 @@ impl Deadlines {
     }
 }
 
-/// Sums a record up.
+/// Summarises a record.
 pub fn report(
     world: &World,
     policy: PolicyKind,
@@ -182,7 +182,7 @@ pub fn report(
     }
 }
 
-/// Time of these intervals within each of so many equal parts of a stretch of time.
+/// Time of these intervals within each of [`POINTS`] equal parts.
 fn spread_over(intervals: &[(i64, i64)], from: i64, until: i64) -> Vec<f64> {
     let mut parts = vec![0.0; POINTS];
     let step = ((until - from).max(1) as f64) / POINTS as f64;

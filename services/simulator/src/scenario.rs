@@ -10,10 +10,10 @@ use crate::world::{Chances, World};
 const MINUTE: i64 = 60_000_000;
 const HOUR: i64 = 60 * MINUTE;
 const DAY: i64 = 24 * HOUR;
-/// Three projects, whose shares are their numbers.
+/// Projects. Their shares equal their numbers.
 const PROJECTS: u64 = 3;
 
-/// How large a studio is and how long it is watched.
+/// Size of a studio, and the time simulated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Scenario {
     /// Nodes, from 10 to 10,000 in 5 to 20 classes.
@@ -24,11 +24,11 @@ pub struct Scenario {
     pub frames: u64,
     /// Days over which they come in.
     pub days: u64,
-    /// Typical minutes of a frame at speed 1; nodes have speeds from 0.6 to 3.
+    /// Typical minutes of a frame at speed 1. Nodes have speeds from 0.6 to 3.
     pub frame_minutes: u64,
-    /// What every job asks for; none: a third each of P50, P80 and P95.
+    /// Confidence of every job. `None`: a third each of P50, P80 and P95.
     pub confidence: Option<Confidence>,
-    /// In how many parts what comes before the frames may be done. 1: in one piece.
+    /// Number of parts of a shared cache. 1: in one piece.
     pub parts: u32,
 }
 
@@ -53,7 +53,7 @@ impl Scenario {
         confidence: Some(Confidence::P80),
         parts: 8,
     };
-    /// A small studio that is asked for a little more than a thousand promises at this confidence.
+    /// A small studio with slightly over a thousand jobs at this confidence.
     pub const fn promises(confidence: Confidence) -> Scenario {
         Scenario {
             nodes: 60,
@@ -66,17 +66,16 @@ impl Scenario {
         }
     }
 
-    /// The world, with this luck.
+    /// The world with these chances.
     ///
     /// # Errors
-    /// None that is known; the planner checks its input.
+    /// None are known. The planner checks its input.
     pub fn world(&self, chances: Chances) -> Result<World, InputError> {
         World::new(studio(*self, chances.seed), chances)
     }
 }
 
-/// A studio's nodes and jobs, as [`reference::studio`] draws them, with jobs that come in at any time of the days and are wanted 16 to 72
-/// hours later.
+/// A studio as [`reference::studio`] draws it. Jobs come in at any time, with deadlines 16 to 72 hours later.
 pub fn studio(scenario: Scenario, seed: u64) -> Input {
     let size = Size {
         jobs: scenario.jobs,
@@ -114,7 +113,7 @@ pub fn studio(scenario: Scenario, seed: u64) -> Input {
             job.confidence = confidence;
         }
     }
-    // The nights go on until the last job is done.
+    // Nights go on until the last job is done.
     for node in input.nodes.iter_mut().filter(|node| node.calendar.len() > 1) {
         let days = scenario.days as i64;
         let more = (days + 1..=days + 30)

@@ -1,10 +1,10 @@
-//! What is the case, whether anyone knows it or not.
+//! The truth about a farm, known or not.
 
 use forelight_planner::chance::{normal, uniform};
 use forelight_planner::{Input, InputError, Interval, Task, free_time, least_cost};
 use serde::{Deserialize, Serialize};
 
-/// What random numbers are for: the first index of each.
+/// Purposes of random numbers: the first index of each.
 const COMMON: u64 = 1;
 const OWN: u64 = 2;
 const FAILURE: u64 = 3;
@@ -13,26 +13,25 @@ const WITHDRAWN: u64 = 5;
 
 const HOUR: f64 = 3.6e9;
 
-/// How unlucky a world is.
+/// Random events of a world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Chances {
-    /// Seed of everything that is drawn.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// True work is so many times what forecasts say, in all jobs.
+    /// Ratio of true work to forecasts, for all jobs.
     pub bias: f64,
-    /// True spread, of a job and of a frame, is so many times what forecasts say.
+    /// Ratio of true to forecast spread, for jobs and frames.
     pub spread: f64,
-    /// Mean hours from a node's repair to its next failure; 0: nodes do not fail.
+    /// Mean hours from a node's repair to its next failure. 0: no failures.
     pub hours_between_failures: f64,
     /// Mean hours of a repair.
     pub hours_of_repair: f64,
-    /// Seconds after a worker's last word until its lease expires and its frame goes back.
+    /// Seconds from a worker's last renewal until its lease expires.
     pub lease_seconds: f64,
-    /// Work of a frame's own irradiance cache, as a share of the one that all frames of its job could have together and that comes before them.
-    /// 0: what comes before the frames is no cache, and nobody can do without it.
+    /// Work of a frame's own cache, as a share of the job's shared one. 0: frames need the shared one.
     pub own_cache: f64,
-    /// Share of the jobs that are withdrawn at some time before their deadline.
+    /// Share of jobs that are withdrawn before their deadline.
     pub withdrawn: f64,
 }
 
@@ -54,38 +53,38 @@ impl Default for Chances {
 /// A farm, its jobs, and the truth about both.
 #[derive(Clone, Debug)]
 pub struct World {
-    /// Nodes and jobs by id, as everyone knows them. A job's release is when it comes in.
+    /// Nodes and jobs by id, as everyone knows them. A job comes in at its release.
     pub(crate) input: Input,
     pub(crate) chances: Chances,
     /// When each node may be used.
     pub(crate) windows: Vec<Vec<Interval>>,
-    /// By job: its tasks, those of the shared cache first if there is one, then frames in the order in which they are given.
+    /// For each job, its tasks: those of the shared cache first, then frames in the given order.
     pub(crate) tasks: Vec<Vec<TrueTask>>,
-    /// By job: when it is withdrawn.
+    /// For each job, when it is withdrawn.
     pub(crate) withdrawn: Vec<Option<i64>>,
-    /// Nothing happens after this.
+    /// End of the simulation.
     pub(crate) horizon: i64,
 }
 
-/// A task and what it really takes.
+/// A task and its true work.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrueTask {
     pub task: Task,
     /// Forecast median.
     pub median: u64,
-    /// What it takes.
+    /// True work.
     pub work: u64,
     pub class: u32,
 }
 
-/// Beyond the last deadline, so that what is late may end.
+/// Time after the last deadline, so that late jobs can finish.
 const PATIENCE: i64 = 60 * 24 * 3_600_000_000;
 
 impl World {
-    /// Draws the truth. The order of nodes and jobs in the input does not matter. Movable bookings are ignored.
+    /// Draws the truth. The order of nodes and jobs does not matter. Movable bookings are ignored.
     ///
     /// # Errors
-    /// If the input has no meaning.
+    /// If the input is invalid.
     pub fn new(mut input: Input, chances: Chances) -> Result<Self, InputError> {
         input.check()?;
         input.movable.clear();
@@ -103,7 +102,7 @@ impl World {
             let z = normal(seed, &[COMMON, job.id]);
             let common = libm::pow(job.common_factor(z), chances.spread) * chances.bias;
             let drawn = |median: u64, own: f64| -> u64 {
-                // A float beyond the range becomes its end.
+                // Casts of floats saturate.
                 (median as f64 * common * own).round().max(1.0) as u64
             };
             let done: std::collections::BTreeSet<i64> = job.done.iter().copied().collect();
@@ -140,7 +139,7 @@ impl World {
         &self.input
     }
 
-    /// A job's tasks: with what comes before the frames, or with frames that do without it because each fills a cache of its own.
+    /// A job's tasks, with the shared cache, or with frames that each fill their own.
     pub(crate) fn truth(&self, job: usize, shared: bool) -> Vec<TrueTask> {
         let tasks = self.tasks[job].iter().copied();
         if shared {
@@ -161,11 +160,11 @@ impl World {
         frames.into_iter().map(with_own).collect()
     }
 
-    /// Micro-units that no policy can cost less than if it keeps all deadlines that can be kept, even if it knew the true work, all jobs
-    /// from the start, and no node failed. Jobs that are withdrawn do not count.
+    /// Lower bound of any policy's cost that keeps all deadlines that can be kept, in micro-units. The bound
+    /// knows the true work and all jobs from the start, and has no failures. Withdrawn jobs do not count.
     ///
     /// # Errors
-    /// If the input has no meaning.
+    /// If the input is invalid.
     pub fn least_cost(&self) -> Result<i64, InputError> {
         let mut known = self.input.clone();
         let mut index = 0;
@@ -183,7 +182,7 @@ impl World {
                 }
             }
             if self.chances.own_cache > 0.0 {
-                // Whoever does without the shared cache has at least this much more to do on the same nodes, if they are the same.
+                // Own caches cost at least this much more on the same nodes, if they are the same.
                 let all = (before as f64 * self.chances.own_cache).round() as u64;
                 let same = job.shared_cache.is_some_and(|cache| cache.class == job.class);
                 let least = before.min(all.saturating_mul(frames.len() as u64));
@@ -200,13 +199,13 @@ impl World {
         least_cost(&known)
     }
 
-    /// Microseconds from a node's n-th repair (from the start for n = 0) to its next failure; none if nodes do not fail.
+    /// Microseconds from a node's n-th repair (0: the start) to its next failure. `None` without failures.
     pub(crate) fn until_failure(&self, node: usize, n: u64) -> Option<i64> {
         let mean = self.chances.hours_between_failures;
         (mean > 0.0).then(|| self.exponential(FAILURE, node, n, mean))
     }
 
-    /// Microseconds that its n-th repair takes.
+    /// Duration of its n-th repair in microseconds.
     pub(crate) fn repair(&self, node: usize, n: u64) -> i64 {
         self.exponential(REPAIR, node, n, self.chances.hours_of_repair)
     }

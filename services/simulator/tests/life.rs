@@ -1,4 +1,4 @@
-//! What holds of every simulated farm, whatever its policy and luck.
+//! Rules of every simulated farm, whatever its policy and luck.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ fn simulated(world: &World, kind: PolicyKind, pool: u32) -> (Record, u64) {
     (record, policy.plans())
 }
 
-/// The rules of the house, from the record alone. `may_leave`: a cache may be left to the frames.
+/// Checks the rules from the record alone. `may_leave`: frames may fill their own caches.
 fn check(world: &World, record: &Record, may_leave: bool) {
     let input = world.input();
     let mut by_node: BTreeMap<u64, Vec<&Attempt>> = BTreeMap::new();
@@ -37,7 +37,7 @@ fn check(world: &World, record: &Record, may_leave: bool) {
             let is_once = whole == 1 || (whole == 0 && entry.withdrawn.is_some());
             assert!(is_once, "job {}, frame {} was done {whole} times", job.id, frame.number);
         }
-        // What comes before the frames is done once, all of it; only a cache may be left to the frames.
+        // The shared cache is filled once and entirely, or left to the frames if they may.
         let cache_parts: Vec<u32> =
             job.shared_cache.iter().flat_map(|cache| cache.tasks()).map(times).collect();
         let shares = cache_parts.iter().all(|&times| times == 1);
@@ -106,7 +106,7 @@ fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> Wor
         job.shared_cache =
             Some(SharedCache { class: job.class, work: 1_000_000_000_000, parts: 1 + (job.id % 4) as u32 });
     }
-    // Ten nodes need not have a graphics processor, nor all that memory.
+    // Ten nodes may have no GPU, and too little memory.
     for job in &mut input.jobs {
         job.class = 0;
         job.shared_cache = job.shared_cache.map(|cache| SharedCache { class: 0, ..cache });
@@ -139,7 +139,7 @@ proptest! {
         let world = small(nodes, jobs, jobs * per_job, seed, chances);
         let (record, plans) = simulated(&world, kind, pool);
         check(&world, &record, own_cache > 0.0);
-        // Today's farm managers know no cache before its frames.
+        // Today's farm managers know no shared cache.
         let is_ours = kind == PolicyKind::Planned;
         prop_assert!(is_ours || own_cache == 0.0 || !record.attempts.iter().any(|a| a.task.is_shared_cache()));
         let bound = world.least_cost().unwrap();
@@ -199,7 +199,7 @@ fn forecasts_that_are_too_low_are_seen_through() {
     assert!(report.promised * 10 > report.jobs * 7, "only {} of {} promised", report.promised, report.jobs);
 }
 
-/// So many nodes at speed 1, and one job of so many frames of eight hours, wanted in so many hours; all true work is what is forecast.
+/// Nodes at speed 1, and one job of frames of eight hours, due in `deadline` hours. True work is as forecast.
 fn eight_hours(
     nodes: u64,
     frames: i64,
@@ -255,14 +255,14 @@ fn a_shared_cache_is_filled_in_parts_at_once_and_whoever_knows_none_fills_one_fo
     let (today, _) = simulated(&world, PolicyKind::Fifo, 100);
     check(&world, &today, true);
     assert!(today.attempts.iter().all(|frame| frame.end - frame.start == 11 * HOUR), "{today:?}");
-    // A frame alone has no use for a cache that is shared: its own takes half as much.
+    // A single frame does not need a shared cache: its own takes half as much.
     let alone =
         eight_hours(1, 1, 40, Some(SharedCache { parts: 1, ..cache }), Chances { own_cache: 0.5, ..QUIET });
     let (alone, _) = simulated(&alone, PolicyKind::Planned, 100);
     assert_eq!(alone.jobs[0].finish, Some(11 * HOUR));
 }
 
-/// Tries what must not be, and then starts everything.
+/// Tries what is forbidden, then starts everything.
 struct Forbidden(Vec<Refusal>);
 
 impl Policy for Forbidden {

@@ -6,13 +6,13 @@ use crate::output::Bars;
 use anyhow::{Context, Result};
 use forelight_preview::Choice;
 use forelight_protocol::{FrameSet, RenderSettings, RenderSettingsRequest};
-use forelight_worker::{Ambient, AmbientShot, Renderer};
+use forelight_renderer_own::{OwnRenderer, OwnShot};
 use std::path::Path;
 
 /// A bundle, opened for work on this machine.
 pub struct Local {
     /// The bundle.
-    pub shot: AmbientShot,
+    pub shot: OwnShot,
     /// Threads that trace light.
     pub pool: rayon::ThreadPool,
 }
@@ -25,7 +25,7 @@ impl Local {
             return Err(BadInput::new(missing).into());
         }
         let pool = thread_pool(machine.threads)?;
-        let ambient = Ambient::new(preview_choice(machine.preview));
+        let ambient = OwnRenderer::new(preview_choice(machine.preview));
         let spinner = bars.spinner(format!("loading {}", bundle.display()));
         let shot = pool.install(|| ambient.open(bundle));
         spinner.finish_and_clear();

@@ -1,7 +1,7 @@
 //! What goes to the terminal: results to standard output, progress to standard error where someone watches.
 
 use anyhow::{Context, Result};
-use forelight_worker::{Progress, Step};
+use forelight_renderer_own::{Progress, Step};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use parking_lot::Mutex;
 use serde::Serialize;

@@ -6,7 +6,7 @@ use crate::local::Local;
 use crate::output::Bars;
 use anyhow::{Context, Result};
 use forelight_protocol::RenderSettings;
-use forelight_worker::{AccuracyObserver, AllotError, Observer, Quote, QuoteOptions, ShotError, quote};
+use forelight_renderer_own::{AccuracyObserver, AllotError, Observer, Quote, QuoteOptions, ShotError, quote};
 use indicatif::ProgressBar;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;

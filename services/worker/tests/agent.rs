@@ -1,4 +1,4 @@
-//! The agent against a service of a few lines that loses leases, restarts and refuses on purpose.
+//! The agent against a small service that loses leases, restarts and refuses on purpose.
 
 use axum::body::Bytes;
 use axum::extract::{Path, State};
@@ -13,10 +13,8 @@ use forelight_protocol::{
     RenderSettingsRequest, RenewRequest, Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskLimit,
     TaskLimits, TaskResult, TaskSpec, Timestamp,
 };
-use forelight_worker::{
-    Agent, AgentError, Assignment, Control, Errand, Execute, ExecuteError, Library, OpenRenderer, Outcome,
-    RenderError, Renderer,
-};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_worker::{Agent, AgentError, Bundles, Errand};
 use parking_lot::Mutex;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -27,30 +25,30 @@ use uuid::Uuid;
 
 const TTL_MS: u64 = 300;
 
-/// What the service does and what it saw.
+/// State of the service, and what it received.
 #[derive(Default)]
 struct Farm {
     ready: Vec<Lease>,
-    /// The tasks that claims asked for.
+    /// Tasks that claims asked for.
     wanted: Vec<Option<TaskId>>,
-    /// Claims find that the task is done, or the node in other hands.
+    /// Claims find the task done, or the node taken over.
     over: bool,
     /// Renewals answer this instead of "continue".
     order: Option<Result<LeaseOrder, ProblemKind>>,
-    /// Reports are answered with this problem as often as it stands here.
+    /// Reports are answered with these problems, one each.
     refuse_reports: Vec<ProblemKind>,
     /// The service forgot its nodes.
     forgot_nodes: bool,
-    /// Claims without a task are answered that the node sleeps for so many seconds.
+    /// Claims without a task are told that the node sleeps for this many seconds.
     asleep: Option<u64>,
-    /// Renewals say that the node sleeps for so many microseconds once it is done.
+    /// Renewals say that the node will sleep for this many microseconds.
     bedtime: Option<i64>,
     registrations: u32,
     renewals: Vec<RenewRequest>,
     artifacts: BTreeSet<ArtifactHash>,
     reports: Vec<ResultRequest>,
     releases: Vec<LeaseId>,
-    /// Downloads that were begun; none ever ends.
+    /// Downloads that were started. None ever ends.
     downloads: u32,
 }
 
@@ -161,7 +159,7 @@ fn lease(fence: u64) -> Lease {
     }
 }
 
-/// Works for a while, and remembers whether it was stopped.
+/// Works for a while, and records whether it was stopped.
 struct Slow {
     time: Duration,
     ends_as: Result<(), ExecuteError>,
@@ -224,14 +222,6 @@ impl Execute for Slow {
     }
 }
 
-struct NoRenderer;
-
-impl OpenRenderer for NoRenderer {
-    fn open(&self, _: &std::path::Path) -> Result<Arc<dyn Renderer>, RenderError> {
-        unreachable!("the executor of these tests opens nothing")
-    }
-}
-
 struct Rig {
     farm: Shared,
     executor: Arc<Slow>,
@@ -242,8 +232,8 @@ struct Rig {
 
 /// A worker, and the folder of its bundles.
 fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
-    let bundles = tempfile::tempdir().unwrap();
-    let library = Arc::new(Library::new(bundles.path(), Box::new(NoRenderer)).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let bundles = Arc::new(Bundles::new(folder.path()).unwrap());
     let registration = NodeRegistration {
         name: "node-1".into(),
         speed: 1.0,
@@ -254,7 +244,7 @@ fn agent(address: &str, executor: Arc<Slow>) -> (Agent, tempfile::TempDir) {
         worker: None,
     };
     let client = Client::new(address, None).unwrap();
-    (Agent::new(client, library, executor, registration).unwrap(), bundles)
+    (Agent::new(client, bundles, executor, registration).unwrap(), folder)
 }
 
 impl Rig {
@@ -276,11 +266,11 @@ impl Rig {
         Self { farm, executor, stop, agent, _bundles: bundles }
     }
 
-    /// Waits until the farm looks as it should, for at most ten seconds.
+    /// Waits for a condition, for at most ten seconds.
     async fn until(&self, what: &str, condition: impl Fn(&Farm) -> bool) {
         let start = Instant::now();
         while !condition(&self.farm.lock()) {
-            assert!(start.elapsed() < Duration::from_secs(10), "waited in vain until {what}");
+            assert!(start.elapsed() < Duration::from_secs(10), "timed out waiting until {what}");
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     }
@@ -351,7 +341,7 @@ async fn a_result_outlives_a_restart_of_the_service() {
     rig.until("the work began", |farm| !farm.renewals.is_empty()).await;
     first.abort();
     let _ = first.await;
-    // The work ends while nobody listens, and long after the lease's time.
+    // The work ends while the service is down, long after the lease expired.
     tokio::time::sleep(Duration::from_millis(1_000)).await;
     assert!(farm.lock().reports.is_empty());
     let listener = loop {
@@ -418,7 +408,7 @@ async fn a_paused_worker_stands_still_says_so_and_goes_on() {
         let renewed = farm.renewals.iter().flat_map(|renewal| &renewal.log);
         renewed.chain(&farm.reports[0].log).map(|line| line.text.clone()).collect()
     };
-    for line in ["paused by order", "goes on by order"] {
+    for line in ["paused by the operator", "resumed by the operator"] {
         assert_eq!(said.iter().filter(|said| *said == line).count(), 1, "{said:?}");
     }
     rig.end().await;
@@ -498,7 +488,7 @@ async fn a_process_for_one_task_waits_for_it_does_it_and_ends_and_ends_at_once_w
     tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
     let (agent, _bundles) = agent(&address, Arc::new(Slow::new(Duration::from_millis(10))));
     let task = TaskId::new();
-    // Somebody else has it for a while, and loses it.
+    // Another worker holds the task for a while, and loses it.
     let later = farm.clone();
     tokio::spawn(async move {
         tokio::time::sleep(Duration::from_millis(100)).await;
@@ -541,8 +531,8 @@ async fn the_heartbeat_sends_a_worker_to_sleep_after_its_task() {
     rig.until("the task is done", |farm| farm.reports.len() == 1).await;
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert_eq!(rig.farm.lock().wanted.len(), 1, "it asked for more");
-    // Told to stop, it does so at once.
+    // It stops at once when told to.
     let begun = Instant::now();
     rig.end().await;
-    assert!(begun.elapsed() < Duration::from_secs(30), "it slept for its minute first");
+    assert!(begun.elapsed() < Duration::from_secs(30), "it slept for a minute first");
 }

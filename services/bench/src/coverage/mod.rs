@@ -19,7 +19,6 @@ use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::MachineOptions;
 use forelight_terminal::output::Bars;
-use forelight_worker::Renderer;
 use rayon::prelude::*;
 use rows::{Coverage, Group, Level, row};
 use std::path::PathBuf;

@@ -4,11 +4,11 @@ use super::case::{Known, KnownFrame};
 use anyhow::Result;
 use forelight_forecast::Cost;
 use forelight_protocol::{RenderSettings, RenderSettingsRequest};
+use forelight_renderer_own::{cost_of, forecast_strata, stratum_ids};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::output::Bars;
-use forelight_worker::{Renderer, cost_of, forecast_strata, stratum_ids};
 
 /// A quality at which a scene is rendered: its name, camera samples and ambient bounces.
 #[derive(Debug, Clone, Copy)]

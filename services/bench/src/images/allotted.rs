@@ -5,11 +5,11 @@ use super::rendered::Rendered;
 use anyhow::{Context, Result};
 use forelight_preview::Choice;
 use forelight_protocol::{Confidence, RenderSettings};
+use forelight_renderer_own::{Aim, AllotOptions, Given, OwnRenderer, OwnShot, render_allotted};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::watching::{Stopping, allotment_failure};
 use forelight_tracer::process_cpu_nanos;
-use forelight_worker::{Aim, AllotOptions, Ambient, AmbientShot, Given, Renderer, render_allotted};
 use std::path::Path;
 use std::time::Instant;
 
@@ -18,14 +18,14 @@ const SAMPLES: u32 = 256;
 
 /// A bundle as a farm's worker opens it.
 pub struct Allotted {
-    shot: AmbientShot,
+    shot: OwnShot,
     frame: u32,
 }
 
 impl Allotted {
     /// Loads the bundle and builds its tree.
     pub fn open(bundle: &Path, frame: u32, settings: &RenderSettings) -> Result<Self> {
-        let shot = Ambient::new(Choice::Cpu).open(bundle);
+        let shot = OwnRenderer::new(Choice::Cpu).open(bundle);
         let shot = shot.with_context(|| format!("bundle {}", bundle.display()))?;
         shot.frame(frame, settings)?;
         Ok(Self { shot, frame })

@@ -10,7 +10,6 @@ use forelight_forecast::Strategy;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::Bars;
-use forelight_worker::Renderer;
 use rayon::prelude::*;
 use std::path::Path;
 

@@ -8,8 +8,8 @@ use super::study::Curve;
 use super::trial::Records;
 use anyhow::Result;
 use forelight_forecast::{Costs, Strategy};
+use forelight_renderer_own::png;
 use forelight_terminal::cost_picture::{Paint, Scale, key, map};
-use forelight_worker::png;
 use image::RgbImage;
 use std::path::{Path, PathBuf};
 

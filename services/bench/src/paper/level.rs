@@ -4,15 +4,16 @@ use crate::statistics::upper_median;
 use anyhow::Result;
 use forelight_forecast::{Cost, Costs, Stratum};
 use forelight_protocol::{CacheMode, RenderSettings, RenderSettingsRequest};
+use forelight_renderer_own::OwnFrame;
+use forelight_renderer_own::{
+    cost_of, cost_of_gather, cost_of_record, forecast_strata, record_prior_cost, records_to_sample,
+    stratum_ids,
+};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::output::{Bars, RenderBar};
 use forelight_tracer::{Cache, CacheTotals};
-use forelight_worker::{
-    FrameRenderer, Renderer, cost_of, cost_of_gather, cost_of_record, forecast_strata, record_prior_cost,
-    records_to_sample, stratum_ids,
-};
 use glam::Vec3;
 use image::RgbImage;
 use serde::Serialize;
@@ -150,7 +151,7 @@ fn plus(one: &Cost, other: &Cost) -> Cost {
 const NEAR: f32 = 0.03;
 
 /// The records of the cache's first level at the pixels where they are seen.
-fn seen_records(ready: &dyn FrameRenderer, positions: &[Vec3]) -> Result<Vec<(u32, Cost)>> {
+fn seen_records(ready: &OwnFrame<'_>, positions: &[Vec3]) -> Result<Vec<(u32, Cost)>> {
     let Some(bytes) = ready.profile(&[]).cache else { return Ok(Vec::new()) };
     let cache = Cache::from_bytes(&bytes)?;
     let camera = &ready.frame().camera;
@@ -263,29 +264,29 @@ impl Task<'_> {
     ) -> Result<Truth> {
         let settings = level.settings(self.size, self.gather_rays);
         let ready = self.local.shot.frame(self.frame, &settings)?;
-        let render = |ready: &dyn FrameRenderer| -> Result<_> {
+        let render = |ready: &OwnFrame<'_>| -> Result<_> {
             let bar = RenderBar::new(bars);
             let finished = ready.render(None, &|progress| bar.show(progress), &|_| (), interrupt.flag())?;
             let finished = finished.ok_or(Interrupted)?;
             Ok((finished.image, finished.cache.map(|cache| cache.all).unwrap_or_default()))
         };
-        let (image, cache) = render(&*ready)?;
+        let (image, cache) = render(&ready)?;
         let mut pixels: Vec<Cost> = image.pixels.iter().map(cost_of).collect();
         let mut sampled_records = BTreeMap::new();
         let numbers = LADDER.into_iter().chain([self.samples]).filter(|_| level.is_cached());
         for samples in numbers.collect::<BTreeSet<u32>>() {
             let by_seed = (0..self.seeds.into())
-                .map(|seed| sample_records(&*ready, samples, seed, interrupt))
+                .map(|seed| sample_records(&ready, samples, seed, interrupt))
                 .collect::<Result<Vec<_>>>()?;
             sampled_records.insert(samples, by_seed);
         }
         let own_records = sampled_records.get(&self.samples).map_or(&[][..], Vec::as_slice);
-        let seen_records = seen_records(&*ready, positions)?;
+        let seen_records = seen_records(&ready, positions)?;
         let CacheTotals { plan, plan_rays, fill, fill_rays, records, .. } = cache;
         let mut times = Times::new(&pixels, &cache_times(plan, fill));
         for _ in 1..self.repeats {
             // All again, for its times alone: the rest is the same to the last bit.
-            let (image, cache) = render(&*self.local.shot.frame(self.frame, &settings)?)?;
+            let (image, cache) = render(&self.local.shot.frame(self.frame, &settings)?)?;
             let again: Vec<Cost> = image.pixels.iter().map(cost_of).collect();
             times.add(&again, &cache_times(cache.plan, cache.fill));
         }
@@ -307,7 +308,7 @@ impl Task<'_> {
 }
 
 fn sample_records(
-    ready: &dyn FrameRenderer,
+    ready: &OwnFrame<'_>,
     samples: u32,
     seed: u64,
     interrupt: &Interrupt,

@@ -21,7 +21,6 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::MachineOptions;
 use forelight_terminal::output::{self, Bars};
-use forelight_worker::Renderer;
 use level::Task;
 use std::path::PathBuf;
 use study::Study;

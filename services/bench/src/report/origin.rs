@@ -1,9 +1,8 @@
 //! Where measurements come from: command, time, commit and machine.
 
 use anyhow::Result;
-use forelight_preview::Choice;
 use forelight_protocol::Timestamp;
-use forelight_worker::{Ambient, capabilities};
+use forelight_worker::machine;
 use std::path::Path;
 use std::process::Command;
 
@@ -31,7 +30,7 @@ impl Origin {
         let program = std::env::args().next().unwrap_or_default();
         let program = Path::new(&program).file_name().unwrap_or_default().to_string_lossy().into_owned();
         let words: Vec<String> = [program].into_iter().chain(std::env::args().skip(1)).collect();
-        let processor = capabilities(&Ambient::new(Choice::Cpu))?.processor;
+        let processor = machine().processor;
         Ok(Self {
             command: shlex::try_join(words.iter().map(String::as_str))?,
             date: date(Timestamp::now()),

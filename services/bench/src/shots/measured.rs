@@ -3,7 +3,7 @@
 use super::practice::Practice;
 use crate::statistics::{mean_absolute, relative_error};
 use forelight_protocol::{CacheMode, Quantiles, RenderSettings, RenderStats, Spent};
-use forelight_worker::Quote;
+use forelight_renderer_own::Quote;
 use serde::Serialize;
 
 /// A shot, forecast and rendered.
@@ -170,7 +170,7 @@ fn trial(seed: u64, quote: &Quote, actual: &[RenderStats]) -> Trial {
     let cpu_seconds: f64 = actual.iter().map(|stats| stats.cpu_seconds).sum();
     let shares = |spent: Spent| Shares {
         work: spent.work as f64 / work,
-        cpu_seconds: forelight_worker::seconds(spent.cpu_nanos) / cpu_seconds,
+        cpu_seconds: forelight_renderer_own::seconds(spent.cpu_nanos) / cpu_seconds,
     };
     let within = |quantile: fn(&Quantiles) -> f64| {
         let held = frames.iter().filter(|f| f.work.actual <= quantile(&f.work.forecast));

@@ -11,6 +11,7 @@ use crate::conventions::slug;
 use crate::report::Report;
 use anyhow::{Context, Result};
 use forelight_protocol::FrameSet;
+use forelight_renderer_own::QuoteOptions;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
@@ -18,7 +19,6 @@ use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::Bars;
 use forelight_terminal::watching::QuoteWatcher;
-use forelight_worker::{QuoteOptions, Renderer};
 use measured::{Measured, compare};
 use std::path::PathBuf;
 

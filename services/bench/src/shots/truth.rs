@@ -2,12 +2,12 @@
 
 use anyhow::Result;
 use forelight_protocol::{RenderSettings, RenderStats};
+use forelight_renderer_own::render_ready;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
 use forelight_terminal::output::Bars;
-use forelight_worker::{Renderer, render_ready};
 use std::path::{Path, PathBuf};
 
 /// What each of these frames takes. Of an image whose cost lies in the folder `kept`, under a name that everything that the image
@@ -47,7 +47,7 @@ fn of_frame(
         return json_file::read(path);
     }
     let rendered =
-        render_ready(&*ready, settings, None, &|_| (), &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
+        render_ready(&ready, settings, None, &|_| (), &|_| (), interrupt.flag())?.ok_or(Interrupted)?;
     if let Some(path) = path {
         json_file::write(Some(&path), &rendered.stats)?;
     }

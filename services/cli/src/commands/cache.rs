@@ -4,6 +4,7 @@
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_protocol::{CACHE_BYTES, FrameSet};
+use forelight_renderer_own::{RenderError, seconds as seconds_of};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::bounded_file;
 use forelight_terminal::failure::{BadInput, Interrupted};
@@ -13,7 +14,6 @@ use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_tracer::{Cache, CacheTotals};
-use forelight_worker::{RenderError, seconds as seconds_of};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use forelight_protocol::{ByClass, NodeCalibration};
+use forelight_renderer_own::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::json_file;
@@ -9,7 +10,6 @@ use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::count;
 use forelight_terminal::table::{Align, Table};
 use forelight_tracer::tracer_version;
-use forelight_worker::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

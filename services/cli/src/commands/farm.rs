@@ -1,16 +1,16 @@
 //! `forelight farm`: the service and its workers, in one process on this machine.
 
 use super::serve::{self, Executor, ServiceOptions};
-use super::worker::{library, measured};
+use super::worker::{equipment, measured};
 use anyhow::Result;
 use forelight_client::Client;
 use forelight_protocol::{Capabilities, Money, NodeRegistration};
+use forelight_renderer_own::node_speed;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::PreviewBackend;
 use forelight_terminal::output;
 use forelight_terminal::quantities::parse_money;
-use forelight_worker::{Agent, AgentError, TaskRunner, node_speed};
-use std::sync::Arc;
+use forelight_worker::{Agent, AgentError};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
@@ -45,10 +45,10 @@ pub struct Args {
 
 /// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
-    let bundles = args.service.data.join("bundles");
-    let (library, capabilities) = library(&bundles, args.preview)?;
+    let folder = args.service.data.join("bundles");
+    let (bundles, executor, capabilities) = equipment(&folder, args.preview)?;
     // Measured before the workers have other work.
-    let calibration = measured(bundles, capabilities.processor.clone()).await?;
+    let calibration = measured(folder, capabilities.processor.clone()).await?;
     let speed = node_speed(&calibration);
     let capabilities = Capabilities { calibration: Some(calibration), ..capabilities };
     let running = serve::start(&args.service).await?;
@@ -67,8 +67,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             schedule: None,
             worker: None,
         };
-        let executor = Arc::new(TaskRunner::new(library.clone()));
-        let agent = Agent::new(client.clone(), library.clone(), executor, registration)?;
+        let agent = Agent::new(client.clone(), bundles.clone(), executor.clone(), registration)?;
         let stop = stop.clone();
         agents.spawn(async move { agent.run(stop).await });
     }

@@ -3,13 +3,13 @@
 use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use forelight_protocol::{PreviewBackend, Spent};
+use forelight_renderer_own::{StratumInfo, png};
 use forelight_scene::MaterialClass;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::table::{Align, Table};
-use forelight_worker::{Renderer, StratumInfo, png};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result<()> {
             let frame = local.shot.frame(args.frame, &settings)?;
             let previewed = frame.preview()?;
             let picture = forelight_preview::picture(&previewed.preview, frame.frame());
-            Ok::<_, forelight_worker::RenderError>((
+            Ok::<_, forelight_renderer_own::RenderError>((
                 previewed,
                 picture,
                 forelight_preview::palette(frame.frame()),

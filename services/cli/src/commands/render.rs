@@ -8,6 +8,7 @@ use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{CACHE_BYTES, LeftOut, Rays, RenderStats};
+use forelight_renderer_own::{Given, RenderError, png, render_allotted, render_as_allotted, render_frame};
 use forelight_scene::Frame;
 use forelight_terminal::atomic_file::{self, write_bytes, write_with};
 use forelight_terminal::bounded_file;
@@ -20,7 +21,6 @@ use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::{Stopping, allotment_failure};
 use forelight_tracer::{Image, Profile};
-use forelight_worker::{Given, RenderError, png, render_allotted, render_as_allotted, render_frame};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

@@ -9,6 +9,7 @@ use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
 };
+use forelight_renderer_own::{OwnRenderer, TaskRunner, node_speed};
 use forelight_store::{token_hash, tokens};
 use forelight_terminal::atomic_file::write_secret;
 use forelight_terminal::failure::{BadInput, Interrupted};
@@ -17,7 +18,7 @@ use forelight_terminal::local::preview_choice;
 use forelight_terminal::options::{PreviewBackend, duration};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{parse_bytes, parse_money};
-use forelight_worker::{Agent, Ambient, Errand, Library, TaskRunner, capabilities, node_speed};
+use forelight_worker::{Agent, Bundles, Errand, machine};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -90,7 +91,7 @@ pub struct Args {
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
-    let (library, capabilities) = library(&folder, args.preview)?;
+    let (bundles, executor, capabilities) = equipment(&folder, args.preview)?;
     let calibration = match &args.calibration {
         Some(file) => calibrate::read(file)?.1,
         None => measured(folder, capabilities.processor.clone()).await?,
@@ -110,8 +111,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         None => connect(&args.connection)?,
     };
     let limits = task_limits(args.task_memory, args.task_time);
-    let executor = Arc::new(TaskRunner::new(library.clone()));
-    let agent = Agent::new(client.clone(), library, executor, registration)?
+    let agent = Agent::new(client.clone(), bundles, executor, registration)?
         .with_limits(limits)
         .with_checkpoints(args.checkpoints);
     let address = client.address();
@@ -127,14 +127,22 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The bundles of a process with the renderer that opens them, and the capabilities of this machine.
-pub fn library(folder: &Path, preview: PreviewBackend) -> Result<(Arc<Library>, Capabilities)> {
-    let ambient = Ambient::new(preview_choice(preview));
-    let capabilities =
-        capabilities(&ambient).context("cannot render previews with the device that --preview names")?;
-    let library = Library::new(folder, Box::new(ambient))
+/// The bundles of a process, what does its tasks, and the capabilities of this machine.
+pub fn equipment(
+    folder: &Path,
+    preview: PreviewBackend,
+) -> Result<(Arc<Bundles>, Arc<TaskRunner>, Capabilities)> {
+    let renderer = OwnRenderer::new(preview_choice(preview));
+    let adapter =
+        renderer.adapter().context("cannot render previews with the device that --preview names")?;
+    let capabilities = Capabilities {
+        gpu: adapter.as_ref().is_some_and(|adapter| adapter.is_hardware),
+        vulkan_adapter: adapter.and_then(|adapter| Capabilities::name(&adapter.name)),
+        ..machine()
+    };
+    let bundles = Bundles::new(folder)
         .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
-    Ok((Arc::new(library), capabilities))
+    Ok((Arc::new(bundles), Arc::new(TaskRunner::new(renderer)), capabilities))
 }
 
 /// The limits of tasks from the flags.

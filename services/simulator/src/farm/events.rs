@@ -1,4 +1,4 @@
-//! What an event changes.
+//! Effects of events.
 
 use std::cmp::Reverse;
 
@@ -6,7 +6,7 @@ use super::{Event, Farm, TaskState};
 use crate::record::Outcome;
 
 impl Farm<'_> {
-    /// Applies an event; a job that came in is returned.
+    /// Applies an event. Returns the job if one came in.
     pub(super) fn happens(&mut self, event: Event) -> Option<usize> {
         match event {
             Event::Finish { node, attempt } => self.finished(node, attempt),
@@ -74,7 +74,7 @@ impl Farm<'_> {
     }
 
     fn finished(&mut self, node: usize, attempt: usize) {
-        // Otherwise the worker was lost, evicted or told to stop before.
+        // Otherwise the worker was lost, evicted or stopped before.
         if self.nodes[node].running != Some(attempt) {
             return;
         }
@@ -114,7 +114,7 @@ impl Farm<'_> {
             self.ends(node, attempt, Outcome::Withdrawn);
             self.idle_again(node);
         }
-        // Leases of dead workers end with the job, too.
+        // Leases of dead workers end with the job.
         for task in 0..self.jobs[job].tasks.len() {
             if let TaskState::Held(attempt) = self.jobs[job].tasks[task] {
                 self.let_go(attempt);
@@ -123,7 +123,7 @@ impl Farm<'_> {
         self.jobs[job].waiting.clear();
     }
 
-    /// The attempt is over, and the node works on nothing.
+    /// Ends the attempt and leaves the node without a task.
     pub(super) fn ends(&mut self, node: usize, attempt: usize, outcome: Outcome) {
         let entry = &mut self.record.attempts[attempt];
         // It may have ended during its set-up.
@@ -135,7 +135,7 @@ impl Farm<'_> {
         self.freed.push(node);
     }
 
-    /// The lease is over, and what came with it.
+    /// Releases the lease.
     fn let_go(&mut self, attempt: usize) {
         let (job, task) = self.places[attempt];
         let speed = self.speed_of(attempt, task);

@@ -1,4 +1,4 @@
-//! What is paid: a node from the start of its first task on, until it has had nothing to do for as long as is billed anyway.
+//! Rentals: from a node's first task until it is idle at the end of the time that is billed anyway.
 
 use std::cmp::Reverse;
 
@@ -6,7 +6,7 @@ use super::{Event, Farm, OpenRental};
 use crate::record::Rented;
 
 impl Farm<'_> {
-    /// Nodes that got nothing new are paid to the end of the time that is billed anyway.
+    /// Idle nodes stay rented to the end of the time that is billed anyway.
     pub(super) fn settle(&mut self) {
         for node in std::mem::take(&mut self.freed) {
             if self.nodes[node].running.is_some() {

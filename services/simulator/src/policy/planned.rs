@@ -1,12 +1,11 @@
-//! This project's policy: a plan, made anew when something happens, at the confidence that each job asked for.
+//! This project's policy: plans, replaced as things happen, at the confidence that each job asked for.
 //!
-//! * A job that comes in is planned with all that was promised. If it can be in time and nobody is pushed over their deadline, it
-//!   is promised. Otherwise it is told so, and rendered behind the promised jobs.
-//! * What frames took says how the rest will come out ([`Learned`]), and what jobs took how wrong forecasts are.
-//! * Frames have noise of their own that no capacity averages out for those that end last. Plans are made for a deadline that
-//!   is earlier by what the longest of them may take more ([`Planned::margin`]).
-//! * A new plan is made when a job comes in, when a lost frame has to go elsewhere, and otherwise every so often. In between, nodes
-//!   follow the order of their bookings, each as soon as it can.
+//! * A job that comes in is planned with all promised jobs. It is promised if it can meet its deadline and no
+//!   promise breaks. Otherwise it runs behind the promised jobs.
+//! * Finished frames correct the forecast of their job ([`Learned`]). Finished jobs correct all forecasts.
+//! * Frames have noise of their own, which capacity does not average out for the last ones. Plans use an
+//!   earlier deadline, by the possible overrun of the longest of them ([`Planned::margin`]).
+//! * New jobs, lost frames and intervals cause a new plan. In between, nodes follow their bookings.
 
 mod learned;
 
@@ -22,27 +21,27 @@ use crate::world::World;
 use learned::Learned;
 
 const HOUR: i64 = 3_600_000_000;
-/// Calendars are told to the planner this far beyond the last deadline.
+/// The planner knows calendars this far beyond the last deadline.
 const BEYOND: i64 = 72 * HOUR;
-/// A frame that was lost is planned again at once if its job has less time left than this.
+/// A lost frame is replanned at once if its job has less time left than this.
 const URGENT: i64 = 24 * HOUR;
-/// A running frame that takes longer than expected is expected to take a quarter more than it did.
+/// An overdue frame is expected to take this multiple of its time so far.
 const OVERDUE: f64 = 1.25;
-/// What is late may be later by this part of the time that it still takes.
+/// A late job may be later by its remaining time divided by this.
 const PATIENCE: i64 = 8;
-/// A job that has no place aims at this much after its deadline.
+/// A job without a place in the plan aims at this much after its deadline.
 const SOON: i64 = 12 * HOUR;
 /// This project's policy.
 #[derive(Clone, Debug)]
 pub struct Planned {
-    /// Microseconds between two plans, if no job comes in.
+    /// Microseconds between plans, if no job comes in.
     every: i64,
-    /// When the next one is due.
+    /// When the next plan is due.
     next: i64,
-    /// By node: what it does next.
+    /// For each node, its next tasks.
     queues: Vec<VecDeque<Queued>>,
     promised: Vec<bool>,
-    /// By job: what the plan aims at once the deadline cannot be kept any more.
+    /// For each job, the new target once its deadline cannot be kept.
     targets: Vec<Option<i64>>,
     /// Promised jobs that the plan keeps.
     kept: BTreeSet<usize>,
@@ -50,18 +49,16 @@ pub struct Planned {
     plans: u64,
 }
 
-/// What a node is to do.
 #[derive(Clone, Copy, Debug)]
 struct Queued {
     job: usize,
-    /// Place of the task.
     task: usize,
     /// Booked time.
     length: i64,
 }
 
 impl Queued {
-    /// Whether the task still waits to be started.
+    /// Whether the task is still waiting.
     fn waits(&self, farm: &Farm) -> bool {
         let entry = &farm.jobs[self.job];
         !entry.withdrawn && entry.tasks[self.task] == TaskState::Waiting
@@ -83,8 +80,8 @@ impl Planned {
         }
     }
 
-    /// The factor on all of a job's medians at its confidence: normal in the logarithm, what was forecast and learned before,
-    /// what its frames took since. `confident` false: the median.
+    /// Factor on a job's medians at its confidence, or at the median unless `confident`. Normal in the
+    /// logarithm: the prior is the corrected forecast, the data are its finished frames.
     fn factor(&self, farm: &Farm, job: usize, confident: bool) -> f64 {
         let asked = farm.job(job);
         let z = asked.confidence.z();
@@ -95,7 +92,7 @@ impl Planned {
         let (mut mean, mut variance) = (self.learned.shift(), spread * spread);
         let (sum, count, own) = self.measured(farm, job, widening);
         if count > 0.0 && variance > 0.0 {
-            // A frame without noise of its own would say all.
+            // A frame without noise of its own would determine the factor exactly.
             let noise = (own * own).max(1e-6) / count;
             let weight = variance / (variance + noise);
             mean += weight * (sum / count - mean);
@@ -104,7 +101,7 @@ impl Planned {
         libm::exp(mean + z * libm::sqrt(variance))
     }
 
-    /// Sum over the job's measured frames of the logarithm of work over median; how many they are; the standard deviation of one frame.
+    /// For finished frames: sum of log(work / median), their number, and the standard deviation of one frame.
     fn measured(&self, farm: &Farm, job: usize, widening: f64) -> (f64, f64, f64) {
         let asked = farm.job(job);
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * widening;
@@ -117,8 +114,8 @@ impl Planned {
         (sum, farm.jobs[job].measured.len() as f64, own)
     }
 
-    /// Microseconds by which the plan has to be early: as much longer as one of the frames that end last may take than it is
-    /// bought, with the job's confidence for all of them together.
+    /// Margin of a job's plan before its deadline, in microseconds: the overrun of one of the last frames, at
+    /// the job's confidence for all of them together.
     fn margin(&self, farm: &Farm, job: usize, longest: u64) -> i64 {
         let asked = farm.job(job);
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
@@ -131,7 +128,7 @@ impl Planned {
         let one = libm::pow(asked.confidence.probability(), 1.0 / last);
         let more = libm::exp(own * z_of(one) - own * own / 2.0) - 1.0;
         let margin = (longest as f64 * 1e6 / speed as f64 * more.max(0.0)) as i64;
-        // Whoever has hardly time left uses it.
+        // A job with little time left uses it.
         margin.min(deadline.saturating_sub(farm.now()).max(0) / 3)
     }
 
@@ -148,7 +145,7 @@ impl Planned {
         }
     }
 
-    /// The farm as the planner wants it.
+    /// The planner's input.
     fn input(&mut self, farm: &Farm) -> Input {
         self.learn(farm);
         let now = farm.now();
@@ -164,7 +161,7 @@ impl Planned {
                 input.fixed.push(FixedBooking { node: farm.node(node).id, start: start.min(now), end, job });
             }
         }
-        // A window is planned as if it closed a little earlier: by what a frame may take more than it is bought.
+        // Windows are planned to close earlier, by the possible overrun of a frame.
         let spare = self.spare_work(farm, &factors);
         let last = farm.open().filter_map(|job| farm.job(job).deadline).max().unwrap_or(now).max(now);
         let until = last.saturating_add(BEYOND);
@@ -187,7 +184,7 @@ impl Planned {
                 ..machine.clone()
             });
         }
-        // A fixed booking is on a node that there is.
+        // Fixed bookings need a node in the input.
         input.fixed.retain(|booking| input.nodes.binary_search_by_key(&booking.node, |node| node.id).is_ok());
         for (&job, &factor) in &factors {
             input.jobs.extend(self.rest_of(farm, job, factor));
@@ -195,7 +192,7 @@ impl Planned {
         input
     }
 
-    /// Work by which a frame exceeds what is bought for it in one case of five, on average over what waits.
+    /// Work by which one frame in five exceeds its plan, averaged over the waiting frames.
     fn spare_work(&self, farm: &Farm, factors: &BTreeMap<usize, f64>) -> u64 {
         let (mut spare, mut count) = (0.0, 0.0);
         for (&job, factor) in factors {
@@ -208,14 +205,14 @@ impl Planned {
         if count > 0.0 { (spare / count) as u64 } else { 0 }
     }
 
-    /// What one frame takes in relation to what is bought for it, in four cases of five at most.
+    /// Ratio of work to plan that four frames in five do not exceed.
     fn overrun(&self, farm: &Farm, job: usize) -> f64 {
         let asked = farm.job(job);
         let own = asked.frames.first().map_or(0.0, |frame| asked.own_spread(frame)) * self.learned.widening();
         libm::exp(own * forelight_planner::Confidence::P80.z() - own * own / 2.0).max(1.0)
     }
 
-    /// What is left of a job, at its confidence; none if everything runs.
+    /// The rest of a job, at its confidence. `None` if everything runs.
     fn rest_of(&self, farm: &Farm, job: usize, factor: f64) -> Option<Job> {
         let asked = farm.job(job);
         let tasks = &farm.jobs[job].truth;
@@ -223,7 +220,7 @@ impl Planned {
         let mut frames = Vec::new();
         let mut shared_cache: Option<SharedCache> = None;
         let mut release = asked.release.max(farm.now());
-        // A task's place is its number for the planner.
+        // A task's index is its number for the planner.
         for &place in &farm.jobs[job].waiting {
             let task = &tasks[place];
             if task.task.is_shared_cache() {
@@ -238,7 +235,7 @@ impl Planned {
             return None;
         }
         if shared_cache.is_none() {
-            // Frames wait for the parts of the shared cache that are under way.
+            // Frames wait for the parts of the shared cache that run.
             let states = tasks.iter().zip(&farm.jobs[job].tasks).enumerate();
             for (place, (_, state)) in states.take_while(|(_, (task, _))| task.task.is_shared_cache()) {
                 let TaskState::Held(attempt) = *state else { continue };
@@ -255,7 +252,7 @@ impl Planned {
         Some(Job {
             release,
             deadline: self.targets[job].or(asked.deadline.map(|deadline| deadline.saturating_sub(margin))),
-            // Who was promised something comes before who was not.
+            // Promised jobs come before others.
             priority: if behind { i32::MIN } else { asked.priority },
             total: WorkTotal { p50: total, p80: total, p95: total },
             shared_cache,
@@ -276,7 +273,7 @@ impl Planned {
         farm.open_until(node).map_or(end, |until| end.min(until))
     }
 
-    /// Plans, and says which jobs the plan keeps; none if the input has no meaning.
+    /// Makes a plan and lists the jobs that it keeps. `None` if the input is invalid.
     fn make(&mut self, farm: &Farm) -> Option<(Plan, BTreeSet<usize>)> {
         let input = self.input(farm);
         let made = plan_quickly(&input).ok()?;
@@ -295,14 +292,14 @@ impl Planned {
 
     fn adopt(&mut self, farm: &Farm, made: &Plan, kept: BTreeSet<usize>) {
         self.queues.iter_mut().for_each(VecDeque::clear);
-        // Bookings are in the order of their starts.
+        // Bookings are ordered by start.
         for booking in &made.bookings {
             let Some(node) = farm.world.input.nodes.binary_search_by_key(&booking.node, |node| node.id).ok()
             else {
                 continue;
             };
             let Some(job) = farm.place_of(booking.job) else { continue };
-            // Parts of the shared cache are those that wait, in their order.
+            // Parts of the shared cache are the waiting ones, in order.
             let part_of_cache = |part: u32| farm.jobs[job].waiting.iter().nth(part as usize).copied();
             let task = match booking.task {
                 Task::SharedCache => part_of_cache(0),
@@ -319,8 +316,7 @@ impl Planned {
         self.next = farm.now().saturating_add(self.every);
     }
 
-    /// A job that is late aims at when it can be done from now on: as soon as it can, and not at any price to be less late. Who is in
-    /// time again aims at the deadline.
+    /// Sets a late job's target to its earliest end, and back to its deadline once it is in time again.
     fn aim(&mut self, farm: &Farm, made: &Plan) {
         for entry in &made.jobs {
             let Some(job) = farm.place_of(entry.job) else { continue };
@@ -340,7 +336,7 @@ impl Planned {
         }
     }
 
-    /// Starts the first task of a node's queue that can start and that its window is long enough for.
+    /// Starts the first task of a node's queue that can start and fits its window.
     fn start_next(&mut self, farm: &mut Farm, node: usize) {
         let Some(until) = farm.open_until(node) else { return };
         let setup = if farm.is_warm(node) { 0 } else { farm.node(node).setup };
@@ -352,7 +348,7 @@ impl Planned {
             }
             let length = (next.length as f64 * self.overrun(farm, next.job)) as i64;
             if farm.now().saturating_add(setup).saturating_add(length) > until {
-                // What was booked after it is meant for a later window.
+                // Later bookings are meant for a later window.
                 return;
             }
             if farm.start(node, next.job, next.task).is_ok() {
@@ -366,7 +362,7 @@ impl Planned {
 
 impl Policy for Planned {
     fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool {
-        // It is planned as if it were promised.
+        // Plan the job as if it were promised.
         self.promised[job] = farm.job(job).deadline.is_some();
         let Some((made, kept)) = self.make(farm) else {
             self.promised[job] = false;
@@ -382,7 +378,7 @@ impl Policy for Planned {
             self.adopt(farm, &made, kept);
         } else {
             self.promised[job] = false;
-            // The plan that there is stays good until there is one that has the job behind the others.
+            // The old plan stays until a new one has this job behind the others.
             self.next = self.next.min(farm.now().saturating_add(self.every / 4));
         }
         self.promised[job]
@@ -409,7 +405,7 @@ impl Policy for Planned {
     }
 
     fn shares_cache(&self, world: &World, job: usize) -> bool {
-        // The cheaper way, as the service has it: one for all, or one for each.
+        // The cheaper way, like the service.
         let share = world.chances.own_cache;
         share == 0.0 || share * world.input.jobs[job].frames.len() as f64 >= 1.0
     }
@@ -420,13 +416,13 @@ impl Policy for Planned {
 }
 
 impl Farm<'_> {
-    /// Place of a job in the list of jobs by id.
+    /// Index of a job in the jobs by id.
     fn place_of(&self, id: u64) -> Option<usize> {
         self.world.input.jobs.binary_search_by_key(&id, |job| job.id).ok()
     }
 }
 
-/// The standard normal variable that is below this with this probability, by halving; between −9 and 9.
+/// Quantile of the standard normal distribution, by bisection, between −9 and 9.
 fn z_of(probability: f64) -> f64 {
     let (mut low, mut high) = (-9.0f64, 9.0f64);
     for _ in 0..60 {

@@ -1,8 +1,8 @@
-//! What farm managers do today: a queue, and whoever is free takes the first of it. Nobody is turned away, nodes are rented as
-//! they are asked for, and no cost is known before.
+//! Today's farm managers: a queue from which any idle node takes the first task. Every job is accepted, nodes
+//! are rented on demand, and costs are unknown beforehand.
 //!
-//! They are treated kindly. The cheapest node that is free is taken first; a rented hour is used to its end; and once a
-//! job has frames that are done, none is started in a window that is too short for their mean.
+//! The comparison is generous. The cheapest idle node is taken first, and a rented hour is used to its end.
+//! Once a job has finished frames, none is started in a window that is too short for their mean.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,18 +12,18 @@ use serde::{Deserialize, Serialize};
 use crate::farm::{Farm, Policy};
 use crate::world::World;
 
-/// Who comes first.
+/// Order of jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum QueueRule {
     /// The oldest job of the highest priority.
     Fifo,
-    /// The project with the fewest running frames for its share, in it the oldest job of the highest priority.
+    /// The project with the fewest running frames for its share, then as [`QueueRule::Fifo`].
     FairShare,
     /// The job with the earliest deadline.
     Deadline,
-    /// The job with the earliest deadline; it renders its first, middle and last frame, and then uses as many nodes as their mean
-    /// says that it needs to be done one frame before its deadline.
+    /// The job with the earliest deadline. It renders its first, middle and last frame. Their mean then gives
+    /// the number of nodes that finish the job one frame before its deadline.
     ThreeFrames,
 }
 
@@ -31,17 +31,17 @@ pub enum QueueRule {
 #[derive(Clone, Debug)]
 pub struct Queue {
     rule: QueueRule,
-    /// Nodes of a lower place in the order of cheapness may be used.
+    /// Only nodes below this rank may be used.
     pool: usize,
-    /// By job: none of these can do its frames.
+    /// For each job, whether none of these nodes can do its frames.
     needs_all: Vec<bool>,
 }
 
-/// What orders jobs: less comes first.
+/// Orders jobs, smallest first.
 type Key = (u64, Reverse<i32>, i64, usize);
 
 impl Queue {
-    /// A queue that uses so many per cent of the nodes, the cheapest first.
+    /// A queue that uses this share of the nodes in per cent, cheapest first.
     pub fn new(world: &World, rule: QueueRule, pool_per_cent: u32) -> Self {
         let nodes = &world.input.nodes;
         let pool = (nodes.len() * pool_per_cent as usize).div_ceil(100);
@@ -62,7 +62,7 @@ impl Queue {
             QueueRule::FairShare => {
                 let share = farm.share(entry.project);
                 let has = running.get(&entry.project).copied().unwrap_or(0);
-                // A millionth of a share is as near as it has to be.
+                // Shares to a millionth.
                 (has.saturating_mul(1_000_000) / share, Reverse(entry.priority), entry.release, job)
             }
             QueueRule::Deadline | QueueRule::ThreeFrames => {
@@ -71,7 +71,7 @@ impl Queue {
         }
     }
 
-    /// Starts one task of the job, if there is a node for it.
+    /// Starts one task of the job if a node is available.
     fn start_one(&self, farm: &mut Farm, job: usize) -> bool {
         let Some(task) = self.next_task(farm, job) else { return false };
         let expected = farm.mean_work(job);
@@ -115,7 +115,7 @@ impl Queue {
         let Some(deadline) = farm.job(job).deadline else { return Some(first) };
         let mean = samples.iter().map(|&sample| u128::from(tasks[sample].work)).sum::<u128>() / 3;
         let rest = mean.saturating_mul(entry.left as u128);
-        // A node of the job's mean speed, for the frame that it should be done before its deadline.
+        // One frame on a node of the job's mean speed, to finish that much before the deadline.
         let speed = u128::from(entry.running_speed).checked_div(entry.running as u128).unwrap_or(0).max(1);
         let frame = i64::try_from(mean.saturating_mul(1_000_000) / speed).unwrap_or(i64::MAX);
         let time = if entry.running == 0 { deadline } else { deadline.saturating_sub(frame) };
@@ -128,12 +128,12 @@ impl Queue {
 
 impl Policy for Queue {
     fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool {
-        // Everything is taken.
+        // Every job is accepted.
         farm.job(job).deadline.is_some()
     }
 
     fn act(&mut self, farm: &mut Farm) -> Option<i64> {
-        // Nobody is free: nothing to do.
+        // No node is idle.
         farm.idle().next()?;
         let mut running: BTreeMap<Option<u64>, u64> = BTreeMap::new();
         for job in farm.open() {
@@ -168,13 +168,12 @@ impl Policy for Queue {
 }
 
 impl Farm<'_> {
-    /// A project's share.
     fn share(&self, project: Option<u64>) -> u64 {
         let found = self.world.input.projects.iter().find(|entry| Some(entry.id) == project);
         u64::from(found.map_or(1, |entry| entry.share.max(1)))
     }
 
-    /// Mean work of the job's frames that are done.
+    /// Mean work of the job's finished frames.
     fn mean_work(&self, job: usize) -> Option<u64> {
         let entry = &self.jobs[job];
         let mean = entry.measured_work.checked_div(entry.measured.len() as u128)?;

@@ -8,15 +8,15 @@ use crate::connection::ConnectionOptions;
 use crate::connection::connect;
 use anyhow::{Context, Result};
 use forelight_protocol::{AccuracyDoc, JobId, LadderKind};
+use forelight_renderer_own::{
+    AccuracyObserver, AccuracyOptions, MeasureOptions, ShotError, measure, predict,
+};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
-use forelight_worker::{
-    AccuracyObserver, AccuracyOptions, MeasureOptions, Renderer, ShotError, measure, predict,
-};
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;

@@ -15,7 +15,6 @@ use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, PreviewBackend, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{money, seconds};
-use forelight_worker::Renderer;
 use openjd::ExportedShot;
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -4,12 +4,12 @@ use anyhow::Result;
 use clap::ValueEnum;
 use forelight_forecast::Strategy;
 use forelight_protocol::RenderSettings;
+use forelight_renderer_own::Quote;
 use forelight_terminal::cost_picture::{Paint, Scale, map};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::local::Local;
 use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::count;
-use forelight_worker::Quote;
 use image::RgbImage;
 
 /// What a picture of forecast costs shows.

@@ -13,6 +13,7 @@ use forelight_protocol::{
     CacheSharing, CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet,
     LeftOut, NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
 };
+use forelight_renderer_own::{Quote, QuoteOptions, ROUNDS, png};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::interrupt::Interrupt;
@@ -23,7 +24,6 @@ use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
-use forelight_worker::{Quote, QuoteOptions, ROUNDS, Renderer, png};
 use std::path::{Path, PathBuf};
 
 /// Say what frames will cost, before they are rendered
@@ -331,8 +331,8 @@ fn on_others(nodes: &[NodeSeconds]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_renderer_own::quote;
     use forelight_terminal::options::parsed;
-    use forelight_worker::quote;
 
     #[test]
     fn a_farms_calibration_is_taken_for_its_own_kind_of_quote_alone() {

@@ -4,12 +4,12 @@ use anyhow::{Context, Result};
 use forelight_forecast::Strategy;
 use forelight_protocol::{CacheMode, CacheSharing, ForecastDoc, RenderSettings};
 use forelight_quote::is_shared_cache_worth_planning;
+use forelight_renderer_own::{Quote, SharedPlan, plan_shared};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::QualityOptions;
 use forelight_terminal::output::Bars;
-use forelight_worker::{Quote, SharedPlan, plan_shared};
 use std::path::Path;
 
 /// Whether the question can be asked of quotes that are made like this.
@@ -77,9 +77,9 @@ impl Asker<'_> {
 mod tests {
     use super::*;
     use crate::commands::forecast::{Args, run};
+    use forelight_renderer_own::QuoteOptions;
     use forelight_terminal::options::parsed;
     use forelight_terminal::watching::QuoteWatcher;
-    use forelight_worker::QuoteOptions;
 
     #[test]
     fn both_ways_are_priced_as_a_farm_would_and_the_cheaper_one_is_quoted() {

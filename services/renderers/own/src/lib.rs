@@ -1,0 +1,60 @@
+//! forelight's own renderer: previews, profiles, renders and caches, with the crates `scene`, `preview` and
+//! `tracer`. Workers reach it through [`TaskRunner`]. The command line calls the same steps without a service.
+//!
+//! | folder or file | subject |
+//! | --- | --- |
+//! | `opening`, `open_shots` | bundles become shots; the last few stay open |
+//! | `shot`, `frame` | a shot; one frame, ready to be traced; `answers` and `error` are what they return |
+//! | `tasks/` | what each kind of task does |
+//! | `profile/` | counting what frames show, and profiling some of their pixels |
+//! | `quote` | an offline quote: preview, profile, estimate |
+//! | `render/` | one frame with its true cost, and its files |
+//! | `adaptive/` | a frame for a time, an error or an amount of work |
+//! | `accuracy/` | what other qualities of a frame cost, and how far their images are from converged |
+//! | `shared_cache` | the irradiance cache that the frames of a shot share |
+//! | `calibration/` | how fast this machine is, by class of work |
+
+// Code that unit tests share with integration tests uses this crate by name.
+#[cfg(test)]
+extern crate self as forelight_renderer_own;
+#[cfg(test)]
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+mod accuracy;
+mod adaptive;
+mod answers;
+mod calibration;
+mod error;
+mod frame;
+mod open_shots;
+mod opening;
+mod profile;
+mod quote;
+mod render;
+mod shared_cache;
+mod shot;
+mod tasks;
+
+pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
+pub use adaptive::allocation::{
+    Aim, AllotError, AllotOptions, Allotted, render_allotted, render_as_allotted,
+};
+pub use adaptive::error_target::NEAR_ENOUGH;
+pub use adaptive::time_limit::{Budget, Stopwatch};
+pub use answers::{CacheUse, Counted, Finished, Previewed, Progress, ShotInfo, Step, StratumInfo};
+pub use calibration::{CALIBRATION_VERSION, REFERENCE_RATE, ROUNDS, calibrate, node_speed};
+pub use error::RenderError;
+pub use frame::OwnFrame;
+pub use opening::OwnRenderer;
+pub use profile::noise::FrameNoise;
+pub use profile::{
+    CountedFrames, Observer, ProfiledFrame, ShotError, cost_of, cost_of_gather, cost_of_record, count_frames,
+    forecast_strata, profile_frame, record_prior_cost, records_to_sample, stratum_ids,
+};
+pub use quote::{Quote, QuoteOptions, quote};
+pub use render::pictures::png;
+pub use render::{Given, Rendered, render_frame, render_ready, seconds};
+pub use shared_cache::{Filled, SharedPlan, SharedProfile, fill_part, plan_shared, profile_shared};
+pub use shot::OwnShot;
+pub use tasks::{TaskRunner, preview_result, profile_result};

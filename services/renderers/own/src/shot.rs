@@ -1,0 +1,231 @@
+//! A bundle, opened by our renderer.
+
+use crate::answers::{Counted, ShotInfo, StratumInfo};
+use crate::error::RenderError;
+use crate::frame::OwnFrame;
+use crate::opening::{SharedPreviewer, backend, preview_spent};
+use crate::render::{counts, spent};
+use forelight_protocol::{
+    FixedCosts, PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
+};
+use forelight_scene::{Frame, Geometry, Limits, Scene};
+use forelight_tracer::{Cache, CacheTotals, Effects, Settings, Tracer, clocked, tracer_version};
+use parking_lot::Mutex;
+use std::path::Path;
+use std::sync::Arc;
+
+/// A bundle, opened by our renderer.
+pub struct OwnShot {
+    scene: Scene,
+    info: ShotInfo,
+    pub(crate) previewer: Arc<SharedPreviewer>,
+    /// Whether anything but the camera and the lights moves in the shot.
+    pub(crate) moves: bool,
+    /// Whether to trace everything, even what cannot matter.
+    everything: bool,
+    /// Geometry of frame 0. Frames in which nothing has moved share it.
+    still: Arc<Geometry>,
+    load: Spent,
+    still_tree: Mutex<Still>,
+    /// Tree of the last frame in which something had moved.
+    moved_tree: Mutex<Option<Tree>>,
+}
+
+#[derive(Clone)]
+struct Tree {
+    geometry: Arc<Geometry>,
+    bvh: Arc<forelight_tracer::Tree>,
+    build: Spent,
+}
+
+#[derive(Default)]
+struct Still {
+    tree: Option<Tree>,
+    /// Cost of this tree and earlier ones: a camera that leaves a closed room sees another scene.
+    built: Spent,
+}
+
+/// A tracer, and the cost of its tree.
+pub(crate) struct Ready {
+    pub(crate) tracer: Tracer,
+    /// Cost of the tree whenever it was built, if the shot's frames cannot share one.
+    own_tree: Spent,
+    /// Cost of the tree if it was built by this call.
+    built_now: Spent,
+}
+
+impl OwnShot {
+    pub(crate) fn open(
+        path: &Path,
+        limits: &Limits,
+        previewer: Arc<SharedPreviewer>,
+    ) -> Result<Self, RenderError> {
+        let (scene, loading) = clocked(|| Scene::load(path, limits));
+        let scene = scene?;
+        let load = Spent { work: 0, cpu_nanos: loading };
+        let first = scene.frame(0)?;
+        Ok(Self {
+            info: ShotInfo {
+                summary: summary(&scene, &first),
+                renderer: format!("forelight {}, tracer {}", env!("CARGO_PKG_VERSION"), tracer_version()),
+                strata: strata(&first),
+            },
+            load,
+            moves: scene.geometry_moves(),
+            everything: false,
+            scene,
+            previewer,
+            still: first.geometry.clone(),
+            still_tree: Mutex::default(),
+            moved_tree: Mutex::default(),
+        })
+    }
+
+    /// Leaves nothing out, to measure what leaving out saves. Images stay the same, bit by bit.
+    pub fn with_everything(self) -> Self {
+        Self { everything: true, ..self }
+    }
+
+    /// What this process has paid once for the shot so far.
+    pub(crate) fn once(&self) -> ProcessCosts {
+        let build = if self.moves { Spent::default() } else { self.still_tree.lock().built };
+        ProcessCosts { load: self.load, build }
+    }
+
+    pub(crate) fn frame_of(&self, frame: u32, settings: &Settings) -> Result<Frame, RenderError> {
+        settings.validate()?;
+        Ok(self.scene.frame_with(frame, Some((settings.width, settings.height)))?)
+    }
+
+    pub(crate) fn view_of(&self, frame: u32, world: &Frame) -> Result<Frame, RenderError> {
+        let camera = self.scene.camera(frame)?.resized(world.camera.width, world.camera.height);
+        Ok(Frame { number: frame, camera, ..world.clone() })
+    }
+
+    pub(crate) fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
+        // If something moves, every frame is charged for a tree. Its cost must not depend on earlier frames.
+        let own = |build: Spent| if self.moves { build } else { Spent::default() };
+        let ready = |known: Option<&Tree>| {
+            let known = known.filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry));
+            let tracer = match known {
+                _ if self.everything => {
+                    Tracer::complete(frame, settings).with_kernel_for(Effects::default().with_all())
+                }
+                Some(tree) => Tracer::with_bvh(frame, settings, tree.bvh.clone()),
+                None => Tracer::new(frame, settings),
+            };
+            // A frame that sees other parts of the scene has built its own tree.
+            let shared = known.filter(|tree| Arc::ptr_eq(&tree.bvh, tracer.bvh()));
+            let build = shared.map_or_else(|| spent(tracer.build_cost()), |tree| tree.build);
+            let built_now = if shared.is_some() { Spent::default() } else { build };
+            let tree = Tree { geometry: frame.geometry.clone(), bvh: tracer.bvh().clone(), build };
+            (Ready { tracer, own_tree: own(build), built_now }, tree)
+        };
+        if Arc::ptr_eq(&frame.geometry, &self.still) {
+            // Locked while the tree is built, so that workers wait for one build instead of doing two.
+            let mut still = self.still_tree.lock();
+            let (ready, tree) = ready(still.tree.as_ref());
+            *still = Still { tree: Some(tree), built: still.built.plus(ready.built_now) };
+            return ready;
+        }
+        // Not locked: workers on different frames build different trees at the same time.
+        let known = self.moved_tree.lock().clone();
+        let (ready, tree) = ready(known.as_ref());
+        *self.moved_tree.lock() = Some(tree);
+        ready
+    }
+
+    /// Planned records of a frame by level, and the cost of planning, with any trees built for it.
+    fn planned_records(&self, frame: &Frame, settings: &Settings) -> (Vec<u32>, Option<PlanCount>, Spent) {
+        if settings.cache.is_none() {
+            return (Vec::new(), None, Spent::default());
+        }
+        let Ready { tracer, built_now, .. } = self.tracer(frame, settings);
+        tracer.plan();
+        let CacheTotals { plan, plan_rays, .. } = tracer.cache().map(Cache::totals).unwrap_or_default();
+        let count = PlanCount { work: plan.work, rays: plan_rays };
+        (records(&tracer), Some(count), built_now.plus(spent(plan)))
+    }
+}
+
+/// Records of the planned irradiance cache, one number for each level of the settings, used or not.
+pub(crate) fn records(tracer: &Tracer) -> Vec<u32> {
+    let settings = tracer.settings();
+    let levels = if settings.cache.is_some() { settings.ambient_bounces as usize } else { 0 };
+    let planned = tracer.cache().map_or_else(|| vec![0; levels], Cache::records);
+    counts(planned)
+}
+
+fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
+    let strata = scene.strata();
+    SceneSummary {
+        name: scene.name().to_owned(),
+        digest: SceneDigest(scene.digest()),
+        frames: scene.frame_count(),
+        width: first.camera.width,
+        height: first.camera.height,
+        objects: strata.objects.len() as u64,
+        materials: strata.materials() as u64,
+        triangles: first.geometry.triangles.len() as u64,
+    }
+}
+
+fn strata(frame: &Frame) -> Vec<StratumInfo> {
+    let strata = &frame.geometry.strata;
+    let info = |&(object, material): &(u32, u32)| StratumInfo {
+        name: StratumName {
+            object: strata.objects[object as usize].clone(),
+            material: frame.materials[material as usize].name.clone(),
+        },
+        object,
+        material,
+        class: frame.materials[material as usize].class(),
+    };
+    strata.pairs.iter().map(info).collect()
+}
+
+impl OwnShot {
+    /// Contents of the bundle.
+    pub fn info(&self) -> &ShotInfo {
+        &self.info
+    }
+
+    /// Counts a frame's pixels by stratum, and its planned records. On the current thread pool.
+    pub fn count(&self, frame: u32, settings: &RenderSettings) -> Result<Counted, RenderError> {
+        let settings = Settings::from(settings);
+        let (frame, setup) = clocked(|| self.frame_of(frame, &settings));
+        let frame = frame?;
+        let (cache_records, cache_plan, planning) = self.planned_records(&frame, &settings);
+        Ok(self.previewer.with(|previewer| {
+            let counts = previewer.counts(&frame)?;
+            Ok(Counted {
+                counts,
+                cache_records,
+                cache_plan,
+                shining: frame.shining(),
+                triangles: frame.geometry.triangles.len() as u64,
+                backend: backend(previewer),
+                spent: preview_spent(previewer, &frame, setup).plus(planning),
+            })
+        })?)
+    }
+
+    /// Sets up one frame.
+    pub fn frame(&self, frame: u32, settings: &RenderSettings) -> Result<OwnFrame<'_>, RenderError> {
+        let settings = Settings::from(settings);
+        let (frame, moved) = clocked(|| self.frame_of(frame, &settings));
+        let frame = frame?;
+        let Ready { tracer, own_tree, built_now } = self.tracer(&frame, &settings);
+        Ok(OwnFrame {
+            shot: self,
+            tracer,
+            shared: Mutex::default(),
+            fixed: FixedCosts {
+                load: Spent { work: 0, cpu_nanos: moved },
+                build: own_tree,
+                ..FixedCosts::default()
+            },
+            built_now,
+        })
+    }
+}

@@ -1,0 +1,185 @@
+//! The render task: equally many camera samples for every pixel, or a given amount of work.
+
+use crate::adaptive::work_budget::render_for_work;
+use crate::answers::{Progress, Step};
+use crate::error::RenderError;
+use crate::frame::OwnFrame;
+use crate::render::pictures::{encode, write_cost};
+use crate::render::{Rendered, render_ready, seconds};
+use crate::shot::OwnShot;
+use crate::tasks::Files;
+use crate::tasks::cache;
+use crate::tasks::checkpoint::Checkpoints;
+use bytes::Bytes;
+use forelight_protocol::{
+    CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSpec, TaskResult,
+};
+use forelight_renderer::{Assignment, Control, ExecuteError, Outcome};
+use forelight_tracer::{Cache, CacheError, Pixel, Profile, Totals};
+use std::cell::Cell;
+use std::sync::Once;
+use std::time::Instant;
+
+pub(crate) fn render(
+    shot: &OwnShot,
+    spec: &RenderSpec,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Outcome, ExecuteError> {
+    let start = Instant::now();
+    let ready = shot.frame(spec.frame, &spec.settings)?;
+    let ready = &ready;
+    control.log(LogLevel::Info, format!("effects of frame {}: {}", spec.frame, ready.effects().join(", ")));
+    if spec.cache.is_some() {
+        share(ready, cache::only_file(assignment)?, control)?;
+    }
+    let mut rendered = match spec.work {
+        None => evenly(ready, spec, assignment, control)?,
+        Some(work) => for_work(ready, spec, work, control)?,
+    };
+    let seen = ready.preview()?;
+    let picture = forelight_preview::picture(&seen.preview, &rendered.frame);
+    let (pictures, encoding) = encode(&rendered.image, &rendered.frame, &picture)?;
+    let written = write_cost(encoding, seen.spent);
+    rendered.stats.cpu_seconds += seconds(written.cpu_nanos);
+    rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
+    let stats = &rendered.stats;
+    control.log(
+        LogLevel::Info,
+        format!(
+            "rendered {} × {} pixels, {} of them taken over: {:.1} CPU seconds, {} units of work",
+            stats.width, stats.height, stats.reused_pixels, stats.cpu_seconds, stats.work
+        ),
+    );
+    let mut files = Files::default();
+    let artifacts = RenderArtifacts {
+        image_exr: files.add(pictures.image_exr),
+        image_png: files.add(pictures.image_png),
+        cost_map_png: files.add(pictures.cost_map_png),
+        preview_png: Some(files.add(pictures.preview_png)),
+    };
+    let result = RenderResult { stats: rendered.stats, artifacts };
+    Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
+}
+
+/// Renders with the camera samples of the settings, taking over profiled pixels or a checkpoint.
+fn evenly(
+    ready: &OwnFrame<'_>,
+    spec: &RenderSpec,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Rendered, ExecuteError> {
+    let cached = spec.settings.cache == CacheMode::On;
+    // Frames with an irradiance cache have no checkpoints: their pixels are worth little without it.
+    let checkpoint = assignment.checkpoint.as_ref().filter(|_| !cached);
+    let finished = checkpoint.and_then(|bytes| usable("an earlier worker's tiles", bytes, ready, control));
+    if let Some(finished) = &finished {
+        let text =
+            format!("continuing from {} pixels that an earlier worker finished", finished.pixels.len());
+        control.log(LogLevel::Info, text);
+    }
+    let profiled = || usable("the frame's profile", assignment.profile.as_ref()?, ready, control);
+    let reuse = finished.or_else(profiled);
+    let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
+    let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
+    let count = |pixels: &[(u32, Pixel)]| {
+        let sum = |of: fn(&Pixel) -> u64| pixels.iter().map(|(_, pixel)| of(pixel)).sum();
+        control.finished_pixels(FinishedPixels {
+            done: pixels.len() as u64,
+            all: spec.settings.pixels(),
+            work: sum(|pixel| pixel.work),
+            cpu_nanos: sum(|pixel| pixel.cpu_nanos),
+        });
+    };
+    if !cached {
+        count(reuse.as_ref().map_or(&[], |profile| &profile.pixels));
+    }
+    let begun = Once::new();
+    let finished = |pixels: &[_]| {
+        // Pixels start once the irradiance cache is filled. Only then is its share of the frame known.
+        begun.call_once(|| control.spent_before_pixels(ready.spent_on_cache()));
+        count(pixels);
+        checkpoints.finished(pixels);
+    };
+    let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
+    render_ready(ready, &spec.settings, reuse.as_ref(), &progress, &finished, control.cancelled())?
+        .ok_or(ExecuteError::Cancelled)
+}
+
+/// Renders with `work` in all. Checkpoints do not help: only the last pass decides a pixel's samples.
+fn for_work(
+    ready: &OwnFrame<'_>,
+    spec: &RenderSpec,
+    work: u64,
+    control: &Control,
+) -> Result<Rendered, ExecuteError> {
+    let cached = spec.settings.cache == CacheMode::On;
+    let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
+    if !ready.fill(&progress, control.cancelled()) {
+        return Err(ExecuteError::Cancelled);
+    }
+    control.spent_before_pixels(ready.spent_on_cache());
+    let all = spec.settings.pixels();
+    let told = Cell::new(FinishedPixels::default());
+    let passed = |share: f64, totals: &Totals| {
+        let before = told.get();
+        let done = (share * all as f64) as u64;
+        let now = FinishedPixels { done, all, work: totals.work, cpu_nanos: totals.cpu_nanos };
+        told.set(now);
+        control.finished_pixels(FinishedPixels {
+            done: now.done - before.done,
+            work: now.work - before.work,
+            cpu_nanos: now.cpu_nanos - before.cpu_nanos,
+            all,
+        });
+    };
+    let start = Instant::now();
+    let made = render_for_work(ready, work, &progress, &passed, control.cancelled())?;
+    let made = made.ok_or(ExecuteError::Cancelled)?;
+    Ok(made.rendered(ready, &spec.settings, None, start.elapsed().as_secs_f64()).rendered)
+}
+
+/// Gives the frame the shared cache. If another version of the renderer made it, the frame builds its own.
+fn share(ready: &OwnFrame<'_>, cache: &Bytes, control: &Control) -> Result<(), ExecuteError> {
+    let shared = Cache::from_bytes(cache).map_err(RenderError::from).and_then(|cache| ready.share(cache));
+    let (level, text) = match shared {
+        Ok(shared) => {
+            let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
+            let text = format!(
+                "{kept} records of the shared irradiance cache are valid in this frame, {dropped} are not"
+            );
+            (LogLevel::Info, text)
+        }
+        Err(RenderError::Cache(error @ (CacheError::Foreign | CacheError::OtherScene(_)))) => {
+            let text =
+                format!("the frame builds its own irradiance cache; the shared one cannot be used: {error}");
+            (LogLevel::Warn, text)
+        }
+        Err(error) => return Err(cache::of_shared_cache(error)),
+    };
+    control.log(level, text);
+    Ok(())
+}
+
+/// A checkpoint or profile, if it fits this frame. It may come from another version of the renderer.
+fn usable(what: &str, bytes: &Bytes, ready: &OwnFrame<'_>, control: &Control) -> Option<Profile> {
+    let found = Profile::from_bytes(bytes).map_err(RenderError::from);
+    match found.and_then(|found| ready.check(&found).map(|()| found)) {
+        Ok(found) => Some(found),
+        Err(why) => {
+            control.log(LogLevel::Warn, format!("{what} cannot be used: {why}"));
+            None
+        }
+    }
+}
+
+/// Progress of a render, 0 to 1. Filling an irradiance cache takes about half of it.
+fn fraction(Progress { step, done, all }: Progress, cached: bool) -> f64 {
+    let part = done as f64 / all.max(1) as f64;
+    match (step, cached) {
+        (Step::Planning, _) => 0.0,
+        (Step::Filling, _) => 0.5 * part,
+        (Step::Tracing, true) => 0.5 + 0.5 * part,
+        (Step::Tracing, false) => part,
+    }
+}

@@ -1,0 +1,463 @@
+//! A worker: leases a task, executes it, reports the result, and repeats.
+//!
+//! # Failures
+//!
+//! * **The lease is lost.** It expired while this process was paused or cut off, or the job was cancelled.
+//!   The next renewal says so, and the work is stopped. A result that is already on its way has a stale
+//!   fencing token: the service refuses it, and the refusal is not an error here.
+//! * **The service does not answer.** The work continues, and renewals are retried at each interval. If the
+//!   lease expires meanwhile, the fencing token protects its next holder. A finished result is sent until it
+//!   is answered.
+//! * **The work fails or panics.** The error is reported with the log. The service decides whether to retry.
+//! * **The work exceeds a limit.** It is stopped, and the limit is reported as the error.
+//! * **The operator intervenes.** Renewals bring orders: to pause, to resume, to drop the task.
+//! * **The node should sleep.** The service knows the node's calendar. A renewal, or the answer to a claim,
+//!   says until when the node sleeps. Until then this worker sends nothing. It follows the wall clock, so the
+//!   machine may be suspended.
+//! * **This process is told to stop.** The work is stopped and the lease given back, for another node.
+
+use crate::bundles::Bundles;
+use crate::limits::gone_beyond;
+use bytes::Bytes;
+use forelight_client::{Backoff, Claimed, Client, ClientError};
+use forelight_protocol::{
+    CACHE_BYTES, ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind,
+    RenewRequest, Renewal, TaskId, TaskLimits, TaskSpec, Timestamp,
+};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use parking_lot::Mutex;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+/// How long a claim waits for a task at the service.
+const CLAIM_WAIT_MS: u32 = 20_000;
+/// Pause after an unexpected refusal, to limit the rate of requests.
+const AFTER_REFUSAL: Duration = Duration::from_secs(2);
+
+/// How often a sleeping worker checks the clock.
+const GLANCE: Duration = Duration::from_secs(30);
+
+/// How often checkpoints are sent to the service.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
+
+/// A worker.
+pub struct Agent {
+    pub(crate) client: Client,
+    bundles: Arc<Bundles>,
+    executor: Arc<dyn Execute>,
+    pool: Arc<rayon::ThreadPool>,
+    registration: NodeRegistration,
+    /// Distinguishes this process from others that register under the same name.
+    worker: Uuid,
+    limits: TaskLimits,
+    checkpoints: Duration,
+    /// Until when this worker sleeps, by this machine's clock.
+    asleep: Mutex<Option<Timestamp>>,
+}
+
+/// Why a worker ended by itself.
+#[derive(Debug, thiserror::Error)]
+pub enum AgentError {
+    /// The service refused the token or the registration.
+    #[error("the service at {address} refused this worker: check its token and registration")]
+    Refused {
+        /// Address of the service.
+        address: String,
+        /// Its reason.
+        source: ClientError,
+    },
+    /// The threads could not be started.
+    #[error("cannot start {threads} threads: {reason}")]
+    Threads {
+        /// Threads wanted.
+        threads: u32,
+        /// Error of the operating system.
+        reason: String,
+    },
+}
+
+/// How a process ended that was started for one task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Errand {
+    /// It executed the task, and the service knows the outcome.
+    Ended,
+    /// The task was over before this process could lease it.
+    Needless,
+    /// It was told to stop. If it held the task, it gave the lease back.
+    Stopped,
+}
+
+/// How the work on a lease ended.
+enum Ending {
+    /// With a result or an error to report.
+    Finished(Box<Result<Outcome, ExecuteError>>),
+    /// The lease was lost.
+    Lost,
+    /// This process must stop.
+    Stopped,
+    /// The task exceeded a limit and must be stopped first.
+    Beyond(ExecuteError),
+}
+
+impl Agent {
+    /// A worker with this registration, and as many threads as it has cores.
+    pub fn new(
+        client: Client,
+        bundles: Arc<Bundles>,
+        executor: Arc<dyn Execute>,
+        registration: NodeRegistration,
+    ) -> Result<Self, AgentError> {
+        let threads = registration.cores;
+        let name = registration.name.clone();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads as usize)
+            .thread_name(move |index| format!("{name}-{index}"))
+            .build()
+            .map_err(|error| AgentError::Threads { threads, reason: error.to_string() })?;
+        let (pool, limits, checkpoints) = (Arc::new(pool), TaskLimits::default(), CHECKPOINT_INTERVAL);
+        let asleep = Mutex::new(None);
+        let worker = Uuid::now_v7();
+        Ok(Self { client, bundles, executor, pool, registration, worker, limits, checkpoints, asleep })
+    }
+
+    /// Sets limits for every task. If a job has limits too, the stricter ones hold.
+    pub fn with_limits(self, limits: TaskLimits) -> Self {
+        Self { limits, ..self }
+    }
+
+    /// Sets how often checkpoints are sent to the service. Default: once a minute.
+    pub fn with_checkpoints(self, interval: Duration) -> Self {
+        Self { checkpoints: interval, ..self }
+    }
+
+    /// Works until `stop` is cancelled or the service refuses this worker.
+    pub async fn run(&self, stop: CancellationToken) -> Result<(), AgentError> {
+        let Some(mut node) = self.register(Some(self.worker), &stop).await? else { return Ok(()) };
+        let patient = self.client.with_backoff(Backoff::FOREVER);
+        while !stop.is_cancelled() {
+            self.sleep(&stop).await;
+            let claim = ClaimRequest {
+                node_id: node,
+                wait_ms: CLAIM_WAIT_MS,
+                task_id: None,
+                worker: Some(self.worker),
+            };
+            let claimed = tokio::select! {
+                () = stop.cancelled() => break,
+                claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
+            };
+            match claimed {
+                Ok(Claimed::Lease(lease)) => self.work(*lease, &stop).await,
+                Ok(Claimed::Nothing) => {}
+                Ok(Claimed::Asleep(time)) => {
+                    self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
+                }
+                // The worker is refused, or another process has taken its node over.
+                Err(error) if is_unwanted(&error) || error.is(ProblemKind::Conflict) => {
+                    return Err(self.refused(error));
+                }
+                // The service lost its data and does not know the node.
+                Err(error) if error.is(ProblemKind::NotFound) => {
+                    match self.register(Some(self.worker), &stop).await? {
+                        Some(again) => node = again,
+                        None => break,
+                    }
+                }
+                Err(error) => {
+                    tracing::warn!(node = self.registration.name, %error, "the service refused the claim");
+                    pause(AFTER_REFUSAL, &stop).await;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Executes one task and ends. Waits while another worker holds the task, so a second process is harmless
+    /// and takes over when the first one dies. The outcome is reported to the service, and is no error here.
+    pub async fn run_task(&self, task: TaskId, stop: CancellationToken) -> Result<Errand, AgentError> {
+        let Some(node) = self.register(None, &stop).await? else { return Ok(Errand::Stopped) };
+        let patient = self.client.with_backoff(Backoff::FOREVER);
+        while !stop.is_cancelled() {
+            let claim =
+                ClaimRequest { node_id: node, wait_ms: CLAIM_WAIT_MS, task_id: Some(task), worker: None };
+            let claimed = tokio::select! {
+                () = stop.cancelled() => break,
+                claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
+            };
+            match claimed {
+                Ok(Claimed::Lease(lease)) => {
+                    self.work(*lease, &stop).await;
+                    return Ok(if stop.is_cancelled() { Errand::Stopped } else { Errand::Ended });
+                }
+                // A task that was placed on this node runs whatever its calendar says.
+                Ok(Claimed::Nothing | Claimed::Asleep(_)) => tracing::info!(%task, "task already leased"),
+                Err(error) if error.is(ProblemKind::Conflict) => return Ok(Errand::Needless),
+                Err(error) => return Err(self.refused(error)),
+            }
+        }
+        Ok(Errand::Stopped)
+    }
+
+    /// Registers the node. Retries until the service answers. `None` if `stop` came first.
+    async fn register(
+        &self,
+        worker: Option<Uuid>,
+        stop: &CancellationToken,
+    ) -> Result<Option<NodeId>, AgentError> {
+        let client = self.client.with_backoff(Backoff::FOREVER);
+        let registration = NodeRegistration { worker, ..self.registration.clone() };
+        // Registering is an update by name, so each attempt is a request of its own.
+        let registered = tokio::select! {
+            () = stop.cancelled() => return Ok(None),
+            registered = client.register(&registration, Uuid::now_v7()) => registered,
+        };
+        let node = registered.map_err(|error| self.refused(error))?;
+        tracing::info!(node = node.name, id = %node.id, speed = node.speed, cores = node.cores, "registered");
+        Ok(Some(node.id))
+    }
+
+    /// Sets this worker to sleep for this many microseconds.
+    fn go_to_sleep(&self, micros: i64) {
+        let until = Timestamp::now().plus_micros(micros.max(0));
+        *self.asleep.lock() = Some(until);
+    }
+
+    /// Follows the sleep order of a renewal. Its times are by the service's clock.
+    fn heed(&self, renewed: &Renewal, lease: &Lease) {
+        let ttl = if renewed.order == LeaseOrder::Stop { 0 } else { lease.ttl_ms };
+        let there =
+            renewed.expires_at.plus_micros(-i64::try_from(ttl).unwrap_or(i64::MAX).saturating_mul(1000));
+        match renewed.sleep_until {
+            Some(until) => self.go_to_sleep(until.micros_since(there)),
+            None => *self.asleep.lock() = None,
+        }
+    }
+
+    /// Sleeps if ordered. Checks the clock regularly, since timers stop while the machine is suspended.
+    async fn sleep(&self, stop: &CancellationToken) {
+        let until = self.asleep.lock().take();
+        let Some(until) = until else { return };
+        tracing::info!(node = self.registration.name, %until, "asleep by its calendar");
+        while !stop.is_cancelled() {
+            let left = until.micros_since(Timestamp::now());
+            if left <= 0 {
+                tracing::info!(node = self.registration.name, "awake");
+                return;
+            }
+            pause(Duration::from_micros(left.unsigned_abs()).min(GLANCE), stop).await;
+        }
+    }
+
+    fn refused(&self, source: ClientError) -> AgentError {
+        AgentError::Refused { address: self.client.address().into(), source }
+    }
+
+    /// Executes one leased task.
+    async fn work(&self, lease: Lease, stop: &CancellationToken) {
+        let kind = lease.spec.kind();
+        tracing::info!(task = %lease.task_id, %kind, frame = lease.spec.frame(), fence = lease.fence, "leased");
+        let control = Arc::new(Control::with_checkpoints(self.checkpoints));
+        let name = &self.registration.name;
+        control.log(LogLevel::Info, format!("{kind} started on {name}, attempt {}", lease.fence));
+        let limits = lease.limits.and(self.limits);
+        let ending = {
+            let given_up = CancellationToken::new();
+            let work = self.perform(&lease, control.clone(), &given_up);
+            tokio::pin!(work);
+            let ending = tokio::select! {
+                done = &mut work => Ending::Finished(Box::new(done)),
+                error = gone_beyond(limits, &control) => Ending::Beyond(error),
+                () = self.hold(&lease, &control) => Ending::Lost,
+                () = stop.cancelled() => Ending::Stopped,
+            };
+            if !matches!(ending, Ending::Finished(_)) {
+                control.cancel();
+                given_up.cancel();
+                // Wait until the threads are free. Hold the lease if possible, to report the error.
+                tokio::select! {
+                    _ = &mut work => {}
+                    () = self.hold(&lease, &control), if !matches!(ending, Ending::Lost) => {
+                        let _ = work.await;
+                    }
+                }
+            }
+            match ending {
+                Ending::Beyond(error) => Ending::Finished(Box::new(Err(error))),
+                other => other,
+            }
+        };
+        match ending {
+            Ending::Finished(done) => {
+                tokio::select! {
+                    () = self.report(&lease, *done, &control) => {}
+                    () = self.hold(&lease, &control) => {
+                        tracing::info!(task = %lease.task_id, "the lease was lost; the result is dropped");
+                    }
+                    () = stop.cancelled() => self.give_back(&lease).await,
+                }
+            }
+            Ending::Lost | Ending::Beyond(_) => {
+                tracing::info!(task = %lease.task_id, %kind, "the lease was lost; the work is dropped")
+            }
+            Ending::Stopped => self.give_back(&lease).await,
+        }
+    }
+
+    /// Fetches the inputs of the task, unless it is cancelled, and executes it on this worker's threads.
+    async fn perform(
+        &self,
+        lease: &Lease,
+        control: Arc<Control>,
+        given_up: &CancellationToken,
+    ) -> Result<Outcome, ExecuteError> {
+        let assignment = tokio::select! {
+            assignment = self.prepare(lease, &control) => assignment?,
+            () = given_up.cancelled() => return Err(ExecuteError::Cancelled),
+        };
+        let (pool, executor) = (self.pool.clone(), self.executor.clone());
+        let work = move || pool.install(|| executor.execute(&assignment, &control));
+        match tokio::task::spawn_blocking(work).await {
+            Ok(done) => done,
+            Err(panic) => Err(ExecuteError::Transient(format!("the renderer failed: {}", panic_text(panic)))),
+        }
+    }
+
+    /// Prepares the inputs of a task.
+    async fn prepare(&self, lease: &Lease, control: &Control) -> Result<Assignment, ExecuteError> {
+        let failed = |error: ClientError| {
+            let message = describe(&error);
+            // What the service does not have now, it will not have later.
+            let missing = error.is(ProblemKind::NotFound);
+            if missing { ExecuteError::Permanent(message) } else { ExecuteError::Transient(message) }
+        };
+        let (bundle, profile, caches) = loop {
+            match self.fetch(lease).await {
+                Ok(fetched) => break fetched,
+                // A short outage of the service or its artefact store is not the task's fault.
+                Err(error) if error.is_passing() => {
+                    tracing::warn!(task = %lease.task_id, %error, "task inputs not available yet; retrying");
+                    tokio::time::sleep(AFTER_REFUSAL).await;
+                }
+                Err(error) => return Err(failed(error)),
+            }
+        };
+        control.log(LogLevel::Info, "bundle fetched");
+        let checkpoint = match &lease.spec {
+            // Only an earlier attempt can have left a checkpoint. It is optional.
+            TaskSpec::Render(_) if lease.fence > 1 => {
+                self.client.checkpoint(lease.lease_id).await.unwrap_or_default()
+            }
+            _ => None,
+        };
+        Ok(Assignment { spec: lease.spec.clone(), bundle, profile, caches, checkpoint })
+    }
+
+    /// Fetches the bundle, the profile and the irradiance caches of a task.
+    async fn fetch(&self, lease: &Lease) -> Result<(PathBuf, Option<Bytes>, Vec<Bytes>), ClientError> {
+        let bundle = self.bundles.locate(&self.client, lease.spec.bundle()).await?;
+        let profile = match &lease.spec {
+            TaskSpec::Render(spec) => spec.profile,
+            _ => None,
+        };
+        let profile = match profile {
+            Some(hash) => Some(self.client.artifact(hash, CACHE_BYTES).await?),
+            None => None,
+        };
+        let mut caches = Vec::new();
+        for hash in lease.spec.caches() {
+            caches.push(self.client.artifact(hash, CACHE_BYTES).await?);
+        }
+        Ok((bundle, profile, caches))
+    }
+
+    /// Renews the lease three times per lifetime and passes orders on. Returns when the lease is lost.
+    async fn hold(&self, lease: &Lease, control: &Control) {
+        let interval = Duration::from_millis((lease.ttl_ms / 3).max(50));
+        let once = self.client.with_backoff(Backoff { attempts: Some(1), ..Backoff::PATIENT });
+        let mut order = LeaseOrder::Continue;
+        loop {
+            tokio::time::sleep(interval).await;
+            if let Some(tiles) = control.take_checkpoint() {
+                // Renewals come first: an upload that takes too long is given up.
+                let sent = once.put_checkpoint(lease.lease_id, lease.fence, tiles);
+                match tokio::time::timeout(interval / 2, sent).await {
+                    Ok(Ok(())) => {}
+                    Ok(Err(error)) => {
+                        tracing::warn!(task = %lease.task_id, %error, "the service did not accept the checkpoint")
+                    }
+                    Err(_) => {
+                        tracing::warn!(task = %lease.task_id, "checkpoint upload too slow; dropped")
+                    }
+                }
+            }
+            let renewal = RenewRequest {
+                fence: lease.fence,
+                progress: control.progress(),
+                pixels: control.pixels(),
+                paused: control.stands_still(),
+                log: control.unsent(),
+            };
+            match once.renew(lease.lease_id, &renewal, interval.max(Duration::from_secs(1))).await {
+                Ok(renewed) if renewed.order == LeaseOrder::Stop => {
+                    self.heed(&renewed, lease);
+                    return;
+                }
+                Ok(renewed) => {
+                    self.heed(&renewed, lease);
+                    control.sent(&renewal.log);
+                    if renewed.order != order {
+                        order = renewed.order;
+                        let paused = order == LeaseOrder::Pause;
+                        control.log(
+                            LogLevel::Info,
+                            if paused { "paused by the operator" } else { "resumed by the operator" },
+                        );
+                        control.pause(paused);
+                    }
+                }
+                Err(error) if is_lost(&error) => return,
+                Err(error) => {
+                    tracing::warn!(task = %lease.task_id, %error, "the lease was not renewed");
+                    control.log(LogLevel::Warn, format!("the lease was not renewed: {}", describe(&error)));
+                }
+            }
+        }
+    }
+}
+
+/// Whether the error means that the lease is lost.
+pub(crate) fn is_lost(error: &ClientError) -> bool {
+    error.is(ProblemKind::LeaseLost) || error.is(ProblemKind::NotFound) || error.is(ProblemKind::Conflict)
+}
+
+/// Whether repeating the request with this token cannot help.
+fn is_unwanted(error: &ClientError) -> bool {
+    error.is(ProblemKind::Unauthenticated) || error.is(ProblemKind::Forbidden)
+}
+
+async fn pause(time: Duration, stop: &CancellationToken) {
+    tokio::select! {
+        () = stop.cancelled() => {}
+        () = tokio::time::sleep(time) => {}
+    }
+}
+
+/// An error with its causes on one line.
+pub(crate) fn describe(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text += &format!(": {error}");
+        cause = error.source();
+    }
+    text
+}
+
+fn panic_text(error: tokio::task::JoinError) -> String {
+    let Ok(payload) = error.try_into_panic() else { return "it was cancelled".into() };
+    let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "it panicked".into())
+}

@@ -1,7 +1,0 @@
-//! The tasks and quotes of our renderer.
-
-mod cached;
-mod quotes;
-mod room;
-mod sharing;
-mod tasks;
