@@ -46,6 +46,7 @@ step 'Format and lints'
 cargo fmt --all --check
 cargo clippy --workspace --all-targets --quiet -- -D warnings
 RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --quiet
+services/store/prepare.sh --check
 
 step 'Tests'
 cargo build --workspace --quiet # the processes that tests start

@@ -16,7 +16,7 @@ fn mebibytes(bytes: u64) -> String {
 impl App {
     /// Refuses what needs room, if there is too little for another task to begin.
     pub fn check_disk_space(&self) -> ApiResult<()> {
-        let (room, least) = (self.store.room()?, self.limits.least_disk_space);
+        let (room, least) = (self.store.free_disk_space()?, self.limits.least_disk_space);
         if room >= least {
             return Ok(());
         }
@@ -29,7 +29,7 @@ impl App {
     pub fn tell_disk_full<'a>(&self, jobs: impl IntoIterator<Item = (JobState, &'a mut Option<Waits>)>) {
         let least = self.limits.least_disk_space;
         // Where that cannot be known the log says so, see [`Self::log_disk_space`].
-        if self.store.room().is_ok_and(|room| room < least) {
+        if self.store.free_disk_space().is_ok_and(|room| room < least) {
             let least = mebibytes(least);
             let because =
                 format!("waits because less than {least} of room are left where the farm's data are");
@@ -43,7 +43,7 @@ impl App {
     /// it lacks now.
     pub fn log_disk_space(&self, lacked: bool) -> bool {
         let least = self.limits.least_disk_space;
-        match self.store.room() {
+        match self.store.free_disk_space() {
             Ok(room) if room < least && !lacked => {
                 let [room, least] = [room, least].map(mebibytes);
                 tracing::error!(

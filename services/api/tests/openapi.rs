@@ -23,3 +23,13 @@ fn openapi_yaml_is_current() {
         differing.map(|line| line + 1)
     );
 }
+
+#[test]
+fn every_operation_has_an_id_of_its_own() {
+    let document = forelight_api::openapi_yaml();
+    let mut ids: Vec<&str> = document.lines().filter(|line| line.contains(" operationId: ")).collect();
+    let count = ids.len();
+    ids.sort_unstable();
+    ids.dedup();
+    assert!(count > 50 && ids.len() == count, "{} of {count}: {ids:?}", ids.len());
+}

@@ -13,8 +13,8 @@ use forelight_client::{Client, Token};
 use forelight_preview::Choice;
 use forelight_protocol::{
     ArtifactHash, CacheSharing, Event, EventKind, ForecastDoc, FramePage, FrameRow, Job, JobState,
-    NodeRegistration, Plan, ProblemKind, RenderSpec, Role, SeedForecast, TaskKind, TaskResult, TaskSpec,
-    Timestamp,
+    NodeRegistration, Plan, ProblemKind, RenderSpec, Role, SharedCacheForecast, TaskKind, TaskResult,
+    TaskSpec, Timestamp,
 };
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
 use forelight_renderer_own::{OwnRenderer, TaskRunner};
@@ -136,12 +136,12 @@ async fn until(what: &str, mut done: impl AsyncFnMut() -> bool) {
 }
 
 /// The shared cache's line of a quote, which has the prices of both ways and takes the cheaper one.
-fn quoted_cache(quote: &ForecastDoc) -> SeedForecast {
+fn quoted_cache(quote: &ForecastDoc) -> SharedCacheForecast {
     let cache = quote.cache.clone().unwrap();
     let (shared, private) = (cache.shared_price.unwrap(), cache.private_price);
     assert!(cache.shared && shared.work < private.work && shared.records < private.records, "{cache:?}");
     assert!(shared.cost.unwrap() < private.cost.unwrap() && cache.reason.contains("less work"), "{cache:?}");
-    let line = cache.seed.unwrap();
+    let line = cache.shared_cache.unwrap();
     assert_eq!(line.parts, 2);
     line
 }
@@ -209,9 +209,9 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
 
     until("its first part", async || doomed.executor.began.load(Ordering::SeqCst)).await;
     let waiting = farm.job(&job).await;
-    let seed = waiting.seed.expect("the frames share a cache");
+    let cache = waiting.shared_cache.expect("the frames share a cache");
     assert_eq!(
-        (waiting.state, seed.parts, seed.ready),
+        (waiting.state, cache.parts, cache.ready),
         (JobState::Rendering, 4, false),
         "two parts of two levels"
     );
@@ -220,8 +220,8 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     other.stop.cancel();
     let done = farm.job(&job).await;
     assert_eq!((done.state, done.error.as_deref()), (JobState::Done, None));
-    let seed = done.seed.unwrap();
-    assert_eq!((seed.parts_done, seed.ready, seed.progress), (4, true, 1.0));
+    let cache = done.shared_cache.unwrap();
+    assert_eq!((cache.parts_done, cache.ready, cache.progress), (4, true, 1.0));
     assert_eq!(doomed.executor.fills.load(Ordering::SeqCst), 1);
     assert_eq!(other.executor.fills.load(Ordering::SeqCst), 4, "what the dead one had was done by the other");
     let events = farm.service.store().events_after(Some(job.id), 0, 10_000).await.unwrap();
@@ -237,7 +237,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     let line = quoted_cache(&quote);
     let off = |forecast: f64, actual: u64| (forecast / actual as f64 - 1.0).abs();
-    assert!(off(line.work.mean, seed.work) < 0.12, "{line:?}, it took {}", seed.work);
+    assert!(off(line.work.mean, cache.work) < 0.12, "{line:?}, it took {}", cache.work);
     let page: FramePage =
         farm.viewer.get(&format!("/v1/jobs/{}/frames", job.id)).await.parsed(StatusCode::OK).await;
     let stats: Vec<_> = page.items.iter().map(|row| row.actual.clone().unwrap()).collect();
@@ -250,9 +250,12 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     }
     let plan: Plan =
         farm.viewer.get(&format!("/v1/plans/{}", done.plan_id.unwrap())).await.parsed(StatusCode::OK).await;
-    let last = plan.seeds.iter().map(|part| part.end).max().unwrap();
-    assert_eq!(plan.seeds.len(), 2);
-    assert_ne!(plan.seeds[0].node_id, plan.seeds[1].node_id, "parts are booked side by side");
+    let last = plan.shared_cache_bookings.iter().map(|part| part.end).max().unwrap();
+    assert_eq!(plan.shared_cache_bookings.len(), 2);
+    assert_ne!(
+        plan.shared_cache_bookings[0].node_id, plan.shared_cache_bookings[1].node_id,
+        "parts are booked side by side"
+    );
     assert!(plan.bookings.iter().all(|booking| booking.start >= last), "{plan:?}");
 
     assert_offline_images_are_the_same(&farm, &job, &page.items, &other.executor.runner).await;
@@ -269,5 +272,5 @@ async fn a_cache_can_only_be_shared_where_there_is_one() {
     farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::Invalid).await;
     request["cache"] = json!("private");
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
-    assert_eq!((job.cache, job.seed), (CacheSharing::Private, None));
+    assert_eq!((job.cache, job.shared_cache), (CacheSharing::Private, None));
 }

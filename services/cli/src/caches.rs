@@ -1,6 +1,6 @@
 //! How a quote's irradiance caches are made, for people.
 
-use forelight_protocol::{CachePrice, CacheQuote, SeedForecast};
+use forelight_protocol::{CachePrice, CacheQuote, SharedCacheForecast};
 use forelight_terminal::quantities::{count, money, seconds};
 
 /// One for all frames or one for each, why, and both prices.
@@ -20,7 +20,8 @@ pub fn ways(cache: &CacheQuote) -> String {
 }
 
 /// What is made before the frames; without the end of its line.
-pub fn seed(seed: &SeedForecast) -> String {
-    let parts = if seed.parts == 1 { "one part".to_owned() } else { format!("{} parts", seed.parts) };
-    format!("seed       {} CPU time forecast in {parts}, before the frames", seconds(seed.cpu_seconds.mean))
+pub fn shared(cache: &SharedCacheForecast) -> String {
+    let parts = if cache.parts == 1 { "one part".to_owned() } else { format!("{} parts", cache.parts) };
+    let cpu = seconds(cache.cpu_seconds.mean);
+    format!("cache      {cpu} CPU time forecast in {parts}, before the frames")
 }

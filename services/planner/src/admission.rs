@@ -198,7 +198,7 @@ struct Setting<'s, 'a> {
     capacity: &'s [Vec<u128>],
 }
 
-/// Work of a job that is to be served by its deadline: its frames, or its seed.
+/// Work of a job that is to be served by its deadline: its frames, or its shared cache.
 struct Demand<'s> {
     job: usize,
     /// Class of the work.
@@ -253,9 +253,10 @@ impl<'s, 'a> Model<'s, 'a> {
                 rank: ranks[index],
             };
             let frames = demand(work.job.class, work.total(), &work.classes);
-            let seed = work.job.seed.zip(work.seed);
-            let seed = seed.map(|(seed, work_of)| demand(seed.class, work_of.into(), &work.seed_classes));
-            for demand in [Some(frames), seed].into_iter().flatten().filter(|demand| demand.amount > 0) {
+            let cache = work.job.shared_cache.zip(work.shared_cache);
+            let cache =
+                cache.map(|(cache, work_of)| demand(cache.class, work_of.into(), &work.shared_cache_classes));
+            for demand in [Some(frames), cache].into_iter().flatten().filter(|demand| demand.amount > 0) {
                 model.demand(&demand, priced);
             }
         }

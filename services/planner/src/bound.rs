@@ -7,7 +7,7 @@ use crate::problem::{Problem, Work};
 /// The earliest conceivable end of this job, if it had the farm to itself.
 ///
 /// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame
-/// an unbroken stretch of one node after the seed, which takes at least as long as one of its parts; so neither can be beaten. Without calendars the
+/// an unbroken stretch of one node after the shared cache, which takes at least as long as one of its parts; so neither can be beaten. Without calendars the
 /// first is Σ w / Σ s, the second max w / max s (Graham 1969).
 pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let job = work.job;
@@ -21,16 +21,16 @@ pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
             })
             .min()
     };
-    let seeded = match job.seed.zip(work.seed_part()) {
+    let cached = match job.shared_cache.zip(work.shared_cache_part()) {
         None => Some(release),
-        Some((seed, amount)) => earliest(&work.seed_classes, seed.class, release, amount),
+        Some((cache, amount)) => earliest(&work.shared_cache_classes, cache.class, release, amount),
     };
     let Some(longest) = work.frames.iter().map(|frame| frame.work).max() else {
-        return Bound { by_capacity: seeded, by_longest_frame: seeded };
+        return Bound { by_capacity: cached, by_longest_frame: cached };
     };
     Bound {
         by_capacity: by_capacity(problem, &work.classes, job.class, release, work.total()),
-        by_longest_frame: seeded.and_then(|from| earliest(&work.classes, job.class, from, longest)),
+        by_longest_frame: cached.and_then(|from| earliest(&work.classes, job.class, from, longest)),
     }
 }
 

@@ -86,7 +86,7 @@ fn most_in_time(
 fn frames(problem: &Problem, start: &State) -> Option<Vec<(usize, usize)>> {
     let is_simple = problem.jobs.iter().all(|work| {
         let job = work.job;
-        job.deadline.is_some() && job.seed.is_none()
+        job.deadline.is_some() && job.shared_cache.is_none()
     });
     let nothing_kept = start.kept.iter().all(|&kept| kept == 0);
     let frames: Vec<(usize, usize)> = problem

@@ -128,7 +128,7 @@ pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputErro
     for (index, work) in problem.jobs.iter().enumerate() {
         let release = work.release(input.now);
         let first = firsts.get(&work.job.id).copied();
-        let is_empty = work.frames.is_empty() && work.seed.is_none();
+        let is_empty = work.frames.is_empty() && work.shared_cache.is_none();
         if is_empty || first.is_some_and(|first| first <= release) {
             continue;
         }
@@ -148,7 +148,7 @@ fn reason(
     let work = &problem.jobs[index];
     let release = work.release(problem.input.now);
     let Some(first) = first else { return Reason::NoNode };
-    let classes = if work.seed.is_some() { &work.seed_classes } else { &work.classes };
+    let classes = if work.shared_cache.is_some() { &work.shared_cache_classes } else { &work.classes };
     let able: Vec<usize> = classes.iter().flat_map(|&class| problem.classes[class].iter().copied()).collect();
     let opens = able
         .iter()

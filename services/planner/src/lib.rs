@@ -74,7 +74,7 @@ pub use fairness::decayed_usage;
 pub use least::least_cost;
 pub use model::{
     Booking, Bound, Confidence, FixedBooking, Frame, Infeasible, Input, InputError, Interval, Job, JobPlan,
-    Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, Seed, Task, Usage, Verdict,
+    Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, SharedCache, Task, Usage, Verdict,
     WorkTotal,
 };
 pub use replan::{AtRisk, Event, Replanned, mend, replan};

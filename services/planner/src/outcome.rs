@@ -73,9 +73,9 @@ pub(crate) fn costs(rentals: &[Rental], bookings: &[Booking]) -> BTreeMap<u64, i
 
 fn verdict(state: &State, index: usize, bound: Bound) -> Verdict {
     let frames = state.missing(index);
-    let seed = state.misses_seed(index);
-    if !frames.is_empty() || seed {
-        return Verdict::Unplaced { frames, seed };
+    let shared_cache = state.misses_shared_cache(index);
+    if !frames.is_empty() || shared_cache {
+        return Verdict::Unplaced { frames, shared_cache };
     }
     let finish = state.finish(index);
     match state.problem.jobs[index].job.deadline {

@@ -23,14 +23,14 @@ pub(crate) struct Problem<'a> {
 /// A job with its bought work.
 pub(crate) struct Work<'a> {
     pub job: &'a Job,
-    /// Work of the seed.
-    pub seed: Option<u64>,
+    /// Work of the shared cache.
+    pub shared_cache: Option<u64>,
     /// Frames, longest predicted P80 first, then by number.
     pub frames: Vec<FrameWork>,
     /// Classes of nodes that can do its frames' work.
     pub classes: Vec<usize>,
-    /// The same for its seed.
-    pub seed_classes: Vec<usize>,
+    /// The same for its shared cache.
+    pub shared_cache_classes: Vec<usize>,
 }
 
 /// A frame with its bought work.
@@ -101,39 +101,40 @@ impl<'a> Work<'a> {
         };
         Work {
             job,
-            seed: job.bought_seed(),
+            shared_cache: job.bought_shared_cache(),
             frames: frames
                 .iter()
                 .map(|(frame, work)| FrameWork { number: frame.number, work: *work })
                 .collect(),
             classes: able(job.class),
-            seed_classes: job.seed.map_or_else(Vec::new, |seed| able(seed.class)),
+            shared_cache_classes: job.shared_cache.map_or_else(Vec::new, |cache| able(cache.class)),
         }
     }
 
     /// Microseconds that the node takes for a task of this job. None if it cannot do it at all.
     pub fn duration(&self, node: &Node, task: Task) -> Option<i64> {
         match task {
-            Task::Seed | Task::SeedPart { .. } => {
-                node.duration(self.job.seed_work(task)?, self.job.seed?.class)
+            Task::SharedCache | Task::SharedCachePart { .. } => {
+                node.duration(self.job.shared_cache_work(task)?, self.job.shared_cache?.class)
             }
             Task::Frame(number) => node.duration(self.work_of(number)?, self.job.class),
         }
     }
 
-    /// Work of each part of the seed, or of all of it if it is not split.
-    pub fn seed_part(&self) -> Option<u64> {
-        self.job.seed_work(self.job.seed?.tasks().next()?)
+    /// Work of each part of the shared cache, or of all of it if it is not split.
+    pub fn shared_cache_part(&self) -> Option<u64> {
+        self.job.shared_cache_work(self.job.shared_cache?.tasks().next()?)
     }
 
     fn work_of(&self, number: i64) -> Option<u64> {
         self.frames.iter().find(|frame| frame.number == number).map(|frame| frame.work)
     }
 
-    /// Whether there are nodes that can do its frames, and its seed.
+    /// Whether there are nodes that can do its frames, and its shared cache.
     pub fn has_nodes(&self) -> bool {
         let can = |is_wanted: bool, classes: &[usize]| !is_wanted || !classes.is_empty();
-        can(!self.frames.is_empty(), &self.classes) && can(self.seed.is_some(), &self.seed_classes)
+        can(!self.frames.is_empty(), &self.classes)
+            && can(self.shared_cache.is_some(), &self.shared_cache_classes)
     }
 
     /// Work of all frames together.

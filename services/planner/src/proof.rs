@@ -40,8 +40,11 @@ pub(crate) fn value(
         };
         let start = job.release.max(input.now);
         let frames: u128 = job.open_work().map(|(_, work)| u128::from(work)).sum();
-        let seed = job.seed.zip(job.bought_seed()).map(|(seed, work)| (seed.class, u128::from(work)));
-        for (class, work) in [(job.class, frames)].into_iter().chain(seed) {
+        let cache = job
+            .shared_cache
+            .zip(job.bought_shared_cache())
+            .map(|(cache, work)| (cache.class, u128::from(work)));
+        for (class, work) in [(job.class, frames)].into_iter().chain(cache) {
             let least = groups
                 .iter()
                 .filter_map(|group| {

@@ -158,15 +158,16 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
             let booking = old.bookings.iter().find(|booking| (booking.job, booking.task) == (*job, *task));
             if let Some(booking) = booking {
                 let job = own_job(&mut new, *job)?;
-                // It is a fact now, and no longer a task of the job; a seed that is done is a later release.
+                // It is a fact now, and no longer a task of the job; a shared cache that is done is a later release.
                 let facts: Vec<&Booking> = match task.frame() {
-                    // All parts of the seed are, with the one.
+                    // All parts of the shared cache are, with the one.
                     None => {
-                        let of_seed = |other: &&Booking| other.job == booking.job && other.task.is_seed();
-                        let parts: Vec<&Booking> = old.bookings.iter().filter(of_seed).collect();
+                        let of_cache =
+                            |other: &&Booking| other.job == booking.job && other.task.is_shared_cache();
+                        let parts: Vec<&Booking> = old.bookings.iter().filter(of_cache).collect();
                         let others = parts.iter().filter(|part| part.task != *task).map(|part| part.end);
                         let end = others.max().map_or(*until, |end| end.max(*until));
-                        job.seed = None;
+                        job.shared_cache = None;
                         job.release = job.release.max(end);
                         parts
                     }
@@ -232,10 +233,10 @@ fn is_open(state: &State, job: usize) -> bool {
 fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
     let Some(deadline) = state.problem.jobs[job].job.deadline else { return Vec::new() };
     let is_late = |placed: &Placed| placed.end > deadline;
-    // All frames move with the seed.
-    let seed_moves = state.placed[job].iter().any(|placed| placed.task.is_seed() && is_late(placed));
+    // All frames move with the shared cache.
+    let cache_moves = state.placed[job].iter().any(|placed| placed.task.is_shared_cache() && is_late(placed));
     let placed = state.placed[job].iter();
-    let moving: Vec<Placed> = placed.filter(|placed| seed_moves || is_late(placed)).copied().collect();
+    let moving: Vec<Placed> = placed.filter(|placed| cache_moves || is_late(placed)).copied().collect();
     for &placed in &moving {
         state.unbook(job, placed);
     }

@@ -204,7 +204,7 @@ pub(crate) fn place_all(
     let problem = state.problem;
     let work = &problem.jobs[job];
     let latest_end = work.job.deadline.unwrap_or(i64::MAX);
-    if !place_seed(state, job, latest_end) {
+    if !place_shared_cache(state, job, latest_end) {
         return false;
     }
     let missing = state.missing(job);
@@ -257,23 +257,23 @@ fn find_allotted(state: &State, search: &Search, allotment: &mut [Allotted]) -> 
     Some((node, fit))
 }
 
-/// Places the seed, if there is one to place: all frames wait for it, so it is only cheap within twice the shortest wait.
-fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
+/// Places the shared cache, if there is one to place: all frames wait for it, so it is only cheap within twice the shortest wait.
+fn place_shared_cache(state: &mut State, job: usize, latest_end: i64) -> bool {
     let work = &state.problem.jobs[job];
-    let Some((seed, amount)) = work.job.seed.zip(work.seed_part()) else { return true };
+    let Some((cache, amount)) = work.job.shared_cache.zip(work.shared_cache_part()) else { return true };
     let release = work.release(state.problem.input.now);
     let for_others = state.for_others;
     let search = |latest_end, prefer| Search {
-        class_of_work: seed.class,
+        class_of_work: cache.class,
         work: amount,
         release,
         latest_end,
-        classes: &work.seed_classes,
+        classes: &work.shared_cache_classes,
         prefer,
         only: Only::ANY,
         for_others,
     };
-    for task in state.missing_seed(job) {
+    for task in state.missing_cache_parts(job) {
         let Some((node, first)) = state.find(&search(latest_end, Prefer::Early)) else { return false };
         let patience = first.end.saturating_add(first.end.saturating_sub(release)).min(latest_end);
         let (node, fit) = state.find(&search(patience, Prefer::Cheap)).unwrap_or((node, first));
@@ -285,7 +285,7 @@ fn place_seed(state: &mut State, job: usize, latest_end: i64) -> bool {
 /// Places what is missing of a job wherever it ends first.
 pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     let work = &state.problem.jobs[job];
-    if !place_seed(state, job, i64::MAX) {
+    if !place_shared_cache(state, job, i64::MAX) {
         return;
     }
     let missing = state.missing(job);
@@ -321,7 +321,7 @@ pub(crate) fn in_turns(state: &mut State, jobs: &[usize]) {
     let mut frames: Vec<std::vec::IntoIter<(i64, u64)>> = vec![Vec::new().into_iter(); problem.jobs.len()];
     for &job in jobs {
         let work = &problem.jobs[job];
-        if !place_seed(state, job, i64::MAX) {
+        if !place_shared_cache(state, job, i64::MAX) {
             continue;
         }
         let missing = state.missing(job);
@@ -396,7 +396,7 @@ fn within_budget(state: &mut State, job: usize) {
 /// Places all missing frames of a job at the least price that ends by this instant.
 fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
     let work = &state.problem.jobs[job];
-    if !place_seed(state, job, by) {
+    if !place_shared_cache(state, job, by) {
         return false;
     }
     let missing = state.missing(job);

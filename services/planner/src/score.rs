@@ -24,7 +24,7 @@ impl Score {
         };
         let mut score = Score { broken: broken(problem, is_late), unplaced: 0, lateness: 0, cost: 0 };
         for (job, work) in problem.jobs.iter().enumerate() {
-            score.unplaced += state.missing(job).len() + usize::from(state.misses_seed(job));
+            score.unplaced += state.missing(job).len() + usize::from(state.misses_shared_cache(job));
             if let Some(deadline) = work.job.deadline {
                 score.lateness += (i128::from(state.finish(job)) - i128::from(deadline)).max(0);
             }

@@ -42,7 +42,7 @@ impl JobRisk {
 ///
 /// The work of a job's frames is its forecast median times a factor that all its frames share, whose quantiles are those of the
 /// job's total, times a factor of its own. Every node renders what the plan gave it in the plan's order: each task as soon
-/// as the node is done with the one before, its job is released and its seed done, in the first free stretch that is
+/// as the node is done with the one before, its job is released and its shared cache filled, in the first free stretch that is
 /// long enough. Costs vary with rented time; set-ups and
 /// rounding to steps stay what they are in the plan.
 ///
@@ -206,7 +206,7 @@ fn carry_out(
         let end = first_end(problem, task, free_from[task.node].max(ready[task.job]), length);
         visit(task, if end < i64::MAX { end - length } else { end }, end);
         free_from[task.node] = end;
-        if task.task.is_seed() {
+        if task.task.is_shared_cache() {
             ready[task.job] = ready[task.job].max(end);
         }
         ends[task.job] = ends[task.job].max(end);

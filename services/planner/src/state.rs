@@ -2,7 +2,7 @@
 
 use crate::admission::{Admission, IN_A_MICRO_UNIT};
 use crate::lane::{Fit, Lane, Market, Prefer, Wanted};
-use crate::model::{Booking, Seed, Task};
+use crate::model::{Booking, SharedCache, Task};
 use crate::problem::Problem;
 
 /// A task's place.
@@ -104,10 +104,10 @@ impl<'p, 'a> State<'p, 'a> {
         }
     }
 
-    /// Keeps what is right of these bookings; seeds come first, so that frames can be judged by them.
+    /// Keeps what is right of these bookings; shared caches come first, so that frames can be judged by them.
     pub fn keep(&mut self, bookings: &[Booking]) {
         let mut sorted = bookings.to_vec();
-        sorted.sort_unstable_by_key(|booking| (!booking.task.is_seed(), *booking));
+        sorted.sort_unstable_by_key(|booking| (!booking.task.is_shared_cache(), *booking));
         sorted.dedup();
         sorted.iter().for_each(|booking| self.keep_one(booking));
     }
@@ -134,19 +134,19 @@ impl<'p, 'a> State<'p, 'a> {
         Booking { start, node: self.problem.nodes[node].id, job: self.problem.jobs[job].job.id, task, end }
     }
 
-    /// Before this instant the task cannot start: release, and for frames the end of the seed. None if the seed
+    /// Before this instant the task cannot start: release, and for frames the end of the shared cache. None if the shared cache
     /// has no place yet.
     pub fn earliest(&self, job: usize, task: Task) -> Option<i64> {
         let work = &self.problem.jobs[job];
         let release = work.release(self.problem.input.now);
-        if work.seed.is_none() || task.is_seed() {
+        if work.shared_cache.is_none() || task.is_shared_cache() {
             return Some(release);
         }
-        if self.misses_seed(job) {
+        if self.misses_shared_cache(job) {
             return None;
         }
-        let seeds = self.placed[job].iter().filter(|placed| placed.task.is_seed());
-        seeds.map(|seed| seed.end.max(release)).max()
+        let cache_parts = self.placed[job].iter().filter(|placed| placed.task.is_shared_cache());
+        cache_parts.map(|part| part.end.max(release)).max()
     }
 
     /// The best place on these classes of nodes; among equals, on the node with the least id.
@@ -251,26 +251,26 @@ impl<'p, 'a> State<'p, 'a> {
         missing
     }
 
-    /// The tasks of the seed that have no place.
-    pub fn missing_seed(&self, job: usize) -> Vec<Task> {
-        let all = self.problem.jobs[job].job.seed.into_iter().flat_map(Seed::tasks);
+    /// The tasks of the shared cache that have no place.
+    pub fn missing_cache_parts(&self, job: usize) -> Vec<Task> {
+        let all = self.problem.jobs[job].job.shared_cache.into_iter().flat_map(SharedCache::tasks);
         all.filter(|&task| !self.placed[job].iter().any(|placed| placed.task == task)).collect()
     }
 
-    /// Whether the seed, or a part of it, has no place although there is one.
-    pub fn misses_seed(&self, job: usize) -> bool {
-        !self.missing_seed(job).is_empty()
+    /// Whether the shared cache, or a part of it, has no place although there is one.
+    pub fn misses_shared_cache(&self, job: usize) -> bool {
+        !self.missing_cache_parts(job).is_empty()
     }
 
-    /// How many frames have no place, the seed's tasks included.
+    /// How many frames have no place, the shared cache's tasks included.
     pub fn missing_tasks(&self, job: usize) -> usize {
-        self.missing(job).len() + self.missing_seed(job).len()
+        self.missing(job).len() + self.missing_cache_parts(job).len()
     }
 
     /// Whether all is placed, and by the deadline if there is one.
     pub fn is_kept(&self, job: usize) -> bool {
         let deadline = self.problem.jobs[job].job.deadline;
-        !self.misses_seed(job)
+        !self.misses_shared_cache(job)
             && self.missing(job).is_empty()
             && deadline.is_none_or(|deadline| self.finish(job) <= deadline)
     }
@@ -279,7 +279,9 @@ impl<'p, 'a> State<'p, 'a> {
 /// Whether a frame that has the one cannot also have the other.
 fn excludes(one: Task, other: Task) -> bool {
     match (one, other) {
-        (Task::SeedPart { part: p, parts: m }, Task::SeedPart { part: q, parts: n }) => p == q || m != n,
+        (Task::SharedCachePart { part: p, parts: m }, Task::SharedCachePart { part: q, parts: n }) => {
+            p == q || m != n
+        }
         _ => one.frame() == other.frame(),
     }
 }

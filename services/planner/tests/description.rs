@@ -34,7 +34,7 @@ fn frames_lie_on_nodes_with_the_memory_and_the_cores_that_their_job_needs() {
         [node("small", 8, 0, 4), node("large", 64, 0, 8), node("many", 8, 0, 16), node("gpu", 64, 24, 32)];
     let needs = [
         ("anything", ""),
-        ("memory", r#", "memory_gib": 9, "seed_hours": 1"#),
+        ("memory", r#", "memory_gib": 9, "shared_cache_hours": 1"#),
         ("cores", r#", "cores": 9"#),
         ("gpu", r#", "gpu_memory_gib": 24"#),
         ("nothing", r#", "memory_gib": 65"#),

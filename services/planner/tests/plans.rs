@@ -143,7 +143,7 @@ fn a_deadline_in_the_past_is_late_and_cannot_be_helped() {
 #[test]
 fn an_empty_farm_places_nothing_and_says_so() {
     let found = sound(&input(vec![], vec![job(1, Some(HOUR), &[10, 20])]));
-    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0, 1], seed: false });
+    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0, 1], shared_cache: false });
     assert_eq!(found.jobs[0].bound.earliest_finish(), None);
     assert!(found.bookings.is_empty());
 }
@@ -153,7 +153,7 @@ fn a_frame_that_fits_no_gap_is_unplaced_and_the_others_are_not() {
     let mut one = node(1, 1);
     one.calendar = vec![Interval { start: 0, end: Some(10 * SECOND) }];
     let found = sound(&input(vec![one], vec![job(1, None, &[11, 10])]));
-    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0], seed: false });
+    assert_eq!(found.jobs[0].verdict, Verdict::Unplaced { frames: vec![0], shared_cache: false });
     assert_eq!(found.bookings.len(), 1);
 }
 
@@ -179,7 +179,7 @@ fn absurd_numbers_give_a_verdict() {
     let found =
         sound(&input(vec![dear, endless], vec![vast, Job { release: i64::MAX, ..job(2, None, &[1]) }]));
     assert!(matches!(found.jobs[0].verdict, Verdict::Late { unavoidable: true, .. }));
-    assert_eq!(found.jobs[1].verdict, Verdict::Unplaced { frames: vec![0], seed: false });
+    assert_eq!(found.jobs[1].verdict, Verdict::Unplaced { frames: vec![0], shared_cache: false });
     assert_eq!(found.jobs[0].within_budget, Some(false));
 }
 

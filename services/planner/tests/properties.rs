@@ -214,7 +214,7 @@ proptest! {
     }
 }
 
-/// All deadlines far enough away, everything else random: the plans of these farms are rich in calendars, seeds,
+/// All deadlines far enough away, everything else random: the plans of these farms are rich in calendars, shared caches,
 /// set-ups and steps.
 fn studio_input() -> impl Strategy<Value = Input> {
     (1u64..12, 1u64..60, 1u64..20, 1u64..8, any::<u64>(), 0usize..4).prop_map(
@@ -223,7 +223,7 @@ fn studio_input() -> impl Strategy<Value = Input> {
             // Some jobs without a deadline, so that turns are taken.
             input.jobs.iter_mut().take(without).for_each(|job| job.deadline = None);
             for job in &mut input.jobs {
-                job.seed.iter_mut().for_each(|seed| seed.parts = (job.id % 4) as u32);
+                job.shared_cache.iter_mut().for_each(|cache| cache.parts = (job.id % 4) as u32);
             }
             input
         },

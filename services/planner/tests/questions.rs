@@ -1,9 +1,9 @@
 //! What people ask, on farms small enough to know the answer.
 
 use forelight_planner::{
-    Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, Seed, Task, Usage, Verdict,
-    WorkTotal, difference, earliest_for_budget, explain, outlook, plan, replan, simulate, verify, ways_out,
-    what_if,
+    Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, SharedCache, Task, Usage,
+    Verdict, WorkTotal, difference, earliest_for_budget, explain, outlook, plan, replan, simulate, verify,
+    ways_out, what_if,
 };
 
 const HOUR: i64 = 3_600_000_000;
@@ -60,19 +60,23 @@ fn the_bound_of_a_plan_that_uses_all_cheap_time_is_its_cost() {
 }
 
 #[test]
-fn frames_wait_for_their_seed() {
-    let seeded = Job { seed: Some(Seed { class: 0, work: 3600, parts: 1 }), ..job(1, None, &[2, 2]) };
-    let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![seeded]));
+fn frames_wait_for_their_shared_cache() {
+    let cached =
+        Job { shared_cache: Some(SharedCache { class: 0, work: 3600, parts: 1 }), ..job(1, None, &[2, 2]) };
+    let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![cached]));
     assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
-    // In two parts the seed takes both nodes for half as long.
-    let split = Job { seed: Some(Seed { class: 0, work: 7200, parts: 2 }), ..job(1, None, &[2, 2]) };
+    // In two parts the shared cache takes both nodes for half as long.
+    let split =
+        Job { shared_cache: Some(SharedCache { class: 0, work: 7200, parts: 2 }), ..job(1, None, &[2, 2]) };
     let split = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![split]));
     assert_eq!(split.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
-    let parts = [0, 1].map(|part| Task::SeedPart { part, parts: 2 });
-    let seeds: Vec<_> = split.bookings.iter().filter(|booking| booking.task.is_seed()).collect();
-    assert_eq!(seeds.iter().map(|booking| booking.task).collect::<Vec<_>>(), parts);
+    let parts = [0, 1].map(|part| Task::SharedCachePart { part, parts: 2 });
+    let cache_parts: Vec<_> =
+        split.bookings.iter().filter(|booking| booking.task.is_shared_cache()).collect();
+    assert_eq!(cache_parts.iter().map(|booking| booking.task).collect::<Vec<_>>(), parts);
     assert!(
-        seeds.iter().all(|booking| booking.end - booking.start == HOUR) && seeds[0].node != seeds[1].node
+        cache_parts.iter().all(|booking| booking.end - booking.start == HOUR)
+            && cache_parts[0].node != cache_parts[1].node
     );
 }
 

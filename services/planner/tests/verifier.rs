@@ -128,9 +128,11 @@ fn wrong_words_about_a_job_are_found() {
 
 #[test]
 fn frames_wrongly_called_unplaced_are_found() {
-    let booked = faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![0, 1], seed: false });
+    let booked =
+        faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![0, 1], shared_cache: false });
     assert!(booked.iter().any(|v| matches!(v, Violation::Twice { job: 2, task: Task::Frame(0) })));
-    let unknown = faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![1, 5], seed: false });
+    let unknown =
+        faults(|p| p.jobs[1].verdict = Verdict::Unplaced { frames: vec![1, 5], shared_cache: false });
     assert!(unknown.iter().any(|v| matches!(v, Violation::UnknownUnplaced { job: 2, task: Task::Frame(5) })));
 }
 

@@ -196,7 +196,7 @@ pub struct CachePrice {
 
 /// The shared irradiance cache as a line of the quote. It is not part of any frame's cost.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-pub struct SeedForecast {
+pub struct SharedCacheForecast {
     /// Number of records, by level.
     pub records: Vec<u32>,
     /// Number of parts, which can be filled at the same time.
@@ -225,20 +225,20 @@ pub struct CacheQuote {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shared_price: Option<CachePrice>,
     /// The shared cache that is made before the frames. Absent if each frame makes its own.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub seed: Option<SeedForecast>,
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "seed")]
+    pub shared_cache: Option<SharedCacheForecast>,
 }
 
 impl CacheQuote {
     /// CPU seconds of the shared cache, on a node of speed 1. Zero if each frame makes its own.
-    pub fn seed_seconds(&self) -> Quantiles {
-        self.seed.as_ref().map(|seed| seed.cpu_seconds).unwrap_or_default()
+    pub fn shared_cache_seconds(&self) -> Quantiles {
+        self.shared_cache.as_ref().map(|cache| cache.cpu_seconds).unwrap_or_default()
     }
 }
 
 /// Progress of a job's shared irradiance cache.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
-pub struct SeedProgress {
+pub struct SharedCacheProgress {
     /// Number of parts to fill, over all rounds.
     pub parts: u32,
     /// Number of parts that are filled.

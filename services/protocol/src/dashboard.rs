@@ -5,7 +5,7 @@ use utoipa::ToSchema;
 
 use crate::{
     Booking, Event, JobId, JobState, LiveForecast, Money, MoneyQuantiles, Node, Promise, QuantileHits,
-    Quantiles, SeedProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
+    Quantiles, SharedCacheProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
 };
 
 /// Number of tasks by state.
@@ -63,8 +63,8 @@ pub struct DashboardJob {
     /// Share of the forecast work that is done, 0 to 1.
     pub progress: f64,
     /// Progress of the irradiance cache that its frames share. Absent if they do not share one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub seed: Option<SeedProgress>,
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "seed")]
+    pub shared_cache: Option<SharedCacheProgress>,
     /// Its deadline. Absent if it has none.
     pub deadline: Option<Timestamp>,
     /// Whether deadline and budget can be kept, by the newest plan. Absent until it is planned.

@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobState, JobVerdict,
     Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles, RenderSettings,
-    RenderSettingsRequest, RenderStats, SceneSummary, SeedProgress, TaskLimits, Timestamp, Waits,
+    RenderSettingsRequest, RenderStats, SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, Waits,
 };
 
 /// Request for a new job.
@@ -138,8 +138,8 @@ pub struct Job {
     #[serde(default)]
     pub cache: CacheSharing,
     /// Progress of the irradiance cache that its frames share. Absent if they do not share one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub seed: Option<SeedProgress>,
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "seed")]
+    pub shared_cache: Option<SharedCacheProgress>,
     /// Number of pixels to profile per profiled frame.
     pub samples: u32,
     /// Largest number of frames to profile. Absent if the service decides.

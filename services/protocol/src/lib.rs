@@ -70,8 +70,8 @@ pub use budget::{
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use cache::{
     CACHE_BYTES, CACHE_ROUNDS, CacheFillResult, CacheFillSpec, CacheFrame, CacheMergeResult, CacheMergeSpec,
-    CachePlanResult, CachePlanSpec, CachePrice, CacheQuote, CacheSharing, PlanCount, SeedForecast,
-    SeedProgress,
+    CachePlanResult, CachePlanSpec, CachePrice, CacheQuote, CacheSharing, PlanCount, SharedCacheForecast,
+    SharedCacheProgress,
 };
 pub use calendar::{
     MOST_WINDOWS, MalformedCalendar, NodeCalendar, NodePower, NodeWindow, PowerState, TimeSpan, WindowEnd,
@@ -111,7 +111,7 @@ pub use node::{
 pub use page::PageToken;
 pub use plan::{
     Booking, BookingPage, FrameMove, FramePlace, JobVerdict, Plan, PlanDifference, PlanPage, PlanReason,
-    PlanSummary, SeedBooking, Verdict, VerdictChange,
+    PlanSummary, SharedCacheBooking, Verdict, VerdictChange,
 };
 pub use problem::{Problem, ProblemKind};
 pub use profile::{

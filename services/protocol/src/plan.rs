@@ -92,7 +92,7 @@ pub struct Booking {
 
 /// A node that is reserved for a part of a job's shared irradiance cache, before its frames.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
-pub struct SeedBooking {
+pub struct SharedCacheBooking {
     /// The job.
     pub job_id: JobId,
     /// The part, from 0.
@@ -135,8 +135,8 @@ pub struct Plan {
     /// keep their earlier bookings.
     pub bookings: Vec<Booking>,
     /// Bookings of shared irradiance caches, by start.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub seeds: Vec<SeedBooking>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty", alias = "seeds")]
+    pub shared_cache_bookings: Vec<SharedCacheBooking>,
 }
 
 /// A plan in a list.

@@ -64,7 +64,7 @@ pub struct JobForecast {
 impl JobForecast {
     /// CPU seconds for the irradiance cache that the frames share; zero if they do not.
     pub fn shared_cache_seconds(&self) -> Quantiles {
-        self.cache.as_ref().map(CacheQuote::seed_seconds).unwrap_or_default()
+        self.cache.as_ref().map(CacheQuote::shared_cache_seconds).unwrap_or_default()
     }
 
     /// The document for people and programs, with the shot that it is of and the forecasts of its frames.

@@ -11,7 +11,7 @@ use forelight_forecast::{
 };
 use forelight_protocol::{
     CACHE_BYTES, CacheMode, CachePrice, CacheQuote, CacheSharing, PreviewResult, RenderSettings,
-    SeedForecast, at_speed_one,
+    SharedCacheForecast, at_speed_one,
 };
 
 use crate::error::QuoteError;
@@ -53,7 +53,7 @@ pub fn quote(
         reason: String::new(),
         private_price,
         shared_price: None,
-        seed: None,
+        shared_cache: None,
     };
     let Some(shared) = measured.shared else {
         answer.reason = match asked {
@@ -83,7 +83,7 @@ pub fn quote(
     let spent = &mut chosen.job.spent;
     spent.work = spent.work.saturating_add(plan.spent.work);
     spent.cpu_seconds += plan.spent.cpu_nanos as f64 * 1e-9;
-    let all = chosen.job.total.work.mean + answer.seed.as_ref().map_or(0.0, |seed| seed.work.mean);
+    let all = chosen.job.total.work.mean + answer.shared_cache.as_ref().map_or(0.0, |cache| cache.work.mean);
     spent.fraction_of_forecast = if all > 0.0 { spent.work as f64 / all } else { 0.0 };
     chosen.job.cache = Some(answer);
     Ok(chosen)
@@ -92,7 +92,7 @@ pub fn quote(
 /// The frames beside a shared cache, and the cache.
 struct SharedQuote {
     frames: Quote,
-    cache: SeedForecast,
+    cache: SharedCacheForecast,
     price: CachePrice,
 }
 
@@ -135,7 +135,7 @@ fn choose(
     if !answer.shared {
         return private;
     }
-    answer.seed = Some(shared.cache);
+    answer.shared_cache = Some(shared.cache);
     Quote { shared_cache: Some(planned), ..shared.frames }
 }
 
@@ -172,7 +172,7 @@ fn forecast_cache(
     records: &[u32],
     measured: &Measured<'_>,
     corrections: Option<&Corrections>,
-) -> Result<SeedForecast, QuoteError> {
+) -> Result<SharedCacheForecast, QuoteError> {
     let preview = measured.preview;
     let prior_cost = preview.record_prior_cost.unwrap_or(1.0);
     let (strata, mut frames, places) = records_alone(preview.background_prior_cost, prior_cost, records);
@@ -202,7 +202,7 @@ fn forecast_cache(
         None => shot,
     };
     let seconds = |quantity: &Quantity| quantiles(quantity, 1e-9);
-    Ok(SeedForecast {
+    Ok(SharedCacheForecast {
         records: records.to_vec(),
         parts: 1,
         work: quantiles(&shot.total.work, 1.0),

@@ -58,7 +58,7 @@ pub enum Refusal {
     NotWaiting,
     /// The job's shared cache is not filled.
     #[error("the job's shared cache is not filled")]
-    NoSeed,
+    NoSharedCache,
     /// The node cannot do work of this class.
     #[error("the node cannot do this class of work")]
     Unfit,
@@ -296,13 +296,13 @@ impl<'w> Farm<'w> {
     }
 
     /// Whether the shared cache is filled, or there is none.
-    pub(crate) fn has_seed(&self, job: usize) -> bool {
+    pub(crate) fn has_shared_cache(&self, job: usize) -> bool {
         let entry = &self.jobs[job];
         entry
             .truth
             .iter()
             .zip(&entry.tasks)
-            .take_while(|(truth, _)| truth.task.is_seed())
+            .take_while(|(truth, _)| truth.task.is_shared_cache())
             .all(|(_, &state)| state == TaskState::Done)
     }
 
@@ -365,8 +365,8 @@ impl<'w> Farm<'w> {
             return Err(Refusal::NotWaiting);
         }
         let truth = &entry.truth[task];
-        if !truth.task.is_seed() && !self.has_seed(job) {
-            return Err(Refusal::NoSeed);
+        if !truth.task.is_shared_cache() && !self.has_shared_cache(job) {
+            return Err(Refusal::NoSharedCache);
         }
         if machine.speed_of(truth.class) == 0 {
             return Err(Refusal::Unfit);

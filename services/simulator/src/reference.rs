@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use forelight_planner::chance::{between, bits, normal, uniform};
-use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, Seed, WorkTotal};
+use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, SharedCache, WorkTotal};
 
 const SECOND: i64 = 1_000_000;
 const MINUTE: i64 = 60 * SECOND;
@@ -131,7 +131,11 @@ fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
         deadline: Some(deadline / MINUTE * MINUTE),
         confidence: [Confidence::P50, Confidence::P80, Confidence::P95][pick(0, 3) as usize],
         total: WorkTotal { p50: total, p80: total + total / 8, p95: total + total / 4 },
-        seed: (pick(1, 5) == 0).then_some(Seed { class, work: typical as u64 / 2, ..Seed::default() }),
+        shared_cache: (pick(1, 5) == 0).then_some(SharedCache {
+            class,
+            work: typical as u64 / 2,
+            ..SharedCache::default()
+        }),
         frames,
         ..Job::default()
     }

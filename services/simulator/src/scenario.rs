@@ -1,7 +1,7 @@
 //! Worlds to simulate.
 
 use forelight_planner::chance::{between, bits};
-use forelight_planner::{Confidence, Input, InputError, Interval, Project, Seed};
+use forelight_planner::{Confidence, Input, InputError, Interval, Project, SharedCache};
 use serde::{Deserialize, Serialize};
 
 use crate::reference::{self, Size};
@@ -102,8 +102,11 @@ pub fn studio(scenario: Scenario, seed: u64) -> Input {
         }
         let total = &mut job.total;
         (total.p50, total.p80, total.p95) = (scaled(total.p50), scaled(total.p80), scaled(total.p95));
-        job.seed =
-            job.seed.map(|seed| Seed { work: scaled(seed.work), parts: scenario.parts.max(1), ..seed });
+        job.shared_cache = job.shared_cache.map(|cache| SharedCache {
+            work: scaled(cache.work),
+            parts: scenario.parts.max(1),
+            ..cache
+        });
         job.project = Some(1 + bits(seed, &[103, job.id]) % PROJECTS);
         job.priority = (bits(seed, &[104, job.id]) % 3) as i32;
         if let Some(confidence) = scenario.confidence {

@@ -107,10 +107,10 @@ impl World {
             };
             let done: std::collections::BTreeSet<i64> = job.done.iter().copied().collect();
             let mut of_job: Vec<TrueTask> = Vec::with_capacity(job.frames.len() + 1);
-            if let Some(seed) = job.seed {
-                let median = seed.work.div_ceil(u64::from(seed.parts.max(1)));
+            if let Some(cache) = job.shared_cache {
+                let median = cache.work.div_ceil(u64::from(cache.parts.max(1)));
                 let work = drawn(median, 1.0);
-                of_job.extend(seed.tasks().map(|task| TrueTask { task, median, work, class: seed.class }));
+                of_job.extend(cache.tasks().map(|task| TrueTask { task, median, work, class: cache.class }));
             }
             for frame in job.frames.iter().filter(|frame| !done.contains(&frame.number)) {
                 let spread = job.own_spread(frame) * chances.spread;
@@ -145,9 +145,10 @@ impl World {
         if shared {
             return tasks.collect();
         }
-        let (seeds, frames): (Vec<TrueTask>, Vec<TrueTask>) = tasks.partition(|task| task.task.is_seed());
+        let (cache_parts, frames): (Vec<TrueTask>, Vec<TrueTask>) =
+            tasks.partition(|task| task.task.is_shared_cache());
         let own = |of: fn(&TrueTask) -> u64| {
-            let all = seeds.iter().fold(0u64, |sum, part| sum.saturating_add(of(part)));
+            let all = cache_parts.iter().fold(0u64, |sum, part| sum.saturating_add(of(part)));
             (all as f64 * self.chances.own_cache).round() as u64
         };
         let (median, work) = (own(|task| task.median), own(|task| task.work));
@@ -183,11 +184,12 @@ impl World {
             if self.chances.own_cache > 0.0 {
                 // Own caches cost at least this much more on the same nodes, if they are the same.
                 let all = (before as f64 * self.chances.own_cache).round() as u64;
-                let same = job.seed.is_some_and(|seed| seed.class == job.class);
+                let same = job.shared_cache.is_some_and(|cache| cache.class == job.class);
                 let least = before.min(all.saturating_mul(frames.len() as u64));
                 before = if same { least } else { 0 };
             }
-            job.seed = job.seed.map(|seed| forelight_planner::Seed { work: before, ..seed });
+            job.shared_cache =
+                job.shared_cache.map(|cache| forelight_planner::SharedCache { work: before, ..cache });
             let total = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
             job.total = forelight_planner::WorkTotal { p50: total, p80: total, p95: total };
             job.frames = frames;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, Seed, Task, WorkTotal};
+use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, SharedCache, Task, WorkTotal};
 use forelight_simulator::{
     Attempt, Chances, Farm, Outcome, Policy, PolicyKind, Record, Refusal, Scenario, World, report, run,
     studio,
@@ -38,11 +38,17 @@ fn check(world: &World, record: &Record, may_leave: bool) {
             assert!(is_once, "job {}, frame {} was done {whole} times", job.id, frame.number);
         }
         // The shared cache is filled once and entirely, or left to the frames if they may.
-        let seeds: Vec<u32> = job.seed.iter().flat_map(|seed| seed.tasks()).map(times).collect();
-        let shares = seeds.iter().all(|&times| times == 1);
-        let leaves = may_leave && record.attempts.iter().all(|a| a.job != job.id || !a.task.is_seed());
-        assert!(shares || leaves || entry.withdrawn.is_some(), "job {}: seeds {seeds:?}", job.id);
-        assert!(seeds.iter().all(|&times| times <= 1));
+        let cache_parts: Vec<u32> =
+            job.shared_cache.iter().flat_map(|cache| cache.tasks()).map(times).collect();
+        let shares = cache_parts.iter().all(|&times| times == 1);
+        let leaves =
+            may_leave && record.attempts.iter().all(|a| a.job != job.id || !a.task.is_shared_cache());
+        assert!(
+            shares || leaves || entry.withdrawn.is_some(),
+            "job {}: parts of the cache {cache_parts:?}",
+            job.id
+        );
+        assert!(cache_parts.iter().all(|&times| times <= 1));
         let of_job = || record.attempts.iter().filter(|attempt| attempt.job == job.id);
         let over = entry.withdrawn.or(entry.finish).unwrap_or(i64::MAX);
         for attempt in of_job() {
@@ -51,11 +57,12 @@ fn check(world: &World, record: &Record, may_leave: bool) {
         let last =
             of_job().filter(|attempt| attempt.outcome == Outcome::Done).map(|attempt| attempt.end).max();
         assert!(entry.finish.is_none() || entry.finish == last.or(Some(job.release)));
-        let seeded = of_job().filter(|a| a.task.is_seed() && a.outcome == Outcome::Done).map(|a| a.end).max();
-        if job.seed.is_some() && !leaves {
-            for frame in of_job().filter(|attempt| !attempt.task.is_seed()) {
+        let filled =
+            of_job().filter(|a| a.task.is_shared_cache() && a.outcome == Outcome::Done).map(|a| a.end).max();
+        if job.shared_cache.is_some() && !leaves {
+            for frame in of_job().filter(|attempt| !attempt.task.is_shared_cache()) {
                 assert!(
-                    seeded.is_some_and(|seeded| seeded <= frame.start),
+                    filled.is_some_and(|filled| filled <= frame.start),
                     "{frame:?} came before its shared cache"
                 );
             }
@@ -96,12 +103,13 @@ fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> Wor
     let mut input = studio(scenario, seed);
     // Something for every rule to refuse.
     for job in input.jobs.iter_mut().filter(|job| job.id % 3 == 0) {
-        job.seed = Some(Seed { class: job.class, work: 1_000_000_000_000, parts: 1 + (job.id % 4) as u32 });
+        job.shared_cache =
+            Some(SharedCache { class: job.class, work: 1_000_000_000_000, parts: 1 + (job.id % 4) as u32 });
     }
     // Ten nodes may have no GPU, and too little memory.
     for job in &mut input.jobs {
         job.class = 0;
-        job.seed = job.seed.map(|seed| Seed { class: 0, ..seed });
+        job.shared_cache = job.shared_cache.map(|cache| SharedCache { class: 0, ..cache });
     }
     World::new(input, Chances { seed, ..chances }).unwrap()
 }
@@ -133,7 +141,7 @@ proptest! {
         check(&world, &record, own_cache > 0.0);
         // Today's farm managers know no shared cache.
         let is_ours = kind == PolicyKind::Planned;
-        prop_assert!(is_ours || own_cache == 0.0 || !record.attempts.iter().any(|a| a.task.is_seed()));
+        prop_assert!(is_ours || own_cache == 0.0 || !record.attempts.iter().any(|a| a.task.is_shared_cache()));
         let bound = world.least_cost().unwrap();
         let report = report(&world, kind, pool, plans, bound, &record);
         prop_assert_eq!(report.cost, record.rentals.iter().map(|rental| rental.cost).sum::<i64>());
@@ -192,7 +200,13 @@ fn forecasts_that_are_too_low_are_seen_through() {
 }
 
 /// Nodes at speed 1, and one job of frames of eight hours, due in `deadline` hours. True work is as forecast.
-fn eight_hours(nodes: u64, frames: i64, deadline: i64, seed: Option<Seed>, chances: Chances) -> World {
+fn eight_hours(
+    nodes: u64,
+    frames: i64,
+    deadline: i64,
+    shared_cache: Option<SharedCache>,
+    chances: Chances,
+) -> World {
     let node = |id| Node {
         id,
         speed: 1,
@@ -207,7 +221,7 @@ fn eight_hours(nodes: u64, frames: i64, deadline: i64, seed: Option<Seed>, chanc
         confidence: Confidence::P80,
         total: WorkTotal { p50: work, p80: work, p95: work },
         frames: (0..frames).map(|number| Frame { number, work: 8 * 3600, work_p80: 8 * 3600 }).collect(),
-        seed,
+        shared_cache,
         ..Job::default()
     };
     let input = Input { nodes: (0..nodes).map(node).collect(), jobs: vec![job], ..Input::default() };
@@ -227,11 +241,12 @@ const QUIET: Chances = Chances {
 
 #[test]
 fn a_shared_cache_is_filled_in_parts_at_once_and_whoever_knows_none_fills_one_for_each_frame() {
-    let seed = Seed { class: 0, work: 6 * 3600, parts: 3 };
-    let world = eight_hours(3, 3, 40, Some(seed), Chances { own_cache: 0.5, ..QUIET });
+    let cache = SharedCache { class: 0, work: 6 * 3600, parts: 3 };
+    let world = eight_hours(3, 3, 40, Some(cache), Chances { own_cache: 0.5, ..QUIET });
     let (ours, _) = simulated(&world, PolicyKind::Planned, 100);
     check(&world, &ours, true);
-    let parts: Vec<&Attempt> = ours.attempts.iter().filter(|attempt| attempt.task.is_seed()).collect();
+    let parts: Vec<&Attempt> =
+        ours.attempts.iter().filter(|attempt| attempt.task.is_shared_cache()).collect();
     assert!(
         parts.len() == 3 && parts.iter().all(|part| (part.start, part.end) == (0, 2 * HOUR)),
         "{parts:?}"
@@ -241,7 +256,8 @@ fn a_shared_cache_is_filled_in_parts_at_once_and_whoever_knows_none_fills_one_fo
     check(&world, &today, true);
     assert!(today.attempts.iter().all(|frame| frame.end - frame.start == 11 * HOUR), "{today:?}");
     // A single frame does not need a shared cache: its own takes half as much.
-    let alone = eight_hours(1, 1, 40, Some(Seed { parts: 1, ..seed }), Chances { own_cache: 0.5, ..QUIET });
+    let alone =
+        eight_hours(1, 1, 40, Some(SharedCache { parts: 1, ..cache }), Chances { own_cache: 0.5, ..QUIET });
     let (alone, _) = simulated(&alone, PolicyKind::Planned, 100);
     assert_eq!(alone.jobs[0].finish, Some(11 * HOUR));
 }
@@ -271,13 +287,18 @@ impl Policy for Forbidden {
 }
 
 #[test]
-fn a_task_starts_once_after_its_seed_and_alone_on_its_node() {
-    let seed = Seed { class: 0, work: 3600, parts: 1 };
-    let world = eight_hours(2, 1, 40, Some(seed), QUIET);
+fn a_task_starts_once_after_its_shared_cache_and_alone_on_its_node() {
+    let cache = SharedCache { class: 0, work: 3600, parts: 1 };
+    let world = eight_hours(2, 1, 40, Some(cache), QUIET);
     let mut policy = Forbidden(Vec::new());
     let record = run(&world, &mut policy, |_, _| {});
     check(&world, &record, false);
-    let expected =
-        [Refusal::NoSeed, Refusal::NotWaiting, Refusal::NotIdle, Refusal::NotWaiting, Refusal::NoSeed];
+    let expected = [
+        Refusal::NoSharedCache,
+        Refusal::NotWaiting,
+        Refusal::NotIdle,
+        Refusal::NotWaiting,
+        Refusal::NoSharedCache,
+    ];
     assert_eq!(policy.0, expected);
 }

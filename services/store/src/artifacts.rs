@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 use self::remote::Remote;
 use crate::error::StoreError;
-use crate::writing::Writer;
+use crate::writing::{Writer, ask};
 
 pub use self::place::{ArtifactPlace, BadPlace};
 pub use self::reader::ArtifactReader;
@@ -177,13 +177,16 @@ impl Artifacts {
         now: Timestamp,
     ) -> Result<ArtifactStored, StoreError> {
         let mut write = self.writer.write().await?;
-        let inserted = write
-            .ask("INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING RETURNING size")
-            .bind(hash.0.to_vec())
-            .bind(i64::try_from(size).unwrap_or(i64::MAX))
-            .bind(now.micros())
-            .first_row()
-            .await?;
+        let inserted: Option<(i64,)> = ask!(
+            write,
+            "INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING \
+             RETURNING size",
+            &hash.0[..],
+            i64::try_from(size).unwrap_or(i64::MAX),
+            now.micros()
+        )
+        .first_row()
+        .await?;
         self.writer.commit(write).await?;
         Ok(ArtifactStored { hash, size, existed: inserted.is_none() })
     }
@@ -205,11 +208,10 @@ impl Artifacts {
 
     /// The artefact's length in bytes.
     pub async fn size(&self, hash: ArtifactHash) -> Result<u64, StoreError> {
-        let size: Option<i64> = sqlx::query_scalar("SELECT size FROM artifacts WHERE hash = ?")
-            .bind(&hash.0[..])
+        sqlx::query_scalar!("SELECT size FROM artifacts WHERE hash = ?", &hash.0[..])
             .fetch_optional(&self.readers)
-            .await?;
-        size.and_then(|size| u64::try_from(size).ok()).ok_or(StoreError::NotFound("artefact"))
+            .await?
+            .ok_or(StoreError::NotFound("artefact"))
     }
 
     /// The artefact's content.

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use sqlx::Connection as _;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
-use sqlx::{Connection as _, Row as _};
 
 use crate::database::{DATABASE, find_damage, restrict_to_owner};
 use crate::error::StoreError;
@@ -40,7 +40,7 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup, StoreError> {
         .ok_or_else(|| StoreError::Conflict(format!("{}: the name of a backup is UTF-8", to.display())))?;
     // A read transaction of its own: what is committed meanwhile is not in it, what was before is, whole.
     let mut connection = open(&source, false).await?;
-    sqlx::query("VACUUM INTO ?").bind(file).execute(&mut connection).await?;
+    sqlx::query!("VACUUM INTO ?", file).execute(&mut connection).await?;
     connection.close().await?;
     restrict_to_owner(&unfinished.0)?;
     let backup = check(&unfinished.0).await?;
@@ -59,17 +59,17 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup, StoreError> {
 async fn check(path: &Path) -> Result<Backup, StoreError> {
     let mut connection = open(path, true).await?;
     find_damage(&mut connection, "integrity_check").await?;
-    let row = sqlx::query(
-        "SELECT (SELECT count(*) FROM jobs) AS jobs, count(*) AS artifacts, coalesce(sum(size), 0) AS bytes FROM artifacts",
+    let row = sqlx::query!(
+        r#"SELECT (SELECT count(*) FROM jobs) AS "jobs!: u64", count(*) AS "artifacts!: u64",
+              coalesce(sum(size), 0) AS "bytes!: u64" FROM artifacts"#
     )
     .fetch_one(&mut connection)
     .await?;
-    let number = |column: &str| row.try_get::<i64, _>(column).map(i64::unsigned_abs);
     let found = Backup {
         bytes: std::fs::metadata(path).map_err(|error| StoreError::file(path, error))?.len(),
-        jobs: number("jobs")?,
-        artifacts: number("artifacts")?,
-        artifact_bytes: number("bytes")?,
+        jobs: row.jobs,
+        artifacts: row.artifacts,
+        artifact_bytes: row.bytes,
     };
     connection.close().await?;
     Ok(found)

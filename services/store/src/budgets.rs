@@ -11,13 +11,12 @@ pub(crate) mod nights;
 
 use std::collections::BTreeSet;
 
-use forelight_protocol::{Budget, BudgetAction, BudgetRequest, Event, EventKind, Money, Timestamp};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use forelight_protocol::{Budget, BudgetAction, BudgetRequest, Event, EventKind, LeaseId, Money, Timestamp};
+use sqlx::SqliteConnection;
 
 use crate::budgets::ledger::{committed, spent};
+use crate::columns::{Json, corrupt};
 use crate::database::{Store, Write};
-use crate::decode::{corrupt, json, time, time_opt, to_json, word};
 use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::leases;
@@ -36,17 +35,18 @@ impl Store {
     /// Sets a budget; one of the same project and period is replaced, and what it had in force is over. The time zone must be known.
     pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget, StoreError> {
         let mut write = self.write().await?;
-        sqlx::query(
-            "INSERT INTO budgets (project, period, amount, zone, thresholds, updated_at) VALUES (?, ?, ?, ?, ?, ?) \
-             ON CONFLICT (project, period) DO UPDATE SET amount = excluded.amount, zone = excluded.zone, \
-             thresholds = excluded.thresholds, updated_at = excluded.updated_at, action = NULL, period_at = NULL",
+        sqlx::query!(
+            "INSERT INTO budgets (project, period, amount, zone, thresholds, updated_at) \
+             VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (project, period) DO UPDATE \
+             SET amount = excluded.amount, zone = excluded.zone, thresholds = excluded.thresholds, \
+             updated_at = excluded.updated_at, action = NULL, period_at = NULL",
+            request.project,
+            request.period.name(),
+            request.amount.0,
+            request.zone,
+            Json(&request.thresholds),
+            now.micros()
         )
-        .bind(&request.project)
-        .bind(request.period.name())
-        .bind(request.amount.0)
-        .bind(&request.zone)
-        .bind(to_json(&request.thresholds)?)
-        .bind(now.micros())
         .execute(write.connection().await?)
         .await?;
         enforce(&mut write, now).await?;
@@ -82,23 +82,22 @@ impl Store {
 }
 
 async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError> {
-    let rows = sqlx::query("SELECT * FROM budgets ORDER BY project, period").fetch_all(connection).await?;
-    let decode = |row: &SqliteRow| {
-        let action: Option<&str> = row.try_get("action")?;
-        Ok(Kept {
+    let rows = sqlx::query!("SELECT * FROM budgets ORDER BY project, period").fetch_all(connection).await?;
+    Ok(rows
+        .into_iter()
+        .map(|row| Kept {
             request: BudgetRequest {
-                project: row.try_get("project")?,
-                period: word(row, "period")?,
-                amount: Money(row.try_get("amount")?),
-                zone: row.try_get("zone")?,
-                thresholds: json(row, "thresholds")?,
+                project: row.project,
+                period: row.period.0,
+                amount: Money(row.amount),
+                zone: row.zone,
+                thresholds: row.thresholds.0,
             },
-            action: action.map(|_| word(row, "action")).transpose()?,
-            period_at: time_opt(row, "period_at")?,
-            updated_at: time(row, "updated_at")?,
+            action: row.action.map(|it| it.0),
+            period_at: row.period_at.map(Into::into),
+            updated_at: row.updated_at.into(),
         })
-    };
-    rows.iter().map(decode).collect()
+        .collect())
 }
 
 async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
@@ -156,21 +155,23 @@ async fn due(
 async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
     let due = due(write.connection().await?, now).await?;
     for (budget, action) in &due {
-        sqlx::query("UPDATE budgets SET action = ?, period_at = ? WHERE project = ? AND period = ?")
-            .bind(action.map(BudgetAction::name))
-            .bind(action.map(|_| budget.from.micros()))
-            .bind(&budget.project)
-            .bind(budget.period.name())
-            .execute(write.connection().await?)
-            .await?;
+        sqlx::query!(
+            "UPDATE budgets SET action = ?, period_at = ? WHERE project = ? AND period = ?",
+            action.map(BudgetAction::name),
+            action.map(|_| budget.from.micros()),
+            budget.project,
+            budget.period.name()
+        )
+        .execute(write.connection().await?)
+        .await?;
         let message = policy::message(budget, *action);
         append(write, Event { message: Some(message), ..event(EventKind::Budget, now) })?;
     }
     // A budget that was just set again has no action in force, and may have had one.
     let kept = kept(write.connection().await?).await?;
     let in_force = policy::strongest(kept.into_iter().map(|kept| (kept.request.project, kept.action)));
-    let held: Vec<String> = sqlx::query_scalar(
-        "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1",
+    let held = sqlx::query_scalar!(
+        "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1"
     )
     .fetch_all(write.connection().await?)
     .await?;
@@ -195,10 +196,11 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
 
 /// Keeps a project's tasks from being handed out.
 async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
-    let held = sqlx::query(
-        "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('waiting', 'ready', 'leased') AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
+    let held = sqlx::query!(
+        "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('waiting', 'ready', 'leased') \
+         AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
+        project
     )
-    .bind(project)
     .execute(write.connection().await?)
     .await?;
     // Plans say what waits, and why.
@@ -210,10 +212,10 @@ async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
 
 /// Lets a project's tasks be handed out again; what ended meanwhile is not held either.
 async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
-    sqlx::query(
+    sqlx::query!(
         "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
+        project
     )
-    .bind(project)
     .execute(write.connection().await?)
     .await?;
     replans::want(write, &format!("the budget of project {project} holds its tasks no more")).await?;
@@ -222,12 +224,12 @@ async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
 
 /// Takes back what a project has running: the next renewal brings the order to stop, and the task goes back, held.
 async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), StoreError> {
-    let running = sqlx::query_scalar(
+    let running = sqlx::query_scalar!(
         "SELECT l.id FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id \
          WHERE l.state = 'active' AND j.project = ? ORDER BY l.id",
+        project
     )
-    .bind(project)
     .fetch_all(write.connection().await?)
     .await?;
-    leases::take_back(write, running, now).await
+    leases::take_back(write, running.into_iter().map(LeaseId::from), now).await
 }

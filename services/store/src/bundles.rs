@@ -1,10 +1,10 @@
 //! Uploaded scene bundles.
 
 use forelight_protocol::{ArtifactHash, Bundle, BundleId, SceneSummary, Timestamp};
-use sqlx::sqlite::SqliteRow;
+use sqlx::SqliteConnection;
 
+use crate::columns::Json;
 use crate::database::Store;
-use crate::decode::{hash, id, json, time, to_json, whole};
 use crate::error::StoreError;
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 
@@ -16,8 +16,6 @@ pub struct NewBundle {
     /// What is in it.
     pub scene: SceneSummary,
 }
-
-const SELECT: &str = "SELECT b.id, b.hash, b.scene, b.created_at, a.size FROM bundles b JOIN artifacts a ON a.hash = b.hash WHERE b.id = ?";
 
 impl Store {
     /// Remembers a bundle.
@@ -32,15 +30,16 @@ impl Store {
             return Ok(Answered::Repeated(answer));
         }
         let bundle_id = BundleId::new();
-        sqlx::query("INSERT INTO bundles (id, hash, scene, created_at) VALUES (?, ?, ?, ?)")
-            .bind(bundle_id.0)
-            .bind(&new.hash.0[..])
-            .bind(to_json(&new.scene)?)
-            .bind(now.micros())
-            .execute(write.connection().await?)
-            .await?;
-        let row = sqlx::query(SELECT).bind(bundle_id.0).fetch_one(write.connection().await?).await?;
-        let bundle = decode(&row)?;
+        sqlx::query!(
+            "INSERT INTO bundles (id, hash, scene, created_at) VALUES (?, ?, ?, ?)",
+            bundle_id.0,
+            &new.hash.0[..],
+            Json(&new.scene),
+            now.micros()
+        )
+        .execute(write.connection().await?)
+        .await?;
+        let bundle = read(write.connection().await?, bundle_id).await?;
         record(&mut write, key, 201, &bundle, now)?;
         self.commit(write).await?;
         Ok(Answered::Fresh(bundle))
@@ -48,17 +47,24 @@ impl Store {
 
     /// A bundle.
     pub async fn bundle(&self, bundle: BundleId) -> Result<Bundle, StoreError> {
-        let row = sqlx::query(SELECT).bind(bundle.0).fetch_optional(self.readers()).await?;
-        decode(&row.ok_or(StoreError::NotFound("bundle"))?)
+        read(&mut *self.readers().acquire().await?, bundle).await
     }
 }
 
-fn decode(row: &SqliteRow) -> Result<Bundle, StoreError> {
+async fn read(connection: &mut SqliteConnection, bundle: BundleId) -> Result<Bundle, StoreError> {
+    let row = sqlx::query!(
+        "SELECT b.id, b.hash, b.scene, b.created_at, a.size FROM bundles b \
+         JOIN artifacts a ON a.hash = b.hash WHERE b.id = ?",
+        bundle.0
+    )
+    .fetch_optional(connection)
+    .await?
+    .ok_or(StoreError::NotFound("bundle"))?;
     Ok(Bundle {
-        id: BundleId(id(row, "id")?),
-        hash: hash(row, "hash")?,
-        size: whole(row, "size")?,
-        scene: json(row, "scene")?,
-        created_at: time(row, "created_at")?,
+        id: row.id.into(),
+        hash: row.hash.into(),
+        size: row.size,
+        scene: row.scene.0,
+        created_at: row.created_at.into(),
     })
 }

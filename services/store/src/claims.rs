@@ -7,22 +7,22 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use forelight_protocol::{
-    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskSpec, Timestamp,
+    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, Timestamp,
 };
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::{FromRow, SqliteConnection};
 
-use self::asking::{Asking, Offer, next_task, task_columns};
+use self::asking::{Asking, Offer, OfferedTask, next_task, task_columns};
+use crate::columns::{Json, Word};
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{id, json, json_opt, to_json, whole, word};
 use crate::error::StoreError;
 use crate::events::{append, event, job_state};
 use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
 use crate::leases::sweeping::sweep;
 use crate::leases::touch;
-use crate::nodes::{self, has_calendar, select_nodes, sleep_of};
+use crate::nodes::{self, NodeRow, sleep_of};
 use crate::policy::availability::{Opening, forecast_seconds_within, opening};
+use crate::writing::{ask, later};
 
 impl Store {
     /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that a task whose
@@ -96,26 +96,24 @@ impl Store {
         };
         touch(&mut write, node.id, now);
         if offered.idle_reason != node.idle_reason {
-            write
-                .later("UPDATE nodes SET idle_reason = ? WHERE id = ?")
-                .bind(offered.idle_reason)
-                .bind(node.id.0);
+            later!(write, "UPDATE nodes SET idle_reason = ? WHERE id = ?", offered.idle_reason, node.id.0);
         }
         let Some(task) = offered.task else {
             self.commit(write).await?;
             return Ok(None);
         };
-        let task_id = TaskId(id(&task, "id")?);
-        let job_id = JobId(id(&task, "job_id")?);
-        let spec: TaskSpec = json(&task, "spec")?;
-        let work: Option<ByClass> = json_opt(&task, "work_by_class")?;
-        let fence = whole::<i64>(&task, "fence")? + 1;
-        write
-            .later("UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = ?, started_at = ? WHERE id = ?")
-            .bind(fence)
-            .bind(node.id.0)
-            .bind(now.micros())
-            .bind(task_id.0);
+        let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
+        let (spec, work) = (task.spec.0, task.work_by_class.map(|it| it.0));
+        let fence = task.fence + 1;
+        later!(
+            write,
+            "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = \
+             ?, started_at = ? WHERE id = ?",
+            fence,
+            node.id.0,
+            now.micros(),
+            task_id.0
+        );
         let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
         let lease = Lease {
             lease_id: LeaseId::new(),
@@ -125,22 +123,22 @@ impl Store {
             expires_at: now.plus_micros(ttl_micros),
             ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
             spec,
-            limits: json(&task, "limits")?,
+            limits: task.limits.0,
         };
-        write
-            .later(
-                "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
+        later!(
+            write,
+            "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
                  VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
-            )
-            .bind(lease.lease_id.0)
-            .bind(task_id.0)
-            .bind(node.id.0)
-            .bind(fence)
-            .bind(node.speed_for(work.as_ref()))
-            .bind(now.micros())
-            .bind(lease.expires_at.micros());
-        if lease.spec.kind().is_booked() && word::<JobState>(&task, "job_state")? == JobState::Booked {
-            write.later("UPDATE jobs SET state = 'rendering' WHERE id = ?").bind(job_id.0);
+            lease.lease_id.0,
+            task_id.0,
+            node.id.0,
+            fence,
+            node.speed_for(work.as_ref()),
+            now.micros(),
+            lease.expires_at.micros()
+        );
+        if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
+            later!(write, "UPDATE jobs SET state = 'rendering' WHERE id = ?", job_id.0);
             job_state(&mut write, job_id, JobState::Rendering, None, now)?;
         }
         append(
@@ -167,8 +165,11 @@ impl Store {
         now: Timestamp,
     ) -> Result<bool, StoreError> {
         let mut connection = self.readers().acquire().await?;
-        let some_ran_out = concat!("SELECT ", some_ran_out!());
-        if sqlx::query_scalar(some_ran_out).bind(now.micros()).fetch_one(&mut *connection).await? {
+        let some_ran_out = sqlx::query_scalar!(
+            r#"SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?) AS "some_ran_out!: bool""#,
+            now.micros()
+        );
+        if some_ran_out.fetch_one(&mut *connection).await? {
             return Ok(true);
         }
         match wanted {
@@ -188,9 +189,12 @@ impl Store {
     /// Until when the node sleeps; `None` if it is awake.
     pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
         let mut connection = self.readers().acquire().await?;
-        let has_calendar = concat!("SELECT ", has_calendar!(), " FROM nodes n WHERE n.id = ?");
-        let has_calendar: Option<bool> =
-            sqlx::query_scalar(has_calendar).bind(node.0).fetch_optional(&mut *connection).await?;
+        let has_calendar = sqlx::query_scalar!(
+            r#"SELECT coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}' AS "has_calendar!: bool" FROM nodes WHERE id = ?"#,
+            node.0
+        )
+        .fetch_optional(&mut *connection)
+        .await?;
         sleep_of(&mut connection, node, has_calendar.unwrap_or(false), now).await
     }
 }
@@ -204,39 +208,38 @@ struct Asker {
     some_ran_out: bool,
 }
 
+#[derive(FromRow)]
+struct AskerRow {
+    #[sqlx(flatten)]
+    node: NodeRow,
+    was_answered: bool,
+    some_ran_out: bool,
+}
+
 async fn asker(
     write: &mut Write,
     node: NodeId,
     key: Option<&IdempotencyKey>,
     now: Timestamp,
 ) -> Result<Asker, StoreError> {
-    let row = write
-        .ask(select_nodes!(
-            concat!(
-                ", EXISTS (SELECT 1 FROM idempotency WHERE principal = ? AND key = ?) AS was_answered, ",
-                some_ran_out!(),
-                " AS some_ran_out"
-            ),
-            "WHERE n.id = ?"
-        ))
-        .bind(key.map(|key| key.principal.to_vec()))
-        .bind(key.map(|key| key.key.clone()))
-        .bind(now.micros())
-        .bind(node.0)
-        .first_row()
-        .await?
-        .ok_or(StoreError::NotFound("node"))?;
-    let answered = if row.try_get("was_answered")? { earlier_answer(write, key).await? } else { None };
-    Ok(Asker { node: nodes::decode(&row)?, answered, some_ran_out: row.try_get("some_ran_out")? })
+    let AskerRow { node, was_answered, some_ran_out } = ask!(
+        write,
+        "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
+                      ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id, \
+         EXISTS (SELECT 1 FROM idempotency WHERE principal = ? AND key = ?) AS was_answered, \
+         EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?) AS some_ran_out \
+         FROM nodes n WHERE n.id = ?",
+        key.map(|key| &key.principal[..]),
+        key.map(|key| &key.key),
+        now.micros(),
+        node.0
+    )
+    .first_row()
+    .await?
+    .ok_or(StoreError::NotFound("node"))?;
+    let answered = if was_answered { earlier_answer(write, key).await? } else { None };
+    Ok(Asker { node: node.into(), answered, some_ran_out })
 }
-
-/// Whether there are leases that have run out by now.
-macro_rules! some_ran_out {
-    () => {
-        "EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)"
-    };
-}
-use some_ran_out;
 
 /// The task that the node should do next, if it may be given any.
 ///
@@ -272,7 +275,7 @@ async fn offer(
     let Some(first) = asking.first(connection, NEXT, |query| query).await? else {
         return Ok(Offer::default());
     };
-    if first.try_get("is_booked_elsewhere")? {
+    if first.is_booked_elsewhere {
         return work_stealing::offer(connection, &asking).await;
     }
     Ok(Some(first).into())
@@ -283,18 +286,29 @@ async fn this_task(
     connection: &mut SqliteConnection,
     task: TaskId,
     now: Timestamp,
-) -> Result<Option<SqliteRow>, StoreError> {
-    let row = sqlx::query(concat!(
-        "SELECT ",
-        task_columns!(),
-        ", not_before, CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS state FROM tasks WHERE id = ?"
-    ))
-    .bind(task.0)
+) -> Result<Option<OfferedTask>, StoreError> {
+    let row = sqlx::query!(
+        r#"SELECT id, job_id, spec, limits, fence, not_before,
+                  (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS "job_state!: Word<JobState>",
+                  (SELECT j.work_by_class FROM jobs j WHERE j.id = tasks.job_id) AS "work_by_class?: Json<ByClass>",
+                  CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS "state!: String"
+           FROM tasks WHERE id = ?"#,
+        task.0
+    )
     .fetch_optional(connection)
     .await?
     .ok_or(StoreError::NotFound("task"))?;
-    match row.try_get("state")? {
-        "ready" => Ok((row.try_get::<i64, _>("not_before")? <= now.micros()).then_some(row)),
+    match row.state.as_str() {
+        "ready" => Ok((Timestamp::from(row.not_before) <= now).then_some(OfferedTask {
+            id: row.id,
+            job_id: row.job_id,
+            spec: row.spec,
+            limits: row.limits,
+            fence: row.fence,
+            job_state: row.job_state,
+            work_by_class: row.work_by_class,
+            is_booked_elsewhere: false,
+        })),
         "leased" | "waiting" => Ok(None),
         over => Err(StoreError::Conflict(format!("the task is {over}"))),
     }
@@ -303,20 +317,20 @@ async fn this_task(
 /// By job, in JSON, how many of its forecast's CPU seconds the node does in so many microseconds: as plans have it, for work of the job's classes, and after what
 /// finished frames took.
 async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String, StoreError> {
-    let rows = sqlx::query(
-        "SELECT hex(id) AS name, work_by_class, factor FROM jobs WHERE state IN ('booked', 'rendering')",
+    let rows = sqlx::query!(
+        "SELECT hex(id) AS \"name!: String\", work_by_class, factor FROM jobs \
+         WHERE state IN ('booked', 'rendering')"
     )
     .fetch_all(connection)
     .await?;
-    let limits: Result<BTreeMap<String, f64>, StoreError> = rows
-        .iter()
+    let limits: BTreeMap<String, f64> = rows
+        .into_iter()
         .map(|row| {
-            let work: Option<ByClass> = json_opt(row, "work_by_class")?;
-            let factor: f64 = row.try_get("factor")?;
-            Ok((row.try_get("name")?, forecast_seconds_within(micros, node, work.as_ref(), factor)))
+            let work = row.work_by_class.map(|it| it.0);
+            (row.name, forecast_seconds_within(micros, node, work.as_ref(), row.factor))
         })
         .collect();
-    to_json(&limits?)
+    Ok(serde_json::to_string(&limits)?)
 }
 
 /// What the node is given if nothing is against it; and whether there may be.

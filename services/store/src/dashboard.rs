@@ -3,18 +3,16 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobId, NodeActivity, NodeId, TaskCounts, TaskId,
+    Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobState, NodeActivity, NodeId, TaskCounts,
     Timestamp,
 };
-use forelight_quote::JobForecast;
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
+use crate::columns::Unread;
 use crate::database::Store;
-use crate::decode::{id, json_opt, time, whole, whole_opt, word};
 use crate::error::StoreError;
 use crate::events;
-use crate::jobs;
-use crate::jobs::progress;
+use crate::jobs::{job_rows, progress};
 use crate::nodes;
 use crate::nodes::unattended::{Unattended, unattended};
 use crate::plans::bookings;
@@ -40,11 +38,7 @@ impl Store {
         let projected = project(&open, &parts::open(connection).await?, now);
         let unattended = unattended(connection, ttl, now).await?;
         let record = track_record::totals(connection).await?;
-        let rows = sqlx::query("SELECT id, body FROM events ORDER BY id DESC LIMIT ?")
-            .bind(EVENTS)
-            .fetch_all(&mut *connection)
-            .await?;
-        let newest: Vec<_> = rows.iter().map(events::decode).collect::<Result<_, _>>()?;
+        let newest = events::newest(connection, EVENTS).await?;
         Ok(Dashboard {
             at: now,
             last_event_id: newest.first().map_or(0, |event| event.id),
@@ -72,25 +66,25 @@ async fn counts(
     silent_since: Timestamp,
 ) -> Result<DashboardCounts, StoreError> {
     let mut counts = DashboardCounts::default();
-    for row in sqlx::query("SELECT state, count(*) AS number FROM jobs GROUP BY state")
+    for row in sqlx::query!("SELECT state, count(*) AS \"number!: u64\" FROM jobs GROUP BY state")
         .fetch_all(&mut *connection)
         .await?
     {
-        let number: u64 = whole(&row, "number")?;
-        match row.try_get("state")? {
-            "done" => counts.jobs_done = number,
-            "failed" => counts.jobs_failed = number,
-            "cancelled" => counts.jobs_cancelled = number,
+        let number = row.number;
+        match row.state.0 {
+            JobState::Done => counts.jobs_done = number,
+            JobState::Failed => counts.jobs_failed = number,
+            JobState::Cancelled => counts.jobs_cancelled = number,
             _ => counts.jobs_active += number,
         }
     }
-    for row in sqlx::query("SELECT state, count(*) AS number FROM tasks GROUP BY state")
+    for row in sqlx::query!("SELECT state, count(*) AS \"number!: u64\" FROM tasks GROUP BY state")
         .fetch_all(&mut *connection)
         .await?
     {
-        let number: u64 = whole(&row, "number")?;
+        let number = row.number;
         let TaskCounts { waiting, ready, leased, done, failed, cancelled } = &mut counts.tasks;
-        match row.try_get("state")? {
+        match row.state.as_str() {
             "waiting" => *waiting = number,
             "ready" => *ready = number,
             "leased" => *leased = number,
@@ -99,14 +93,15 @@ async fn counts(
             _ => *cancelled = number,
         }
     }
-    let row = sqlx::query(
-        "SELECT count(*) AS nodes, coalesce(sum(last_seen_at >= ? AND NOT drain AND set_aside IS NULL), 0) AS alive FROM nodes",
+    let row = sqlx::query!(
+        r#"SELECT count(*) AS "nodes!: u64",
+                  coalesce(sum(last_seen_at >= ? AND NOT drain AND set_aside IS NULL), 0) AS "alive!: u64" FROM nodes"#,
+        silent_since.micros()
     )
-    .bind(silent_since.micros())
     .fetch_one(connection)
     .await?;
-    counts.nodes = whole(&row, "nodes")?;
-    counts.nodes_alive = whole(&row, "alive")?;
+    counts.nodes = row.nodes;
+    counts.nodes_alive = row.alive;
     Ok(counts)
 }
 
@@ -115,16 +110,14 @@ async fn dashboard_jobs(
     projected: &Projection,
     unattended: &Unattended,
 ) -> Result<Vec<DashboardJob>, StoreError> {
-    let rows =
-        sqlx::query("SELECT * FROM jobs ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?")
-            .bind(JOBS)
-            .fetch_all(&mut *connection)
-            .await?;
+    let rows = job_rows!("ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?", JOBS)
+        .fetch_all(&mut *connection)
+        .await?;
     let mut list = Vec::with_capacity(rows.len());
-    for row in rows {
-        let progress = progress::of_job(connection, JobId(id(&row, "id")?)).await?;
-        let job = jobs::decode(&row, progress)?;
-        let forecast: Option<JobForecast> = json_opt(&row, "forecast")?;
+    for mut row in rows {
+        let progress = progress::of_job(connection, row.id.into()).await?;
+        let forecast = row.forecast.take().map(Unread::read).transpose()?;
+        let job = row.job(progress)?;
         let eta = projected.eta(&job);
         list.push(DashboardJob {
             id: job.id,
@@ -134,7 +127,7 @@ async fn dashboard_jobs(
             frames_total: job.frames_total,
             frames_done: job.frames_done,
             progress: job.progress,
-            seed: job.seed,
+            shared_cache: job.shared_cache,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
             eta,
@@ -169,22 +162,19 @@ async fn activity(
     connection: &mut SqliteConnection,
     node: NodeId,
 ) -> Result<Option<NodeActivity>, StoreError> {
-    let row = sqlx::query(
-        "SELECT id, kind, job_id, frame, progress, started_at FROM tasks WHERE node_id = ? AND state = 'leased' \
-         ORDER BY started_at DESC, id LIMIT 1",
+    let task = sqlx::query!(
+        r#"SELECT id, kind, job_id, frame, progress, started_at AS "started_at!" FROM tasks
+           WHERE node_id = ? AND state = 'leased' ORDER BY started_at DESC, id LIMIT 1"#,
+        node.0
     )
-    .bind(node.0)
     .fetch_optional(connection)
     .await?;
-    row.map(|row| {
-        Ok(NodeActivity {
-            task_id: TaskId(id(&row, "id")?),
-            kind: word(&row, "kind")?,
-            job_id: JobId(id(&row, "job_id")?),
-            frame: whole_opt(&row, "frame")?,
-            progress: row.try_get("progress")?,
-            started: time(&row, "started_at")?,
-        })
-    })
-    .transpose()
+    Ok(task.map(|task| NodeActivity {
+        task_id: task.id.into(),
+        kind: task.kind.0,
+        job_id: task.job_id.into(),
+        frame: task.frame,
+        progress: task.progress,
+        started: task.started_at.into(),
+    }))
 }

@@ -160,12 +160,12 @@ impl Store {
 
     /// Whether the database answers.
     pub async fn ping(&self) -> Result<(), StoreError> {
-        sqlx::query("SELECT 1").execute(self.readers()).await?;
+        sqlx::query_scalar!("SELECT 1 AS one").fetch_one(self.readers()).await?;
         Ok(())
     }
 
-    /// Bytes that can still be written where the data folder is.
-    pub fn room(&self) -> Result<u64, StoreError> {
+    /// Bytes that can still be written to the disk of the data folder.
+    pub fn free_disk_space(&self) -> Result<u64, StoreError> {
         let there = rustix::fs::statvfs(&self.inner.data);
         let there = there.map_err(|error| StoreError::file(&self.inner.data, error.into()))?;
         Ok(there.f_bavail.saturating_mul(there.f_frsize))
@@ -193,12 +193,12 @@ impl Store {
     /// Remembers where artefacts rest: a farm that was started with them elsewhere would have rows of files that are not there.
     async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let known: Option<String> = sqlx::query_scalar("SELECT place FROM artifact_place")
+        let known = sqlx::query_scalar!("SELECT place FROM artifact_place")
             .fetch_optional(write.connection().await?)
             .await?;
         // Before there was a choice they rested in the data folder.
         let known = known.unwrap_or_else(|| ArtifactPlace::DataFolder.to_string());
-        let any: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM artifacts)")
+        let any = sqlx::query_scalar!(r#"SELECT EXISTS (SELECT 1 FROM artifacts) AS "any!: bool""#)
             .fetch_one(write.connection().await?)
             .await?;
         if any && !moved && known != place.to_string() {
@@ -206,10 +206,13 @@ impl Store {
                 "{place}: this farm's are in {known}; start it with --artifacts {known}, or copy the folder `blake3` from there to {place} and add --artifacts-moved once"
             )));
         }
-        sqlx::query("INSERT INTO artifact_place (one, place) VALUES (1, ?) ON CONFLICT DO UPDATE SET place = excluded.place")
-            .bind(place.to_string())
-            .execute(write.connection().await?)
-            .await?;
+        sqlx::query!(
+            "INSERT INTO artifact_place (one, place) VALUES (1, ?) ON CONFLICT DO UPDATE \
+             SET place = excluded.place",
+            place.to_string()
+        )
+        .execute(write.connection().await?)
+        .await?;
         self.commit(write).await
     }
 }
@@ -220,13 +223,15 @@ pub(crate) async fn find_damage(
     connection: &mut SqliteConnection,
     check: &'static str,
 ) -> Result<(), StoreError> {
+    // A pragma takes its check as a name, not as a parameter.
     let check = sqlx::AssertSqlSafe(format!("PRAGMA {check}(10)"));
     let complaints: Vec<String> = sqlx::query_scalar(check).fetch_all(&mut *connection).await?;
     if complaints != ["ok"] {
         return Err(StoreError::Corrupt(complaints.join("; ")));
     }
+    // A table that the pragma makes up has no columns that could be checked at compile time.
     let dangling: Option<String> =
-        sqlx::query_scalar("SELECT \"table\" FROM pragma_foreign_key_check LIMIT 1")
+        sqlx::query_scalar(r#"SELECT "table" FROM pragma_foreign_key_check LIMIT 1"#)
             .fetch_optional(connection)
             .await?;
     match dangling {

@@ -1,13 +1,13 @@
 //! What happened, in one order.
 
 use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, Timestamp};
-use sqlx::Row as _;
-use sqlx::sqlite::SqliteRow;
+use sqlx::SqliteConnection;
 
+use crate::columns::Json;
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{json, to_json};
 use crate::error::StoreError;
+use crate::writing::later;
 
 /// For how long reports of progress are kept: an hour, in microseconds. All other events are kept for good.
 const PROGRESS_KEPT: i64 = 3_600_000_000;
@@ -34,13 +34,14 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
 
 /// Appends an event; its id is given by the database.
 pub(crate) fn append(write: &mut Write, event: Event) -> Result<(), StoreError> {
-    let body = to_json(&event)?;
-    write
-        .later("INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)")
-        .bind(event.at.micros())
-        .bind(event.kind.name())
-        .bind(event.job_id.map(|job| job.0))
-        .bind(body);
+    later!(
+        write,
+        "INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)",
+        event.at.micros(),
+        event.kind.name(),
+        event.job_id.map(|job| job.0),
+        Json(&event)
+    );
     write.wrote_events = true;
     Ok(())
 }
@@ -60,17 +61,33 @@ pub(crate) fn job_state(
 }
 
 pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query("DELETE FROM events WHERE kind = 'task_progress' AND at < ?")
-        .bind(now.plus_micros(-PROGRESS_KEPT).micros())
-        .execute(write.connection().await?)
-        .await?;
+    sqlx::query!(
+        "DELETE FROM events WHERE kind = 'task_progress' AND at < ?",
+        now.plus_micros(-PROGRESS_KEPT).micros()
+    )
+    .execute(write.connection().await?)
+    .await?;
     Ok(())
 }
 
-pub(crate) fn decode(row: &SqliteRow) -> Result<Event, StoreError> {
-    let mut event: Event = json(row, "body")?;
-    event.id = row.try_get("id")?;
-    Ok(event)
+/// A row of the events.
+pub(crate) struct EventRow {
+    id: EventId,
+    body: Json<Event>,
+}
+
+impl From<EventRow> for Event {
+    fn from(EventRow { id, body }: EventRow) -> Self {
+        Event { id, ..body.0 }
+    }
+}
+
+/// The newest events of the farm, newest first.
+pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>, StoreError> {
+    let rows = sqlx::query_as!(EventRow, "SELECT id, body FROM events ORDER BY id DESC LIMIT ?", limit)
+        .fetch_all(connection)
+        .await?;
+    Ok(rows.into_iter().map(Event::from).collect())
 }
 
 impl Store {
@@ -83,26 +100,34 @@ impl Store {
     ) -> Result<Vec<Event>, StoreError> {
         let rows = match job {
             Some(job) => {
-                sqlx::query("SELECT id, body FROM events WHERE job_id = ? AND id > ? ORDER BY id LIMIT ?")
-                    .bind(job.0)
-                    .bind(after)
-                    .bind(limit)
-                    .fetch_all(self.readers())
-                    .await?
+                sqlx::query_as!(
+                    EventRow,
+                    "SELECT id, body FROM events WHERE job_id = ? AND id > ? ORDER BY id LIMIT ?",
+                    job.0,
+                    after,
+                    limit
+                )
+                .fetch_all(self.readers())
+                .await?
             }
             None => {
-                sqlx::query("SELECT id, body FROM events WHERE id > ? ORDER BY id LIMIT ?")
-                    .bind(after)
-                    .bind(limit)
-                    .fetch_all(self.readers())
-                    .await?
+                sqlx::query_as!(
+                    EventRow,
+                    "SELECT id, body FROM events WHERE id > ? ORDER BY id LIMIT ?",
+                    after,
+                    limit
+                )
+                .fetch_all(self.readers())
+                .await?
             }
         };
-        rows.iter().map(decode).collect()
+        Ok(rows.into_iter().map(Event::from).collect())
     }
 
     /// The id of the newest event; 0 if there is none.
     pub async fn last_event_id(&self) -> Result<EventId, StoreError> {
-        Ok(sqlx::query_scalar("SELECT coalesce(max(id), 0) FROM events").fetch_one(self.readers()).await?)
+        Ok(sqlx::query_scalar!(r#"SELECT coalesce(max(id), 0) AS "id!" FROM events"#)
+            .fetch_one(self.readers())
+            .await?)
     }
 }

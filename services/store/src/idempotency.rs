@@ -6,14 +6,15 @@
 //! finds the first answer. There is no state "in flight" here that a crash could leave behind.
 
 use serde::Serialize;
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
 use forelight_protocol::Timestamp;
 
+use crate::columns::Json;
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{to_json, whole};
 use crate::error::StoreError;
+use crate::writing::later;
 
 /// For how long an answer is remembered: a day, in microseconds.
 const REMEMBERED: i64 = 24 * 3_600_000_000;
@@ -59,17 +60,18 @@ async fn lookup(
     connection: &mut SqliteConnection,
     key: &IdempotencyKey,
 ) -> Result<Option<RecordedAnswer>, StoreError> {
-    let row =
-        sqlx::query("SELECT request_hash, status, body FROM idempotency WHERE principal = ? AND key = ?")
-            .bind(&key.principal[..])
-            .bind(&key.key)
-            .fetch_optional(connection)
-            .await?;
+    let row = sqlx::query!(
+        "SELECT request_hash, status, body FROM idempotency WHERE principal = ? AND key = ?",
+        &key.principal[..],
+        &key.key
+    )
+    .fetch_optional(connection)
+    .await?;
     let Some(row) = row else { return Ok(None) };
-    if row.try_get::<&[u8], _>("request_hash")? != key.request_hash {
+    if row.request_hash != key.request_hash {
         return Err(StoreError::KeyReused);
     }
-    Ok(Some(RecordedAnswer { status: whole(&row, "status")?, body: row.try_get("body")? }))
+    Ok(Some(RecordedAnswer { status: row.status, body: row.body }))
 }
 
 /// As [`Store::recorded_answer`], inside a write; nothing without a key.
@@ -92,22 +94,23 @@ pub(crate) fn record(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     let Some(key) = key else { return Ok(()) };
-    let body = to_json(body)?;
-    write
-        .later("INSERT INTO idempotency (principal, key, request_hash, status, body, created_at) VALUES (?, ?, ?, ?, ?, ?)")
-        .bind(&key.principal[..])
-        .bind(&key.key)
-        .bind(&key.request_hash[..])
-        .bind(i64::from(status))
-        .bind(body)
-        .bind(now.micros());
+    later!(
+        write,
+        "INSERT INTO idempotency (principal, key, request_hash, status, body, created_at) \
+         VALUES (?, ?, ?, ?, ?, ?)",
+        &key.principal[..],
+        &key.key,
+        &key.request_hash[..],
+        status,
+        Json(body),
+        now.micros()
+    );
     Ok(())
 }
 
 /// Forgets answers of more than a day ago.
 pub(crate) async fn forget_old(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query("DELETE FROM idempotency WHERE created_at < ?")
-        .bind(now.plus_micros(-REMEMBERED).micros())
+    sqlx::query!("DELETE FROM idempotency WHERE created_at < ?", now.plus_micros(-REMEMBERED).micros())
         .execute(write.connection().await?)
         .await?;
     Ok(())

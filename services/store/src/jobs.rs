@@ -8,17 +8,17 @@ pub(crate) mod progress;
 pub(crate) mod submitting;
 
 use forelight_protocol::{
-    BundleId, BundleRef, BundleSource, FrameSet, Job, JobId, JobState, Money, PlanId, SceneDigest,
-    SceneSummary,
+    BundleRef, BundleSource, CacheSharing, Confidence, FrameSet, Job, JobId, JobState, JobVerdict, Ladders,
+    Money, RenderSettings, SceneSummary, TaskLimits, Within,
 };
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
 use self::outlooks::JobOutlook;
 use self::progress::Progress;
+use crate::columns::{Id, Json, Time, Unread, Word, corrupt};
 use crate::database::Store;
-use crate::decode::{id, id_opt, json, json_opt, time, time_opt, whole, word};
 use crate::error::StoreError;
+use forelight_quote::JobForecast;
 
 /// Which jobs to list.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
@@ -30,6 +30,56 @@ pub struct JobFilter {
     /// Only jobs with exactly this name.
     pub name: Option<String>,
 }
+
+/// A job's row, without what only claims need of it.
+pub(crate) struct JobRow {
+    pub id: Id,
+    pub name: String,
+    pub project: String,
+    pub state: Word<JobState>,
+    pub bundle_id: Option<Id>,
+    pub bundle_path: Option<String>,
+    pub bundle_source: Json<BundleSource>,
+    pub scene: Json<SceneSummary>,
+    pub frames: String,
+    pub frames_total: u32,
+    pub settings: Json<RenderSettings>,
+    pub samples: u32,
+    pub profile_frames: u32,
+    pub profiles_more: bool,
+    pub ladders: Word<Ladders>,
+    pub cache: Word<CacheSharing>,
+    pub within: Option<Json<Within>>,
+    pub limits: Json<TaskLimits>,
+    pub deadline_at: Option<Time>,
+    pub budget: Option<i64>,
+    pub confidence: Word<Confidence>,
+    pub priority: i32,
+    pub weight: u32,
+    pub forecast: Option<Unread<JobForecast>>,
+    pub plan_id: Option<Id>,
+    pub verdict: Option<Json<JobVerdict>>,
+    pub outlook: Json<JobOutlook>,
+    pub factor: f64,
+    pub error: Option<String>,
+    pub created_at: Time,
+    pub finished_at: Option<Time>,
+}
+
+/// Rows of jobs: `job_rows!("WHERE id = ?", job.0)`.
+macro_rules! job_rows {
+    ($rest:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query_as!(
+            $crate::jobs::JobRow,
+            "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, settings, \
+             samples, profile_frames, profiles_more, ladders, cache, within, limits, deadline_at, budget, confidence, \
+             priority, weight, forecast, plan_id, verdict, outlook, factor, error, created_at, finished_at FROM jobs "
+                + $rest
+            $(, $value)*
+        )
+    };
+}
+pub(crate) use job_rows;
 
 impl Store {
     /// A job.
@@ -46,110 +96,103 @@ impl Store {
         limit: u32,
     ) -> Result<Vec<Job>, StoreError> {
         let mut transaction = self.read().await?;
-        let rows = sqlx::query(
-            "SELECT * FROM jobs WHERE id < ?1 AND (?2 IS NULL OR state = ?2) AND (?3 IS NULL OR project = ?3) \
+        let rows = job_rows!(
+            "WHERE id < ?1 AND (?2 IS NULL OR state = ?2) AND (?3 IS NULL OR project = ?3) \
              AND (?4 IS NULL OR name = ?4) ORDER BY id DESC LIMIT ?5",
+            before.map_or(uuid::Uuid::max(), |job| job.0),
+            filter.state.map(JobState::name),
+            filter.project,
+            filter.name,
+            limit
         )
-        .bind(before.map_or(uuid::Uuid::max(), |job| job.0))
-        .bind(filter.state.map(JobState::name))
-        .bind(&filter.project)
-        .bind(&filter.name)
-        .bind(limit)
         .fetch_all(&mut *transaction)
         .await?;
         let mut jobs = Vec::with_capacity(rows.len());
         for row in rows {
-            let progress = progress::of_job(&mut transaction, JobId(id(&row, "id")?)).await?;
-            jobs.push(decode(&row, progress)?);
+            let progress = progress::of_job(&mut transaction, row.id.into()).await?;
+            jobs.push(row.job(progress)?);
         }
         Ok(jobs)
     }
 
     /// The jobs for which the service itself may have something to do: those before `booked`, oldest first.
     pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>, StoreError> {
-        let ids: Vec<uuid::Uuid> =
-            sqlx::query_scalar("SELECT id FROM jobs WHERE state IN ('previewing', 'profiling') ORDER BY id")
+        let ids =
+            sqlx::query_scalar!("SELECT id FROM jobs WHERE state IN ('previewing', 'profiling') ORDER BY id")
                 .fetch_all(self.readers())
                 .await?;
-        Ok(ids.into_iter().map(JobId).collect())
+        Ok(ids.into_iter().map(JobId::from).collect())
     }
 }
 
 /// A job's state, by one look-up.
 pub(crate) async fn state(connection: &mut SqliteConnection, job: JobId) -> Result<JobState, StoreError> {
-    let row =
-        sqlx::query("SELECT state FROM jobs WHERE id = ?").bind(job.0).fetch_optional(connection).await?;
-    word(&row.ok_or(StoreError::NotFound("job"))?, "state")
+    let state = sqlx::query_scalar!("SELECT state FROM jobs WHERE id = ?", job.0);
+    let state = state.fetch_optional(connection).await?;
+    Ok(state.ok_or(StoreError::NotFound("job"))?.0)
 }
 
 /// A job's row.
-pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<SqliteRow, StoreError> {
-    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(job.0).fetch_optional(connection).await?;
+pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<JobRow, StoreError> {
+    let row = job_rows!("WHERE id = ?", job.0).fetch_optional(connection).await?;
     row.ok_or(StoreError::NotFound("job"))
 }
 
 pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Job, StoreError> {
     let row = row(&mut *connection, job).await?;
     let progress = progress::of_job(connection, job).await?;
-    decode(&row, progress)
+    row.job(progress)
 }
 
-/// Where a job's workers find its bundle.
-pub(crate) fn source(row: &SqliteRow) -> Result<BundleSource, StoreError> {
-    json(row, "bundle_source")
-}
+impl JobRow {
+    /// The numbers of its frames.
+    pub fn frame_set(&self) -> Result<FrameSet, StoreError> {
+        self.frames.parse().map_err(|error| corrupt("frames", error))
+    }
 
-/// What the bundle held when the job was submitted.
-pub(crate) fn digest(row: &SqliteRow) -> Result<SceneDigest, StoreError> {
-    Ok(json::<SceneSummary>(row, "scene")?.digest)
-}
-
-/// A job from its row. Its `eta` depends on what else the farm has to do: whoever needs it fills it in from
-/// [`crate::project`].
-pub(crate) fn decode(row: &SqliteRow, progress: Progress) -> Result<Job, StoreError> {
-    let state: JobState = word(row, "state")?;
-    let frames: &str = row.try_get("frames")?;
-    let frames: FrameSet = frames.parse().map_err(|error| crate::decode::corrupt("frames", error))?;
-    let outlook: JobOutlook = json(row, "outlook")?;
-    Ok(Job {
-        id: JobId(id(row, "id")?),
-        name: row.try_get("name")?,
-        project: row.try_get("project")?,
-        state,
-        bundle: BundleRef { id: id_opt(row, "bundle_id")?.map(BundleId), path: row.try_get("bundle_path")? },
-        scene: json(row, "scene")?,
-        frames,
-        settings: json(row, "settings")?,
-        cache: word(row, "cache")?,
-        seed: progress.seed,
-        samples: whole(row, "samples")?,
-        profile_frames: if row.try_get("profiles_more")? {
-            None
-        } else {
-            Some(whole(row, "profile_frames")?)
-        },
-        ladders: word(row, "ladders")?,
-        within: json_opt(row, "within")?,
-        deadline: time_opt(row, "deadline_at")?,
-        budget: row.try_get::<Option<i64>, _>("budget")?.map(Money),
-        confidence: word(row, "confidence")?,
-        priority: whole(row, "priority")?,
-        weight: whole(row, "weight")?,
-        limits: json(row, "limits")?,
-        frames_total: whole(row, "frames_total")?,
-        frames_done: progress.frames_done,
-        progress: progress.fraction,
-        verdict: json_opt(row, "verdict")?,
-        plan_id: id_opt(row, "plan_id")?.map(PlanId),
-        // Who has a frame with a worker does not wait, whatever the newest plan knew.
-        // Whoever has begun may still be held for money.
-        waits: outlook.waits.filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),
-        promise: outlook.promise,
-        eta: None,
-        spent: None,
-        live: progress.live,
-        error: row.try_get("error")?,
-        created_at: time(row, "created_at")?,
-        finished_at: time_opt(row, "finished_at")?,
-    })
+    /// A job from its row. Its `eta` depends on what else the farm has to do: whoever needs it fills it in from
+    /// [`crate::project`].
+    pub fn job(self, progress: Progress) -> Result<Job, StoreError> {
+        let frames = self.frame_set()?;
+        let (state, outlook) = (self.state.0, self.outlook.0);
+        Ok(Job {
+            id: self.id.into(),
+            name: self.name,
+            project: self.project,
+            state,
+            bundle: BundleRef { id: self.bundle_id.map(Into::into), path: self.bundle_path },
+            scene: self.scene.0,
+            frames,
+            settings: self.settings.0,
+            cache: self.cache.0,
+            shared_cache: progress.shared_cache,
+            samples: self.samples,
+            profile_frames: (!self.profiles_more).then_some(self.profile_frames),
+            ladders: self.ladders.0,
+            within: self.within.map(|it| it.0),
+            deadline: self.deadline_at.map(Into::into),
+            budget: self.budget.map(Money),
+            confidence: self.confidence.0,
+            priority: self.priority,
+            weight: self.weight,
+            limits: self.limits.0,
+            frames_total: self.frames_total,
+            frames_done: progress.frames_done,
+            progress: progress.fraction,
+            verdict: self.verdict.map(|it| it.0),
+            plan_id: self.plan_id.map(Into::into),
+            // Who has a frame with a worker does not wait, whatever the newest plan knew.
+            // Whoever has begun may still be held for money.
+            waits: outlook
+                .waits
+                .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),
+            promise: outlook.promise,
+            eta: None,
+            spent: None,
+            live: progress.live,
+            error: self.error,
+            created_at: self.created_at.into(),
+            finished_at: self.finished_at.map(Into::into),
+        })
+    }
 }

@@ -37,13 +37,13 @@ use forelight_protocol::{
     Event, EventKind, JobId, JobState, LeaseId, NodeId, TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::{FromRow, Row as _, SqliteConnection};
 
+use crate::columns::{Id, Word};
 use crate::database::{Store, Write};
-use crate::decode::{id, json, whole, whole_opt, word};
 use crate::error::StoreError;
 use crate::events::{append, event};
-use crate::nodes::has_calendar;
+use crate::writing::later;
 
 /// What a lease is about.
 #[derive(Clone, PartialEq, Debug)]
@@ -94,14 +94,15 @@ pub(crate) enum LeaseState {
     Revoked,
 }
 
+/// A statement for rows of leases. It is composed, and so not checked at compile time, because the same text is run
+/// by itself and asked with what was left for later.
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
             "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.failures, \
-             t.expiries, t.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, ",
-            has_calendar!(),
-            " FROM leases l JOIN tasks t ON t.id = l.task_id \
-             JOIN nodes n ON n.id = l.node_id ",
+             t.expiries, t.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
+             (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar \
+             FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id ",
             $rest
         )
     };
@@ -110,30 +111,28 @@ macro_rules! select_leases {
 impl Store {
     /// What a lease is about, whatever became of it.
     pub async fn lease(&self, lease: LeaseId) -> Result<LeaseInfo, StoreError> {
-        let row = sqlx::query(
-            "SELECT l.fence, l.node_id, l.task_id, t.job_id, t.spec FROM leases l JOIN tasks t ON t.id = l.task_id WHERE l.id = ?",
+        let row = sqlx::query!(
+            "SELECT l.fence, l.node_id, l.task_id, t.job_id, t.spec FROM leases l \
+             JOIN tasks t ON t.id = l.task_id WHERE l.id = ?",
+            lease.0
         )
-        .bind(lease.0)
         .fetch_optional(self.readers())
         .await?
         .ok_or(StoreError::NotFound("lease"))?;
         Ok(LeaseInfo {
-            job_id: JobId(id(&row, "job_id")?),
-            task_id: TaskId(id(&row, "task_id")?),
-            node_id: NodeId(id(&row, "node_id")?),
-            fence: whole(&row, "fence")?,
-            spec: json(&row, "spec")?,
+            job_id: row.job_id.into(),
+            task_id: row.task_id.into(),
+            node_id: row.node_id.into(),
+            fence: row.fence,
+            spec: row.spec.0,
         })
     }
 
     /// The node that holds or held a lease.
     pub async fn lease_holder(&self, lease: LeaseId) -> Result<NodeId, StoreError> {
-        let row = sqlx::query("SELECT node_id FROM leases WHERE id = ?")
-            .bind(lease.0)
-            .fetch_optional(self.readers())
-            .await?
-            .ok_or(StoreError::NotFound("lease"))?;
-        Ok(NodeId(row.try_get("node_id")?))
+        let node = sqlx::query_scalar!("SELECT node_id FROM leases WHERE id = ?", lease.0);
+        let node = node.fetch_optional(self.readers()).await?;
+        Ok(node.ok_or(StoreError::NotFound("lease"))?.into())
     }
 
     /// Refuses a worker that does not hold its lease any more, and remembers that it tried.
@@ -153,8 +152,7 @@ impl Store {
 pub(crate) async fn ran_out(write: &mut Write, now: Timestamp) -> Result<Vec<LeaseRow>, StoreError> {
     let ran_out =
         select_leases!("WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id");
-    let rows = write.ask(ran_out).bind(now.micros()).rows().await?;
-    rows.iter().map(decode).collect()
+    Ok(sqlx::query_as(ran_out).bind(now.micros()).fetch_all(write.connection().await?).await?)
 }
 
 impl LeaseRow {
@@ -171,47 +169,47 @@ impl LeaseRow {
 }
 
 pub(crate) fn back_to_ready(write: &mut Write, row: &LeaseRow, error: Option<&str>) {
-    write
-        .later("UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL, error = coalesce(?, error) WHERE id = ? AND state = 'leased'")
-        .bind(error.map(str::to_owned))
-        .bind(row.task_id.0);
+    later!(
+        write,
+        "UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL, error = coalesce(?, error) \
+         WHERE id = ? AND state = 'leased'",
+        error,
+        row.task_id.0
+    );
     write.made_work = true;
 }
 
-/// Until when a lease is paid for of whose worker nothing is heard, at this instant.
-macro_rules! paid_until {
-    ($now:literal) => {
-        concat!("coalesce(paid_until, min(", $now, ", expires_at))")
-    };
-}
-pub(crate) use paid_until;
-
-/// Ends an active lease.
+/// Ends an active lease. One whose worker was not heard of is paid for only until it ran out.
 pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: Timestamp) {
-    let unheard = ["expired", "revoked"].contains(&state);
-    write
-        .later(if unheard {
-            concat!(
-                "UPDATE leases SET state = ?, ended_at = ",
-                paid_until!("?"),
-                " WHERE id = ? AND state = 'active'"
-            )
-        } else {
-            "UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'"
-        })
-        .bind(state)
-        .bind(now.micros())
-        .bind(row.id.0);
+    let (now, lease) = (now.micros(), row.id.0);
+    if ["expired", "revoked"].contains(&state) {
+        later!(
+            write,
+            "UPDATE leases SET state = ?, ended_at = coalesce(paid_until, min(?, expires_at)) \
+             WHERE id = ? AND state = 'active'",
+            state,
+            now,
+            lease
+        );
+    } else {
+        later!(
+            write,
+            "UPDATE leases SET state = ?, ended_at = ? WHERE id = ? AND state = 'active'",
+            state,
+            now,
+            lease
+        );
+    }
 }
 
 /// Takes back the tasks of these leases: they are ready for another, and the next renewal brings each worker the order to stop.
 pub(crate) async fn take_back(
     write: &mut Write,
-    leases: Vec<uuid::Uuid>,
+    leases: impl IntoIterator<Item = LeaseId>,
     now: Timestamp,
 ) -> Result<(), StoreError> {
     for lease in leases {
-        let row = read_in(write, LeaseId(lease)).await?;
+        let row = read_in(write, lease).await?;
         end(write, &row, "revoked", now);
         back_to_ready(write, &row, None);
         append(write, row.event(EventKind::LeaseReleased, now))?;
@@ -221,42 +219,41 @@ pub(crate) async fn take_back(
 
 /// Says that a node, if it is there, was heard of.
 pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
-    write
-        .later("UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?")
-        .bind(now.micros())
-        .bind(node.0);
+    later!(write, "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?", now.micros(), node.0);
 }
 
 const BY_ID: &str = select_leases!("WHERE l.id = ?");
 
 pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> Result<LeaseRow, StoreError> {
-    let row = sqlx::query(BY_ID).bind(lease.0).fetch_optional(connection).await?;
-    decode(&row.ok_or(StoreError::NotFound("lease"))?)
+    let row = sqlx::query_as(BY_ID).bind(lease.0).fetch_optional(connection).await?;
+    row.ok_or(StoreError::NotFound("lease"))
 }
 
 /// As [`read`], inside a write.
 pub(crate) async fn read_in(write: &mut Write, lease: LeaseId) -> Result<LeaseRow, StoreError> {
     let row = write.ask(BY_ID).bind(lease.0).first_row().await?;
-    decode(&row.ok_or(StoreError::NotFound("lease"))?)
+    row.ok_or(StoreError::NotFound("lease"))
 }
 
-fn decode(row: &SqliteRow) -> Result<LeaseRow, StoreError> {
-    Ok(LeaseRow {
-        id: LeaseId(id(row, "id")?),
-        state: word(row, "state")?,
-        fence: whole(row, "fence")?,
-        node_id: NodeId(id(row, "node_id")?),
-        node_speed: row.try_get("node_speed")?,
-        task_id: TaskId(id(row, "task_id")?),
-        job_id: JobId(id(row, "job_id")?),
-        kind: word(row, "kind")?,
-        frame: whole_opt(row, "frame")?,
-        failures: whole(row, "failures")?,
-        expiries: whole(row, "expiries")?,
-        progress: row.try_get("progress")?,
-        job_state: word(row, "job_state")?,
-        pause: row.try_get("pause")?,
-        drain: row.try_get("drain")?,
-        has_calendar: row.try_get("has_calendar")?,
-    })
+impl FromRow<'_, SqliteRow> for LeaseRow {
+    fn from_row(row: &SqliteRow) -> Result<Self, sqlx::Error> {
+        Ok(Self {
+            id: row.try_get::<Id, _>("id")?.into(),
+            state: row.try_get::<Word<LeaseState>, _>("state")?.0,
+            fence: row.try_get("fence")?,
+            node_id: row.try_get::<Id, _>("node_id")?.into(),
+            node_speed: row.try_get("node_speed")?,
+            task_id: row.try_get::<Id, _>("task_id")?.into(),
+            job_id: row.try_get::<Id, _>("job_id")?.into(),
+            kind: row.try_get::<Word<TaskKind>, _>("kind")?.0,
+            frame: row.try_get("frame")?,
+            failures: row.try_get("failures")?,
+            expiries: row.try_get("expiries")?,
+            progress: row.try_get("progress")?,
+            job_state: row.try_get::<Word<JobState>, _>("job_state")?.0,
+            pause: row.try_get("pause")?,
+            drain: row.try_get("drain")?,
+            has_calendar: row.try_get("has_calendar")?,
+        })
+    }
 }

@@ -20,9 +20,9 @@ mod backup;
 mod budgets;
 mod bundles;
 mod claims;
+mod columns;
 mod dashboard;
 mod database;
-mod decode;
 mod error;
 mod events;
 mod idempotency;
@@ -61,15 +61,17 @@ pub use plans::farm_jobs::{FarmFrame, FarmJob};
 pub use plans::replans::Wanted;
 pub use plans::{NewJobPlan, NewPlan};
 pub use policy::availability::{Opening, as_it_is, free_time_of, opening, silence};
-pub use policy::projection::{Holder, OpenBooking, OpenSeed, Projected, ProjectedSeed, Projection, project};
+pub use policy::projection::{
+    Holder, OpenBooking, OpenCachePart, Projected, ProjectedCachePart, Projection, project,
+};
 pub use policy::rebooking::NewBooking;
 pub use policy::retries::{FAILED_JOBS, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES};
 pub use policy::work_stealing::OVERDUE;
 pub use projects::{HALF_LIFE, ProjectUse};
 pub use quotes::track_record::FinishedJob;
 pub use results::Committed;
-pub use shared_cache::parts::NewSeedBooking;
-pub use shared_cache::{NewSeed, PlannedCache};
+pub use shared_cache::parts::NewPartBooking;
+pub use shared_cache::{NewSharedCache, PlannedCache};
 pub use slurm::{BookedTime, Holding, NewArray, OpenArray, OpenElement, SeenNode, Waiting};
 
 #[cfg(test)]

@@ -12,15 +12,15 @@ mod rows;
 
 use forelight_protocol::{
     Booked, Confidence, Event, EventKind, JobId, JobVerdict, LiveForecast, MoneyQuantiles, PlanId, Quantiles,
-    SeedProgress, Timestamp,
+    SharedCacheProgress, Timestamp,
 };
 use forelight_quote::living::{self, Baseline, Comparison, Estimate, Frames, Off, is_due};
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
 use self::rows::{Before, Kept, count_frame, keep};
 use crate::budgets::ledger;
+use crate::columns::Time;
 use crate::database::Write;
-use crate::decode::{id_opt, json_opt, word};
 use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::plans::bookings;
@@ -29,8 +29,6 @@ use crate::policy::projection::{project, stretched};
 use crate::shared_cache::parts;
 use forelight_quote::JobForecast;
 
-#[cfg(test)]
-pub(crate) use self::frames::FRAMES;
 pub(crate) use self::rows::{before, newest};
 pub(crate) use forelight_quote::living::Occasion;
 
@@ -92,14 +90,15 @@ pub(crate) async fn update_after(
 
 /// Makes estimates again that have not taken a finished frame into account for a while.
 pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    let behind: Vec<uuid::Uuid> = sqlx::query_scalar(
-        "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 AND updated_at <= ? ORDER BY updated_at, job_id",
+    let behind = sqlx::query_scalar!(
+        "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 \
+         AND updated_at <= ? ORDER BY updated_at, job_id",
+        now.plus_micros(-living::BETWEEN_PIXELS).micros()
     )
-    .bind(now.plus_micros(-living::BETWEEN_PIXELS).micros())
     .fetch_all(write.connection().await?)
     .await?;
     for job in behind {
-        update(write, JobId(job), Occasion::Meanwhile, now).await?;
+        update(write, job.into(), Occasion::Meanwhile, now).await?;
     }
     Ok(())
 }
@@ -118,21 +117,22 @@ struct Quoted {
 impl Quoted {
     /// `None` for a job that is not booked.
     async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Self>, StoreError> {
-        let row =
-            sqlx::query("SELECT name, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?")
-                .bind(job.0)
-                .fetch_one(connection)
-                .await?;
-        let (Some(forecast), Some(plan)) = (json_opt(&row, "forecast")?, id_opt(&row, "plan_id")?) else {
+        let row = sqlx::query!(
+            "SELECT name, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?",
+            job.0
+        )
+        .fetch_one(connection)
+        .await?;
+        let (Some(forecast), Some(plan)) = (row.forecast, row.plan_id) else {
             return Ok(None);
         };
         Ok(Some(Self {
-            job_name: row.try_get("name")?,
-            factor: row.try_get("factor")?,
-            forecast,
-            plan: PlanId(plan),
-            verdict: json_opt(&row, "verdict")?,
-            confidence: word(&row, "confidence")?,
+            job_name: row.name,
+            factor: row.factor,
+            forecast: forecast.read()?,
+            plan: plan.into(),
+            verdict: row.verdict.map(|it| it.0),
+            confidence: row.confidence.0,
         }))
     }
 
@@ -185,8 +185,8 @@ async fn cost(
     let cache = match parts::progress(connection, job).await? {
         _ if is_given_up => Quantiles::default(),
         None => for_cache,
-        Some(SeedProgress { ready: true, .. }) => Quantiles::default(),
-        Some(SeedProgress { cpu_seconds, .. }) => for_cache.less(cpu_seconds),
+        Some(SharedCacheProgress { ready: true, .. }) => Quantiles::default(),
+        Some(SharedCacheProgress { cpu_seconds, .. }) => for_cache.less(cpu_seconds),
     };
     let spent = ledger::spent_on(connection, job, now).await?;
     let quoted = quote.total.cpu_seconds.mean + for_cache.mean;
@@ -200,13 +200,14 @@ async fn delay_that_counts(
     job: JobId,
     finish: Option<Timestamp>,
 ) -> Result<i64, StoreError> {
-    let begin: Option<i64> =
-        sqlx::query_scalar("SELECT min(start_at) FROM bookings WHERE plan_id = ? AND job_id = ?")
-            .bind(plan.0)
-            .bind(job.0)
-            .fetch_one(connection)
-            .await?;
-    Ok(living::delay_that_counts(begin.map(Timestamp::from_micros), finish))
+    let begin = sqlx::query_scalar!(
+        r#"SELECT min(start_at) AS "begin?: Time" FROM bookings WHERE plan_id = ? AND job_id = ?"#,
+        plan.0,
+        job.0
+    )
+    .fetch_one(connection)
+    .await?;
+    Ok(living::delay_that_counts(begin.map(Into::into), finish))
 }
 
 /// Writes an event for what left the booking, and for what came back to it.

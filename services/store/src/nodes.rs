@@ -6,12 +6,11 @@ pub(crate) mod learning;
 pub(crate) mod unattended;
 
 use forelight_forecast::learned_factor;
-use forelight_protocol::{Money, Node, NodeCalendar, NodeId, TaskId, Timestamp};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use forelight_protocol::{Capabilities, Money, Node, NodeCalendar, NodeId, NodeTerms, Timestamp};
+use sqlx::{FromRow, SqliteConnection};
 
+use crate::columns::{Id, Json, Time};
 use crate::database::Store;
-use crate::decode::{id, id_opt, json, json_opt, time, whole};
 use crate::error::StoreError;
 use crate::policy::availability::{Opening, opening, silence};
 use crate::policy::nodes::{Switches, state};
@@ -20,38 +19,48 @@ use crate::policy::nodes::{Switches, state};
 /// worker takes to be started again, and much shorter than a night.
 pub const LOST: i64 = 300_000_000;
 
-/// Nodes, with what they work on and what else is asked of each.
-macro_rules! select_nodes {
-    ($rest:expr) => {
-        $crate::nodes::select_nodes!("", $rest)
-    };
-    ($more:expr, $rest:expr) => {
-        concat!(
-            "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' ",
-            "ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id",
-            $more,
-            " FROM nodes n ",
-            $rest
+/// A node's row, with the task that it works on.
+#[derive(FromRow)]
+pub(crate) struct NodeRow {
+    id: Id,
+    name: String,
+    speed: f64,
+    speed_set: Option<f64>,
+    price_per_hour: i64,
+    price_set: Option<i64>,
+    cores: u32,
+    drain: bool,
+    pause: bool,
+    paused: bool,
+    set_aside: Option<String>,
+    idle_reason: Option<String>,
+    capabilities: Json<Capabilities>,
+    learned_millionths: i64,
+    learned_jobs: u64,
+    schedule: Option<Json<NodeCalendar>>,
+    schedule_set: Option<Json<NodeCalendar>>,
+    terms: Json<NodeTerms>,
+    created_at: Time,
+    last_seen_at: Time,
+    task_id: Option<Id>,
+}
+
+/// Rows of nodes: `node_rows!("WHERE n.id = ?", node.0)`.
+macro_rules! node_rows {
+    ($rest:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query_as!(
+            $crate::nodes::NodeRow,
+            "SELECT n.id, n.name, n.speed, n.speed_set, n.price_per_hour, n.price_set, n.cores, n.drain, n.pause, n.paused, \
+             n.set_aside, n.idle_reason, n.capabilities, n.learned_millionths, n.learned_jobs, n.schedule, n.schedule_set, \
+             n.terms, n.created_at, n.last_seen_at, \
+             (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
+              ORDER BY l.granted_at DESC, l.id LIMIT 1) AS \"task_id?: crate::columns::Id\" FROM nodes n "
+                + $rest
+            $(, $value)*
         )
     };
 }
-pub(crate) use select_nodes;
-
-/// Whether a node is to get no tasks, as [`Node::takes_tasks`] says.
-macro_rules! closed {
-    () => {
-        "(drain OR pause OR set_aside IS NOT NULL)"
-    };
-}
-pub(crate) use closed;
-
-/// Whether there is anything by which a node, `n`, might sleep.
-macro_rules! has_calendar {
-    () => {
-        "(coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar"
-    };
-}
-pub(crate) use has_calendar;
+pub(crate) use node_rows;
 
 impl Store {
     /// Refuses a process whose node was taken over by another.
@@ -85,25 +94,27 @@ pub(crate) async fn has_another_worker(
     node: NodeId,
     worker: uuid::Uuid,
 ) -> Result<bool, StoreError> {
-    let found: Option<bool> = sqlx::query_scalar("SELECT coalesce(worker <> ?, 0) FROM nodes WHERE id = ?")
-        .bind(worker)
-        .bind(node.0)
-        .fetch_optional(connection)
-        .await?;
-    found.ok_or(StoreError::NotFound("node"))
+    sqlx::query_scalar!(
+        r#"SELECT coalesce(worker <> ?, 0) AS "is_another!: bool" FROM nodes WHERE id = ?"#,
+        worker,
+        node.0
+    )
+    .fetch_optional(connection)
+    .await?
+    .ok_or(StoreError::NotFound("node"))
 }
 
 pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node, StoreError> {
-    let row = sqlx::query(select_nodes!("WHERE n.id = ?")).bind(node.0).fetch_optional(connection).await?;
-    decode(&row.ok_or(StoreError::NotFound("node"))?)
+    let row = node_rows!("WHERE n.id = ?", node.0).fetch_optional(connection).await?;
+    Ok(row.ok_or(StoreError::NotFound("node"))?.into())
 }
 
 pub(crate) async fn by_name(
     connection: &mut SqliteConnection,
     name: &str,
 ) -> Result<Option<Node>, StoreError> {
-    let row = sqlx::query(select_nodes!("WHERE n.name = ?")).bind(name).fetch_optional(connection).await?;
-    row.as_ref().map(decode).transpose()
+    let row = node_rows!("WHERE n.name = ?", name).fetch_optional(connection).await?;
+    Ok(row.map(Node::from))
 }
 
 /// The nodes that have frames booked that wait, and get no tasks, or were not heard of for too long since the service is up.
@@ -112,18 +123,17 @@ pub(crate) async fn gone(
     up_since: Timestamp,
     now: Timestamp,
 ) -> Result<Vec<NodeId>, StoreError> {
-    let rows = sqlx::query(select_nodes!(concat!(
-        "WHERE (",
-        closed!(),
-        " OR n.last_seen_at < ?) AND EXISTS (SELECT 1 FROM tasks t INDEXED BY tasks_ready_booked \
-         WHERE t.state = 'ready' AND t.kind IN ('cache_fill', 'render') AND t.booked_node = n.id) ORDER BY n.id"
-    )))
-    .bind(now.plus_micros(-LOST).micros())
+    let rows = node_rows!(
+        "WHERE (drain OR pause OR set_aside IS NOT NULL OR n.last_seen_at < ?) AND EXISTS (SELECT 1 \
+         FROM tasks t INDEXED BY tasks_ready_booked WHERE t.state = 'ready' \
+         AND t.kind IN ('cache_fill', 'render') AND t.booked_node = n.id) ORDER BY n.id",
+        now.plus_micros(-LOST).micros()
+    )
     .fetch_all(connection)
     .await?;
     let mut gone = Vec::new();
-    for row in &rows {
-        let node = decode(row)?;
+    for row in rows {
+        let node = Node::from(row);
         let heard = Node { last_seen_at: node.last_seen_at.max(up_since), ..node };
         if !heard.takes_tasks() || silence(&heard, now) > LOST {
             gone.push(heard.id);
@@ -156,44 +166,42 @@ pub(crate) async fn list(
     after: Option<NodeId>,
     limit: u32,
 ) -> Result<Vec<Node>, StoreError> {
-    let rows = sqlx::query(select_nodes!("WHERE n.id > ? ORDER BY n.id LIMIT ?"))
-        .bind(after.map_or(uuid::Uuid::nil(), |node| node.0))
-        .bind(limit)
-        .fetch_all(connection)
-        .await?;
-    rows.iter().map(decode).collect()
+    let after = after.map_or(uuid::Uuid::nil(), |node| node.0);
+    let rows = node_rows!("WHERE n.id > ? ORDER BY n.id LIMIT ?", after, limit).fetch_all(connection).await?;
+    Ok(rows.into_iter().map(Node::from).collect())
 }
 
-pub(crate) fn decode(row: &SqliteRow) -> Result<Node, StoreError> {
-    let speed_set: Option<f64> = row.try_get("speed_set")?;
-    let price_set: Option<i64> = row.try_get("price_set")?;
-    let task_id = id_opt(row, "task_id")?.map(TaskId);
-    let schedule_set: Option<NodeCalendar> = json_opt(row, "schedule_set")?;
-    let (drain, pause, paused): (bool, bool, bool) =
-        (row.try_get("drain")?, row.try_get("pause")?, row.try_get("paused")?);
-    let set_aside: Option<String> = row.try_get("set_aside")?;
-    let switches = Switches { drain, pause, paused, is_set_aside: set_aside.is_some() };
-    Ok(Node {
-        id: NodeId(id(row, "id")?),
-        name: row.try_get("name")?,
-        speed: speed_set.map_or_else(|| row.try_get("speed"), Ok)?,
-        speed_set: speed_set.is_some(),
-        price_per_hour: Money(price_set.map_or_else(|| row.try_get("price_per_hour"), Ok)?),
-        price_set: price_set.is_some(),
-        time_factor: learned_factor(row.try_get("learned_millionths")?, whole(row, "learned_jobs")?),
-        cores: whole(row, "cores")?,
-        capabilities: json(row, "capabilities")?,
-        schedule_set: schedule_set.is_some(),
-        schedule: schedule_set.map_or_else(|| json_opt(row, "schedule"), |set| Ok(Some(set)))?,
-        terms: json(row, "terms")?,
-        power: None,
-        state: state(switches, task_id),
-        drain,
-        pause,
-        set_aside,
-        idle_reason: row.try_get("idle_reason")?,
-        task_id,
-        created_at: time(row, "created_at")?,
-        last_seen_at: time(row, "last_seen_at")?,
-    })
+impl From<NodeRow> for Node {
+    fn from(row: NodeRow) -> Self {
+        let task_id = row.task_id.map(Into::into);
+        let switches = Switches {
+            drain: row.drain,
+            pause: row.pause,
+            paused: row.paused,
+            is_set_aside: row.set_aside.is_some(),
+        };
+        Node {
+            id: row.id.into(),
+            name: row.name,
+            speed: row.speed_set.unwrap_or(row.speed),
+            speed_set: row.speed_set.is_some(),
+            price_per_hour: Money(row.price_set.unwrap_or(row.price_per_hour)),
+            price_set: row.price_set.is_some(),
+            time_factor: learned_factor(row.learned_millionths, row.learned_jobs),
+            cores: row.cores,
+            capabilities: row.capabilities.0,
+            schedule_set: row.schedule_set.is_some(),
+            schedule: row.schedule_set.or(row.schedule).map(|it| it.0),
+            terms: row.terms.0,
+            power: None,
+            state: state(switches, task_id),
+            drain: row.drain,
+            pause: row.pause,
+            set_aside: row.set_aside,
+            idle_reason: row.idle_reason,
+            task_id,
+            created_at: row.created_at.into(),
+            last_seen_at: row.last_seen_at.into(),
+        }
+    }
 }

@@ -8,25 +8,23 @@ pub(crate) mod replans;
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
-    Booking, BookingId, Event, EventKind, FrameForecast, FrameSet, JobId, JobState, JobVerdict, NodeId,
-    PlanId, PlanReason, Timestamp,
+    BookingId, Event, EventKind, FrameForecast, JobId, JobState, JobVerdict, NodeId, PlanId, PlanReason,
+    Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
-use sqlx::Row as _;
 
+use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::decode::{corrupt, to_json, word};
 use crate::error::StoreError;
 use crate::events::{append, event, job_state};
 use crate::jobs::outlooks::{self, JobOutlook};
 use crate::living::{self, Occasion};
-use crate::plans::bookings::decode_booking;
 use crate::plans::reading::newest;
 use crate::plans::replans::Wanted;
 use crate::policy::rebooking::{NewBooking, Rebooked, rebook};
 use crate::quotes;
 use crate::quotes::calibration;
-use crate::shared_cache::{self, NewSeed, parts};
+use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Slot, rates};
 use crate::{jobs, nodes};
 
@@ -43,8 +41,8 @@ pub struct NewPlan {
     pub jobs: Vec<NewJobPlan>,
     /// Why jobs wait, and what is left of promises, of all jobs of which something new is to be said.
     pub outlooks: Vec<(JobId, JobOutlook)>,
-    /// The irradiance cache that the frames of the job that gets its first plan share and wait for, if they do.
-    pub seed: Option<NewSeed>,
+    /// The irradiance cache that the frames of a newly booked job share and wait for; `None` if they share none.
+    pub shared_cache: Option<NewSharedCache>,
 }
 
 /// A job in a plan to be kept.
@@ -77,7 +75,7 @@ impl Store {
     ) -> Result<PlanId, StoreError> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
-        let state: JobState = word(&row, "state")?;
+        let state = row.state.0;
         if state != JobState::Profiling {
             return Err(StoreError::Conflict(format!("the job is {state}, not profiling")));
         }
@@ -85,20 +83,20 @@ impl Store {
         if let Some(basis) = basis {
             calibration::keep(&mut write, job, forecast, frames, basis).await?;
         }
-        sqlx::query("UPDATE jobs SET forecast = ?, work_by_class = ? WHERE id = ?")
-            .bind(to_json(forecast)?)
-            .bind(forecast.work_by_class.as_ref().map(to_json).transpose()?)
-            .bind(job.0)
-            .execute(write.connection().await?)
-            .await?;
-        let mut common = Common::of(job, &row)?;
+        sqlx::query!(
+            "UPDATE jobs SET forecast = ?, work_by_class = ? WHERE id = ?",
+            Json(forecast),
+            forecast.work_by_class.map(Json),
+            job.0
+        )
+        .execute(write.connection().await?)
+        .await?;
+        let mut common = Common::of(&row);
         let mut profiles: BTreeMap<_, _> =
             Self::profile_artifacts(write.connection().await?, job).await?.into_iter().collect();
         if let Some(spp) = forecast.chosen_spp {
             common.settings.spp = spp;
-            sqlx::query("UPDATE jobs SET settings = ? WHERE id = ?")
-                .bind(to_json(&common.settings)?)
-                .bind(job.0)
+            sqlx::query!("UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0)
                 .execute(write.connection().await?)
                 .await?;
             // They belong to images whose pixels all have as many samples.
@@ -108,26 +106,30 @@ impl Store {
             Some(_) => frames.iter().map(|each| (each.frame, each.work.mean.round() as u64)).collect(),
             None => BTreeMap::new(),
         };
-        let job_frames: FrameSet =
-            row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
-        for frame in job_frames.iter() {
+        for frame in row.frame_set()?.iter() {
             // What was gathered for a cache of the frame's own is of no use beside one that is shared.
-            let profile = profiles.get(&frame).copied().filter(|_| plan.seed.is_none());
+            let profile = profiles.get(&frame).copied().filter(|_| plan.shared_cache.is_none());
             common
-                .render(&mut write, frame, plan.seed.is_some(), None, work.get(&frame).copied(), profile)
+                .render(
+                    &mut write,
+                    frame,
+                    plan.shared_cache.is_some(),
+                    None,
+                    work.get(&frame).copied(),
+                    profile,
+                )
                 .await?;
         }
         append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) })?;
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
-        if let Some(seed) = &plan.seed {
-            parts::keep_bookings(&mut write, plan_id.0, job, &seed.bookings).await?;
-            shared_cache::begin(&mut write, &common, seed).await?;
+        if let Some(cache) = &plan.shared_cache {
+            parts::keep_bookings(&mut write, plan_id.0, job, &cache.bookings).await?;
+            shared_cache::begin(&mut write, &common, cache).await?;
         }
-        let booked = sqlx::query("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?")
-            .bind(job.0)
-            .bind(plan_id.0)
-            .execute(write.connection().await?)
-            .await?;
+        let booked =
+            sqlx::query!("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?", job.0, plan_id.0)
+                .execute(write.connection().await?)
+                .await?;
         if booked.rows_affected() != 1 {
             return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
@@ -171,15 +173,15 @@ async fn keep(
     }
     let plan_id = PlanId::new();
     let verdicts: Vec<&JobVerdict> = plan.jobs.iter().map(|job| &job.verdict).collect();
-    sqlx::query(
+    sqlx::query!(
         "INSERT INTO plans (id, parent_id, reason, causes, verdicts, created_at) VALUES (?, ?, ?, ?, ?, ?)",
+        plan_id.0,
+        plan.parent.map(|parent| parent.0),
+        plan.reason.name(),
+        Json(&plan.wanted.causes),
+        Json(&verdicts),
+        now.micros()
     )
-    .bind(plan_id.0)
-    .bind(plan.parent.map(|parent| parent.0))
-    .bind(plan.reason.name())
-    .bind(to_json(&plan.wanted.causes)?)
-    .bind(to_json(&verdicts)?)
-    .bind(now.micros())
     .execute(write.connection().await?)
     .await?;
     for job in &plan.jobs {
@@ -208,20 +210,22 @@ async fn keep(
 async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Result<(), StoreError> {
     let job_id = job.verdict.job_id;
     let mut booked: BTreeMap<u32, NewBooking> = BTreeMap::new();
-    let rows = sqlx::query(
-        "SELECT b.* FROM bookings b JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
+    let rows = sqlx::query!(
+        "SELECT b.frame, b.node_id, b.start_at, b.end_at FROM bookings b \
+         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
+        job_id.0
     )
-    .bind(job_id.0)
     .fetch_all(write.connection().await?)
     .await?;
-    for row in &rows {
-        let Booking { frame, node_id: node, start, end, .. } = decode_booking(row)?;
-        booked.insert(frame, NewBooking { frame, node, start, end });
+    for row in rows {
+        let (node, start, end) = (row.node_id.into(), row.start_at.into(), row.end_at.into());
+        booked.insert(row.frame, NewBooking { frame: row.frame, node, start, end });
     }
-    let waiting: Vec<u32> = sqlx::query_scalar(
-        "SELECT frame FROM tasks WHERE job_id = ? AND kind = 'render' AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
+    let waiting: Vec<u32> = sqlx::query_scalar!(
+        "SELECT frame AS \"frame!\" FROM tasks WHERE job_id = ? AND kind = 'render' \
+         AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
+        job_id.0
     )
-    .bind(job_id.0)
     .fetch_all(write.connection().await?)
     .await?;
     let Rebooked { bookings, tasks } = rebook(booked, &waiting, &job.bookings, &job.begun);
@@ -240,42 +244,51 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             };
             slot = Some(Slot { node, start, rate });
         }
-        sqlx::query("UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? AND kind = 'render' AND frame = ?")
-            .bind(slot.map(|slot| slot.node.0))
-            .bind(slot.map(|slot| slot.start.micros()))
-            .bind(slot.and_then(|slot| slot.rate))
-            .bind(job_id.0)
-            .bind(i64::from(frame))
-            .execute(write.connection().await?)
-            .await?;
-    }
-    for booking in bookings.values() {
-        sqlx::query("INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) VALUES (?, ?, ?, ?, ?, ?, ?)")
-            .bind(BookingId::new().0)
-            .bind(plan_id.0)
-            .bind(job_id.0)
-            .bind(i64::from(booking.frame))
-            .bind(booking.node.0)
-            .bind(booking.start.micros())
-            .bind(booking.end.micros())
-            .execute(write.connection().await?)
-            .await?;
-    }
-    // Parts of a cache that the frames share stay where they are booked.
-    sqlx::query(
-        "INSERT INTO seed_bookings (plan_id, job_id, part, node_id, start_at, end_at) SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at \
-         FROM seed_bookings b JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
-    )
-    .bind(plan_id.0)
-    .bind(job_id.0)
-    .execute(write.connection().await?)
-    .await?;
-    sqlx::query("UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?")
-        .bind(plan_id.0)
-        .bind(to_json(&job.verdict)?)
-        .bind(job.factor)
-        .bind(job_id.0)
+        sqlx::query!(
+            "UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? \
+             AND kind = 'render' AND frame = ?",
+            slot.map(|slot| slot.node.0),
+            slot.map(|slot| slot.start.micros()),
+            slot.and_then(|slot| slot.rate),
+            job_id.0,
+            frame
+        )
         .execute(write.connection().await?)
         .await?;
+    }
+    for booking in bookings.values() {
+        sqlx::query!(
+            "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) \
+             VALUES (?, ?, ?, ?, ?, ?, ?)",
+            BookingId::new().0,
+            plan_id.0,
+            job_id.0,
+            booking.frame,
+            booking.node.0,
+            booking.start.micros(),
+            booking.end.micros()
+        )
+        .execute(write.connection().await?)
+        .await?;
+    }
+    // Parts of a cache that the frames share stay where they are booked.
+    sqlx::query!(
+        "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
+         SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \
+         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
+        plan_id.0,
+        job_id.0
+    )
+    .execute(write.connection().await?)
+    .await?;
+    sqlx::query!(
+        "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?",
+        plan_id.0,
+        Json(&job.verdict),
+        job.factor,
+        job_id.0
+    )
+    .execute(write.connection().await?)
+    .await?;
     Ok(())
 }

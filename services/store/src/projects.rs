@@ -3,12 +3,10 @@
 use std::collections::BTreeMap;
 
 use forelight_protocol::{ProjectRequest, Timestamp};
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
 use crate::database::Store;
-use crate::decode::whole;
 use crate::error::StoreError;
-use crate::leases::paid_until;
 use crate::plans::replans;
 
 /// After this many microseconds, what a project used counts half: a week.
@@ -34,13 +32,13 @@ impl Store {
     /// Sets a project's share. It calls for a new plan.
     pub async fn set_share(&self, request: &ProjectRequest, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        sqlx::query(
+        sqlx::query!(
             "INSERT INTO projects (name, share, updated_at) VALUES (?, ?, ?) \
              ON CONFLICT (name) DO UPDATE SET share = excluded.share, updated_at = excluded.updated_at",
+            &request.project,
+            request.share,
+            now.micros()
         )
-        .bind(&request.project)
-        .bind(i64::from(request.share))
-        .bind(now.micros())
         .execute(write.connection().await?)
         .await?;
         let cause = format!("the share of project {} is {}", request.project, request.share);
@@ -60,34 +58,33 @@ pub(crate) async fn read(
     now: Timestamp,
 ) -> Result<Vec<ProjectUse>, StoreError> {
     let mut found: BTreeMap<String, ProjectUse> = BTreeMap::new();
-    let rows = sqlx::query(
-        "SELECT name, max(share) AS share FROM (SELECT name, share FROM projects UNION ALL \
-         SELECT project, 0 FROM jobs WHERE state IN ('previewing', 'profiling', 'booked', 'rendering')) GROUP BY name",
+    let rows = sqlx::query!(
+        "SELECT name AS \"name!\", max(share) AS \"share!: u32\" FROM (SELECT name, share FROM projects \
+         UNION ALL SELECT project, 0 FROM jobs WHERE state IN ('previewing', 'profiling', 'booked', \
+         'rendering')) GROUP BY name"
     )
     .fetch_all(&mut *connection)
     .await?;
-    for row in &rows {
-        let name: String = row.try_get("name")?;
-        let share = whole::<u32>(row, "share")?.max(1);
-        found.insert(name.clone(), ProjectUse { name, share, used: Vec::new() });
+    for row in rows {
+        let entry = ProjectUse { name: row.name.clone(), share: row.share.max(1), used: Vec::new() };
+        found.insert(row.name, entry);
     }
-    let rows = sqlx::query(concat!(
-        "SELECT project, (ends_at + ?3 - 1) / ?3 AS hour, sum(ends_at - from_at) AS used FROM \
-         (SELECT project, from_at, coalesce(until_at, ",
-        paid_until!("?1"),
-        ") AS ends_at FROM ledger d JOIN leases l ON l.id = d.lease_id \
-         WHERE from_at < ?1 AND (until_at IS NULL OR until_at > ?2)) GROUP BY project, hour ORDER BY project, hour",
-    ))
-    .bind(now.micros())
-    .bind(now.plus_micros(-REMEMBERED * HALF_LIFE).micros())
-    .bind(HOUR)
+    let rows = sqlx::query!(
+        "SELECT project, (ends_at + ?3 - 1) / ?3 AS \"hour!: i64\", sum(ends_at - from_at) AS \"used!: \
+         i64\" FROM (SELECT project, from_at, coalesce(until_at, paid_until, min(?1, expires_at)) AS \
+         ends_at FROM ledger d JOIN leases l ON l.id = d.lease_id WHERE from_at < ?1 \
+         AND (until_at IS NULL OR until_at > ?2)) GROUP BY 1, 2 ORDER BY 1, 2",
+        now.micros(),
+        now.plus_micros(-REMEMBERED * HALF_LIFE).micros(),
+        HOUR
+    )
     .fetch_all(connection)
     .await?;
-    for row in &rows {
-        let name: String = row.try_get("project")?;
-        let (hour, used): (i64, i64) = (row.try_get("hour")?, row.try_get("used")?);
-        let entry = found.entry(name.clone()).or_insert(ProjectUse { name, share: 1, used: Vec::new() });
-        entry.used.push((Timestamp::from_micros(hour.saturating_mul(HOUR)).min(now), used));
+    for row in rows {
+        let hour = Timestamp::from_micros(row.hour.saturating_mul(HOUR)).min(now);
+        let entry = found.entry(row.project);
+        let name = entry.key().clone();
+        entry.or_insert(ProjectUse { name, share: 1, used: Vec::new() }).used.push((hour, row.used));
     }
     Ok(found.into_values().collect())
 }

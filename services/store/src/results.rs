@@ -3,24 +3,25 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, NodeId, PreviewResult, ProfileSpec,
-    RenderResult, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, PreviewResult, ProfileSpec, RenderResult,
+    TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_quote::MeasuredProfile;
-use sqlx::Row as _;
+use sqlx::FromRow;
 
+use crate::columns::{Id, Json, corrupt};
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{corrupt, id, json, to_json, whole};
 use crate::error::StoreError;
 use crate::events::{append, job_state};
 use crate::jobs;
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::living::{self, Occasion};
+use crate::nodes::NodeRow;
 use crate::nodes::learning;
-use crate::nodes::{self, select_nodes};
 use crate::quotes::calibration;
 use crate::shared_cache;
+use crate::writing::{ask, later};
 
 /// What became of a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -47,7 +48,7 @@ impl Store {
         result: &TaskResult,
         now: Timestamp,
     ) -> Result<Committed, StoreError> {
-        let body = to_json(result)?;
+        let body = serde_json::to_string(result)?;
         let body_hash = *blake3::hash(body.as_bytes()).as_bytes();
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;
@@ -59,11 +60,11 @@ impl Store {
             job_state,
         };
         if row.fence == fence && row.state == LeaseState::Committed {
-            let earlier: Vec<u8> = sqlx::query_scalar("SELECT body_hash FROM results WHERE task_id = ?")
-                .bind(row.task_id.0)
-                .fetch_one(write.connection().await?)
-                .await?;
-            if earlier != body_hash {
+            let earlier =
+                sqlx::query_scalar!("SELECT body_hash FROM results WHERE task_id = ?", row.task_id.0)
+                    .fetch_one(write.connection().await?)
+                    .await?;
+            if earlier.0.0 != body_hash {
                 return Err(StoreError::Conflict(
                     "another result of this lease was committed before".to_owned(),
                 ));
@@ -76,20 +77,24 @@ impl Store {
         if row.kind != result.kind() {
             return Err(StoreError::Conflict(format!("the lease is of a {} task", row.kind)));
         }
-        write
-            .later("INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)")
-            .bind(row.task_id.0)
-            .bind(lease.0)
-            .bind(body)
-            .bind(body_hash.to_vec())
-            .bind(now.micros());
+        later!(
+            write,
+            "INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)",
+            row.task_id.0,
+            lease.0,
+            body,
+            &body_hash[..],
+            now.micros()
+        );
         let node = name_artifacts(&mut write, &row, result).await?;
         end(&mut write, &row, "committed", now);
         touch(&mut write, row.node_id, now);
-        write
-            .later("UPDATE tasks SET state = 'done', progress = 1, finished_at = ? WHERE id = ?")
-            .bind(now.micros())
-            .bind(row.task_id.0);
+        later!(
+            write,
+            "UPDATE tasks SET state = 'done', progress = 1, finished_at = ? WHERE id = ?",
+            now.micros(),
+            row.task_id.0
+        );
         append(&mut write, row.event(EventKind::TaskDone, now))?;
         let state = keep(&mut write, &row, &node, result, now).await?;
         self.commit(write).await?;
@@ -98,11 +103,14 @@ impl Store {
 
     /// The job's preview, if it is there.
     pub async fn preview_result(&self, job: JobId) -> Result<Option<PreviewResult>, StoreError> {
-        let row = sqlx::query("SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.kind = 'preview'")
-            .bind(job.0)
-            .fetch_optional(self.readers())
-            .await?;
-        match row.as_ref().map(|row| json(row, "body")).transpose()? {
+        let result = sqlx::query_scalar!(
+            "SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
+             AND t.kind = 'preview'",
+            job.0
+        )
+        .fetch_optional(self.readers())
+        .await?;
+        match result.map(|it| it.0) {
             None => Ok(None),
             Some(TaskResult::Preview(preview)) => Ok(Some(preview)),
             Some(other) => Err(corrupt("body", format!("a {} result of a preview task", other.kind()))),
@@ -111,30 +119,29 @@ impl Store {
 
     /// The job's profiles by frame, if all that were asked for are there; `None` while one is missing.
     pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT t.spec, r.body, l.node_id, l.node_speed FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
-             WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame",
+        let rows = sqlx::query!(
+            r#"SELECT t.spec, r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id", l.node_speed AS "node_speed?"
+               FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id
+               WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame"#,
+            job.0
         )
-        .bind(job.0)
         .fetch_all(self.readers())
         .await?;
         let mut profiles = Vec::with_capacity(rows.len());
-        for row in &rows {
-            match crate::decode::json_opt(row, "body")? {
-                None => return Ok(None),
-                Some(TaskResult::Profile(result)) => {
-                    let node = self.node(NodeId(id(row, "node_id")?)).await?;
-                    let by_class = node.corrected_speed(result.work_by_class.as_ref());
-                    let node_speed = by_class.map_or_else(|| row.try_get("node_speed"), Ok)?;
-                    let TaskSpec::Profile(ProfileSpec { settings, .. }) = json(row, "spec")? else {
-                        return Err(corrupt("spec", "a profile task is asked for something else".to_owned()));
-                    };
-                    profiles.push(MeasuredProfile::new(result, node_speed, settings.spp));
-                }
-                Some(other) => {
-                    return Err(corrupt("body", format!("a {} result of a profile task", other.kind())));
-                }
-            }
+        for row in rows {
+            let (Some(Json(result)), Some(node), Some(node_speed)) = (row.body, row.node_id, row.node_speed)
+            else {
+                return Ok(None);
+            };
+            let TaskResult::Profile(result) = result else {
+                return Err(corrupt("body", format!("a {} result of a profile task", result.kind())));
+            };
+            let TaskSpec::Profile(ProfileSpec { settings, .. }) = row.spec.0 else {
+                return Err(corrupt("spec", "a profile task is asked for something else"));
+            };
+            let node = self.node(node.into()).await?;
+            let by_class = node.corrected_speed(result.work_by_class.as_ref());
+            profiles.push(MeasuredProfile::new(result, by_class.unwrap_or(node_speed), settings.spp));
         }
         Ok(Some(profiles))
     }
@@ -144,48 +151,64 @@ impl Store {
         connection: &mut sqlx::SqliteConnection,
         job: JobId,
     ) -> Result<Vec<(u32, ArtifactHash)>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT t.id, r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame",
+        let rows = sqlx::query!(
+            "SELECT t.id, r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
+             AND t.kind = 'profile' ORDER BY t.frame",
+            job.0
         )
-        .bind(job.0)
         .fetch_all(connection)
         .await?;
-        rows.iter()
-            .map(|row| match json(row, "body")? {
+        rows.into_iter()
+            .map(|row| match row.body.0 {
                 TaskResult::Profile(result) => Ok((result.frame, result.artifacts.profile)),
-                _ => Err(corrupt("body", format!("task {} is a profile, its result is not", id(row, "id")?))),
+                _ => Err(corrupt(
+                    "body",
+                    format!("task {} is a profile, its result is not", TaskId::from(row.id)),
+                )),
             })
             .collect()
     }
+}
+
+/// A node, and how many artefacts the result of a task names.
+#[derive(FromRow)]
+struct NamedRow {
+    #[sqlx(flatten)]
+    node: NodeRow,
+    artifacts: i64,
 }
 
 /// Keeps which artefacts a result names: all of them have to be there. Brings the lease's node along.
 async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) -> Result<Node, StoreError> {
     let artifacts: BTreeSet<ArtifactHash> = result.artifacts().into_iter().collect();
     for artifact in &artifacts {
-        write
-            .later(
-                "INSERT INTO result_artifacts (task_id, hash) SELECT ?, hash FROM artifacts WHERE hash = ?",
-            )
-            .bind(row.task_id.0)
-            .bind(artifact.0.to_vec());
+        later!(
+            write,
+            "INSERT INTO result_artifacts (task_id, hash) SELECT ?, hash FROM artifacts WHERE hash = ?",
+            row.task_id.0,
+            &artifact.0[..]
+        );
     }
-    let kept = write
-        .ask(select_nodes!(
-            ", (SELECT count(*) FROM result_artifacts WHERE task_id = ?) AS artifacts",
-            "WHERE n.id = ?"
-        ))
-        .bind(row.task_id.0)
-        .bind(row.node_id.0)
-        .first_row()
-        .await?
-        .ok_or(StoreError::NotFound("node"))?;
-    if whole::<usize>(&kept, "artifacts")? == artifacts.len() {
-        return nodes::decode(&kept);
+    let NamedRow { node, artifacts: kept } = ask!(
+        write,
+        "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
+                      ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id, \
+         (SELECT count(*) FROM result_artifacts WHERE task_id = ?) AS artifacts FROM nodes n WHERE n.id = ?",
+        row.task_id.0,
+        row.node_id.0
+    )
+    .first_row()
+    .await?
+    .ok_or(StoreError::NotFound("node"))?;
+    if usize::try_from(kept) == Ok(artifacts.len()) {
+        return Ok(node.into());
     }
     for artifact in artifacts {
-        let there = write.ask("SELECT 1 FROM artifacts WHERE hash = ?").bind(artifact.0.to_vec());
-        if there.first_row().await?.is_none() {
+        let found: Option<(i64,)> =
+            ask!(write, "SELECT 1 AS found FROM artifacts WHERE hash = ?", &artifact.0[..])
+                .first_row()
+                .await?;
+        if found.is_none() {
             return Err(StoreError::MissingArtifact(artifact));
         }
     }
@@ -228,11 +251,13 @@ async fn keep(
 
 fn show_preview(write: &mut Write, job: JobId, frame: u32, image: Option<ArtifactHash>) {
     let Some(image) = image else { return };
-    write
-        .later("UPDATE frames SET preview_png = ? WHERE job_id = ? AND frame = ?")
-        .bind(image.0.to_vec())
-        .bind(job.0)
-        .bind(i64::from(frame));
+    later!(
+        write,
+        "UPDATE frames SET preview_png = ? WHERE job_id = ? AND frame = ?",
+        &image.0[..],
+        job.0,
+        frame
+    );
 }
 
 /// Keeps what a frame took; the last frame finishes the job, and says how far its quote was off, in the same transaction. Whether it is the last.
@@ -249,27 +274,26 @@ async fn keep_render(
     // node's speed as well: the profile does not say per pixel where it was made.
     let cpu_at_speed_one = stats.cpu_seconds * speed;
     learning::learn(write, row, node, stats).await?;
-    let (body, artifacts) = (to_json(stats)?, to_json(&render.artifacts)?);
-    write
-        .later(
-            "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
+    later!(
+        write,
+        "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
              preview_png = coalesce(?, preview_png) WHERE job_id = ? AND frame = ?",
-        )
-        .bind(body)
-        .bind(stats.work as f64)
-        .bind(cpu_at_speed_one)
-        .bind(artifacts)
-        .bind(now.micros())
-        .bind(render.artifacts.preview_png.map(|hash| hash.0.to_vec()))
-        .bind(row.job_id.0)
-        .bind(i64::from(stats.frame));
-    write
-        .later(
-            "UPDATE jobs SET state = 'done', finished_at = ? WHERE id = ? AND state = 'rendering' \
+        Json(stats),
+        stats.work as f64,
+        cpu_at_speed_one,
+        Json(&render.artifacts),
+        now.micros(),
+        render.artifacts.preview_png.as_ref().map(|hash| &hash.0[..]),
+        row.job_id.0,
+        stats.frame
+    );
+    later!(
+        write,
+        "UPDATE jobs SET state = 'done', finished_at = ? WHERE id = ? AND state = 'rendering' \
              AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = jobs.id AND actual IS NULL)",
-        )
-        .bind(now.micros())
-        .bind(row.job_id.0);
+        now.micros(),
+        row.job_id.0
+    );
     let before = living::before(write, row.job_id).await?;
     let is_last = before.job_state == JobState::Done && row.job_state != JobState::Done;
     if is_last {

@@ -16,15 +16,15 @@
 pub(crate) mod parts;
 
 use forelight_protocol::{
-    ArtifactHash, ByClass, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, NodeId, TaskId,
-    TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, ByClass, CacheFillResult, CacheMergeResult, CachePlanResult, JobId, TaskId, TaskResult,
+    TaskSpec, Timestamp,
 };
 use forelight_quote::SharedCache;
 use sqlx::SqliteConnection;
 
-use self::parts::NewSeedBooking;
+use self::parts::NewPartBooking;
+use crate::columns::{Id, Json, corrupt};
 use crate::database::{Store, Write};
-use crate::decode::{corrupt, id, id_opt, json, json_opt, time_opt, whole, whole_opt};
 use crate::error::StoreError;
 use crate::jobs::ending::fail_task_and_job;
 use crate::leases::LeaseRow;
@@ -32,15 +32,15 @@ use crate::nodes;
 use crate::policy::shared_cache::{Next, after_round};
 use crate::tasks::{Common, Slot, rates};
 
-/// A cache that a job's frames share, to be made before them.
+/// A shared cache, to be filled before the frames of its job.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct NewSeed {
+pub struct NewSharedCache {
     /// The cache as planned.
     pub cache: ArtifactHash,
     /// Into how many parts it is split.
     pub parts: u32,
     /// Where and when parts are to be filled; those without a booking are for whoever is idle.
-    pub bookings: Vec<NewSeedBooking>,
+    pub bookings: Vec<NewPartBooking>,
 }
 
 /// The plan of the cache that a job's frames could share.
@@ -72,41 +72,47 @@ impl PlannedCache {
 impl Store {
     /// The plan of the cache that the job's frames could share.
     pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache, StoreError> {
-        let row = sqlx::query(
-            "SELECT r.body, l.node_id, (SELECT json_extract(p.body, '$.profile.work_by_class') FROM tasks o JOIN results p ON p.task_id = o.id \
-             WHERE o.job_id = t.job_id AND o.kind = 'profile' ORDER BY o.frame LIMIT 1) AS work_by_class \
-             FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id \
-             WHERE t.job_id = ? AND t.kind = 'cache_plan'",
+        let row = sqlx::query!(
+            r#"SELECT r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id",
+                      (SELECT json_extract(p.body, '$.profile.work_by_class') FROM tasks o JOIN results p ON p.task_id = o.id
+                       WHERE o.job_id = t.job_id AND o.kind = 'profile' ORDER BY o.frame LIMIT 1)
+                      AS "work_by_class?: Json<ByClass>"
+               FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id
+               WHERE t.job_id = ? AND t.kind = 'cache_plan'"#,
+            job.0
         )
-        .bind(job.0)
         .fetch_optional(self.readers())
         .await?;
         let Some(row) = row else { return Ok(PlannedCache::NotAsked) };
-        match json_opt(&row, "body")? {
-            None => Ok(PlannedCache::Pending),
-            Some(TaskResult::CachePlan(plan)) => {
-                // As the profiles' times are: by the work that the job is.
-                let work: Option<ByClass> = json_opt(&row, "work_by_class")?;
-                let node = self.node(NodeId(id(&row, "node_id")?)).await?;
-                Ok(PlannedCache::There { plan: Box::new(plan), node_speed: node.speed_for(work.as_ref()) })
-            }
-            Some(other) => Err(corrupt("body", format!("a {} result of a cache_plan task", other.kind()))),
-        }
+        let (Some(Json(result)), Some(node)) = (row.body, row.node_id) else {
+            return Ok(PlannedCache::Pending);
+        };
+        let TaskResult::CachePlan(plan) = result else {
+            return Err(corrupt("body", format!("a {} result of a cache_plan task", result.kind())));
+        };
+        // For the work that the job is, as the times of its profiles are.
+        let work = row.work_by_class.map(|it| it.0);
+        let node = self.node(node.into()).await?;
+        Ok(PlannedCache::There { plan: Box::new(plan), node_speed: node.speed_for(work.as_ref()) })
     }
 }
 
 /// Makes the tasks of the first round.
-pub(crate) async fn begin(write: &mut Write, common: &Common, seed: &NewSeed) -> Result<(), StoreError> {
+pub(crate) async fn begin(
+    write: &mut Write,
+    common: &Common,
+    new: &NewSharedCache,
+) -> Result<(), StoreError> {
     let rates = rates(write.connection().await?, common.job).await?;
-    for part in 0..seed.parts {
-        let booked = match seed.bookings.iter().find(|booking| booking.part == part) {
-            Some(&NewSeedBooking { node, start, .. }) => {
+    for part in 0..new.parts {
+        let booked = match new.bookings.iter().find(|booking| booking.part == part) {
+            Some(&NewPartBooking { node, start, .. }) => {
                 let rate = rates.on(&nodes::read(write.connection().await?, node).await?);
                 Some(Slot { node, start, rate })
             }
             None => None,
         };
-        common.cache_fill(write, seed.cache, 0, (part, seed.parts), booked).await?;
+        common.cache_fill(write, new.cache, 0, (part, new.parts), booked).await?;
     }
     Ok(())
 }
@@ -127,14 +133,14 @@ async fn make_ready(
     (kind, place): (&'static str, &'static str),
     cache: Option<ArtifactHash>,
 ) -> Result<(), StoreError> {
-    sqlx::query(
+    sqlx::query!(
         "UPDATE tasks SET state = 'ready', spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) \
          WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
+        cache.map(|cache| cache.to_string()),
+        place,
+        job.0,
+        kind
     )
-    .bind(cache.map(|cache| cache.to_string()))
-    .bind(place)
-    .bind(job.0)
-    .bind(kind)
     .execute(write.connection().await?)
     .await?;
     write.made_work = true;
@@ -154,17 +160,17 @@ pub(crate) async fn part_filled(
     if spec.parts == 1 {
         return go_on(write, row, (spec.round, 1), filled.cache, filled.full, now).await;
     }
-    let rows = sqlx::query(
-        "SELECT r.body FROM tasks t LEFT JOIN results r ON r.task_id = t.id \
-         WHERE t.job_id = ? AND t.kind = 'cache_fill' AND t.round = ? ORDER BY t.part",
+    let results = sqlx::query_scalar!(
+        r#"SELECT r.body AS "body?: Json<TaskResult>" FROM tasks t LEFT JOIN results r ON r.task_id = t.id
+           WHERE t.job_id = ? AND t.kind = 'cache_fill' AND t.round = ? ORDER BY t.part"#,
+        row.job_id.0,
+        spec.round
     )
-    .bind(row.job_id.0)
-    .bind(i64::from(spec.round))
     .fetch_all(write.connection().await?)
     .await?;
-    let mut parts = Vec::with_capacity(rows.len());
-    for row in &rows {
-        match json_opt(row, "body")? {
+    let mut parts = Vec::with_capacity(results.len());
+    for result in results {
+        match result.map(|it| it.0) {
             None => return Ok(()),
             Some(TaskResult::CacheFill(part)) => parts.push(part.cache),
             Some(other) => {
@@ -207,26 +213,29 @@ async fn go_on(
         Next::Round(next) => next,
     };
     let common = Common::read(write.connection().await?, row.job_id).await?;
-    let before = sqlx::query(
-        "SELECT part, booked_node, booked_at, booked_rate FROM tasks WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part",
+    let before = sqlx::query!(
+        r#"SELECT part AS "part!", booked_node, booked_at, booked_rate FROM tasks
+           WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part"#,
+        row.job_id.0,
+        round
     )
-    .bind(row.job_id.0)
-    .bind(i64::from(round))
     .fetch_all(write.connection().await?)
     .await?;
-    for row in &before {
+    for row in before {
         // Each round is done where the one before was.
-        let rate = whole_opt(row, "booked_rate")?;
-        let booked = id_opt(row, "booked_node")?.map(NodeId).zip(time_opt(row, "booked_at")?);
-        let booked = booked.map(|(node, start)| Slot { node, start, rate });
-        common.cache_fill(write, cache, next, (whole(row, "part")?, parts), booked).await?;
+        let booked = row.booked_node.zip(row.booked_at).map(|(node, start)| Slot {
+            node: node.into(),
+            start: start.into(),
+            rate: row.booked_rate,
+        });
+        common.cache_fill(write, cache, next, (row.part, parts), booked).await?;
     }
     Ok(())
 }
 
 /// What a task was told.
 async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec, StoreError> {
-    let row =
-        sqlx::query("SELECT spec FROM tasks WHERE id = ?").bind(task.0).fetch_optional(connection).await?;
-    json(&row.ok_or(StoreError::NotFound("task"))?, "spec")
+    let spec = sqlx::query_scalar!("SELECT spec FROM tasks WHERE id = ?", task.0);
+    let spec = spec.fetch_optional(connection).await?;
+    Ok(spec.ok_or(StoreError::NotFound("task"))?.0)
 }

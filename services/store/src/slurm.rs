@@ -12,16 +12,13 @@
 //! was lost, or came late is harmless: its process asks for the lease of exactly its task, and gets it or not.
 
 use forelight_protocol::{Event, EventKind, JobId, Money, NodeId, TaskId, TaskKind, Timestamp, Verdict};
-use sqlx::Row as _;
-use sqlx::sqlite::SqliteRow;
 use uuid::Uuid;
 
+use crate::columns::Time;
 use crate::database::Store;
-use crate::decode::{id, json_opt, time, time_opt, whole, whole_opt, word};
 use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::jobs::ending;
-use crate::nodes::closed;
 
 /// A task that waits to be handed to Slurm.
 #[derive(Clone, PartialEq, Debug)]
@@ -124,26 +121,68 @@ pub struct SeenNode {
     pub cores: u32,
 }
 
+/// An event about the task of a row.
+macro_rules! of_task {
+    ($row:expr, $kind:expr, $now:expr) => {
+        Event {
+            job_id: Some($row.job_id.into()),
+            task_id: Some($row.id.into()),
+            task_kind: Some($row.kind.0),
+            frame: $row.frame,
+            ..event($kind, $now)
+        }
+    };
+}
+
 impl Store {
     /// The tasks that are ready and in nobody's hands, by deadline, priority, age of the job, and booked time.
     pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS node, coalesce(b.start_at, s.start_at) AS start_at, coalesce(b.end_at, s.end_at) AS end_at, \
-             CASE t.kind WHEN 'cache_fill' THEN json_extract(j.forecast, '$.cache.seed.cpu_seconds.p95') / json_extract(t.spec, '$.cache_fill.parts') \
-             ELSE f.cpu_p95 END AS cpu_p95, \
-             (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements WHERE task_id = t.id) AS lost, \
-             (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS lost_at \
-             FROM tasks t JOIN jobs j ON j.id = t.job_id \
-             LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame \
-             LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND t.kind = 'render' AND b.frame = t.frame \
-             LEFT JOIN seed_bookings s ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND s.part = t.part \
-             LEFT JOIN nodes n ON n.id = coalesce(b.node_id, s.node_id) \
-             WHERE t.state = 'ready' AND t.held = 0 AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL) \
-             ORDER BY t.due_at, t.priority DESC, t.job_id, start_at, t.kind, t.frame, t.part",
+        let rows = sqlx::query!(
+            r#"SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS "node?",
+                      coalesce(b.start_at, s.start_at) AS "start_at?: Time", coalesce(b.end_at, s.end_at) AS "end_at?: Time",
+                      CASE t.kind WHEN 'cache_fill' THEN json_extract(j.forecast, '$.cache.shared_cache.cpu_seconds.p95')
+                                                         / json_extract(t.spec, '$.cache_fill.parts')
+                           ELSE f.cpu_p95 END AS "cpu_p95?: f64",
+                      (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements
+                       WHERE task_id = t.id) AS "lost?: String",
+                      (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS "lost_at?: Time"
+               FROM tasks t JOIN jobs j ON j.id = t.job_id
+               LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
+               LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND t.kind = 'render' AND b.frame = t.frame
+               LEFT JOIN shared_cache_bookings s
+                    ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND s.part = t.part
+               LEFT JOIN nodes n ON n.id = coalesce(b.node_id, s.node_id)
+               WHERE t.state = 'ready' AND t.held = 0
+                     AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL)
+               ORDER BY t.due_at, t.priority DESC, t.job_id, coalesce(b.start_at, s.start_at), t.kind, t.frame, t.part"#
         )
         .fetch_all(self.readers())
         .await?;
-        rows.iter().map(decode_waiting).collect()
+        Ok(rows
+            .into_iter()
+            .map(|row| {
+                let verdict = row.verdict.map(|it| it.0.verdict);
+                let is_held = matches!(verdict, Some(Verdict::OnTime | Verdict::OverBudget));
+                let booked = match (row.node, row.start_at, row.end_at) {
+                    (Some(node), Some(start), Some(end)) => {
+                        Some(BookedTime { node, start: start.into(), end: end.into() })
+                    }
+                    _ => None,
+                };
+                Waiting {
+                    task: row.id.into(),
+                    job: row.job_id.into(),
+                    job_name: row.job,
+                    kind: row.kind.0,
+                    frame: row.frame,
+                    booked,
+                    cpu_p95: row.cpu_p95,
+                    deadline: row.deadline_at.filter(|_| is_held).map(Into::into),
+                    lost: row.lost.map_or(Vec::new(), |lost| lost.lines().map(str::to_owned).collect()),
+                    lost_at: row.lost_at.map(Into::into),
+                }
+            })
+            .collect())
     }
 
     /// Writes down that an array is about to be submitted, under an id of its own. A [`StoreError::Conflict`] if one of its tasks is in
@@ -151,28 +190,29 @@ impl Store {
     pub async fn announce_slurm_array(&self, new: &NewArray, now: Timestamp) -> Result<Uuid, StoreError> {
         let mut write = self.write().await?;
         let array = Uuid::now_v7();
-        sqlx::query(
-            "INSERT INTO slurm_arrays (id, job_id, limit_minutes, begin_at, deadline_at, reservation, reserved_to, created_at) \
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        sqlx::query!(
+            "INSERT INTO slurm_arrays (id, job_id, limit_minutes, begin_at, deadline_at, reservation, \
+             reserved_to, created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            array,
+            new.job.0,
+            new.limit_minutes,
+            new.begin.map(Timestamp::micros),
+            new.deadline.map(Timestamp::micros),
+            new.reservation.as_ref().map(|(name, _)| name),
+            new.reservation.as_ref().map(|(_, until)| until.micros()),
+            now.micros()
         )
-        .bind(array)
-        .bind(new.job.0)
-        .bind(i64::from(new.limit_minutes))
-        .bind(new.begin.map(Timestamp::micros))
-        .bind(new.deadline.map(Timestamp::micros))
-        .bind(new.reservation.as_ref().map(|(name, _)| name))
-        .bind(new.reservation.as_ref().map(|(_, until)| until.micros()))
-        .bind(now.micros())
         .execute(write.connection().await?)
         .await?;
         for (task, position) in new.tasks.iter().zip(0_i64..) {
-            let written = sqlx::query(
-                "INSERT INTO slurm_elements (array_id, position, task_id) SELECT ?1, ?2, id FROM tasks WHERE id = ?3 AND state = 'ready' \
-                 AND NOT EXISTS (SELECT 1 FROM slurm_elements WHERE task_id = ?3 AND outcome IS NULL)",
+            let written = sqlx::query!(
+                "INSERT INTO slurm_elements (array_id, position, task_id) SELECT ?1, ?2, id FROM tasks \
+                 WHERE id = ?3 AND state = 'ready' AND NOT EXISTS (SELECT 1 FROM slurm_elements \
+                 WHERE task_id = ?3 AND outcome IS NULL)",
+                array,
+                position,
+                task.0
             )
-            .bind(array)
-            .bind(position)
-            .bind(task.0)
             .execute(write.connection().await?)
             .await?;
             if written.rows_affected() != 1 {
@@ -191,22 +231,19 @@ impl Store {
         now: Timestamp,
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        sqlx::query("UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?")
-            .bind(i64::from(slurm_id))
-            .bind(array)
+        sqlx::query!("UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?", slurm_id, array)
             .execute(write.connection().await?)
             .await?;
-        let elements = sqlx::query(
-            "SELECT e.position, t.id, t.job_id, t.kind, t.frame FROM slurm_elements e JOIN tasks t ON t.id = e.task_id \
-             WHERE e.array_id = ? ORDER BY e.position",
+        let elements = sqlx::query!(
+            "SELECT e.position, t.id, t.job_id, t.kind, t.frame FROM slurm_elements e \
+             JOIN tasks t ON t.id = e.task_id WHERE e.array_id = ? ORDER BY e.position",
+            array
         )
-        .bind(array)
         .fetch_all(write.connection().await?)
         .await?;
-        for row in &elements {
-            let position: u32 = whole(row, "position")?;
-            let message = Some(format!("Slurm job {slurm_id}_{position}"));
-            append(&mut write, Event { message, ..of_task(row, EventKind::TaskSubmitted, now)? })?;
+        for row in elements {
+            let message = Some(format!("Slurm job {slurm_id}_{}", row.position));
+            append(&mut write, Event { message, ..of_task!(row, EventKind::TaskSubmitted, now) })?;
         }
         self.commit(write).await
     }
@@ -214,12 +251,10 @@ impl Store {
     /// Forgets an array that Slurm did not take: its tasks wait again.
     pub async fn slurm_array_refused(&self, array: Uuid) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        sqlx::query("DELETE FROM slurm_elements WHERE array_id = ?")
-            .bind(array)
+        sqlx::query!("DELETE FROM slurm_elements WHERE array_id = ?", array)
             .execute(write.connection().await?)
             .await?;
-        sqlx::query("DELETE FROM slurm_arrays WHERE id = ?")
-            .bind(array)
+        sqlx::query!("DELETE FROM slurm_arrays WHERE id = ?", array)
             .execute(write.connection().await?)
             .await?;
         self.commit(write).await
@@ -228,8 +263,7 @@ impl Store {
     /// Takes note that an array runs in no reservation any more.
     pub async fn slurm_reservation_ended(&self, array: Uuid) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        sqlx::query("UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?")
-            .bind(array)
+        sqlx::query!("UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?", array)
             .execute(write.connection().await?)
             .await?;
         self.commit(write).await
@@ -238,50 +272,49 @@ impl Store {
     /// The arrays that need looking after: those with elements that have not ended, and those whose reservation is still there.
     pub async fn open_slurm_arrays(&self) -> Result<Vec<OpenArray>, StoreError> {
         let mut transaction = self.read().await?;
-        let rows = sqlx::query(
-            "SELECT * FROM slurm_arrays a WHERE a.reservation IS NOT NULL \
-             OR EXISTS (SELECT 1 FROM slurm_elements e WHERE e.array_id = a.id AND e.outcome IS NULL) ORDER BY a.id",
+        let rows = sqlx::query!(
+            "SELECT * FROM slurm_arrays a WHERE a.reservation IS NOT NULL OR EXISTS (SELECT 1 \
+             FROM slurm_elements e WHERE e.array_id = a.id AND e.outcome IS NULL) ORDER BY a.id"
         )
         .fetch_all(&mut *transaction)
         .await?;
         let mut arrays = Vec::with_capacity(rows.len());
-        for row in &rows {
-            let array: Uuid = id(row, "id")?;
-            let elements = sqlx::query(
-                "SELECT e.position, e.task_id, e.outcome, t.state FROM slurm_elements e JOIN tasks t ON t.id = e.task_id \
-                 WHERE e.array_id = ? ORDER BY e.position",
+        for row in rows {
+            let array = row.id.0;
+            let elements = sqlx::query!(
+                "SELECT e.position, e.task_id, e.outcome, t.state FROM slurm_elements e \
+                 JOIN tasks t ON t.id = e.task_id WHERE e.array_id = ? ORDER BY e.position",
+                array
             )
-            .bind(array)
             .fetch_all(&mut *transaction)
             .await?;
             let mut tasks = Vec::with_capacity(elements.len());
             let mut open = Vec::new();
-            for element in &elements {
-                let task = TaskId(id(element, "task_id")?);
+            for element in elements {
+                let task = TaskId::from(element.task_id);
                 tasks.push(task);
-                if element.try_get::<Option<&str>, _>("outcome")?.is_none() {
-                    let state = match element.try_get("state")? {
+                if element.outcome.is_none() {
+                    let state = match element.state.as_str() {
                         "ready" => Holding::Ready,
                         "leased" => Holding::Leased,
                         "done" => Holding::Done,
                         _ => Holding::Withdrawn,
                     };
-                    open.push(OpenElement { position: whole(element, "position")?, task, state });
+                    open.push(OpenElement { position: element.position, task, state });
                 }
             }
-            let reservation: Option<String> = row.try_get("reservation")?;
             arrays.push(OpenArray {
                 id: array,
-                slurm_id: whole_opt(row, "slurm_id")?,
-                announced: time(row, "created_at")?,
+                slurm_id: row.slurm_id,
+                announced: row.created_at.into(),
                 elements: open,
                 array: NewArray {
-                    job: JobId(id(row, "job_id")?),
+                    job: row.job_id.into(),
                     tasks,
-                    limit_minutes: whole(row, "limit_minutes")?,
-                    begin: time_opt(row, "begin_at")?,
-                    deadline: time_opt(row, "deadline_at")?,
-                    reservation: reservation.zip(time_opt(row, "reserved_to")?),
+                    limit_minutes: row.limit_minutes,
+                    begin: row.begin_at.map(Into::into),
+                    deadline: row.deadline_at.map(Into::into),
+                    reservation: row.reservation.zip(row.reserved_to.map(Into::into)),
                 },
             });
         }
@@ -297,30 +330,32 @@ impl Store {
         now: Timestamp,
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let ended = sqlx::query(
-            "UPDATE slurm_elements SET outcome = ?, ended_at = ? WHERE array_id = ? AND position = ? AND outcome IS NULL",
+        let ended = sqlx::query!(
+            "UPDATE slurm_elements SET outcome = ?, ended_at = ? WHERE array_id = ? AND position = ? \
+             AND outcome IS NULL",
+            outcome,
+            now.micros(),
+            array,
+            position
         )
-        .bind(outcome)
-        .bind(now.micros())
-        .bind(array)
-        .bind(i64::from(position))
         .execute(write.connection().await?)
         .await?;
         if ended.rows_affected() == 1 {
-            let row = sqlx::query(
-                "SELECT t.id, t.job_id, t.kind, t.frame, t.state, a.slurm_id FROM slurm_elements e JOIN tasks t ON t.id = e.task_id \
-                 JOIN slurm_arrays a ON a.id = e.array_id WHERE e.array_id = ? AND e.position = ?",
+            let row = sqlx::query!(
+                "SELECT t.id, t.job_id, t.kind, t.frame, t.state, a.slurm_id FROM slurm_elements e \
+                 JOIN tasks t ON t.id = e.task_id JOIN slurm_arrays a ON a.id = e.array_id \
+                 WHERE e.array_id = ? AND e.position = ?",
+                array,
+                position
             )
-            .bind(array)
-            .bind(i64::from(position))
             .fetch_one(write.connection().await?)
             .await?;
-            if row.try_get::<&str, _>("state")? == "ready" {
-                let number: Option<u32> = whole_opt(&row, "slurm_id")?;
-                let number =
-                    number.map_or("never submitted".to_owned(), |slurm| format!("job {slurm}_{position}"));
+            if row.state == "ready" {
+                let number = row
+                    .slurm_id
+                    .map_or("never submitted".to_owned(), |slurm| format!("job {slurm}_{position}"));
                 let message = Some(format!("Slurm ended it: {outcome} ({number})"));
-                append(&mut write, Event { message, ..of_task(&row, EventKind::SubmissionLost, now)? })?;
+                append(&mut write, Event { message, ..of_task!(row, EventKind::SubmissionLost, now) })?;
             }
         }
         self.commit(write).await
@@ -334,15 +369,18 @@ impl Store {
         now: Timestamp,
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        let row = sqlx::query("UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ? AND state = 'ready' RETURNING id, job_id, kind, frame")
-            .bind(reason)
-            .bind(now.micros())
-            .bind(task.0)
-            .fetch_optional(write.connection().await?)
-            .await?;
+        let row = sqlx::query!(
+            "UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ? \
+             AND state = 'ready' RETURNING id, job_id, kind, frame",
+            reason,
+            now.micros(),
+            task.0
+        )
+        .fetch_optional(write.connection().await?)
+        .await?;
         if let Some(row) = row {
-            let of = (word::<TaskKind>(&row, "kind")?, whole_opt(&row, "frame")?);
-            ending::fail_for_task(&mut write, JobId(id(&row, "job_id")?), of, reason, now).await?;
+            let of = (row.kind.0, row.frame);
+            ending::fail_for_task(&mut write, row.job_id.into(), of, reason, now).await?;
         }
         self.commit(write).await
     }
@@ -357,23 +395,26 @@ impl Store {
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         for node in seen {
-            let touched = sqlx::query("UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE name = ?")
-                .bind(now.micros())
-                .bind(&node.name)
-                .execute(write.connection().await?)
-                .await?;
+            let touched = sqlx::query!(
+                "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE name = ?",
+                now.micros(),
+                node.name
+            )
+            .execute(write.connection().await?)
+            .await?;
             if touched.rows_affected() == 1 {
                 continue;
             }
             let new = NodeId::new();
-            sqlx::query(
-                "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at) VALUES (?, ?, 1, ?, ?, ?5, ?5)",
+            sqlx::query!(
+                "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at) \
+                 VALUES (?, ?, 1, ?, ?, ?5, ?5)",
+                new.0,
+                node.name,
+                price_per_hour.micro_units(),
+                node.cores,
+                now.micros()
             )
-            .bind(new.0)
-            .bind(&node.name)
-            .bind(price_per_hour.micro_units())
-            .bind(i64::from(node.cores))
-            .bind(now.micros())
             .execute(write.connection().await?)
             .await?;
             let message = Some(node.name.clone());
@@ -387,19 +428,20 @@ impl Store {
 
     /// The names of nodes that are to get no further tasks: drained, paused, or set aside.
     pub async fn closed_nodes(&self) -> Result<Vec<String>, StoreError> {
-        Ok(sqlx::query_scalar(concat!("SELECT name FROM nodes WHERE ", closed!(), " ORDER BY name"))
-            .fetch_all(self.readers())
-            .await?)
+        Ok(sqlx::query_scalar!(
+            "SELECT name FROM nodes WHERE drain OR pause OR set_aside IS NOT NULL ORDER BY name"
+        )
+        .fetch_all(self.readers())
+        .await?)
     }
 
     /// The least that a node which is there and takes work does in a second, in seconds of a core of speed 1; absent if there is none.
     pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>, StoreError> {
-        Ok(sqlx::query_scalar(concat!(
-            "SELECT min(coalesce(speed_set, speed) * cores) FROM nodes WHERE NOT ",
-            closed!(),
-            " AND last_seen_at >= ?"
-        ))
-        .bind(seen_since.micros())
+        Ok(sqlx::query_scalar!(
+            r#"SELECT min(coalesce(speed_set, speed) * cores) AS "least?: f64" FROM nodes
+               WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?"#,
+            seen_since.micros()
+        )
         .fetch_one(self.readers())
         .await?)
     }
@@ -413,39 +455,4 @@ impl Store {
         )?;
         self.commit(write).await
     }
-}
-
-fn decode_waiting(row: &SqliteRow) -> Result<Waiting, StoreError> {
-    let verdict: Option<forelight_protocol::JobVerdict> = json_opt(row, "verdict")?;
-    let held =
-        verdict.is_some_and(|verdict| matches!(verdict.verdict, Verdict::OnTime | Verdict::OverBudget));
-    let lost: Option<String> = row.try_get("lost")?;
-    let node: Option<String> = row.try_get("node")?;
-    let booked = match (node, time_opt(row, "start_at")?, time_opt(row, "end_at")?) {
-        (Some(node), Some(start), Some(end)) => Some(BookedTime { node, start, end }),
-        _ => None,
-    };
-    Ok(Waiting {
-        task: TaskId(id(row, "id")?),
-        job: JobId(id(row, "job_id")?),
-        job_name: row.try_get("job")?,
-        kind: word(row, "kind")?,
-        frame: whole_opt(row, "frame")?,
-        booked,
-        cpu_p95: row.try_get("cpu_p95")?,
-        deadline: time_opt(row, "deadline_at")?.filter(|_| held),
-        lost: lost.map_or(Vec::new(), |lost| lost.lines().map(str::to_owned).collect()),
-        lost_at: time_opt(row, "lost_at")?,
-    })
-}
-
-/// An event about the task of a row.
-fn of_task(row: &SqliteRow, kind: EventKind, now: Timestamp) -> Result<Event, StoreError> {
-    Ok(Event {
-        job_id: Some(JobId(id(row, "job_id")?)),
-        task_id: Some(TaskId(id(row, "id")?)),
-        task_kind: Some(word(row, "kind")?),
-        frame: whole_opt(row, "frame")?,
-        ..event(kind, now)
-    })
 }

@@ -5,14 +5,12 @@ use forelight_protocol::{
     PreviewSpec, ProfileSpec, RenderSettings, RenderSpec, SceneDigest, TaskId, TaskLimits, TaskSpec,
     Timestamp,
 };
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
+use crate::columns::Json;
 use crate::database::Write;
-use crate::decode::{json, json_opt, time_opt, to_json, whole};
 use crate::error::StoreError;
-use crate::jobs;
-use crate::leases::paid_until;
+use crate::jobs::{self, JobRow};
 use crate::policy::work_stealing::{Rates, is_bounded};
 
 /// To be handed out.
@@ -53,21 +51,21 @@ pub(crate) struct ProfileAsked {
 
 impl Common {
     /// Read from a job's row.
-    pub(crate) fn of(job: JobId, row: &SqliteRow) -> Result<Self, StoreError> {
-        Ok(Self {
-            job,
-            bundle: jobs::source(row)?,
-            digest: jobs::digest(row)?,
-            settings: json(row, "settings")?,
-            deadline: time_opt(row, "deadline_at")?,
-            priority: whole(row, "priority")?,
-            limits: json(row, "limits")?,
-        })
+    pub(crate) fn of(row: &JobRow) -> Self {
+        Self {
+            job: row.id.into(),
+            bundle: row.bundle_source.0.clone(),
+            digest: row.scene.0.digest,
+            settings: row.settings.0.clone(),
+            deadline: row.deadline_at.map(Into::into),
+            priority: row.priority,
+            limits: row.limits.0,
+        }
     }
 
     /// Read from the database.
     pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
-        Self::of(job, &jobs::row(connection, job).await?)
+        Ok(Self::of(&jobs::row(connection, job).await?))
     }
 
     pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
@@ -181,24 +179,25 @@ impl Common {
         state: &'static str,
         booked: Option<Slot>,
     ) -> Result<(), StoreError> {
-        sqlx::query(
-            "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, booked_node, booked_at, booked_rate, limits) \
+        sqlx::query!(
+            "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, \
+             booked_node, booked_at, booked_rate, limits) \
              VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+            TaskId::new().0,
+            self.job.0,
+            spec.kind().name(),
+            spec.frame(),
+            spec.round(),
+            spec.part(),
+            state,
+            Json(&spec),
+            self.deadline.map_or(i64::MAX, Timestamp::micros),
+            self.priority,
+            booked.map(|slot| slot.node.0),
+            booked.map(|slot| slot.start.micros()),
+            booked.and_then(|slot| slot.rate),
+            Json(&self.limits)
         )
-        .bind(TaskId::new().0)
-        .bind(self.job.0)
-        .bind(spec.kind().name())
-        .bind(spec.frame().map(i64::from))
-        .bind(spec.round().map(i64::from))
-        .bind(spec.part().map(i64::from))
-        .bind(state)
-        .bind(to_json(&spec)?)
-        .bind(self.deadline.map_or(i64::MAX, Timestamp::micros))
-        .bind(i64::from(self.priority))
-        .bind(booked.map(|slot| slot.node.0))
-        .bind(booked.map(|slot| slot.start.micros()))
-        .bind(booked.and_then(|slot| slot.rate))
-        .bind(to_json(&self.limits)?)
         .execute(write.connection().await?)
         .await?;
         write.made_work |= state == READY;
@@ -209,35 +208,31 @@ impl Common {
 /// Takes back all tasks of a job that are not finished. Leases become `revoked`, so that the next renewal of each
 /// brings its worker the order to stop.
 pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query(concat!(
-        "UPDATE leases SET state = 'revoked', ended_at = ",
-        paid_until!("?"),
-        " WHERE state = 'active' AND task_id IN (SELECT id FROM tasks WHERE job_id = ? AND state = 'leased')",
-    ))
-    .bind(now.micros())
-    .bind(job.0)
+    sqlx::query!(
+        "UPDATE leases SET state = 'revoked', ended_at = coalesce(paid_until, min(?, expires_at)) \
+         WHERE state = 'active' AND task_id IN (SELECT id FROM tasks WHERE job_id = ? AND state = 'leased')",
+        now.micros(),
+        job.0
+    )
     .execute(write.connection().await?)
     .await?;
-    sqlx::query("UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? AND state IN ('waiting', 'ready', 'leased')")
-        .bind(now.micros())
-        .bind(job.0)
-        .execute(write.connection().await?)
-        .await?;
+    sqlx::query!(
+        "UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? \
+         AND state IN ('waiting', 'ready', 'leased')",
+        now.micros(),
+        job.0
+    )
+    .execute(write.connection().await?)
+    .await?;
     Ok(())
 }
 
 /// What plans pay for the work of a job.
 pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates, StoreError> {
-    let row = sqlx::query("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?")
-        .bind(job.0)
+    let row = sqlx::query!("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?", job.0)
         .fetch_optional(connection)
         .await?;
     let row = row.ok_or(StoreError::NotFound("job"))?;
-    Ok(Rates { work: json_opt(&row, "work_by_class")?, is_bounded: is_bounded_job(&row)? })
-}
-
-/// Whether the job of this row is bounded.
-pub(crate) fn is_bounded_job(row: &SqliteRow) -> Result<bool, StoreError> {
-    let budget: Option<i64> = row.try_get("budget")?;
-    Ok(is_bounded(time_opt(row, "deadline_at")?, budget.map(Money)))
+    let is_bounded = is_bounded(row.deadline_at.map(Into::into), row.budget.map(Money));
+    Ok(Rates { work: row.work_by_class.map(|it| it.0), is_bounded })
 }

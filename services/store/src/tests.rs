@@ -30,6 +30,7 @@ mod orders;
 mod plans;
 mod records;
 mod shared_cache;
+mod statements;
 mod unattended;
 mod work_stealing;
 mod writing;
@@ -229,7 +230,7 @@ impl Farm {
         NewPlan {
             parent: self.store.newest_plan().await.unwrap(),
             reason: PlanReason::JobForecast,
-            seed: None,
+            shared_cache: None,
             wanted: self.store.wanted_plan().await.unwrap(),
             jobs: vec![NewJobPlan {
                 verdict: verdict(job.id),

@@ -1,11 +1,9 @@
 //! Bearer tokens.
 
 use forelight_protocol::{NodeId, Role, Timestamp};
-use sqlx::Row as _;
 use uuid::Uuid;
 
 use crate::database::Store;
-use crate::decode::{id_opt, word};
 use crate::error::StoreError;
 
 /// Who is asking.
@@ -34,13 +32,15 @@ pub fn random() -> String {
 pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String, StoreError> {
     let token = random();
     let mut write = store.write().await?;
-    sqlx::query("INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, ?, ?)")
-        .bind(&hash(&token)[..])
-        .bind(name)
-        .bind(role.name())
-        .bind(now.micros())
-        .execute(write.connection().await?)
-        .await?;
+    sqlx::query!(
+        "INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, ?, ?)",
+        &hash(&token)[..],
+        name,
+        role.name(),
+        now.micros()
+    )
+    .execute(write.connection().await?)
+    .await?;
     store.commit(write).await?;
     Ok(token)
 }
@@ -48,20 +48,18 @@ pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Re
 /// Whose token this is; `None` if it is nobody's. The lookup is by hash, so that its timing tells nothing of the token.
 pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>, StoreError> {
     let hash = hash(token);
-    let row = sqlx::query("SELECT role, name, node_id FROM tokens WHERE hash = ?")
-        .bind(&hash[..])
+    let row = sqlx::query!("SELECT role, name, node_id FROM tokens WHERE hash = ?", &hash[..])
         .fetch_optional(store.readers())
         .await?;
-    row.map(|row| {
-        let node = id_opt(&row, "node_id")?.map(NodeId);
-        Ok(Principal { role: word(&row, "role")?, name: row.try_get("name")?, hash, node })
-    })
-    .transpose()
+    Ok(row.map(|row| {
+        let node = row.node_id.map(Into::into);
+        Principal { role: row.role.0, name: row.name, hash, node }
+    }))
 }
 
 /// How many tokens there are.
 pub async fn count(store: &Store) -> Result<u64, StoreError> {
-    let count: i64 = sqlx::query_scalar("SELECT count(*) FROM tokens").fetch_one(store.readers()).await?;
+    let count = sqlx::query_scalar!("SELECT count(*) FROM tokens").fetch_one(store.readers()).await?;
     Ok(count.unsigned_abs())
 }
 

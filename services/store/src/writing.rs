@@ -25,7 +25,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow};
-use sqlx::{ConnectOptions as _, Connection as _, Encode, Executor as _, Sqlite, Type};
+use sqlx::{ConnectOptions as _, Connection as _, Encode, Executor as _, FromRow, Sqlite, Type};
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
 use self::statements::Statements;
@@ -36,6 +36,31 @@ pub(crate) const WRITE_TURN: Duration = Duration::from_secs(5);
 
 /// Writes of a batch, at most: the first of them waits for the last.
 const LARGEST_BATCH: u32 = 64;
+
+/// Leaves a statement for later, as [`Write::later`] does: `later!(write, "UPDATE …", a, b)`. Text and number of values are
+/// checked at compile time.
+macro_rules! later {
+    ($write:expr, $statement:literal $(, $value:expr)* $(,)?) => {{
+        // Checked, never run by itself.
+        if false {
+            let _ = sqlx::query!($statement $(, $value)*);
+        }
+        $write.later($statement)$(.bind($value))*;
+    }};
+}
+
+/// Asks a question, as [`Write::ask`] does: `ask!(write, "SELECT …", a, b).first_row()`. Text and number of values are checked
+/// at compile time; the answer is decoded by name.
+macro_rules! ask {
+    ($write:expr, $question:literal $(, $value:expr)* $(,)?) => {{
+        // Checked, never run by itself.
+        if false {
+            let _ = sqlx::query!($question $(, $value)*);
+        }
+        $write.ask($question)$(.bind($value))*
+    }};
+}
+pub(crate) use {ask, later};
 
 /// Where writers queue. Cheap to clone; all clones are one queue.
 #[derive(Clone)]
@@ -146,14 +171,15 @@ impl Write {
         }
     }
 
-    /// Leaves a statement for later: it is done before anything is asked that comes after it, and before the write ends. Its parameters are
-    /// plain `?`.
+    /// Leaves a statement for later. It runs before the next question and before the write ends. Its parameters are
+    /// plain `?`. Use [`later!`] where the statement can be checked; `RELEASE` cannot.
     pub(crate) fn later(&mut self, statement: &'static str) -> Later<'_> {
         self.statements.push(statement);
         Later(self)
     }
 
-    /// A question whose parameters are plain `?`. What was left for later goes with it.
+    /// A question whose parameters are plain `?`. What was left for later goes with it. Use [`ask!`] where the
+    /// question is one literal.
     pub(crate) fn ask(&mut self, question: &'static str) -> Question<'_> {
         self.statements.push(question);
         Question(self)
@@ -197,21 +223,14 @@ impl Question<'_> {
     }
 
     /// The first row of the answer, if it has any.
-    pub async fn first_row(self) -> Result<Option<SqliteRow>, StoreError> {
+    pub async fn first_row<R>(self) -> Result<Option<R>, StoreError>
+    where
+        R: for<'r> FromRow<'r, SqliteRow>,
+    {
         let (connection, statements) = self.0.open()?;
-        match statements.send_but_the_last(connection).await? {
-            Some(last) => Ok(connection.fetch_optional(last.together()).await?),
-            None => Ok(None),
-        }
-    }
-
-    /// All rows of the answer.
-    pub async fn rows(self) -> Result<Vec<SqliteRow>, StoreError> {
-        let (connection, statements) = self.0.open()?;
-        match statements.send_but_the_last(connection).await? {
-            Some(last) => Ok(connection.fetch_all(last.together()).await?),
-            None => Ok(Vec::new()),
-        }
+        let Some(last) = statements.send_but_the_last(connection).await? else { return Ok(None) };
+        let row = connection.fetch_optional(last.together()).await?;
+        Ok(row.as_ref().map(R::from_row).transpose()?)
     }
 }
 

@@ -258,7 +258,7 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
         .await;
         assert_eq!(done.state, JobState::Done, "{:?}", done.error);
         assert_eq!((done.frames_done, done.progress), (FRAMES, 1.0));
-        assert_eq!(done.seed.is_some_and(|seed| seed.ready), is_cached(number), "{}", done.name);
+        assert_eq!(done.shared_cache.is_some_and(|cache| cache.ready), is_cached(number), "{}", done.name);
         for row in frames_of(&http, job).await {
             let (image, stats) = &reference[&row.frame];
             assert_eq!(row.state, FrameState::Done, "frame {}", row.frame);

@@ -21,7 +21,7 @@ pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::In
         stay_open(&mut input.nodes[booking.node as usize], now, booking.end);
     }
     let held = |job: u64| farm.jobs[job as usize].held;
-    bookings.extend(seeds(snapshot, &nodes, &places, false).filter(|booking| !held(booking.job)));
+    bookings.extend(cache_parts(snapshot, &nodes, &places, false).filter(|booking| !held(booking.job)));
     bookings.extend(farm.standing.iter().filter(|booking| !held(booking.job)).cloned());
     bookings.sort_unstable();
     // The caller's jobs are more: those that are not booked yet have nothing to be carried out.
@@ -57,22 +57,25 @@ fn under_way(
         let task = planner::Task::Frame(i64::from(frame.booking.frame));
         Some(planner::Booking { start: now, node, job, task, end: now.saturating_add(left.ceil() as i64) })
     });
-    frames.chain(seeds(snapshot, nodes, places, true)).collect()
+    frames.chain(cache_parts(snapshot, nodes, places, true)).collect()
 }
 
 /// Parts of caches that a worker has, or has not.
-fn seeds<'a>(
+fn cache_parts<'a>(
     snapshot: &'a Snapshot,
     nodes: &'a BTreeMap<NodeId, u64>,
     places: &'a BTreeMap<JobId, u64>,
     under_way: bool,
 ) -> impl Iterator<Item = planner::Booking> + 'a {
     let now = snapshot.now.micros();
-    snapshot.projected.seeds.iter().filter(move |part| part.under_way == under_way).filter_map(move |part| {
+    let parts = snapshot.projected.cache_parts.iter();
+    parts.filter(move |part| part.under_way == under_way).filter_map(move |part| {
         let (&node, &job) = nodes.get(&part.node_id).zip(places.get(&part.booking.job_id))?;
         // That there are others does not matter here.
-        let task =
-            planner::Task::SeedPart { part: part.booking.part, parts: part.booking.part.saturating_add(1) };
+        let task = planner::Task::SharedCachePart {
+            part: part.booking.part,
+            parts: part.booking.part.saturating_add(1),
+        };
         Some(planner::Booking {
             start: part.start.micros().max(now),
             node,

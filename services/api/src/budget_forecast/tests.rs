@@ -2,10 +2,10 @@
 
 use forelight_protocol::{
     Booking, BookingId, ByClass, ForecastTotals, FrameSet, Job, JobId, NodeId, PlanId, Quantiles,
-    RenderSettingsRequest, SceneDigest, SceneSummary, SeedBooking,
+    RenderSettingsRequest, SceneDigest, SceneSummary, SharedCacheBooking,
 };
 use forelight_quote::JobForecast;
-use forelight_store::{FarmFrame, FarmJob, Holder, OpenBooking, OpenJob, OpenSeed, Wanted, project};
+use forelight_store::{FarmFrame, FarmJob, Holder, OpenBooking, OpenCachePart, OpenJob, Wanted, project};
 use serde_json::json;
 use uuid::Uuid;
 
@@ -99,7 +99,7 @@ fn booking(frame: u32, node: u128, start: i64, end: i64) -> Booking {
 fn forecast_of(
     nodes: Vec<forelight_protocol::Node>,
     bookings: &[OpenBooking],
-    seeds: &[OpenSeed],
+    parts: &[OpenCachePart],
 ) -> BudgetForecast {
     let now = at(0);
     let numbers: Vec<u32> = bookings.iter().map(|open| open.booking.frame).collect();
@@ -132,7 +132,7 @@ fn forecast_of(
         nodes: nodes.clone(),
         jobs: vec![farm_job],
         projects: Vec::new(),
-        projected: project(bookings, seeds, now),
+        projected: project(bookings, parts, now),
     };
     let request: BudgetForecastRequest = serde_json::from_value(json!({"days": 2})).unwrap();
     let basis = Basis {
@@ -182,8 +182,14 @@ fn parts_of_a_shared_cache_cost_and_the_frames_come_after_them() {
     let bookings: Vec<_> = (0..2)
         .map(|i| waiting(booking(i, 1, 7200 + 1800 * i64::from(i), 9000 + 1800 * i64::from(i))))
         .collect();
-    let part = |part, start: i64, end: i64, done| OpenSeed {
-        booking: SeedBooking { job_id: job_id(), part, node_id: node_id(2), start: at(start), end: at(end) },
+    let part = |part, start: i64, end: i64, done| OpenCachePart {
+        booking: SharedCacheBooking {
+            job_id: job_id(),
+            part,
+            node_id: node_id(2),
+            start: at(start),
+            end: at(end),
+        },
         done,
         holder: None,
     };

@@ -7,7 +7,7 @@ use forelight_protocol::{
     AccuracyRung, Job, Money, Node, NodeSeconds, PlanReason, Quantiles, Timestamp, Verdict,
 };
 use forelight_quote::{JobForecast, Quote, QuoteBasis, mean_price};
-use forelight_store::{FarmFrame, FarmJob, NewPlan, NewSeed, NewSeedBooking};
+use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCache};
 
 use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
 use super::qualities::qualities;
@@ -44,20 +44,22 @@ impl Conductor {
         })
         .await?;
         let Settled { plan, jobs, outlooks } = self.passed(settled)?;
-        let of_seed = plan.bookings.iter().filter(|booking| booking.task.is_seed());
-        let seed = match (&forecast.shared_cache, kept.cache.as_ref().and_then(|cache| cache.seed.as_ref())) {
-            (Some(seed), Some(line)) => Some(NewSeed {
-                cache: seed.cache,
-                parts: line.parts,
-                bookings: of_seed.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
-            }),
-            _ => None,
-        };
+        let of_cache = plan.bookings.iter().filter(|booking| booking.task.is_shared_cache());
+        let shared_cache =
+            match (&forecast.shared_cache, kept.cache.as_ref().and_then(|cache| cache.shared_cache.as_ref()))
+            {
+                (Some(built), Some(line)) => Some(NewSharedCache {
+                    cache: built.cache,
+                    parts: line.parts,
+                    bookings: of_cache.map(|booking| own_part(booking, &nodes)).collect::<Result<_, _>>()?,
+                }),
+                _ => None,
+            };
         let verdict =
             jobs.iter().find(|planned| planned.verdict.job_id == id).map(|planned| &planned.verdict);
         let word = verdict.map_or("", |verdict| verdict.verdict.name());
         tracing::info!(job = %id, verdict = word, jobs = jobs.len(), "planned");
-        let new = NewPlan { parent, reason: PlanReason::JobForecast, wanted, jobs, outlooks, seed };
+        let new = NewPlan { parent, reason: PlanReason::JobForecast, wanted, jobs, outlooks, shared_cache };
         kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
         let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
         self.metrics.plans_stored.add(1);
@@ -151,13 +153,13 @@ fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
     by_name.into_iter().take(NodeSeconds::MOST).map(seconds).collect()
 }
 
-fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewSeedBooking, AdvanceError> {
+fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewPartBooking, AdvanceError> {
     let part = match booking.task {
-        planner::Task::SeedPart { part, .. } => part,
+        planner::Task::SharedCachePart { part, .. } => part,
         _ => 0,
     };
     match usize::try_from(booking.node).ok().and_then(|at| nodes.get(at)) {
-        Some(node) => Ok(NewSeedBooking {
+        Some(node) => Ok(NewPartBooking {
             part,
             node: node.id,
             start: Timestamp::from_micros(booking.start),
@@ -176,9 +178,9 @@ fn price(kept: &mut JobForecast, forecast: &Quote, nodes: &[Node]) {
         for price in std::iter::once(&mut cache.private_price).chain(&mut cache.shared_price) {
             price.cost = cost(&Quantiles::known(price.cpu_seconds)).map(|cost| cost.mean);
         }
-        if let Some(seed) = &mut cache.seed {
-            seed.cost = cost(&seed.cpu_seconds);
-            seed.parts = forecast.shared_cache.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
+        if let Some(shared) = &mut cache.shared_cache {
+            shared.cost = cost(&shared.cpu_seconds);
+            shared.parts = forecast.shared_cache.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
         }
     }
     kept.cost = cost(&kept.total.cpu_seconds.plus(&kept.shared_cache_seconds()));

@@ -55,7 +55,7 @@ impl Snapshot {
         let nodes = store.nodes(None, MOST_NODES).await?;
         let jobs = store.farm_jobs(now).await?;
         let projects = store.projects(now).await?;
-        let projected = project(&store.open_bookings().await?, &store.open_seeds().await?, now);
+        let projected = project(&store.open_bookings().await?, &store.open_cache_parts().await?, now);
         Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
     }
 }
@@ -134,7 +134,7 @@ impl Farm {
             let factor = learned(farm_job);
             let one = of_job(farm_job, &snapshot.projected.frames, factor);
             let project = projects.get(farm_job.job.project.as_str()).copied();
-            let release = snapshot.projected.full(farm_job.job.id).unwrap_or(now);
+            let release = snapshot.projected.cache_full_at(farm_job.job.id).unwrap_or(now);
             jobs.push(planner_job(farm_job, forecast, &one, place, project, release));
             asked.push(one);
         }
@@ -231,7 +231,7 @@ fn planner_job(
     planner::Job {
         id,
         class: class(id),
-        seed: forecast.cache.as_ref().filter(|_| is_new).and_then(|cache| seed(cache, id)),
+        shared_cache: forecast.cache.as_ref().filter(|_| is_new).and_then(|cache| shared_cache(cache, id)),
         name: job.name.clone(),
         project,
         release: release.micros(),
@@ -321,9 +321,10 @@ fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
 }
 
 /// The irradiance cache that the frames share and wait for, as the planner's work.
-fn seed(cache: &CacheQuote, job: u64) -> Option<planner::Seed> {
-    let seed = cache.seed.as_ref()?;
-    Some(planner::Seed { class: class(job), work: units(seed.cpu_seconds.p50).max(1), parts: seed.parts })
+fn shared_cache(cache: &CacheQuote, job: u64) -> Option<planner::SharedCache> {
+    let shared = cache.shared_cache.as_ref()?;
+    let work = units(shared.cpu_seconds.p50).max(1);
+    Some(planner::SharedCache { class: class(job), work, parts: shared.parts })
 }
 
 /// What is not planned again: frames that are with a worker, and parts of shared caches.
@@ -332,7 +333,7 @@ fn under_way(
     nodes: &BTreeMap<NodeId, u64>,
     jobs: &BTreeMap<JobId, u64>,
 ) -> Vec<FixedBooking> {
-    let parts = snapshot.projected.seeds.iter().filter_map(|part| {
+    let parts = snapshot.projected.cache_parts.iter().filter_map(|part| {
         let node = *nodes.get(&part.node_id)?;
         let (start, end) = (part.start.micros(), part.end.micros());
         let job = jobs.get(&part.booking.job_id).copied();

@@ -151,7 +151,7 @@ fn at_quality(job: &mut planner::Job, own: &AccuracyRung, rung: &AccuracyRung, f
     job.total = total(&times(&rung.cpu_seconds, factor));
     if rung.settings.cache == CacheMode::Off {
         // It neither pays nor waits for a cache that the frames share.
-        job.seed = None;
+        job.shared_cache = None;
     }
 }
 
@@ -176,7 +176,7 @@ mod tests {
         };
         let job = planner::Job {
             frames: vec![planner::Frame { work: 100, work_p80: 120, ..planner::Frame::default() }],
-            seed: Some(planner::Seed::default()),
+            shared_cache: Some(planner::SharedCache::default()),
             ..planner::Job::default()
         };
         let own = rung(CacheMode::On, 2.0);
@@ -188,6 +188,6 @@ mod tests {
         let (coarser, without) = (at(&rung(CacheMode::On, 1.0)), at(&rung(CacheMode::Off, 6.0)));
         assert_eq!((coarser.frames[0].work, coarser.frames[0].work_p80), (50, 60));
         assert_eq!((without.frames[0].work, without.frames[0].work_p80), (300, 360));
-        assert!(coarser.seed.is_some() && without.seed.is_none());
+        assert!(coarser.shared_cache.is_some() && without.shared_cache.is_none());
     }
 }

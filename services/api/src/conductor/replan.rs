@@ -51,7 +51,7 @@ impl Conductor {
         let Settled { jobs, outlooks, .. } = self.passed(settled)?;
         let causes = wanted.causes.join("; ");
         let rebooked = jobs.len();
-        let new = NewPlan { parent, reason: PlanReason::Events, wanted, jobs, outlooks, seed: None };
+        let new = NewPlan { parent, reason: PlanReason::Events, wanted, jobs, outlooks, shared_cache: None };
         if rebooked == 0 {
             self.store.keep_outlooks(&new, now).await?;
             tracing::debug!(causes, "the plan is still good");
@@ -83,7 +83,8 @@ impl Conductor {
         for node in before.iter().flat_map(|before| nodes.difference(before)) {
             self.store.want_plan(&format!("node {} is there again", name(node))).await?;
         }
-        let projected = project(&self.store.open_bookings().await?, &self.store.open_seeds().await?, now);
+        let projected =
+            project(&self.store.open_bookings().await?, &self.store.open_cache_parts().await?, now);
         let mut lost: BTreeSet<NodeId> = projected
             .frames
             .iter()

@@ -90,7 +90,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
             let within_budget = said.verdict != Verdict::OverBudget;
             said.ways_out = farm.ways_out(job, &plan.bookings, within_budget)?;
         }
-        let of_frames = plan.bookings_of(job as u64).filter(|booking| !booking.task.is_seed());
+        let of_frames = plan.bookings_of(job as u64).filter(|booking| !booking.task.is_shared_cache());
         let bookings = of_frames.map(|booking| own_booking(farm, booking)).collect::<Option<_>>();
         let bookings = bookings.ok_or_else(|| {
             AdvanceError::Hopeless("the plan books a node or a frame that there is not".to_owned())
@@ -154,7 +154,7 @@ fn promises(farm: &Farm, standing: &[Booking]) -> planner::Plan {
         verdict: if farm.jobs[job].is_promised() {
             planner::Verdict::Feasible { finish: farm.input.now, slack: 0 }
         } else {
-            planner::Verdict::Unplaced { frames: Vec::new(), seed: false }
+            planner::Verdict::Unplaced { frames: Vec::new(), shared_cache: false }
         },
         cost: 0,
         within_budget: None,

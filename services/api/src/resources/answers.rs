@@ -46,7 +46,8 @@ pub(crate) struct AnswersQuery {
 /// finish for a budget; the price against the deadline; which quality would fit; what one more node, an hour more and the death of the
 /// busiest node would do; whom it pushes back; and if it cannot be done, why, and the cheapest ways out. Nothing is kept of the question.
 /// 409 until the job is booked, and once it is over.
-#[utoipa::path(get, path = "/v1/jobs/{id}/answers", tag = "jobs", params(("id" = JobId, Path), AnswersQuery),
+#[utoipa::path(get, path = "/v1/jobs/{id}/answers", operation_id = "job_answers",
+    tag = "jobs", params(("id" = JobId, Path), AnswersQuery),
     responses((status = 200, description = "The answers", body = AnswersDoc), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
@@ -58,7 +59,8 @@ pub(crate) async fn of_job(
 }
 
 /// A job's price against its deadline, as a picture: what the cheapest plan costs that was found, and dashed what it costs at least.
-#[utoipa::path(get, path = "/v1/jobs/{id}/price-curve.svg", tag = "jobs", params(("id" = JobId, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}/price-curve.svg", operation_id = "job_price_curve_svg",
+    tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
 pub(crate) async fn price_curve(
     State(app): State<App>,

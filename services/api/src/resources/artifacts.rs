@@ -17,7 +17,8 @@ use crate::state::App;
 const MEDIA_TYPE: &str = "application/octet-stream";
 
 /// Stores bytes under their hash. Storing the same bytes again changes nothing; other bytes than named are refused.
-#[utoipa::path(put, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
+#[utoipa::path(put, path = "/v1/artifacts/{blake3}", operation_id = "artifact_put",
+    tag = "work", params(("blake3" = ArtifactHash, Path)),
     request_body(content = inline(FileContent), content_type = "application/octet-stream", description = "By default at most 1 GiB"),
     responses((status = 201, description = "Stored", body = ArtifactStored), (status = 200, description = "It was there already", body = ArtifactStored), Problems))]
 pub(crate) async fn put(
@@ -38,7 +39,8 @@ pub(crate) async fn put(
 }
 
 /// An artefact's bytes.
-#[utoipa::path(get, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
+#[utoipa::path(get, path = "/v1/artifacts/{blake3}", operation_id = "artifact_get",
+    tag = "work", params(("blake3" = ArtifactHash, Path)),
     responses((status = 200, description = "The bytes", body = inline(FileContent), content_type = "application/octet-stream"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
@@ -49,7 +51,8 @@ pub(crate) async fn get(
 }
 
 /// Whether an artefact is there, and how long it is.
-#[utoipa::path(head, path = "/v1/artifacts/{blake3}", tag = "work", params(("blake3" = ArtifactHash, Path)),
+#[utoipa::path(head, path = "/v1/artifacts/{blake3}", operation_id = "artifact_head",
+    tag = "work", params(("blake3" = ArtifactHash, Path)),
     responses((status = 200, description = "It is there"), Problems))]
 pub(crate) async fn head(
     State(app): State<App>,

@@ -16,7 +16,7 @@ use crate::state::App;
 const MOST_THRESHOLDS: usize = 10;
 
 /// All budgets and how they stand.
-#[utoipa::path(get, path = "/v1/budgets", tag = "farm",
+#[utoipa::path(get, path = "/v1/budgets", operation_id = "budget_list", tag = "farm",
     responses((status = 200, description = "The budgets", body = BudgetList), Problems))]
 pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<BudgetList>> {
     Ok(Json(BudgetList { items: app.store.budgets(app.now()).await? }))
@@ -24,7 +24,8 @@ pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<Bu
 
 /// Sets a project's budget for nights, for months or for good. Setting it again replaces it, and ends what it had in force: so repeating the
 /// request is harmless.
-#[utoipa::path(post, path = "/v1/budgets", tag = "farm", request_body = BudgetRequest,
+#[utoipa::path(post, path = "/v1/budgets", operation_id = "budget_set",
+    tag = "farm", request_body = BudgetRequest,
     responses((status = 200, description = "The budget, as it stands", body = Budget), Problems))]
 pub(crate) async fn set(
     State(app): State<App>,
@@ -60,7 +61,8 @@ pub(crate) async fn set(
 
 /// What tonight and the nights after it will cost, by project, job and class of nodes, against budgets; what will not be ready; what changed since the
 /// night before. It is kept as what was said of its first night, in one place however often it is asked for.
-#[utoipa::path(post, path = "/v1/budget-forecasts", tag = "farm", request_body = BudgetForecastRequest,
+#[utoipa::path(post, path = "/v1/budget-forecasts", operation_id = "budget_forecast",
+    tag = "farm", request_body = BudgetForecastRequest,
     responses((status = 200, description = "The forecast", body = BudgetForecast), Problems))]
 pub(crate) async fn forecast(
     State(app): State<App>,

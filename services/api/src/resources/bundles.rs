@@ -16,7 +16,7 @@ use crate::schema::{FileContent, IdempotencyKeyHeader};
 use crate::state::App;
 
 /// Uploads a bundle as a zip file. It is kept only if it is a scene; if not, the answer is the scene error.
-#[utoipa::path(post, path = "/v1/bundles", tag = "bundles",
+#[utoipa::path(post, path = "/v1/bundles", operation_id = "bundle_upload", tag = "bundles",
     request_body(content = inline(FileContent), content_type = "application/zip", description = "The zip file; by default at most 256 MiB"),
     params(IdempotencyKeyHeader),
     responses((status = 201, description = "The bundle", body = Bundle), Problems))]
@@ -54,7 +54,8 @@ pub(crate) async fn upload(
 }
 
 /// One bundle.
-#[utoipa::path(get, path = "/v1/bundles/{id}", tag = "bundles", params(("id" = BundleId, Path)),
+#[utoipa::path(get, path = "/v1/bundles/{id}", operation_id = "bundle_get",
+    tag = "bundles", params(("id" = BundleId, Path)),
     responses((status = 200, description = "The bundle", body = Bundle), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,

@@ -51,7 +51,8 @@ pub(crate) struct EventMessage {
 }
 
 /// Everything that happens on the farm, from the event after `Last-Event-ID` on; without it, from now on.
-#[utoipa::path(get, path = "/v1/events", tag = "farm", params(FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
+#[utoipa::path(get, path = "/v1/events", operation_id = "event_list",
+    tag = "farm", params(FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
 pub(crate) async fn of_farm(
     State(app): State<App>,
@@ -68,7 +69,7 @@ pub(crate) async fn of_farm(
 
 /// What happens to a job, from the event after `Last-Event-ID` on; without it, from its beginning. The stream ends when
 /// the job is done, failed or cancelled; asked for more after that, the answer is 204, which tells a browser to stop asking.
-#[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
+#[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "job_events", tag = "jobs",
     params(("id" = JobId, Path), FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"),
               (status = 204, description = "The job is over, and all of it was seen"), Problems))]

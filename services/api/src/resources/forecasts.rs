@@ -23,7 +23,8 @@ use crate::schema::FileContent;
 use crate::state::App;
 
 /// A job's quote. 409 until it is there.
-#[utoipa::path(get, path = "/v1/jobs/{id}/forecast", tag = "jobs", params(("id" = JobId, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}/forecast", operation_id = "job_forecast",
+    tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The quote", body = ForecastDoc), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
@@ -43,7 +44,8 @@ pub(crate) async fn of_job(
 /// their converged selves. It rests on the job's own profile; of the other integrator, of a cache's accuracy and of the rays of a gather that says
 /// nothing, and these ladders are there if the job asked for `ladders: all`. An irradiance cache that the frames share is in no rung: it is a line of
 /// its own in the quote. 409 until the profile is there.
-#[utoipa::path(get, path = "/v1/jobs/{id}/accuracy", tag = "jobs", params(("id" = JobId, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}/accuracy", operation_id = "job_accuracy",
+    tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The ladders", body = AccuracyDoc), Problems))]
 pub(crate) async fn accuracy_of_job(
     State(app): State<App>,
@@ -73,7 +75,8 @@ pub(crate) struct ExplanationQuery {
 /// Why the job is dear, or one of its frames: what its work goes into, by parts, by what the pixels show and by kinds of rays; on how many profiled pixels that
 /// rests, what each camera sample of a pixel costs, and what would halve it. It is the quote taken apart, but for an irradiance cache that frames share: making that is
 /// a line of its own there. Nothing is traced for it. 409 until the profile is there.
-#[utoipa::path(get, path = "/v1/jobs/{id}/explanation", tag = "jobs", params(("id" = JobId, Path), ExplanationQuery),
+#[utoipa::path(get, path = "/v1/jobs/{id}/explanation", operation_id = "job_explanation",
+    tag = "jobs", params(("id" = JobId, Path), ExplanationQuery),
     responses((status = 200, description = "The explanation", body = Explanation), Problems))]
 pub(crate) async fn explanation_of_job(
     State(app): State<App>,
@@ -103,7 +106,8 @@ async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
 }
 
 /// How the job's estimate moved, from the quote to the truth, with what is booked. 409 until it is booked.
-#[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history", tag = "jobs", params(("id" = JobId, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history", operation_id = "job_forecast_history",
+    tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The history", body = ForecastHistory), Problems))]
 pub(crate) async fn history_of_job(
     State(app): State<App>,
@@ -114,7 +118,8 @@ pub(crate) async fn history_of_job(
 }
 
 /// The same as a picture: what the job was expected to take as its frames were finished, and when it was expected to end, beside what is booked.
-#[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history.svg", tag = "jobs", params(("id" = JobId, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history.svg", operation_id = "job_forecast_history_svg",
+    tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
 pub(crate) async fn history_of_job_svg(
     State(app): State<App>,
@@ -141,7 +146,8 @@ pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Response> {
 }
 
 /// Forecast against actual over all finished frames, also by kind of quote, and the frames themselves, newest first.
-#[utoipa::path(get, path = "/v1/forecasts/track-record", tag = "farm", params(PageQuery),
+#[utoipa::path(get, path = "/v1/forecasts/track-record", operation_id = "track_record_get",
+    tag = "farm", params(PageQuery),
     responses((status = 200, description = "The record", body = TrackRecord), Problems))]
 pub(crate) async fn track_record(
     State(app): State<App>,
@@ -161,7 +167,7 @@ const SHOWN_JOBS: u32 = 500;
 
 /// The same as a picture: how often truths stayed at or below the quantiles that were promised, of quotes that were calibrated on past jobs
 /// and of those that were not, and the errors of the newest 500 finished jobs in their order.
-#[utoipa::path(get, path = "/v1/forecasts/track-record.svg", tag = "farm",
+#[utoipa::path(get, path = "/v1/forecasts/track-record.svg", operation_id = "track_record_svg", tag = "farm",
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
 pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiResult<Response> {
     let record = app.store.track_record(None, 0).await?;
@@ -171,7 +177,7 @@ pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiRe
 
 /// What the finished jobs teach of the next quote's quantiles, by renderer and class of features: what a quote that is made now would be
 /// calibrated with. `forelight forecast --calibration` takes it for quotes that are made offline.
-#[utoipa::path(get, path = "/v1/forecasts/calibration", tag = "farm",
+#[utoipa::path(get, path = "/v1/forecasts/calibration", operation_id = "calibration_get", tag = "farm",
     responses((status = 200, description = "The calibration", body = CalibrationDoc), Problems))]
 pub(crate) async fn calibration(State(app): State<App>, _: Reader) -> ApiResult<Json<CalibrationDoc>> {
     let quantiles = |Correction { p50, p80, p95 }| CalibratedQuantiles { p50, p80, p95 };

@@ -15,7 +15,8 @@ use crate::schema::FileContent;
 use crate::state::App;
 
 /// The frames of a job, ascending: forecast, actual, error, booking, times, pictures.
-#[utoipa::path(get, path = "/v1/jobs/{id}/frames", tag = "jobs", params(("id" = JobId, Path), PageQuery),
+#[utoipa::path(get, path = "/v1/jobs/{id}/frames", operation_id = "frame_list",
+    tag = "jobs", params(("id" = JobId, Path), PageQuery),
     responses((status = 200, description = "A page of frames", body = FramePage), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
@@ -30,7 +31,8 @@ pub(crate) async fn list(
 }
 
 /// One frame.
-#[utoipa::path(get, path = "/v1/jobs/{id}/frames/{frame}", tag = "jobs", params(("id" = JobId, Path), ("frame" = u32, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}/frames/{frame}", operation_id = "frame_get",
+    tag = "jobs", params(("id" = JobId, Path), ("frame" = u32, Path)),
     responses((status = 200, description = "The frame", body = FrameRow), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
@@ -43,7 +45,8 @@ pub(crate) async fn get(
 macro_rules! picture {
     ($(#[doc = $doc:literal])* $name:ident, $path:literal, $media:literal, $choose:expr) => {
         $(#[doc = $doc])*
-        #[utoipa::path(get, path = $path, tag = "jobs", params(("id" = JobId, Path), ("frame" = u32, Path)),
+        #[utoipa::path(get, path = $path, operation_id = concat!("frame_", stringify!($name)), tag = "jobs",
+            params(("id" = JobId, Path), ("frame" = u32, Path)),
             responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
         pub(crate) async fn $name(
             State(app): State<App>,

@@ -33,7 +33,7 @@ pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
 #[utoipa::path(get, path = "/metrics", tag = "service", responses((status = 200, description = "The numbers", body = String, content_type = "text/plain"), Problems))]
 pub(crate) async fn metrics(State(app): State<App>, _: Reader) -> ApiResult<Response> {
     let counts = app.store.counts(app.lease_ttl, app.now()).await?;
-    let text = app.metrics.render(&counts, app.store.room()?);
+    let text = app.metrics.render(&counts, app.store.free_disk_space()?);
     Ok(([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }
 

@@ -19,7 +19,7 @@ use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// Submits a job. It is previewed, forecast, booked and rendered from here on.
-#[utoipa::path(post, path = "/v1/jobs", tag = "jobs", request_body = JobRequest,
+#[utoipa::path(post, path = "/v1/jobs", operation_id = "job_submit", tag = "jobs", request_body = JobRequest,
     params(IdempotencyKeyHeader),
     responses((status = 201, description = "The job", body = Job), Problems))]
 pub(crate) async fn submit(
@@ -40,7 +40,8 @@ pub(crate) async fn submit(
 }
 
 /// Everything that submitting this job would say; nothing is kept.
-#[utoipa::path(post, path = "/v1/jobs/check", tag = "jobs", request_body = JobRequest,
+#[utoipa::path(post, path = "/v1/jobs/check", operation_id = "job_check",
+    tag = "jobs", request_body = JobRequest,
     responses((status = 200, description = "It would be taken", body = JobCheck), Problems))]
 pub(crate) async fn check(
     State(app): State<App>,
@@ -72,7 +73,7 @@ pub(crate) struct JobQuery {
 }
 
 /// The jobs, newest first.
-#[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(JobQuery),
+#[utoipa::path(get, path = "/v1/jobs", operation_id = "job_list", tag = "jobs", params(JobQuery),
     responses((status = 200, description = "A page of jobs", body = JobPage), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
@@ -90,7 +91,8 @@ pub(crate) async fn list(
 }
 
 /// One job.
-#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = JobId, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}", operation_id = "job_get",
+    tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The job", body = Job), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
@@ -109,7 +111,8 @@ pub(crate) async fn get(
 }
 
 /// Cancels a job. Its workers stop at their next renewal. Cancelling it again changes nothing.
-#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = JobId, Path)),
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "job_cancel",
+    tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The job", body = Job), Problems))]
 pub(crate) async fn cancel(
     State(app): State<App>,
@@ -125,8 +128,8 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
     }
     if jobs.iter().any(|job| !job.state.is_final() && job.plan_id.is_some()) {
-        let (bookings, seeds) = (app.store.open_bookings().await?, app.store.open_seeds().await?);
-        let projected = project(&bookings, &seeds, app.now());
+        let (bookings, parts) = (app.store.open_bookings().await?, app.store.open_cache_parts().await?);
+        let projected = project(&bookings, &parts, app.now());
         jobs.iter_mut().for_each(|job| job.eta = projected.eta(job));
     }
     // What is expected hangs on what the plan says of waiting.

@@ -27,7 +27,8 @@ const LONGEST_WAIT: u32 = 60_000;
 
 /// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then. A node that sleeps by its calendar is answered 204 at
 /// once, with `Retry-After`: it is not to ask again before it wakes up.
-#[utoipa::path(post, path = "/v1/leases", tag = "work", request_body = ClaimRequest,
+#[utoipa::path(post, path = "/v1/leases", operation_id = "lease_claim",
+    tag = "work", request_body = ClaimRequest,
     params(IdempotencyKeyHeader),
     responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do; with `Retry-After`, not before so many seconds have passed"), Problems))]
 pub(crate) async fn claim(
@@ -53,7 +54,8 @@ pub(crate) async fn claim(
 }
 
 /// The heartbeat of a node that has a task: renews the lease, reports progress and what there is to say, and brings orders back.
-#[utoipa::path(patch, path = "/v1/leases/{id}", tag = "work", params(("id" = LeaseId, Path)), request_body = RenewRequest,
+#[utoipa::path(patch, path = "/v1/leases/{id}", operation_id = "lease_renew",
+    tag = "work", params(("id" = LeaseId, Path)), request_body = RenewRequest,
     responses((status = 200, description = "The lease goes on, or the task is to be dropped", body = Renewal), Problems))]
 pub(crate) async fn renew(
     State(app): State<App>,
@@ -79,7 +81,8 @@ pub(crate) async fn renew(
 }
 
 /// Gives a task back unfinished.
-#[utoipa::path(post, path = "/v1/leases/{id}/release", tag = "work", params(("id" = LeaseId, Path)), request_body = ReleaseRequest,
+#[utoipa::path(post, path = "/v1/leases/{id}/release", operation_id = "lease_release",
+    tag = "work", params(("id" = LeaseId, Path)), request_body = ReleaseRequest,
     responses((status = 204, description = "The task is ready for another worker"), Problems))]
 pub(crate) async fn release(
     State(app): State<App>,
@@ -94,7 +97,8 @@ pub(crate) async fn release(
 }
 
 /// Ends a task with its result or an error. When this is answered, the result is on disk. Sending it again is harmless.
-#[utoipa::path(post, path = "/v1/leases/{id}/result", tag = "work", params(("id" = LeaseId, Path)), request_body = ResultRequest,
+#[utoipa::path(post, path = "/v1/leases/{id}/result", operation_id = "lease_result",
+    tag = "work", params(("id" = LeaseId, Path)), request_body = ResultRequest,
     responses((status = 200, description = "Committed, now or before", body = ResultAnswer), Problems))]
 pub(crate) async fn result(
     State(app): State<App>,

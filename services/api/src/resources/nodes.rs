@@ -24,7 +24,8 @@ use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
 /// A node announces itself; one of the same name is updated and keeps its id, and what was set by hand.
-#[utoipa::path(post, path = "/v1/nodes", tag = "work", request_body = NodeRegistration,
+#[utoipa::path(post, path = "/v1/nodes", operation_id = "node_register",
+    tag = "work", request_body = NodeRegistration,
     params(IdempotencyKeyHeader),
     responses((status = 201, description = "The node", body = Node), Problems))]
 pub(crate) async fn register(
@@ -53,7 +54,8 @@ pub(crate) async fn register(
 
 /// A machine joins the farm: the bearer token is a one-time token, which is burnt. From now on the machine's own token, whose hash it
 /// sends along, speaks for this node and no other. Asking again with the same hash is answered as before; with another one, 409.
-#[utoipa::path(post, path = "/v1/nodes/join", tag = "work", request_body = JoinRequest,
+#[utoipa::path(post, path = "/v1/nodes/join", operation_id = "node_join",
+    tag = "work", request_body = JoinRequest,
     responses((status = 201, description = "The node", body = Node), Problems))]
 pub(crate) async fn join(
     State(app): State<App>,
@@ -65,7 +67,8 @@ pub(crate) async fn join(
 }
 
 /// Makes a one-time token, with which one machine can join the farm. It is said once; a request that is repeated makes another one.
-#[utoipa::path(post, path = "/v1/join-tokens", tag = "work", request_body = JoinTokenRequest,
+#[utoipa::path(post, path = "/v1/join-tokens", operation_id = "join_token_create",
+    tag = "work", request_body = JoinTokenRequest,
     responses((status = 201, description = "The one-time token", body = JoinToken), Problems))]
 pub(crate) async fn join_token(
     State(app): State<App>,
@@ -81,7 +84,7 @@ pub(crate) async fn join_token(
 }
 
 /// The nodes, oldest first.
-#[utoipa::path(get, path = "/v1/nodes", tag = "work", params(PageQuery),
+#[utoipa::path(get, path = "/v1/nodes", operation_id = "node_list", tag = "work", params(PageQuery),
     responses((status = 200, description = "A page of nodes", body = NodePage), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
@@ -97,7 +100,8 @@ pub(crate) async fn list(
 }
 
 /// One node.
-#[utoipa::path(get, path = "/v1/nodes/{id}", tag = "work", params(("id" = NodeId, Path)),
+#[utoipa::path(get, path = "/v1/nodes/{id}", operation_id = "node_get",
+    tag = "work", params(("id" = NodeId, Path)),
     responses((status = 200, description = "The node", body = Node), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
@@ -110,7 +114,8 @@ pub(crate) async fn get(
 /// Gives a node orders (drain, pause and resume, take its task away, set it aside or bring it back), or sets its speed, price, calendar or terms by hand.
 ///
 /// Its worker hears of an order at the next renewal of its lease, and the node's `state` says how far it has obeyed. A speed or price that is set holds when the node registers again; `null` gives it up.
-#[utoipa::path(patch, path = "/v1/nodes/{id}", tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
+#[utoipa::path(patch, path = "/v1/nodes/{id}", operation_id = "node_change",
+    tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
     responses((status = 200, description = "The node", body = Node), Problems))]
 pub(crate) async fn change(
     State(app): State<App>,

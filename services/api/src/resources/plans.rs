@@ -11,7 +11,7 @@ use crate::plan_difference::difference;
 use crate::state::App;
 
 /// The plans, newest first. Each holds the jobs that it books; all others are booked as the plans before it say.
-#[utoipa::path(get, path = "/v1/plans", tag = "farm", params(PageQuery),
+#[utoipa::path(get, path = "/v1/plans", operation_id = "plan_list", tag = "farm", params(PageQuery),
     responses((status = 200, description = "A page of plans", body = PlanPage), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
@@ -25,7 +25,8 @@ pub(crate) async fn list(
 }
 
 /// A plan: what it books, and its word on the job.
-#[utoipa::path(get, path = "/v1/plans/{id}", tag = "farm", params(("id" = PlanId, Path)),
+#[utoipa::path(get, path = "/v1/plans/{id}", operation_id = "plan_get",
+    tag = "farm", params(("id" = PlanId, Path)),
     responses((status = 200, description = "The plan", body = Plan), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
@@ -36,7 +37,8 @@ pub(crate) async fn get(
 }
 
 /// What a plan changed of what was booked before it: in words, by job, and by frame.
-#[utoipa::path(get, path = "/v1/plans/{id}/difference", tag = "farm", params(("id" = PlanId, Path)),
+#[utoipa::path(get, path = "/v1/plans/{id}/difference", operation_id = "plan_difference",
+    tag = "farm", params(("id" = PlanId, Path)),
     responses((status = 200, description = "The difference", body = PlanDifference), Problems))]
 pub(crate) async fn changed(
     State(app): State<App>,
@@ -47,7 +49,7 @@ pub(crate) async fn changed(
 }
 
 /// The bookings of frames that are not rendered yet, by start.
-#[utoipa::path(get, path = "/v1/bookings", tag = "farm", params(PageQuery),
+#[utoipa::path(get, path = "/v1/bookings", operation_id = "booking_list", tag = "farm", params(PageQuery),
     responses((status = 200, description = "A page of bookings", body = BookingPage), Problems))]
 pub(crate) async fn bookings(
     State(app): State<App>,

@@ -17,14 +17,15 @@ use crate::state::App;
 const HIGHEST: u32 = 1_000_000;
 
 /// The shares of all projects, and what each had of the farm: who had least for its share goes first among jobs without a deadline.
-#[utoipa::path(get, path = "/v1/projects", tag = "farm",
+#[utoipa::path(get, path = "/v1/projects", operation_id = "project_list", tag = "farm",
     responses((status = 200, description = "The projects", body = ProjectList), Problems))]
 pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<ProjectList>> {
     shares(&app).await.map(Json)
 }
 
 /// Sets a project's share. Setting it again replaces it, so repeating the request is harmless. The farm is planned anew.
-#[utoipa::path(post, path = "/v1/projects", tag = "farm", request_body = ProjectRequest,
+#[utoipa::path(post, path = "/v1/projects", operation_id = "project_set",
+    tag = "farm", request_body = ProjectRequest,
     responses((status = 200, description = "The project", body = ProjectShare), Problems))]
 pub(crate) async fn set(
     State(app): State<App>,

@@ -71,7 +71,7 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
         let plan = NewPlan {
             parent: store.newest_plan().await?,
             reason: PlanReason::JobForecast,
-            seed: None,
+            shared_cache: None,
             wanted: store.wanted_plan().await?,
             jobs: vec![NewJobPlan { verdict, bookings, begun: BTreeSet::new(), factor: 1.0 }],
             outlooks: Vec::new(),

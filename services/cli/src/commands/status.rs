@@ -124,9 +124,9 @@ fn report(job: &Job, now: Timestamp) -> String {
     let mut line = |name: &str, what: String| text += &format!("{name:<10} {what}\n");
     line("job", format!("{} of project {}", job.id, job.project));
     line("state", format!("{}: {} of {} frames done", job.state, job.frames_done, job.frames_total));
-    if let Some(seed) = job.seed.as_ref().filter(|seed| !seed.ready && !job.state.is_final()) {
-        let filled = format!("{} of {} parts filled", seed.parts_done, seed.parts);
-        line("cache", format!("{}  {filled}; the frames wait for the cache", bar(seed.progress, CELLS / 2)));
+    if let Some(cache) = job.shared_cache.as_ref().filter(|cache| !cache.ready && !job.state.is_final()) {
+        let filled = format!("{} of {} parts filled", cache.parts_done, cache.parts);
+        line("cache", format!("{}  {filled}; the frames wait for the cache", bar(cache.progress, CELLS / 2)));
     }
     if let Some(waits) = &job.waits {
         let what = if job.plan_id.is_some() { "the job begins" } else { "the first node wakes" };

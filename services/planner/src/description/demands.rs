@@ -45,7 +45,7 @@ impl Demands {
             of_nodes.map(|class| Demand { class: Some(class.clone()), ..Demand::default() }).collect();
         for job in jobs {
             all.insert(Demand::new(&job.class, job)?);
-            all.insert(Demand::new(&job.seed_class, job)?);
+            all.insert(Demand::new(&job.shared_cache_class, job)?);
         }
         // The least of all.
         all.insert(Demand::default());

@@ -122,11 +122,13 @@ pub(super) struct JobEntry {
     /// P80 over P50 of the whole job's work.
     #[serde(default = "unit")]
     pub(super) spread: f64,
-    pub(super) seed_hours: Option<f64>,
-    pub(super) seed_class: Option<String>,
-    /// Into how many equal parts the seed is split.
-    #[serde(default = "one")]
-    pub(super) seed_parts: u32,
+    #[serde(alias = "seed_hours")]
+    pub(super) shared_cache_hours: Option<f64>,
+    #[serde(alias = "seed_class")]
+    pub(super) shared_cache_class: Option<String>,
+    /// Into how many equal parts the shared cache is split.
+    #[serde(default = "one", alias = "seed_parts")]
+    pub(super) shared_cache_parts: u32,
     #[serde(default)]
     pub(super) memory_gib: f64,
     #[serde(default)]

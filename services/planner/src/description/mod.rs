@@ -18,7 +18,8 @@ pub use self::error::DescriptionError;
 use self::values::{duration, known, money, names, scaled};
 use crate::civil::{Weekly, expand};
 use crate::model::{
-    Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Power, Project, Seed, Usage, WorkTotal,
+    Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Power, Project, SharedCache, Usage,
+    WorkTotal,
 };
 
 /// Of a job.
@@ -201,12 +202,12 @@ fn job(
             _ => return Err(wrong("confidence must be 50, 80 or 95")),
         },
         total: WorkTotal { p50, p80, p95: quantile(1.954_4).max(p80) },
-        seed: match entry.seed_hours {
+        shared_cache: match entry.shared_cache_hours {
             None => None,
-            Some(hours) => Some(Seed {
-                class: demands.class(&entry.seed_class, entry)?,
-                work: work(hours, "seed_hours")?,
-                parts: entry.seed_parts,
+            Some(hours) => Some(SharedCache {
+                class: demands.class(&entry.shared_cache_class, entry)?,
+                work: work(hours, "shared_cache_hours")?,
+                parts: entry.shared_cache_parts,
             }),
         },
         frames,

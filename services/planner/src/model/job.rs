@@ -36,7 +36,7 @@ pub struct Job {
     /// Forecast work of all frames together.
     pub total: WorkTotal,
     /// What has to be done before any frame can start.
-    pub seed: Option<Seed>,
+    pub shared_cache: Option<SharedCache>,
     /// Its frames.
     pub frames: Vec<Frame>,
     /// Numbers of the frames that need no place any more: they are done, or run as fixed bookings.
@@ -60,7 +60,7 @@ pub struct Frame {
 /// Work that comes before all frames of a job: an irradiance cache, a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Seed {
+pub struct SharedCache {
     /// Class of its work.
     pub class: u32,
     /// Median of its work.
@@ -69,11 +69,12 @@ pub struct Seed {
     pub parts: u32,
 }
 
-impl Seed {
+impl SharedCache {
     /// What there is to do.
     pub fn tasks(self) -> impl Iterator<Item = Task> {
         let parts = self.parts.max(1);
-        let task = move |part| if parts == 1 { Task::Seed } else { Task::SeedPart { part, parts } };
+        let task =
+            move |part| if parts == 1 { Task::SharedCache } else { Task::SharedCachePart { part, parts } };
         (0..parts).map(task)
     }
 }
@@ -209,20 +210,20 @@ impl Job {
         all.filter(move |(number, _)| !done.contains(number))
     }
 
-    /// Work bought for the whole seed: its median, scaled as the frames are.
-    pub fn bought_seed(&self) -> Option<u64> {
-        let seed = self.seed?;
+    /// Work bought for the whole shared cache: its median, scaled as the frames are.
+    pub fn bought_shared_cache(&self) -> Option<u64> {
+        let cache = self.shared_cache?;
         Some(match self.medians() {
-            0 => seed.work,
-            medians => self.share(seed.work, medians),
+            0 => cache.work,
+            medians => self.share(cache.work, medians),
         })
     }
 
-    /// Work bought for one of the seed's tasks, if it is one.
-    pub fn seed_work(&self, task: Task) -> Option<u64> {
-        let seed = self.seed?;
-        let work = self.bought_seed()?;
-        seed.tasks().any(|own| own == task).then(|| work.div_ceil(u64::from(seed.parts.max(1))))
+    /// Work bought for one of the shared cache's tasks, if it is one.
+    pub fn shared_cache_work(&self, task: Task) -> Option<u64> {
+        let cache = self.shared_cache?;
+        let work = self.bought_shared_cache()?;
+        cache.tasks().any(|own| own == task).then(|| work.div_ceil(u64::from(cache.parts.max(1))))
     }
 
     fn medians(&self) -> u128 {

@@ -44,8 +44,8 @@ impl Plan {
         digest.update(&self.parent.map_or(0, |parent| parent.0).to_le_bytes());
         for booking in &self.bookings {
             let (kind, frame, part, parts) = match booking.task {
-                Task::Seed => (0u32, 0, 0, 0),
-                Task::SeedPart { part, parts } => (3, 0, part, parts),
+                Task::SharedCache => (0u32, 0, 0, 0),
+                Task::SharedCachePart { part, parts } => (3, 0, part, parts),
                 Task::Frame(frame) => (1, frame, 0, 1),
             };
             digest.update(&booking.start.to_le_bytes());
@@ -67,7 +67,7 @@ impl Plan {
         self.jobs.iter().find(|job| job.job == id)
     }
 
-    /// The bookings of the job's seed and frames.
+    /// The bookings of the job's shared cache and frames.
     pub fn bookings_of(&self, job: u64) -> impl Iterator<Item = &Booking> {
         self.bookings.iter().filter(move |booking| booking.job == job)
     }
@@ -78,12 +78,12 @@ impl Plan {
 #[serde(rename_all = "snake_case")]
 pub enum Task {
     /// What comes before all frames.
-    Seed,
+    SharedCache,
     /// A part of what comes before all frames.
-    SeedPart {
+    SharedCachePart {
         /// Which part, from zero.
         part: u32,
-        /// Into how many parts the seed is split.
+        /// Into how many parts the shared cache is split.
         parts: u32,
     },
     /// A frame, by its number.
@@ -91,16 +91,16 @@ pub enum Task {
 }
 
 impl Task {
-    /// The frame that it belongs to; none for a seed.
+    /// The frame that it belongs to; none for a shared cache.
     pub fn frame(self) -> Option<i64> {
         match self {
-            Task::Seed | Task::SeedPart { .. } => None,
+            Task::SharedCache | Task::SharedCachePart { .. } => None,
             Task::Frame(frame) => Some(frame),
         }
     }
 
-    /// Whether it is a seed, or a part of one.
-    pub fn is_seed(self) -> bool {
+    /// Whether it is a shared cache or a part of one.
+    pub fn is_shared_cache(self) -> bool {
         self.frame().is_none()
     }
 }
@@ -108,8 +108,8 @@ impl Task {
 impl std::fmt::Display for Task {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Task::Seed => write!(f, "seed"),
-            Task::SeedPart { part, parts } => write!(f, "seed, part {} of {parts}", part + 1),
+            Task::SharedCache => write!(f, "shared cache"),
+            Task::SharedCachePart { part, parts } => write!(f, "shared cache, part {} of {parts}", part + 1),
             Task::Frame(frame) => write!(f, "frame {frame}"),
         }
     }
@@ -162,7 +162,7 @@ pub struct JobPlan {
     pub bound: Bound,
 }
 
-/// Whether a job is done in time. A job without frames is done at its release, or when its seed is.
+/// Whether a job is done in time. A job without frames is done at its release, or when its shared cache is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Verdict {
@@ -191,8 +191,8 @@ pub enum Verdict {
     Unplaced {
         /// Numbers of the frames without a booking, in order.
         frames: Vec<i64>,
-        /// Whether the seed has none either.
-        seed: bool,
+        /// Whether the shared cache has none either.
+        shared_cache: bool,
     },
 }
 

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::violation::Violation;
-use crate::model::{Booking, Bound, Input, Job, JobPlan, Node, Seed, Task, Verdict};
+use crate::model::{Booking, Bound, Input, Job, JobPlan, Node, SharedCache, Task, Verdict};
 
 /// Every task once and rightly booked, and what the plan says of the job is true. Returns the end of the last
 /// task, or none if one has no place.
@@ -17,17 +17,18 @@ pub(super) fn check_job(
     found: &mut Vec<Violation>,
 ) -> Option<i64> {
     let works: BTreeMap<i64, u64> = job.open_work().collect();
-    let (unplaced, seed_unplaced) = match &entry.verdict {
-        Verdict::Unplaced { frames, seed } => (&frames[..], *seed),
+    let (unplaced, cache_unplaced) = match &entry.verdict {
+        Verdict::Unplaced { frames, shared_cache } => (&frames[..], *shared_cache),
         _ => (&[][..], false),
     };
-    let seed_end = bookings.iter().filter(|booking| booking.task.is_seed()).map(|booking| booking.end).max();
+    let cache_end =
+        bookings.iter().filter(|booking| booking.task.is_shared_cache()).map(|booking| booking.end).max();
     let release = job.release.max(input.now);
     let mut tasks: BTreeSet<Task> = BTreeSet::new();
     for &booking in bookings {
         let work = match booking.task {
-            task @ (Task::Seed | Task::SeedPart { .. }) => {
-                job.seed.zip(job.seed_work(task)).map(|(seed, work)| (seed.class, work))
+            task @ (Task::SharedCache | Task::SharedCachePart { .. }) => {
+                job.shared_cache.zip(job.shared_cache_work(task)).map(|(cache, work)| (cache.class, work))
             }
             Task::Frame(frame) => works.get(&frame).map(|&work| (job.class, work)),
         };
@@ -41,8 +42,8 @@ pub(super) fn check_job(
         if booking.start < release {
             found.push(Violation::Release(booking));
         }
-        let is_frame = !booking.task.is_seed();
-        if is_frame && job.seed.is_some() && seed_end.is_none_or(|end| booking.start < end) {
+        let is_frame = !booking.task.is_shared_cache();
+        if is_frame && job.shared_cache.is_some() && cache_end.is_none_or(|end| booking.start < end) {
             found.push(Violation::Precedence(booking));
         }
         if let Some(node) = nodes.get(&booking.node) {
@@ -55,7 +56,7 @@ pub(super) fn check_job(
             }
         }
     }
-    check_complete(job, &tasks, unplaced, seed_unplaced, &works, found);
+    check_complete(job, &tasks, unplaced, cache_unplaced, &works, found);
 
     let finish = bookings.iter().map(|booking| booking.end).max().unwrap_or(release);
     if !is_true(job, entry, finish) {
@@ -65,19 +66,19 @@ pub(super) fn check_job(
     if entry.cost != cost || entry.within_budget != job.budget.map(|budget| cost <= budget) {
         found.push(Violation::Cost { job: job.id, stated: entry.cost, found: cost });
     }
-    let is_placed = unplaced.is_empty() && !seed_unplaced;
+    let is_placed = unplaced.is_empty() && !cache_unplaced;
     if is_placed && beats(finish, entry.bound) {
         found.push(Violation::Bound { job: Some(job.id) });
     }
     is_placed.then_some(finish)
 }
 
-/// Every frame is booked or called unplaced; and so is the seed.
+/// Every frame is booked or called unplaced; and so is the shared cache.
 fn check_complete(
     job: &Job,
     tasks: &BTreeSet<Task>,
     unplaced: &[i64],
-    seed_unplaced: bool,
+    cache_unplaced: bool,
     works: &BTreeMap<i64, u64>,
     found: &mut Vec<Violation>,
 ) {
@@ -94,12 +95,12 @@ fn check_complete(
     for task in missing.filter(|task| !tasks.contains(task)) {
         found.push(Violation::Missing { job: job.id, task });
     }
-    let mut parts = job.seed.into_iter().flat_map(Seed::tasks);
+    let mut parts = job.shared_cache.into_iter().flat_map(SharedCache::tasks);
     let missing = parts.find(|part| !tasks.contains(part));
-    match (job.seed.is_some(), missing, seed_unplaced) {
+    match (job.shared_cache.is_some(), missing, cache_unplaced) {
         (true, Some(task), false) => found.push(Violation::Missing { job: job.id, task }),
-        (true, None, true) => found.push(Violation::Twice { job: job.id, task: Task::Seed }),
-        (false, _, true) => found.push(Violation::UnknownUnplaced { job: job.id, task: Task::Seed }),
+        (true, None, true) => found.push(Violation::Twice { job: job.id, task: Task::SharedCache }),
+        (false, _, true) => found.push(Violation::UnknownUnplaced { job: job.id, task: Task::SharedCache }),
         _ => {}
     }
 }
@@ -107,7 +108,7 @@ fn check_complete(
 /// Whether the verdict is what the deadline and the last end make it.
 fn is_true(job: &Job, entry: &JobPlan, end: i64) -> bool {
     match (&entry.verdict, job.deadline) {
-        (Verdict::Unplaced { frames, seed }, _) => !frames.is_empty() || *seed,
+        (Verdict::Unplaced { frames, shared_cache }, _) => !frames.is_empty() || *shared_cache,
         (Verdict::NoDeadline { finish }, None) => *finish == end,
         (Verdict::Feasible { finish, slack }, Some(deadline)) => {
             *finish == end && end <= deadline && *slack == deadline.saturating_sub(end)

@@ -16,7 +16,7 @@ use crate::model::{Booking, Input, Job, JobPlan, Node, Plan, Rental, Verdict};
 use crate::proof::{Counted, value};
 
 /// Checks a plan against its input: every frame once, on a node that can render it, in the node's free time, after
-/// its release and its job's seed, as long as its work takes, alone on its node; every
+/// its release and its job's shared cache, as long as its work takes, alone on its node; every
 /// booking paid for; and verdicts, costs, bounds and proofs in agreement with that.
 ///
 /// # Errors

@@ -45,8 +45,8 @@ pub enum Violation {
     /// A booking starts before its job is released, or before the plan is made.
     #[error("job {}, {} on node {}: starts before its release", .0.job, .0.task, .0.node)]
     Release(Booking),
-    /// A frame starts before the job's seed ends.
-    #[error("job {}, {} on node {}: starts before the seed is done", .0.job, .0.task, .0.node)]
+    /// A frame starts before the job's shared cache ends.
+    #[error("job {}, {} on node {}: starts before the shared cache is filled", .0.job, .0.task, .0.node)]
     Precedence(Booking),
     /// A booking is not within the node's calendar, or before the node is available.
     #[error("job {}, {} on node {}: the node is not free for rendering", .0.job, .0.task, .0.node)]

@@ -12,7 +12,7 @@ mod learned;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use forelight_planner::{
-    FixedBooking, Frame, Input, Interval, Job, Node, Plan, Power, Seed, Task, Verdict, WorkTotal,
+    FixedBooking, Frame, Input, Interval, Job, Node, Plan, Power, SharedCache, Task, Verdict, WorkTotal,
     plan_quickly,
 };
 
@@ -218,26 +218,26 @@ impl Planned {
         let tasks = &farm.jobs[job].truth;
         let bought = |median: u64| (median as f64 * factor).ceil().max(1.0) as u64;
         let mut frames = Vec::new();
-        let mut seed: Option<Seed> = None;
+        let mut shared_cache: Option<SharedCache> = None;
         let mut release = asked.release.max(farm.now());
         // A task's index is its number for the planner.
         for &place in &farm.jobs[job].waiting {
             let task = &tasks[place];
-            if task.task.is_seed() {
-                let (work, parts) = seed.map_or((0, 0), |seed| (seed.work, seed.parts));
+            if task.task.is_shared_cache() {
+                let (work, parts) = shared_cache.map_or((0, 0), |cache| (cache.work, cache.parts));
                 let work = bought(task.median).saturating_add(work);
-                seed = Some(Seed { class: task.class, work, parts: parts + 1 });
+                shared_cache = Some(SharedCache { class: task.class, work, parts: parts + 1 });
                 continue;
             }
             frames.push(Frame { number: place as i64, work: bought(task.median), work_p80: 0 });
         }
-        if frames.is_empty() && seed.is_none() {
+        if frames.is_empty() && shared_cache.is_none() {
             return None;
         }
-        if seed.is_none() {
+        if shared_cache.is_none() {
             // Frames wait for the parts of the shared cache that run.
             let states = tasks.iter().zip(&farm.jobs[job].tasks).enumerate();
-            for (place, (_, state)) in states.take_while(|(_, (task, _))| task.task.is_seed()) {
+            for (place, (_, state)) in states.take_while(|(_, (task, _))| task.task.is_shared_cache()) {
                 let TaskState::Held(attempt) = *state else { continue };
                 let held = farm.attempt(attempt);
                 let node = farm.world.input.nodes.binary_search_by_key(&held.node, |node| node.id).ok();
@@ -255,7 +255,7 @@ impl Planned {
             // Promised jobs come before others.
             priority: if behind { i32::MIN } else { asked.priority },
             total: WorkTotal { p50: total, p80: total, p95: total },
-            seed,
+            shared_cache,
             frames,
             done: Vec::new(),
             ..asked.clone()
@@ -300,10 +300,10 @@ impl Planned {
             };
             let Some(job) = farm.place_of(booking.job) else { continue };
             // Parts of the shared cache are the waiting ones, in order.
-            let part_of_seed = |part: u32| farm.jobs[job].waiting.iter().nth(part as usize).copied();
+            let part_of_cache = |part: u32| farm.jobs[job].waiting.iter().nth(part as usize).copied();
             let task = match booking.task {
-                Task::Seed => part_of_seed(0),
-                Task::SeedPart { part, .. } => part_of_seed(part),
+                Task::SharedCache => part_of_cache(0),
+                Task::SharedCachePart { part, .. } => part_of_cache(part),
                 Task::Frame(place) => usize::try_from(place).ok(),
             };
             if let Some(task) = task {

@@ -99,7 +99,7 @@ impl Queue {
     fn next_task(&self, farm: &Farm, job: usize) -> Option<usize> {
         let entry = &farm.jobs[job];
         let first = *entry.waiting.first()?;
-        if self.rule != QueueRule::ThreeFrames || !farm.has_seed(job) {
+        if self.rule != QueueRule::ThreeFrames || !farm.has_shared_cache(job) {
             return Some(first);
         }
         let tasks = &entry.truth;

@@ -1,29 +1,57 @@
 //! The ledger: what was paid for each lease. Triggers write it (`migrations/0003_budgets.sql`), so what was paid is known
 //! whatever way a lease ends.
 
-use forelight_protocol::{JobId, LedgerLine, Money, NodeId, Timestamp};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use forelight_protocol::{JobId, LedgerLine, Money, Timestamp};
+use sqlx::SqliteConnection;
 
+use crate::columns::Time;
 use crate::database::Store;
-use crate::decode::{id, time, time_opt};
 use crate::error::StoreError;
-use crate::policy::budgets as policy;
+use crate::policy::budgets::{self as policy, Payment};
+
+/// Rows with the columns of a line of the ledger, more columns, and which rows.
+///
+/// A lease that was not renewed since the service started again is paid until it would have run out before that. Any
+/// other active lease is paid until it runs out, unless it is renewed.
+macro_rules! rows {
+    ($more:literal, $which:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query!(
+            "SELECT d.project, d.job_id, d.node_id, d.price_per_hour, d.from_at, \
+             coalesce(d.until_at, l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) AS \"until_at?: Time\""
+                + $more
+                + " FROM ledger d JOIN leases l ON l.id = d.lease_id "
+                + $which
+            $(, $value)*
+        )
+    };
+}
+
+/// The line of the ledger of such a row.
+macro_rules! line {
+    ($row:expr) => {
+        LedgerLine {
+            project: $row.project,
+            job_id: $row.job_id.into(),
+            node_id: $row.node_id.into(),
+            price_per_hour: Money($row.price_per_hour),
+            from: $row.from_at.into(),
+            until: $row.until_at.map(Into::into),
+        }
+    };
+}
 
 impl Store {
     /// What was paid for between two instants, in the order of leases.
     pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
-        let rows = sqlx::query(concat!(
-            "SELECT ",
-            line_columns!(),
-            " FROM ledger d JOIN leases l ON l.id = d.lease_id \
-             WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id"
-        ))
-        .bind(until.micros())
-        .bind(from.micros())
+        let rows = rows!(
+            "",
+            "WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id",
+            until.micros(),
+            from.micros()
+        )
         .fetch_all(self.readers())
         .await?;
-        lines(&rows)
+        Ok(rows.into_iter().map(|row| line!(row)).collect())
     }
 
     /// What a job's leases have cost so far, those that end at `now` and those that go on.
@@ -32,35 +60,22 @@ impl Store {
     }
 }
 
-/// Columns of a line of the ledger. A worker that was not heard of since the service began again is paid until then, and no other longer than its
-/// lease goes, unless it is renewed.
-macro_rules! line_columns {
-    () => {
-        "d.*, coalesce(l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) AS paid_until"
-    };
-}
-use line_columns;
-
-/// All lines of a job, each with what was done.
-pub(crate) const LINES_OF_JOB: &str = concat!(
-    "SELECT ",
-    line_columns!(),
-    ", t.kind, t.frame, l.state = 'active' AS is_active FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id WHERE t.job_id = ?"
-);
-
-pub(crate) fn line(row: &SqliteRow) -> Result<LedgerLine, StoreError> {
-    Ok(LedgerLine {
-        project: row.try_get("project")?,
-        job_id: JobId(id(row, "job_id")?),
-        node_id: NodeId(id(row, "node_id")?),
-        price_per_hour: Money(row.try_get("price_per_hour")?),
-        from: time(row, "from_at")?,
-        until: time_opt(row, "until_at")?.or(time_opt(row, "paid_until")?),
-    })
-}
-
-fn lines(rows: &[SqliteRow]) -> Result<Vec<LedgerLine>, StoreError> {
-    rows.iter().map(line).collect()
+/// All lines of a job, each with the task that it paid for.
+pub(crate) async fn payments(
+    connection: &mut SqliteConnection,
+    job: JobId,
+) -> Result<Vec<Payment>, StoreError> {
+    let rows = rows!(
+        ", t.kind, t.frame, l.state = 'active' AS \"is_active!: bool\"",
+        "JOIN tasks t ON t.id = l.task_id WHERE t.job_id = ?",
+        job.0
+    )
+    .fetch_all(connection)
+    .await?;
+    Ok(rows
+        .into_iter()
+        .map(|row| Payment { kind: row.kind.0, frame: row.frame, is_active: row.is_active, line: line!(row) })
+        .collect())
 }
 
 /// What a job's leases cost, those that run up to now: its quote, its frames, and what was lost.
@@ -69,8 +84,9 @@ pub(crate) async fn spent_on(
     job: JobId,
     now: Timestamp,
 ) -> Result<Money, StoreError> {
-    let rows = sqlx::query(LINES_OF_JOB).bind(job.0).fetch_all(connection).await?;
-    Ok(policy::cost_since(&lines(&rows)?, Timestamp::from_micros(i64::MIN), now))
+    let payments = payments(connection, job).await?;
+    let lines = payments.into_iter().map(|payment| payment.line);
+    Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN), now))
 }
 
 /// What a project's leases cost since an instant; those that run, up to now.
@@ -80,17 +96,11 @@ pub(crate) async fn spent(
     from: Timestamp,
     now: Timestamp,
 ) -> Result<Money, StoreError> {
-    let rows = sqlx::query(concat!(
-        "SELECT ",
-        line_columns!(),
-        " FROM ledger d JOIN leases l ON l.id = d.lease_id \
-         WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)"
-    ))
-    .bind(project)
-    .bind(from.micros())
-    .fetch_all(connection)
-    .await?;
-    Ok(policy::cost_since(&lines(&rows)?, from, now))
+    let rows =
+        rows!("", "WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)", project, from.micros())
+            .fetch_all(connection)
+            .await?;
+    Ok(policy::cost_since(rows.into_iter().map(|row| line!(row)), from, now))
 }
 
 /// What the frames that a project has running are expected to cost from now on, at the median of their forecasts.
@@ -99,19 +109,17 @@ pub(crate) async fn committed(
     project: &str,
     now: Timestamp,
 ) -> Result<Money, StoreError> {
-    let rows = sqlx::query(
-        concat!("SELECT ", line_columns!(), ", f.cpu_p50, l.node_speed * n.cores AS rate FROM ledger d \
-         JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
+    let rows = rows!(
+        ", f.cpu_p50 AS \"cpu_p50!\", l.node_speed * n.cores AS \"speed!: f64\"",
+        "JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
-         WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL"),
+         WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL",
+        project
     )
-    .bind(project)
     .fetch_all(connection)
     .await?;
-    let mut sum = 0i64;
-    for row in &rows {
-        let (cpu, speed) = (row.try_get("cpu_p50")?, row.try_get("rate")?);
-        sum = sum.saturating_add(policy::committed(&line(row)?, cpu, speed, now).0);
-    }
-    Ok(Money(sum))
+    Ok(Money(rows.into_iter().fold(0i64, |sum, row| {
+        let (cpu, speed) = (row.cpu_p50, row.speed);
+        sum.saturating_add(policy::committed(&line!(row), cpu, speed, now).0)
+    })))
 }

@@ -2,8 +2,8 @@
 
 use forelight_protocol::{BudgetForecast, Timestamp};
 
+use crate::columns::Json;
 use crate::database::Store;
-use crate::decode::{json, time, to_json};
 use crate::error::StoreError;
 
 /// A night that was forecast.
@@ -23,17 +23,18 @@ impl Store {
     pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         let middle = night.from.plus_micros(night.until.micros_since(night.from) / 2);
-        sqlx::query(
-            "INSERT INTO budget_forecasts (date, zone, begin_at, end_at, made_at, body) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
-             ON CONFLICT (date, zone) DO UPDATE SET made_at = excluded.made_at, body = excluded.body WHERE ?5 < ?7",
+        sqlx::query!(
+            "INSERT INTO budget_forecasts (date, zone, begin_at, end_at, made_at, body) \
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT (date, zone) DO UPDATE \
+             SET made_at = excluded.made_at, body = excluded.body WHERE ?5 < ?7",
+            night.forecast.date.to_string(),
+            night.forecast.zone,
+            night.from.micros(),
+            night.until.micros(),
+            night.forecast.made_at.micros(),
+            Json(&night.forecast),
+            middle.micros()
         )
-        .bind(night.forecast.date.to_string())
-        .bind(&night.forecast.zone)
-        .bind(night.from.micros())
-        .bind(night.until.micros())
-        .bind(night.forecast.made_at.micros())
-        .bind(to_json(&night.forecast)?)
-        .bind(middle.micros())
         .execute(write.connection().await?)
         .await?;
         self.commit(write).await
@@ -46,22 +47,22 @@ impl Store {
         before: Timestamp,
         limit: u32,
     ) -> Result<Vec<KeptNight>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT * FROM budget_forecasts WHERE zone = ? AND begin_at < ? ORDER BY begin_at DESC LIMIT ?",
+        let rows = sqlx::query!(
+            "SELECT begin_at, end_at, body FROM budget_forecasts WHERE zone = ? AND begin_at < ? \
+             ORDER BY begin_at DESC LIMIT ?",
+            zone,
+            before.micros(),
+            limit
         )
-        .bind(zone)
-        .bind(before.micros())
-        .bind(limit)
         .fetch_all(self.readers())
         .await?;
-        rows.iter()
-            .map(|row| {
-                Ok(KeptNight {
-                    from: time(row, "begin_at")?,
-                    until: time(row, "end_at")?,
-                    forecast: json(row, "body")?,
-                })
+        Ok(rows
+            .into_iter()
+            .map(|row| KeptNight {
+                from: row.begin_at.into(),
+                until: row.end_at.into(),
+                forecast: row.body.0,
             })
-            .collect()
+            .collect())
     }
 }

@@ -1,22 +1,39 @@
 //! What the steps of a claim have in common: the node that asks, and how a statement finds a task for it.
 
-use forelight_protocol::{Node, Timestamp};
-use sqlx::SqliteConnection;
-use sqlx::sqlite::SqliteRow;
+use forelight_protocol::{ByClass, JobState, Node, TaskLimits, TaskSpec, Timestamp};
+use sqlx::query::QueryAs;
+use sqlx::sqlite::SqliteArguments;
+use sqlx::{FromRow, Sqlite, SqliteConnection};
 
+use crate::columns::{Id, Json, Word};
 use crate::error::StoreError;
 use crate::policy::retries::HEAD_START;
+
+/// A task that a node may be given.
+#[derive(FromRow)]
+pub(crate) struct OfferedTask {
+    pub id: Id,
+    pub job_id: Id,
+    pub spec: Json<TaskSpec>,
+    pub limits: Json<TaskLimits>,
+    pub fence: i64,
+    pub job_state: Word<JobState>,
+    pub work_by_class: Option<Json<ByClass>>,
+    /// Whether the task is booked on another node, and not for everybody.
+    #[sqlx(default)]
+    pub is_booked_elsewhere: bool,
+}
 
 /// What a node is given, or why it is given nothing though there is something.
 #[derive(Default)]
 pub(crate) struct Offer {
-    pub task: Option<SqliteRow>,
+    pub task: Option<OfferedTask>,
     /// For people; nothing if there is a task, or none for anybody.
     pub idle_reason: Option<String>,
 }
 
-impl From<Option<SqliteRow>> for Offer {
-    fn from(task: Option<SqliteRow>) -> Self {
+impl From<Option<OfferedTask>> for Offer {
+    fn from(task: Option<OfferedTask>) -> Self {
         Self { task, idle_reason: None }
     }
 }
@@ -39,8 +56,8 @@ impl Asking<'_> {
         connection: &mut SqliteConnection,
         query: &'static str,
         more: impl FnOnce(Query) -> Query,
-    ) -> Result<Option<SqliteRow>, StoreError> {
-        let common = sqlx::query(query)
+    ) -> Result<Option<OfferedTask>, StoreError> {
+        let common = sqlx::query_as(query)
             .bind(self.node.id.0)
             .bind(self.now.micros())
             .bind(self.now.plus_micros(-HEAD_START).micros())
@@ -50,9 +67,12 @@ impl Asking<'_> {
 }
 
 /// A query under way.
-pub(crate) type Query = sqlx::query::Query<'static, sqlx::Sqlite, sqlx::sqlite::SqliteArguments>;
+pub(crate) type Query = QueryAs<'static, Sqlite, OfferedTask, SqliteArguments>;
 
-/// The first task by an index of which these hold and which the node, `?1`, may have now.
+/// A statement for the first task by an index of which these hold and which the node, `?1`, may have now.
+///
+/// These statements are composed of common pieces, so they are not checked at compile time. Tests run each of them,
+/// and look at the steps that SQLite takes for it.
 macro_rules! next_task {
     ($index:literal, $which:literal, $order:literal) => {
         $crate::claims::asking::next_task!("id", $index, $which, $order)

@@ -4,24 +4,20 @@
 //! Each question is one step into an index for each booked job, however many frames it has. The last one reads the
 //! farm's nodes once.
 
-use forelight_protocol::{ByClass, JobId, JobVerdict, Node, Timestamp};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use forelight_protocol::{JobId, Money, Node, Timestamp};
+use sqlx::SqliteConnection;
 
 use crate::claims::asking::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
-use crate::decode::{id, json, json_opt, time_opt, whole};
 use crate::error::StoreError;
-use crate::jobs::outlooks::JobOutlook;
 use crate::nodes::gone;
-use crate::policy::work_stealing::{OVERDUE, is_at_risk, least_rate, rate, reason_to_wait};
-use crate::tasks::is_bounded_job;
+use crate::policy::work_stealing::{OVERDUE, is_at_risk, is_bounded, least_rate, rate, reason_to_wait};
 
 /// A booked job, as an idle node sees it.
 struct BookedJob {
     id: JobId,
     name: String,
     due: i64,
-    priority: i64,
+    priority: i32,
     /// Whether any node may take any of its tasks.
     for_everybody: bool,
     /// Rate of its work on the idle node.
@@ -65,48 +61,46 @@ pub(crate) async fn offer(
 impl BookedJob {
     /// Why the node leaves the job to others: where the next of its frames is booked for less; `None` if none is.
     async fn why_not(&self, connection: &mut SqliteConnection) -> Result<Option<String>, StoreError> {
-        let row = sqlx::query(
-            "SELECT t.booked_rate, n.name FROM tasks t INDEXED BY tasks_ready_starts JOIN nodes n ON n.id = t.booked_node \
-             WHERE t.state = 'ready' AND t.booked_rate IS NOT NULL AND t.job_id = ? AND t.held = 0 AND t.booked_rate < ? \
+        let row = sqlx::query!(
+            "SELECT t.booked_rate AS \"booked_rate!\", n.name FROM tasks t INDEXED BY tasks_ready_starts \
+             JOIN nodes n ON n.id = t.booked_node WHERE t.state = 'ready' AND t.booked_rate IS NOT NULL \
+             AND t.job_id = ? AND t.held = 0 AND t.booked_rate < ? \
              ORDER BY t.booked_at, t.frame, t.part LIMIT 1",
+            self.id.0,
+            least_rate(self.rate)
         )
-        .bind(self.id.0)
-        .bind(least_rate(self.rate))
         .fetch_optional(connection)
         .await?;
-        row.map(|row| {
-            let there: i64 = whole(&row, "booked_rate")?;
-            Ok(reason_to_wait(&self.name, row.try_get("name")?, there, self.rate))
-        })
-        .transpose()
+        Ok(row.map(|row| reason_to_wait(&self.name, &row.name, row.booked_rate, self.rate)))
     }
 }
 
 /// The booked jobs in the order in which nodes help out: by deadline, then priority, then age.
 async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<BookedJob>, StoreError> {
-    let rows = sqlx::query(
+    let rows = sqlx::query!(
         "SELECT id, name, deadline_at, budget, priority, verdict, outlook, work_by_class FROM jobs \
-         WHERE state IN ('booked', 'rendering') ORDER BY coalesce(deadline_at, 9223372036854775807), priority DESC, id",
+         WHERE state IN ('booked', 'rendering') ORDER BY coalesce(deadline_at, 9223372036854775807), \
+         priority DESC, id"
     )
     .fetch_all(connection)
     .await?;
-    rows.iter().map(|row| decode(row, node)).collect()
-}
-
-fn decode(row: &SqliteRow, node: &Node) -> Result<BookedJob, StoreError> {
-    let deadline = time_opt(row, "deadline_at")?;
-    let work: Option<ByClass> = json_opt(row, "work_by_class")?;
-    let outlook: JobOutlook = json(row, "outlook")?;
-    let verdict: Option<JobVerdict> = json_opt(row, "verdict")?;
-    let is_at_risk = is_at_risk(outlook.promise.as_ref(), verdict.as_ref());
-    Ok(BookedJob {
-        id: JobId(id(row, "id")?),
-        name: row.try_get("name")?,
-        due: deadline.map_or(i64::MAX, Timestamp::micros),
-        priority: row.try_get("priority")?,
-        for_everybody: !is_bounded_job(row)? || is_at_risk,
-        rate: rate(node, work.as_ref()),
-    })
+    Ok(rows
+        .into_iter()
+        .map(|row| {
+            let work = row.work_by_class.map(|it| it.0);
+            let verdict = row.verdict.map(|it| it.0);
+            let deadline: Option<Timestamp> = row.deadline_at.map(Into::into);
+            let is_bounded = is_bounded(deadline, row.budget.map(Money));
+            BookedJob {
+                id: row.id.into(),
+                name: row.name,
+                due: deadline.map_or(i64::MAX, Timestamp::micros),
+                priority: row.priority,
+                for_everybody: !is_bounded || is_at_risk(row.outlook.0.promise.as_ref(), verdict.as_ref()),
+                rate: rate(node, work.as_ref()),
+            }
+        })
+        .collect())
 }
 
 /// A job's first task, wherever it is booked. `?5` to `?7` are the job's due time, priority and id.

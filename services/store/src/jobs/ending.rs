@@ -28,11 +28,13 @@ impl Store {
             JobState::Previewing | JobState::Profiling | JobState::Booked | JobState::Rendering => {}
         }
         withdraw(&mut write, job, now).await?;
-        sqlx::query("UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?")
-            .bind(now.micros())
-            .bind(job.0)
-            .execute(write.connection().await?)
-            .await?;
+        sqlx::query!(
+            "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?",
+            now.micros(),
+            job.0
+        )
+        .execute(write.connection().await?)
+        .await?;
         job_state(&mut write, job, JobState::Cancelled, None, now)?;
         living::update(&mut write, job, Occasion::Ended, now).await?;
         if current.plan_id.is_some() {
@@ -57,12 +59,14 @@ pub(crate) async fn fail_task_and_job(
     error: &str,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    sqlx::query("UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ?")
-        .bind(error)
-        .bind(now.micros())
-        .bind(row.task_id.0)
-        .execute(write.connection().await?)
-        .await?;
+    sqlx::query!(
+        "UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ?",
+        error,
+        now.micros(),
+        row.task_id.0
+    )
+    .execute(write.connection().await?)
+    .await?;
     fail_for_task(write, row.job_id, (row.kind, row.frame), error, now).await
 }
 
@@ -85,12 +89,13 @@ pub(crate) async fn fail(
     error: &str,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let failed = sqlx::query(
-        "UPDATE jobs SET state = 'failed', error = ?, finished_at = ? WHERE id = ? AND state IN ('previewing', 'profiling', 'booked', 'rendering')",
+    let failed = sqlx::query!(
+        "UPDATE jobs SET state = 'failed', error = ?, finished_at = ? WHERE id = ? \
+         AND state IN ('previewing', 'profiling', 'booked', 'rendering')",
+        error,
+        now.micros(),
+        job.0
     )
-    .bind(error)
-    .bind(now.micros())
-    .bind(job.0)
     .execute(write.connection().await?)
     .await?;
     if failed.rows_affected() == 0 {

@@ -1,13 +1,11 @@
 //! The jobs that are not over, with what their forecasts say of the frames that are left.
 
 use forelight_protocol::{Job, JobId, JobState};
-use sqlx::Row as _;
 
+use crate::columns::Unread;
 use crate::database::Store;
-use crate::decode::id;
 use crate::error::StoreError;
-use crate::jobs;
-use crate::jobs::progress;
+use crate::jobs::{job_rows, progress};
 use forelight_quote::JobForecast;
 
 /// A job that is booked and not done, with what its forecast says.
@@ -27,35 +25,32 @@ impl Store {
     /// The jobs that are neither done, failed nor cancelled, oldest first.
     pub async fn open_jobs(&self) -> Result<Vec<OpenJob>, StoreError> {
         let mut transaction = self.read().await?;
-        let rows = sqlx::query(
-            "SELECT * FROM jobs WHERE state IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id",
-        )
-        .fetch_all(&mut *transaction)
-        .await?;
-        let mut open = Vec::with_capacity(rows.len());
-        for row in &rows {
-            let job_id = JobId(id(row, "id")?);
-            let done = progress::of_job(&mut transaction, job_id).await?;
-            let job = jobs::decode(row, done)?;
-            let frames = sqlx::query(
-                "SELECT frame, cpu_p50, cpu_p80 FROM frames WHERE job_id = ? AND finished_at IS NULL AND cpu_p50 IS NOT NULL \
-                 ORDER BY frame",
-            )
-            .bind(job_id.0)
+        let rows = job_rows!("WHERE state IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
             .await?;
-            let held: bool =
-                sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tasks WHERE job_id = ? AND held = 1)")
-                    .bind(job_id.0)
-                    .fetch_one(&mut *transaction)
-                    .await?;
-            let is_booked = matches!(job.state, JobState::Booked | JobState::Rendering);
+        let mut open = Vec::with_capacity(rows.len());
+        for mut row in rows {
+            let job_id = JobId::from(row.id);
+            let forecast = row.forecast.take();
+            let done = progress::of_job(&mut transaction, job_id).await?;
+            let job = row.job(done)?;
+            let frames = sqlx::query!(
+                r#"SELECT frame, cpu_p50 AS "cpu_p50!", cpu_p80 AS "cpu_p80!" FROM frames
+                   WHERE job_id = ? AND finished_at IS NULL AND cpu_p50 IS NOT NULL ORDER BY frame"#,
+                job_id.0
+            )
+            .fetch_all(&mut *transaction)
+            .await?;
+            let held = sqlx::query_scalar!(
+                r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE job_id = ? AND held = 1) AS "held!: bool""#,
+                job_id.0
+            )
+            .fetch_one(&mut *transaction)
+            .await?;
+            let forecast = forecast.filter(|_| matches!(job.state, JobState::Booked | JobState::Rendering));
             open.push(OpenJob {
-                forecast: if is_booked { crate::decode::json_opt(row, "forecast")? } else { None },
-                frames: frames
-                    .iter()
-                    .map(|row| Ok((crate::decode::whole(row, "frame")?, row.try_get(1)?, row.try_get(2)?)))
-                    .collect::<Result<_, StoreError>>()?,
+                forecast: forecast.map(Unread::read).transpose()?,
+                frames: frames.into_iter().map(|row| (row.frame, row.cpu_p50, row.cpu_p80)).collect(),
                 job,
                 held,
             });

@@ -1,10 +1,10 @@
 //! What is said of booked jobs between plans: why they wait, and what is left of their promises.
 
-use forelight_protocol::{Event, JobId, JobState, Promise, Timestamp, Waits};
+use forelight_protocol::{Event, JobId, Promise, Timestamp, Waits};
 use serde::{Deserialize, Serialize};
 
+use crate::columns::Json;
 use crate::database::Write;
-use crate::decode::{json, to_json, word};
 use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::policy::rebooking::promise_news;
@@ -27,19 +27,16 @@ pub(crate) async fn keep(
     now: Timestamp,
 ) -> Result<(), StoreError> {
     for (job, outlook) in outlooks {
-        let row = sqlx::query("SELECT outlook, state FROM jobs WHERE id = ?")
-            .bind(job.0)
+        let row = sqlx::query!("SELECT outlook, state FROM jobs WHERE id = ?", job.0)
             .fetch_optional(write.connection().await?)
             .await?;
         let row = row.ok_or(StoreError::NotFound("job"))?;
-        let before: JobOutlook = json(&row, "outlook")?;
+        let before = row.outlook.0;
         // A job that was over before this was found out has no outlook any more.
-        if before == *outlook || word::<JobState>(&row, "state")?.is_final() {
+        if before == *outlook || row.state.0.is_final() {
             continue;
         }
-        sqlx::query("UPDATE jobs SET outlook = ? WHERE id = ?")
-            .bind(to_json(outlook)?)
-            .bind(job.0)
+        sqlx::query!("UPDATE jobs SET outlook = ? WHERE id = ?", Json(outlook), job.0)
             .execute(write.connection().await?)
             .await?;
         let Some((kind, message)) = promise_news(before.promise.as_ref(), outlook.promise.as_ref()) else {

@@ -1,9 +1,8 @@
 //! How far a job is.
 
-use forelight_protocol::{JobId, LiveForecast, SeedProgress};
-use sqlx::{Row as _, SqliteConnection};
+use forelight_protocol::{JobId, LiveForecast, SharedCacheProgress};
+use sqlx::SqliteConnection;
 
-use crate::decode::whole;
 use crate::error::StoreError;
 use crate::living;
 use crate::shared_cache::parts;
@@ -17,27 +16,29 @@ pub(crate) struct Progress {
     /// What the job will have cost; none before it is booked.
     pub live: Option<LiveForecast>,
     /// Of the irradiance cache that the frames share and wait for, if they do.
-    pub seed: Option<SeedProgress>,
+    pub shared_cache: Option<SharedCacheProgress>,
     /// Whether any frame is done or with a worker.
     pub begun: bool,
 }
 
-/// A job's frames in one row.
-pub(crate) const FRAMES: &str = "SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS done, \
-            coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased', 0)), 0) AS begun, \
-            total(coalesce(f.work_mean, 1.0)) AS weight, \
-            total(coalesce(f.work_mean, 1.0) * CASE WHEN f.actual IS NOT NULL THEN 1.0 WHEN t.state = 'leased' THEN t.progress ELSE 0.0 END) AS reached \
-     FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
-     WHERE f.job_id = ?";
-
 /// Weighs every frame by its forecast work, so that a job of 47 cheap frames and a dear one is not at 98 % when the
 /// dear one is all that is left; a frame under way counts by what its worker last said.
 pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress, StoreError> {
-    let row = sqlx::query(FRAMES).bind(job.0).fetch_one(&mut *connection).await?;
-    let weight: f64 = row.try_get("weight")?;
-    let reached: f64 = row.try_get("reached")?;
-    let fraction = if weight > 0.0 { (reached / weight).clamp(0.0, 1.0) } else { 0.0 };
+    let row = sqlx::query!(
+        r#"SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS "done!: u32",
+                  coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased', 0)), 0) AS "begun!: bool",
+                  total(coalesce(f.work_mean, 1.0)) AS "weight!: f64",
+                  total(coalesce(f.work_mean, 1.0) * CASE WHEN f.actual IS NOT NULL THEN 1.0
+                        WHEN t.state = 'leased' THEN t.progress ELSE 0.0 END) AS "reached!: f64"
+           FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames
+                ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
+           WHERE f.job_id = ?"#,
+        job.0
+    )
+    .fetch_one(&mut *connection)
+    .await?;
+    let fraction = if row.weight > 0.0 { (row.reached / row.weight).clamp(0.0, 1.0) } else { 0.0 };
     let live = living::newest(connection, job).await?;
-    let seed = parts::progress(connection, job).await?;
-    Ok(Progress { frames_done: whole(&row, "done")?, fraction, begun: row.try_get("begun")?, live, seed })
+    let shared_cache = parts::progress(connection, job).await?;
+    Ok(Progress { frames_done: row.done, fraction, begun: row.begun, live, shared_cache })
 }

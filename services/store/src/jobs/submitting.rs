@@ -6,8 +6,8 @@ use forelight_protocol::{
     Timestamp,
 };
 
+use crate::columns::Json;
 use crate::database::Store;
-use crate::decode::to_json;
 use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
@@ -41,40 +41,39 @@ impl Store {
             return Ok(Answered::Repeated(answer));
         }
         let job_id = JobId::new();
-        sqlx::query(
-            "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, \
-             settings, samples, profile_frames, deadline_at, budget, confidence, priority, created_at, limits, within, cache, weight, \
-             profiles_more, ladders) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        sqlx::query!(
+            "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, \
+             frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
+             priority, created_at, limits, within, cache, weight, profiles_more, ladders) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            job_id.0,
+            request.name,
+            request.project,
+            request.bundle.id.map(|bundle| bundle.0),
+            request.bundle.path,
+            Json(source),
+            Json(scene),
+            request.frames.to_string(),
+            i64::try_from(request.frames.count()).unwrap_or(i64::MAX),
+            Json(settings),
+            request.samples,
+            request.profile_frames.map_or(FIRST_FRAMES as i64, i64::from),
+            request.deadline.map(Timestamp::micros),
+            request.budget.map(Money::micro_units),
+            request.confidence.name(),
+            request.priority,
+            now.micros(),
+            Json(&request.limits),
+            request.within.as_ref().map(Json),
+            request.cache.name(),
+            request.weight,
+            request.profile_frames.is_none(),
+            request.ladders.name()
         )
-        .bind(job_id.0)
-        .bind(&request.name)
-        .bind(&request.project)
-        .bind(request.bundle.id.map(|bundle| bundle.0))
-        .bind(&request.bundle.path)
-        .bind(to_json(source)?)
-        .bind(to_json(scene)?)
-        .bind(request.frames.to_string())
-        .bind(i64::try_from(request.frames.count()).unwrap_or(i64::MAX))
-        .bind(to_json(settings)?)
-        .bind(i64::from(request.samples))
-        .bind(request.profile_frames.map_or(FIRST_FRAMES as i64, i64::from))
-        .bind(request.deadline.map(Timestamp::micros))
-        .bind(request.budget.map(Money::micro_units))
-        .bind(request.confidence.name())
-        .bind(i64::from(request.priority))
-        .bind(now.micros())
-        .bind(to_json(&request.limits)?)
-        .bind(request.within.as_ref().map(to_json).transpose()?)
-        .bind(request.cache.name())
-        .bind(i64::from(request.weight))
-        .bind(request.profile_frames.is_none())
-        .bind(request.ladders.name())
         .execute(write.connection().await?)
         .await?;
         for frame in request.frames.iter() {
-            sqlx::query("INSERT INTO frames (job_id, frame) VALUES (?, ?)")
-                .bind(job_id.0)
-                .bind(i64::from(frame))
+            sqlx::query!("INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame)
                 .execute(write.connection().await?)
                 .await?;
         }

@@ -74,17 +74,16 @@ impl Store {
         })
         .await?;
         for (path, task) in found {
-            let wanted =
-                match task {
-                    Some(task) => sqlx::query_scalar(
-                        "SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ? AND state IN ('ready', 'leased'))",
-                    )
-                    .bind(task.0)
-                    .fetch_one(self.readers())
-                    .await?,
-                    // Being written, unless it is old.
-                    None => is_recent(&path),
-                };
+            let wanted = match task {
+                Some(task) => sqlx::query_scalar!(
+                    r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ? AND state IN ('ready', 'leased')) AS "wanted!: bool""#,
+                    task.0
+                )
+                .fetch_one(self.readers())
+                .await?,
+                // Being written, unless it is old.
+                None => is_recent(&path),
+            };
             if !wanted {
                 // If it cannot be deleted now, the next sweep tries again.
                 let _ = std::fs::remove_file(&path);

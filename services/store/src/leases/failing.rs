@@ -2,6 +2,7 @@
 
 use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, Timestamp};
 
+use crate::columns::Time;
 use crate::database::Store;
 use crate::database::Write;
 use crate::error::StoreError;
@@ -34,8 +35,7 @@ impl Store {
         touch(&mut write, row.node_id, now);
         let blameless = is_blameless(error);
         if blameless {
-            sqlx::query("UPDATE leases SET blameless = 1 WHERE id = ?")
-                .bind(lease.0)
+            sqlx::query!("UPDATE leases SET blameless = 1 WHERE id = ?", lease.0)
                 .execute(write.connection().await?)
                 .await?;
         }
@@ -44,12 +44,14 @@ impl Store {
             Event { message: Some(error.message.clone()), ..row.event(EventKind::TaskFailed, now) },
         )?;
         let failures = row.failures + 1;
-        sqlx::query("UPDATE tasks SET failures = ?, not_before = ? WHERE id = ?")
-            .bind(failures)
-            .bind(now.plus_micros(wait(row.task_id, failures)).micros())
-            .bind(row.task_id.0)
-            .execute(write.connection().await?)
-            .await?;
+        sqlx::query!(
+            "UPDATE tasks SET failures = ?, not_before = ? WHERE id = ?",
+            failures,
+            now.plus_micros(wait(row.task_id, failures)).micros(),
+            row.task_id.0
+        )
+        .execute(write.connection().await?)
+        .await?;
         let failed_on = nodes_that_failed(&mut write, row.task_id).await?;
         match job_error(error, row.task_id, failures, &failed_on) {
             Some(job_error) => fail_task_and_job(&mut write, &row, &job_error, now).await?,
@@ -65,25 +67,26 @@ impl Store {
 
     /// When the next task that waits after a failure may be handed out, to whom it failed on or to others; `None` if none waits.
     pub async fn next_retry(&self, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
-        let at: Option<i64> = sqlx::query_scalar(
-            "SELECT min(CASE WHEN not_before > ?1 THEN not_before ELSE not_before + ?2 END) FROM tasks INDEXED BY tasks_backing_off \
-             WHERE state = 'ready' AND not_before > 0 AND not_before + ?2 > ?1",
+        let at = sqlx::query_scalar!(
+            "SELECT min(CASE WHEN not_before > ?1 THEN not_before ELSE not_before + ?2 END) AS \"at?: \
+             Time\" FROM tasks INDEXED BY tasks_backing_off WHERE state = 'ready' AND not_before > 0 \
+             AND not_before + ?2 > ?1",
+            now.micros(),
+            HEAD_START
         )
-        .bind(now.micros())
-        .bind(HEAD_START)
         .fetch_one(self.readers())
         .await?;
-        Ok(at.map(Timestamp::from_micros))
+        Ok(at.map(Into::into))
     }
 }
 
 /// Names of the nodes on which a task failed, sorted.
 async fn nodes_that_failed(write: &mut Write, task: TaskId) -> Result<Vec<String>, StoreError> {
-    Ok(sqlx::query_scalar(
+    Ok(sqlx::query_scalar!(
         "SELECT DISTINCT n.name FROM leases l JOIN nodes n ON n.id = l.node_id \
          WHERE l.task_id = ? AND l.state = 'failed' ORDER BY n.name",
+        task.0
     )
-    .bind(task.0)
     .fetch_all(write.connection().await?)
     .await?)
 }
@@ -95,21 +98,21 @@ async fn set_aside_if_at_fault(
     error: &str,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let jobs: i64 = sqlx::query_scalar(
-        "SELECT count(DISTINCT t.job_id) FROM leases l INDEXED BY leases_failed_on_node JOIN tasks t ON t.id = l.task_id \
-         WHERE l.node_id = ?1 AND l.state = 'failed' AND NOT l.blameless AND t.state <> 'failed' \
-         AND l.ended_at > max(?2, (SELECT trusted_since FROM nodes WHERE id = ?1))",
+    let jobs = sqlx::query_scalar!(
+        "SELECT count(DISTINCT t.job_id) FROM leases l INDEXED BY leases_failed_on_node \
+         JOIN tasks t ON t.id = l.task_id WHERE l.node_id = ?1 AND l.state = 'failed' \
+         AND NOT l.blameless AND t.state <> 'failed' AND l.ended_at > max(?2, (SELECT trusted_since \
+         FROM nodes WHERE id = ?1))",
+        node.0,
+        now.plus_micros(-HELD_AGAINST).micros()
     )
-    .bind(node.0)
-    .bind(now.plus_micros(-HELD_AGAINST).micros())
     .fetch_one(write.connection().await?)
     .await?;
     let Some(reason) = reason_to_set_aside(jobs, error) else { return Ok(()) };
-    let set = sqlx::query("UPDATE nodes SET set_aside = ? WHERE id = ? AND set_aside IS NULL")
-        .bind(&reason)
-        .bind(node.0)
-        .execute(write.connection().await?)
-        .await?;
+    let set =
+        sqlx::query!("UPDATE nodes SET set_aside = ? WHERE id = ? AND set_aside IS NULL", reason, node.0)
+            .execute(write.connection().await?)
+            .await?;
     if set.rows_affected() == 1 {
         let name = nodes::read(write.connection().await?, node).await?.name;
         replans::want(write, &format!("node {name} is set aside")).await?;

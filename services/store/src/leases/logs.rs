@@ -1,11 +1,9 @@
 //! What workers had to say about tasks.
 
 use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine, Timestamp};
-use sqlx::Row as _;
 
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{time, whole, word};
 use crate::error::StoreError;
 use crate::leases::{LeaseRow, LeaseState, read_in};
 
@@ -31,29 +29,32 @@ impl Store {
     /// The log of a task: all attempts, oldest first.
     pub async fn task_log(&self, task: TaskId) -> Result<TaskLog, StoreError> {
         let mut read = self.read().await?;
-        let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ?)")
-            .bind(task.0)
-            .fetch_one(&mut *read)
-            .await?;
-        if !there {
+        let is_there = sqlx::query_scalar!(
+            r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ?) AS "is_there!: bool""#,
+            task.0
+        )
+        .fetch_one(&mut *read)
+        .await?;
+        if !is_there {
             return Err(StoreError::NotFound("task"));
         }
-        let rows = sqlx::query(
+        let rows = sqlx::query!(
             "SELECT fence, number, at, level, line FROM task_logs WHERE task_id = ? ORDER BY fence, number",
+            task.0
         )
-        .bind(task.0)
         .fetch_all(&mut *read)
         .await?;
-        let line = |row: &sqlx::sqlite::SqliteRow| -> Result<TaskLogLine, StoreError> {
-            Ok(TaskLogLine {
-                attempt: whole(row, "fence")?,
-                number: whole(row, "number")?,
-                at: time(row, "at")?,
-                level: word(row, "level")?,
-                text: row.try_get("line")?,
+        let lines = rows
+            .into_iter()
+            .map(|row| TaskLogLine {
+                attempt: row.fence,
+                number: row.number,
+                at: row.at.into(),
+                level: row.level.0,
+                text: row.line,
             })
-        };
-        Ok(TaskLog { task_id: task, lines: rows.iter().map(line).collect::<Result<_, _>>()? })
+            .collect();
+        Ok(TaskLog { task_id: task, lines })
     }
 }
 
@@ -61,15 +62,16 @@ impl Store {
 pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -> Result<(), StoreError> {
     for line in lines.iter().filter(|line| line.number < LOG_LINES) {
         let line = line.clone().cleaned();
-        sqlx::query(
-            "INSERT INTO task_logs (task_id, fence, number, at, level, line) VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+        sqlx::query!(
+            "INSERT INTO task_logs (task_id, fence, number, at, level, line) VALUES (?, ?, ?, ?, ?, ?) \
+             ON CONFLICT DO NOTHING",
+            row.task_id.0,
+            i64::try_from(row.fence).unwrap_or(i64::MAX),
+            line.number,
+            line.at.micros(),
+            line.level.name(),
+            line.text
         )
-        .bind(row.task_id.0)
-        .bind(i64::try_from(row.fence).unwrap_or(i64::MAX))
-        .bind(i64::from(line.number))
-        .bind(line.at.micros())
-        .bind(line.level.name())
-        .bind(line.text)
         .execute(write.connection().await?)
         .await?;
     }
@@ -77,8 +79,7 @@ pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -
 }
 
 pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query("DELETE FROM task_logs WHERE at < ?")
-        .bind(now.plus_micros(-KEPT).micros())
+    sqlx::query!("DELETE FROM task_logs WHERE at < ?", now.plus_micros(-KEPT).micros())
         .execute(write.connection().await?)
         .await?;
     Ok(())

@@ -13,6 +13,7 @@ use crate::leases::logs;
 use crate::leases::{LeaseState, back_to_ready, end, read_in};
 use crate::living::{self, Occasion};
 use crate::nodes::sleep_of;
+use crate::writing::later;
 
 /// Progress is recorded as an event in steps of a hundredth: a worker that renews twice a second must not fill the disk.
 const PROGRESS_STEP: f64 = 0.01;
@@ -37,29 +38,35 @@ impl Store {
             return self.refuse(write, &row, now).await;
         }
         let expires_at = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
-        write
-            .later("UPDATE leases SET expires_at = ?, paid_until = NULL WHERE id = ?")
-            .bind(expires_at.micros())
-            .bind(lease.0);
-        write
-            .later("UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = ? WHERE id = ?")
-            .bind(now.micros())
-            .bind(paused)
-            .bind(row.node_id.0);
+        later!(
+            write,
+            "UPDATE leases SET expires_at = ?, paid_until = NULL WHERE id = ?",
+            expires_at.micros(),
+            lease.0
+        );
+        later!(
+            write,
+            "UPDATE nodes SET last_seen_at = max(last_seen_at, ?), paused = ? WHERE id = ?",
+            now.micros(),
+            paused,
+            row.node_id.0
+        );
         if progress >= row.progress + PROGRESS_STEP || (progress == 1.0 && row.progress < 1.0) {
-            write.later("UPDATE tasks SET progress = ? WHERE id = ?").bind(progress).bind(row.task_id.0);
+            later!(write, "UPDATE tasks SET progress = ? WHERE id = ?", progress, row.task_id.0);
             append(
                 &mut write,
                 Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) },
             )?;
         }
         if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
-            write
-                .later("UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?")
-                .bind((done as f64 / all as f64).min(1.0))
-                .bind(work as f64)
-                .bind(cpu_nanos as f64 * 1e-9 * row.node_speed)
-                .bind(row.task_id.0);
+            later!(
+                write,
+                "UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?",
+                (done as f64 / all as f64).min(1.0),
+                work as f64,
+                cpu_nanos as f64 * 1e-9 * row.node_speed,
+                row.task_id.0
+            );
             living::update(&mut write, row.job_id, Occasion::Meanwhile, now).await?;
         }
         logs::keep(&mut write, &row, log).await?;

@@ -49,17 +49,20 @@ impl Store {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         self.set_up_since(now);
         let mut write = self.write().await?;
-        let extended = sqlx::query(
-            "UPDATE leases SET paid_until = min(coalesce(paid_until, expires_at), ?1), expires_at = ?2 WHERE state = 'active'",
+        let extended = sqlx::query!(
+            "UPDATE leases SET paid_until = min(coalesce(paid_until, expires_at), ?1), expires_at = ?2 \
+             WHERE state = 'active'",
+            now.micros(),
+            until.micros()
         )
-        .bind(now.micros())
-        .bind(until.micros())
         .execute(write.connection().await?)
         .await?;
-        sqlx::query("UPDATE tasks SET not_before = ?1 WHERE state = 'ready' AND not_before > ?1")
-            .bind(now.plus_micros(LONGEST_WAIT).micros())
-            .execute(write.connection().await?)
-            .await?;
+        sqlx::query!(
+            "UPDATE tasks SET not_before = ?1 WHERE state = 'ready' AND not_before > ?1",
+            now.plus_micros(LONGEST_WAIT).micros()
+        )
+        .execute(write.connection().await?)
+        .await?;
         self.commit(write).await?;
         Ok(extended.rows_affected())
     }
@@ -67,17 +70,30 @@ impl Store {
     /// The clock was set forward by so many microseconds (back, if negative): what was to end in a minute still does.
     pub async fn clock_was_set(&self, micros: i64) -> Result<(), StoreError> {
         let mut write = self.write().await?;
-        for moved in [
-            "UPDATE leases SET expires_at = expires_at + ?1, paid_until = paid_until + ?1 WHERE state = 'active'",
+        sqlx::query!(
+            "UPDATE leases SET expires_at = expires_at + ?1, paid_until = paid_until + ?1 \
+             WHERE state = 'active'",
+            micros
+        )
+        .execute(write.connection().await?)
+        .await?;
+        sqlx::query!(
             "UPDATE tasks SET not_before = max(1, not_before + ?) WHERE state = 'ready' AND not_before > 0",
-            // A node that was heard of in what is now the future would look alive for as long.
-            "UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0",
-            // What runs is paid for the time that it took, not for that which the clock went.
-            "UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL",
-            "UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'",
-        ] {
-            sqlx::query(moved).bind(micros).execute(write.connection().await?).await?;
-        }
+            micros
+        )
+        .execute(write.connection().await?)
+        .await?;
+        // A node that was heard of in what is now the future would look alive for as long.
+        sqlx::query!("UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0", micros)
+            .execute(write.connection().await?)
+            .await?;
+        // What runs is paid for the time that it took, not for that which the clock went.
+        sqlx::query!("UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL", micros)
+            .execute(write.connection().await?)
+            .await?;
+        sqlx::query!("UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'", micros)
+            .execute(write.connection().await?)
+            .await?;
         self.set_up_since(self.up_since().plus_micros(micros));
         self.commit(write).await
     }
@@ -95,9 +111,7 @@ pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, St
         append(write, row.event(EventKind::LeaseExpired, now))?;
         swept.expired += 1;
         let expiries = row.expiries + 1;
-        sqlx::query("UPDATE tasks SET expiries = ? WHERE id = ?")
-            .bind(expiries)
-            .bind(row.task_id.0)
+        sqlx::query!("UPDATE tasks SET expiries = ? WHERE id = ?", expiries, row.task_id.0)
             .execute(write.connection().await?)
             .await?;
         match job_error_of_lost_workers(expiries) {

@@ -6,12 +6,14 @@
 
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobId, JobState, LiveFigure, LiveForecast, PlanId};
 use forelight_quote::living::{Baseline, Last, Off};
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row as _, SqliteConnection};
 
+use crate::columns::{Id, Json, Time, Word};
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{id_opt, json, json_opt, time, to_json, whole, word};
 use crate::error::StoreError;
+use crate::writing::{ask, later};
 
 /// Most estimates of a job that are kept.
 const MOST_POINTS: i64 = 512;
@@ -20,24 +22,25 @@ impl Store {
     /// How the job's estimate moved; `None` before the job is booked.
     pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>, StoreError> {
         let mut transaction = self.read().await?;
-        let row = sqlx::query(
-            "SELECT j.state, j.frames_total, l.body FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?",
+        let row = sqlx::query!(
+            "SELECT j.state, j.frames_total, l.body AS \"body?: Json<LiveForecast>\" FROM jobs j LEFT \
+             JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?",
+            job.0
         )
-        .bind(job.0)
         .fetch_optional(&mut *transaction)
         .await?;
         let row = row.ok_or(StoreError::NotFound("job"))?;
-        let Some(now) = json_opt(&row, "body")? else { return Ok(None) };
-        let points = sqlx::query("SELECT body FROM forecast_history WHERE job_id = ? ORDER BY point")
-            .bind(job.0)
-            .fetch_all(&mut *transaction)
-            .await?;
+        let Some(now) = row.body.map(|it| it.0) else { return Ok(None) };
+        let points =
+            sqlx::query_scalar!("SELECT body FROM forecast_history WHERE job_id = ? ORDER BY point", job.0)
+                .fetch_all(&mut *transaction)
+                .await?;
         Ok(Some(ForecastHistory {
             job_id: job,
-            state: word(&row, "state")?,
-            frames_total: whole(&row, "frames_total")?,
+            state: row.state.0,
+            frames_total: row.frames_total,
             now,
-            points: points.iter().map(|row| json(row, "body")).collect::<Result<_, _>>()?,
+            points: points.into_iter().map(|point| point.0).collect(),
         }))
     }
 }
@@ -47,11 +50,10 @@ pub(crate) async fn newest(
     connection: &mut SqliteConnection,
     job: JobId,
 ) -> Result<Option<LiveForecast>, StoreError> {
-    let row = sqlx::query("SELECT body FROM live_forecasts WHERE job_id = ?")
-        .bind(job.0)
+    let newest = sqlx::query_scalar!("SELECT body FROM live_forecasts WHERE job_id = ?", job.0)
         .fetch_optional(connection)
         .await?;
-    row.as_ref().map(|row| json(row, "body")).transpose()
+    Ok(newest.map(|newest| newest.0))
 }
 
 /// What is kept beside an estimate.
@@ -74,37 +76,46 @@ pub(crate) struct Before {
 
 /// Reads what there is before an estimate is made.
 pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, StoreError> {
-    let row = write
-        .ask("SELECT l.*, j.frames_total, j.state FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id WHERE j.id = ?")
-        .bind(job.0)
-        .first_row()
-        .await?
-        .ok_or(StoreError::NotFound("job"))?;
-    let estimate = match id_opt(&row, "plan_id")? {
-        None => None,
-        Some(plan) => Some(Kept {
-            plan: PlanId(plan),
-            baseline: Baseline {
-                cpu_seconds: row.try_get("booked_cpu")?,
-                rest: row.try_get("booked_rest")?,
-                share: row.try_get("booked_share")?,
-            },
-            last: Last {
-                at: time(&row, "updated_at")?,
-                frames_done: whole(&row, "frames_done")?,
-                frames_since: whole(&row, "frames_since")?,
-                frames_total: whole(&row, "frames_total")?,
-            },
-            was_off: Off { cost: row.try_get("cost_is_off")?, finish: row.try_get("finish_is_off")? },
-            cpu_seconds: json::<LiveForecast>(&row, "body")?.cpu_seconds,
-        }),
-    };
-    Ok(Before { estimate, job_state: word(&row, "state")? })
+    ask!(
+        write,
+        "SELECT l.*, j.frames_total, j.state FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id \
+         WHERE j.id = ?",
+        job.0
+    )
+    .first_row()
+    .await?
+    .ok_or(StoreError::NotFound("job"))
+}
+
+impl FromRow<'_, SqliteRow> for Before {
+    fn from_row(row: &SqliteRow) -> Result<Self, sqlx::Error> {
+        let kept = |plan: Id| {
+            Ok::<_, sqlx::Error>(Kept {
+                plan: plan.into(),
+                baseline: Baseline {
+                    cpu_seconds: row.try_get("booked_cpu")?,
+                    rest: row.try_get("booked_rest")?,
+                    share: row.try_get("booked_share")?,
+                },
+                last: Last {
+                    at: row.try_get::<Time, _>("updated_at")?.into(),
+                    frames_done: row.try_get("frames_done")?,
+                    frames_since: row.try_get("frames_since")?,
+                    frames_total: row.try_get("frames_total")?,
+                },
+                was_off: Off { cost: row.try_get("cost_is_off")?, finish: row.try_get("finish_is_off")? },
+                cpu_seconds: row.try_get::<Json<LiveForecast>, _>("body")?.0.cpu_seconds,
+            })
+        };
+        let plan: Option<Id> = row.try_get("plan_id")?;
+        let state: Word<JobState> = row.try_get("state")?;
+        Ok(Self { estimate: plan.map(kept).transpose()?, job_state: state.0 })
+    }
 }
 
 /// Counts a finished frame that is left for the next estimate.
 pub(super) fn count_frame(write: &mut Write, job: JobId) {
-    write.later("UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?").bind(job.0);
+    later!(write, "UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?", job.0);
 }
 
 /// Keeps an estimate, as the newest and in the history.
@@ -115,44 +126,46 @@ pub(super) async fn keep(
     baseline: &Baseline,
     live: &LiveForecast,
 ) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO live_forecasts (job_id, plan_id, booked_cpu, booked_rest, booked_share, frames_done, cost_is_off, finish_is_off, body, updated_at) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job_id) DO UPDATE SET plan_id = excluded.plan_id, \
-         booked_cpu = excluded.booked_cpu, booked_rest = excluded.booked_rest, booked_share = excluded.booked_share, \
-         frames_done = excluded.frames_done, frames_since = 0, cost_is_off = excluded.cost_is_off, finish_is_off = excluded.finish_is_off, \
-         body = excluded.body, updated_at = excluded.updated_at",
+    sqlx::query!(
+        "INSERT INTO live_forecasts (job_id, plan_id, booked_cpu, booked_rest, booked_share, \
+         frames_done, cost_is_off, finish_is_off, body, updated_at) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job_id) DO UPDATE \
+         SET plan_id = excluded.plan_id, booked_cpu = excluded.booked_cpu, booked_rest = \
+         excluded.booked_rest, booked_share = excluded.booked_share, frames_done = \
+         excluded.frames_done, frames_since = 0, cost_is_off = excluded.cost_is_off, finish_is_off = \
+         excluded.finish_is_off, body = excluded.body, updated_at = excluded.updated_at",
+        job.0,
+        plan.0,
+        baseline.cpu_seconds,
+        baseline.rest,
+        baseline.share,
+        live.frames_done,
+        live.cost_is_off,
+        live.finish_is_off,
+        Json(live),
+        live.at.micros()
     )
-    .bind(job.0)
-    .bind(plan.0)
-    .bind(baseline.cpu_seconds)
-    .bind(baseline.rest)
-    .bind(baseline.share)
-    .bind(live.frames_done)
-    .bind(live.cost_is_off)
-    .bind(live.finish_is_off)
-    .bind(to_json(live)?)
-    .bind(live.at.micros())
     .execute(write.connection().await?)
     .await?;
-    let points: i64 = sqlx::query_scalar("SELECT count(*) FROM forecast_history WHERE job_id = ?")
-        .bind(job.0)
+    let points = sqlx::query_scalar!("SELECT count(*) FROM forecast_history WHERE job_id = ?", job.0)
         .fetch_one(write.connection().await?)
         .await?;
     if points >= MOST_POINTS {
-        sqlx::query(
+        sqlx::query!(
             "DELETE FROM forecast_history WHERE job_id = ?1 AND point IN (SELECT point FROM \
-             (SELECT point, row_number() OVER (ORDER BY point) AS place FROM forecast_history WHERE job_id = ?1) WHERE place % 2 = 0)",
+             (SELECT point, row_number() OVER (ORDER BY point) AS place FROM forecast_history \
+             WHERE job_id = ?1) WHERE place % 2 = 0)",
+            job.0
         )
-        .bind(job.0)
         .execute(write.connection().await?)
         .await?;
     }
-    sqlx::query(
+    sqlx::query!(
         "INSERT INTO forecast_history (job_id, point, body) \
          VALUES (?1, (SELECT ifnull(max(point) + 1, 0) FROM forecast_history WHERE job_id = ?1), ?2)",
+        job.0,
+        Json(HistoryPoint::of(live))
     )
-    .bind(job.0)
-    .bind(to_json(&HistoryPoint::of(live))?)
     .execute(write.connection().await?)
     .await?;
     Ok(())

@@ -1,14 +1,16 @@
 //! Registering nodes and changing them.
 
-use forelight_protocol::{Event, EventKind, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp};
+use forelight_protocol::{
+    Event, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp,
+};
 
+use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::decode::to_json;
 use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::leases;
-use crate::nodes::{LOST, by_name, decode, has_another_worker, read, select_nodes};
+use crate::nodes::{LOST, by_name, has_another_worker, node_rows, read};
 use crate::plans::replans;
 use crate::policy::availability::{Opening, opening, silence, with_power};
 use crate::policy::nodes::{cause_of, is_same_machine, may_take_tasks_again};
@@ -41,25 +43,25 @@ impl Store {
         now: Timestamp,
     ) -> Result<Node, StoreError> {
         let mut write = self.write().await?;
-        sqlx::query(
-            "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), \
-             speed_set = CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set END, \
-             set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE set_aside END, \
-             trusted_since = CASE ?7 WHEN 0 THEN ?8 ELSE trusted_since END, \
-             schedule_set = CASE WHEN ?10 THEN ?11 ELSE schedule_set END, terms = coalesce(?12, terms) WHERE id = ?9",
+        sqlx::query!(
+            "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), speed_set = \
+             CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set \
+             END, set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE \
+             set_aside END, trusted_since = CASE ?7 WHEN 0 THEN ?8 ELSE trusted_since END, schedule_set \
+             = CASE WHEN ?10 THEN ?11 ELSE schedule_set END, terms = coalesce(?12, terms) WHERE id = ?9",
+            change.drain,
+            change.pause,
+            change.speed.is_some(),
+            change.speed.flatten(),
+            change.price_per_hour.is_some(),
+            change.price_per_hour.flatten().map(Money::micro_units),
+            change.set_aside,
+            now.micros(),
+            node.0,
+            change.schedule.is_some(),
+            change.schedule.as_ref().and_then(Option::as_ref).map(Json),
+            change.terms.as_ref().map(Json)
         )
-        .bind(change.drain)
-        .bind(change.pause)
-        .bind(change.speed.is_some())
-        .bind(change.speed.flatten())
-        .bind(change.price_per_hour.is_some())
-        .bind(change.price_per_hour.flatten().map(Money::micro_units))
-        .bind(change.set_aside)
-        .bind(now.micros())
-        .bind(node.0)
-        .bind(change.schedule.is_some())
-        .bind(change.schedule.as_ref().and_then(Option::as_ref).map(to_json).transpose()?)
-        .bind(change.terms.as_ref().map(to_json).transpose()?)
         .execute(write.connection().await?)
         .await?;
         if change.cancel_task == Some(true) {
@@ -97,29 +99,31 @@ pub(crate) async fn upsert(
         }
         _ => false,
     };
-    let node_id: uuid::Uuid = sqlx::query_scalar(
-        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, capabilities, schedule, worker) \
-         VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9) ON CONFLICT (name) DO UPDATE SET speed = excluded.speed, \
-         price_per_hour = excluded.price_per_hour, cores = excluded.cores, last_seen_at = excluded.last_seen_at, \
-         capabilities = excluded.capabilities, schedule = excluded.schedule, \
-         worker = coalesce(excluded.worker, worker), paused = 0 RETURNING id",
+    let node_id: NodeId = sqlx::query_scalar!(
+        "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, \
+         capabilities, schedule, worker) VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9) ON CONFLICT (name) \
+         DO UPDATE SET speed = excluded.speed, price_per_hour = excluded.price_per_hour, cores = \
+         excluded.cores, last_seen_at = excluded.last_seen_at, capabilities = excluded.capabilities, \
+         schedule = excluded.schedule, worker = coalesce(excluded.worker, worker), paused = 0 \
+         RETURNING id",
+        NodeId::new().0,
+        registration.name,
+        registration.speed,
+        registration.price_per_hour.0,
+        registration.cores,
+        now.micros(),
+        Json(&registration.capabilities),
+        registration.schedule.as_ref().map(Json),
+        registration.worker
     )
-    .bind(NodeId::new().0)
-    .bind(&registration.name)
-    .bind(registration.speed)
-    .bind(registration.price_per_hour.0)
-    .bind(i64::from(registration.cores))
-    .bind(now.micros())
-    .bind(to_json(&registration.capabilities)?)
-    .bind(registration.schedule.as_ref().map(to_json).transpose()?)
-    .bind(registration.worker)
     .fetch_one(write.connection().await?)
-    .await?;
+    .await?
+    .into();
     if is_replaced {
         // Who had it is dead, or is about to be told.
-        take_tasks_away(write, NodeId(node_id), now).await?;
+        take_tasks_away(write, node_id, now).await?;
     }
-    let node = read(write.connection().await?, NodeId(node_id)).await?;
+    let node = read(write.connection().await?, node_id).await?;
     match before {
         None => replans::want(write, &format!("node {} joined", node.name)).await?,
         Some(before) if !is_same_machine(&before, &node) || silence(&before, now) > LOST => {
@@ -144,24 +148,26 @@ pub(crate) async fn take_tasks_away(
     node: NodeId,
     now: Timestamp,
 ) -> Result<(), StoreError> {
-    let held: Vec<uuid::Uuid> =
-        sqlx::query_scalar("SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id")
-            .bind(node.0)
-            .fetch_all(write.connection().await?)
-            .await?;
-    leases::take_back(write, held, now).await
+    let held = sqlx::query_scalar!(
+        "SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id",
+        node.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    leases::take_back(write, held.into_iter().map(LeaseId::from), now).await
 }
 
 /// Takes the tasks from nodes whose window has ended, if that is what their terms say. Says how many nodes that were.
 pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
-    let rows = sqlx::query(select_nodes!(
-        "WHERE n.terms ->> 'window_end' = 'stop' AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"
-    ))
+    let rows = node_rows!(
+        "WHERE n.terms ->> 'window_end' = 'stop' \
+         AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"
+    )
     .fetch_all(write.connection().await?)
     .await?;
     let mut stopped = 0;
-    for row in &rows {
-        let node = decode(row)?;
+    for row in rows {
+        let node = Node::from(row);
         if matches!(opening(&node, now), Opening::Asleep(_)) {
             take_tasks_away(write, node.id, now).await?;
             stopped += 1;

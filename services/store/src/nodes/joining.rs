@@ -5,11 +5,9 @@
 //! answered as before), a one-time token that someone else picked up (it is good for one hash alone, and both notice), and a machine
 //! that calls itself as another does (it takes that one's place only with a token that was made in its name).
 
-use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, NodeId, Timestamp};
-use sqlx::Row as _;
+use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, Timestamp};
 
 use crate::database::Store;
-use crate::decode::{hash_opt, id_opt, time};
 use crate::error::StoreError;
 use crate::{nodes, tokens};
 
@@ -25,17 +23,18 @@ impl Store {
         let expires_at = now.plus_micros(valid_micros);
         let mut write = self.write().await?;
         // Long expired ones are of no use to anyone, unless they say which node came by them.
-        sqlx::query("DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL")
-            .bind(now.micros())
+        sqlx::query!("DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL", now.micros())
             .execute(write.connection().await?)
             .await?;
-        sqlx::query("INSERT INTO join_tokens (hash, name, created_at, expires_at) VALUES (?, ?, ?, ?)")
-            .bind(&tokens::hash(&token)[..])
-            .bind(name)
-            .bind(now.micros())
-            .bind(expires_at.micros())
-            .execute(write.connection().await?)
-            .await?;
+        sqlx::query!(
+            "INSERT INTO join_tokens (hash, name, created_at, expires_at) VALUES (?, ?, ?, ?)",
+            &tokens::hash(&token)[..],
+            name,
+            now.micros(),
+            expires_at.micros()
+        )
+        .execute(write.connection().await?)
+        .await?;
         self.commit(write).await?;
         Ok(JoinToken { token, expires_at })
     }
@@ -44,15 +43,15 @@ impl Store {
     pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node, StoreError> {
         let burnt = tokens::hash(token);
         let mut write = self.write().await?;
-        let row = sqlx::query(
+        let row = sqlx::query!(
             "SELECT name, expires_at, used_at, used_for, node_id FROM join_tokens WHERE hash = ?",
+            &burnt[..]
         )
-        .bind(&burnt[..])
         .fetch_optional(write.connection().await?)
         .await?
         .ok_or_else(|| StoreError::JoinRefused("this one-time token is not known here".to_owned()))?;
-        if let (Some(node), Some(chosen)) = (id_opt(&row, "node_id")?, hash_opt(&row, "used_for")?) {
-            let node = nodes::read(write.connection().await?, NodeId(node)).await?;
+        if let (Some(node), Some(chosen)) = (row.node_id, row.used_for.map(ArtifactHash::from)) {
+            let node = nodes::read(write.connection().await?, node.into()).await?;
             if chosen == request.token_hash && node.name == request.node.name {
                 return Ok(node);
             }
@@ -62,19 +61,19 @@ impl Store {
                     node.name
                 )));
             }
+            let used_at = row.used_at.map_or(String::new(), |at| format!(" at {}", Timestamp::from(at)));
             return Err(StoreError::Conflict(format!(
-                "this one-time token was used at {} by another machine; ask an operator for a new one, and if nobody knows that machine, \
-                 have its node removed from service",
-                time(&row, "used_at")?
+                "this one-time token was used{used_at} by another machine; ask an operator for a new one, and if nobody knows that machine, \
+                 have its node removed from service"
             )));
         }
-        let expires_at = time(&row, "expires_at")?;
+        let expires_at = Timestamp::from(row.expires_at);
         if expires_at <= now {
             return Err(StoreError::JoinRefused(format!(
                 "this one-time token expired at {expires_at}; ask an operator for a new one"
             )));
         }
-        let made_for: String = row.try_get("name")?;
+        let made_for = row.name;
         let taken = nodes::by_name(write.connection().await?, &request.node.name).await?.is_some();
         if taken && made_for != request.node.name {
             return Err(StoreError::Conflict(format!(
@@ -84,25 +83,27 @@ impl Store {
             )));
         }
         let node = nodes::changing::upsert(&mut write, &request.node, now).await?;
-        sqlx::query("UPDATE join_tokens SET used_at = ?, used_for = ?, node_id = ? WHERE hash = ?")
-            .bind(now.micros())
-            .bind(&request.token_hash.0[..])
-            .bind(node.id.0)
-            .bind(&burnt[..])
-            .execute(write.connection().await?)
-            .await?;
-        // A machine that takes another's place takes its token away.
-        sqlx::query("DELETE FROM tokens WHERE node_id = ?")
-            .bind(node.id.0)
-            .execute(write.connection().await?)
-            .await?;
-        let inserted = sqlx::query(
-            "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) ON CONFLICT DO NOTHING",
+        sqlx::query!(
+            "UPDATE join_tokens SET used_at = ?, used_for = ?, node_id = ? WHERE hash = ?",
+            now.micros(),
+            &request.token_hash.0[..],
+            node.id.0,
+            &burnt[..]
         )
-        .bind(&request.token_hash.0[..])
-        .bind(&node.name)
-        .bind(now.micros())
-        .bind(node.id.0)
+        .execute(write.connection().await?)
+        .await?;
+        // A machine that takes another's place takes its token away.
+        sqlx::query!("DELETE FROM tokens WHERE node_id = ?", node.id.0)
+            .execute(write.connection().await?)
+            .await?;
+        let inserted = sqlx::query!(
+            "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) \
+             ON CONFLICT DO NOTHING",
+            &request.token_hash.0[..],
+            node.name,
+            now.micros(),
+            node.id.0
+        )
         .execute(write.connection().await?)
         .await?;
         if inserted.rows_affected() == 0 {

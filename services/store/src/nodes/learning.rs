@@ -4,11 +4,8 @@
 //! up in whole millionths, so that what is learnt does not depend on the order in which frames are finished.
 
 use forelight_protocol::{Node, RenderStats};
-use forelight_quote::JobForecast;
-use sqlx::Row as _;
 
 use crate::database::Write;
-use crate::decode::json_opt;
 use crate::error::StoreError;
 use crate::leases::LeaseRow;
 use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
@@ -24,33 +21,34 @@ pub(crate) async fn learn(
     if !is_lesson(stats) {
         return Ok(());
     }
-    let job = sqlx::query(
-        "SELECT forecast, EXISTS (SELECT 1 FROM tasks t JOIN results r ON r.task_id = t.id JOIN leases l ON l.id = r.lease_id \
-         WHERE t.job_id = ?1 AND t.kind = 'profile' AND l.node_id = ?2) AS profiled_here FROM jobs WHERE id = ?1",
+    let job = sqlx::query!(
+        "SELECT forecast, EXISTS (SELECT 1 FROM tasks t JOIN results r ON r.task_id = t.id \
+         JOIN leases l ON l.id = r.lease_id WHERE t.job_id = ?1 AND t.kind = 'profile' \
+         AND l.node_id = ?2) AS \"profiled_here!: bool\" FROM jobs WHERE id = ?1",
+        row.job_id.0,
+        row.node_id.0
     )
-    .bind(row.job_id.0)
-    .bind(row.node_id.0)
     .fetch_one(write.connection().await?)
     .await?;
-    let forecast: Option<JobForecast> = json_opt(&job, "forecast")?;
-    let (Some(forecast), false) = (forecast, job.try_get("profiled_here")?) else { return Ok(()) };
-    let Some(log) = lesson_of_frame(stats, speed, &forecast.total) else { return Ok(()) };
-    let (frames, sum): (i64, i64) = sqlx::query_as(
+    let (Some(forecast), false) = (job.forecast, job.profiled_here) else { return Ok(()) };
+    let Some(log) = lesson_of_frame(stats, speed, &forecast.read()?.total) else { return Ok(()) };
+    let learnt = sqlx::query!(
         "INSERT INTO node_learning (node_id, job_id, frames, log_millionths) VALUES (?, ?, 1, ?) \
-         ON CONFLICT (node_id, job_id) DO UPDATE SET frames = frames + 1, log_millionths = log_millionths + excluded.log_millionths \
-         RETURNING frames, log_millionths",
+         ON CONFLICT (node_id, job_id) DO UPDATE SET frames = frames + 1, log_millionths = \
+         log_millionths + excluded.log_millionths RETURNING frames, log_millionths",
+        row.node_id.0,
+        row.job_id.0,
+        log
     )
-    .bind(row.node_id.0)
-    .bind(row.job_id.0)
-    .bind(log)
     .fetch_one(write.connection().await?)
     .await?;
-    sqlx::query(
-        "UPDATE nodes SET learned_millionths = learned_millionths + ?, learned_jobs = learned_jobs + ? WHERE id = ?",
+    sqlx::query!(
+        "UPDATE nodes SET learned_millionths = learned_millionths + ?, learned_jobs = learned_jobs + ? \
+         WHERE id = ?",
+        moved_mean(learnt.frames, learnt.log_millionths, log),
+        i64::from(learnt.frames == 1),
+        row.node_id.0
     )
-    .bind(moved_mean(frames, sum, log))
-    .bind(i64::from(frames == 1))
-    .bind(row.node_id.0)
     .execute(write.connection().await?)
     .await?;
     Ok(())

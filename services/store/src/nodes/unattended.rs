@@ -7,13 +7,11 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use forelight_protocol::{Job, JobId, Timestamp, Waits};
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
 use crate::database::Store;
-use crate::decode::id;
 use crate::error::StoreError;
 use crate::nodes;
-use crate::nodes::closed;
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::unattended::why_nobody_works;
 
@@ -50,16 +48,16 @@ pub(crate) async fn unattended(
     ttl: Duration,
     now: Timestamp,
 ) -> Result<Unattended, StoreError> {
-    let rows = sqlx::query(
+    let jobs = sqlx::query_scalar!(
         "SELECT j.id FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
-         AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')",
+         AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"
     )
     .fetch_all(&mut *connection)
     .await?;
-    if rows.is_empty() || somebody_is_there(connection, ttl, now).await? {
+    if jobs.is_empty() || somebody_is_there(connection, ttl, now).await? {
         return Ok(Unattended::default());
     }
-    let jobs = rows.iter().map(|row| Ok(JobId(id(row, "id")?))).collect::<Result<_, StoreError>>()?;
+    let jobs = jobs.into_iter().map(JobId::from).collect();
     let nodes = nodes::list(connection, None, u32::MAX).await?;
     Ok(Unattended { jobs, why: why_nobody_works(nodes.into_iter().map(|node| as_it_is(node, ttl, now))) })
 }
@@ -70,14 +68,12 @@ async fn somebody_is_there(
     ttl: Duration,
     now: Timestamp,
 ) -> Result<bool, StoreError> {
-    let row = sqlx::query(concat!(
-        "SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT ",
-        closed!(),
-        " AND last_seen_at >= ? \
-         AND coalesce(schedule_set, schedule) IS NULL AND coalesce(json_array_length(terms, '$.maintenance'), 0) = 0) AS there"
-    ))
-    .bind(now.plus_micros(-silent_after(ttl)).micros())
+    Ok(sqlx::query_scalar!(
+        r#"SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?
+                          AND coalesce(schedule_set, schedule) IS NULL
+                          AND coalesce(json_array_length(terms, '$.maintenance'), 0) = 0) AS "is_there!: bool""#,
+        now.plus_micros(-silent_after(ttl)).micros()
+    )
     .fetch_one(connection)
-    .await?;
-    Ok(row.try_get("there")?)
+    .await?)
 }

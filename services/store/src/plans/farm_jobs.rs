@@ -1,18 +1,14 @@
 //! The farm's booked jobs as a plan needs them.
 
-use std::collections::BTreeMap;
-
 use forelight_protocol::{Job, JobId, Money, Timestamp};
-use sqlx::Row as _;
-use sqlx::sqlite::SqliteRow;
+use sqlx::SqliteConnection;
 
-use crate::budgets::ledger::{LINES_OF_JOB, line};
+use crate::budgets::ledger;
+use crate::columns::Unread;
 use crate::database::Store;
-use crate::decode::{id, json_opt, whole, whole_opt, word};
 use crate::error::StoreError;
-use crate::jobs;
-use crate::jobs::progress;
-use crate::policy::budgets::{Payment, spent_and_under_way};
+use crate::jobs::{JobRow, job_rows, progress};
+use crate::policy::budgets::spent_and_under_way;
 use forelight_quote::JobForecast;
 
 /// A job that is booked and not over.
@@ -48,85 +44,83 @@ pub struct FarmFrame {
     pub waits: bool,
 }
 
-/// A job's frames that have a forecast, with what is booked for them.
-pub(crate) const FRAMES: &str = "SELECT f.frame, f.cpu_p50, f.cpu_p80, f.cpu_p95, t.state NOT IN ('leased', 'done') AS waits, t.held, \
-    b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
-    FROM frames f JOIN jobs j ON j.id = f.job_id \
-    JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
-    LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame LEFT JOIN nodes n ON n.id = b.node_id \
-    WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame";
-
-/// What is booked for the parts of a job's shared irradiance cache.
-const PARTS: &str = "SELECT b.end_at - b.start_at AS length, coalesce(n.price_set, n.price_per_hour) AS price \
-    FROM jobs j JOIN seed_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id WHERE j.id = ?";
-
 impl Store {
     /// The jobs that are booked or being rendered, oldest first.
     pub async fn farm_jobs(&self, now: Timestamp) -> Result<Vec<FarmJob>, StoreError> {
         let mut transaction = self.read().await?;
-        let rows = sqlx::query("SELECT * FROM jobs WHERE state IN ('booked', 'rendering') ORDER BY id")
+        let rows = job_rows!("WHERE state IN ('booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
             .await?;
         let mut found = Vec::with_capacity(rows.len());
-        for row in &rows {
-            let job_id = JobId(id(row, "id")?);
-            let done = progress::of_job(&mut transaction, job_id).await?;
-            let frames = sqlx::query(FRAMES).bind(job_id.0).fetch_all(&mut *transaction).await?;
-            let mut held = false;
-            let mut booked: BTreeMap<u32, i64> = BTreeMap::new();
-            let frames = frames
-                .iter()
-                .map(|row| {
-                    let waits = row.try_get("waits")?;
-                    held |= waits && row.try_get::<bool, _>("held")?;
-                    let number = whole(row, "frame")?;
-                    booked.insert(number, booked_cost(row)?);
-                    Ok(FarmFrame {
-                        number,
-                        p50: row.try_get("cpu_p50")?,
-                        p80: row.try_get("cpu_p80")?,
-                        p95: row.try_get("cpu_p95")?,
-                        waits,
-                    })
-                })
-                .collect::<Result<_, StoreError>>()?;
-            let is_to_be_filled = done.seed.as_ref().is_some_and(|seed| !seed.ready);
-            let parts = if is_to_be_filled {
-                sqlx::query(PARTS).bind(job_id.0).fetch_all(&mut *transaction).await?
-            } else {
-                Vec::new()
-            };
-            let booked_cache = parts
-                .iter()
-                .try_fold(0i64, |sum, row| Ok::<_, StoreError>(sum.saturating_add(booked_cost(row)?)))?;
-            let lines = sqlx::query(LINES_OF_JOB).bind(job_id.0).fetch_all(&mut *transaction).await?;
-            let payments: Vec<Payment> = lines.iter().map(payment).collect::<Result<_, _>>()?;
-            let spent = spent_and_under_way(&payments, &booked, booked_cache, now);
-            found.push(FarmJob {
-                job: jobs::decode(row, done)?,
-                forecast: json_opt(row, "forecast")?,
-                frames,
-                spent,
-                factor: row.try_get("factor")?,
-                held,
-            });
+        for row in rows {
+            found.push(farm_job(&mut transaction, row, now).await?);
         }
         Ok(found)
     }
 }
 
-/// A line of the ledger with the task that it paid for.
-fn payment(row: &SqliteRow) -> Result<Payment, StoreError> {
-    Ok(Payment {
-        line: line(row)?,
-        kind: word(row, "kind")?,
-        frame: whole_opt(row, "frame")?,
-        is_active: row.try_get("is_active")?,
+async fn farm_job(
+    connection: &mut SqliteConnection,
+    mut row: JobRow,
+    now: Timestamp,
+) -> Result<FarmJob, StoreError> {
+    let job = JobId::from(row.id);
+    let (forecast, factor) = (row.forecast.take(), row.factor);
+    let done = progress::of_job(connection, job).await?;
+    // A job's frames that have a forecast, with what is booked for them.
+    let rows = sqlx::query!(
+        r#"SELECT f.frame, f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
+                  t.state NOT IN ('leased', 'done') AS "waits!: bool", t.held,
+                  b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
+           FROM frames f JOIN jobs j ON j.id = f.job_id
+           JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
+           LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame
+           LEFT JOIN nodes n ON n.id = b.node_id
+           WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame"#,
+        job.0
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    let held = rows.iter().any(|row| row.waits && row.held);
+    let booked = rows.iter().map(|row| (row.frame, booked_cost(row.length, row.price))).collect();
+    let frames = rows
+        .into_iter()
+        .map(|row| FarmFrame {
+            number: row.frame,
+            p50: row.cpu_p50,
+            p80: row.cpu_p80,
+            p95: row.cpu_p95,
+            waits: row.waits,
+        })
+        .collect();
+    let is_to_be_filled = done.shared_cache.as_ref().is_some_and(|cache| !cache.ready);
+    let booked_cache = if is_to_be_filled { booked_for_cache(connection, job).await? } else { 0 };
+    let payments = ledger::payments(connection, job).await?;
+    Ok(FarmJob {
+        job: row.job(done)?,
+        forecast: forecast.map(Unread::read).transpose()?,
+        frames,
+        spent: spent_and_under_way(&payments, &booked, booked_cache, now),
+        factor,
+        held,
     })
 }
 
-fn booked_cost(row: &SqliteRow) -> Result<i64, StoreError> {
-    let (length, price): (Option<i64>, Option<i64>) = (row.try_get("length")?, row.try_get("price")?);
+/// What is booked for the parts of a job's shared irradiance cache, in micro-units.
+async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64, StoreError> {
+    let parts = sqlx::query!(
+        r#"SELECT b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
+           FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id
+           WHERE j.id = ?"#,
+        job.0
+    )
+    .fetch_all(connection)
+    .await?;
+    Ok(parts.iter().fold(0i64, |sum, part| sum.saturating_add(booked_cost(part.length, part.price))))
+}
+
+/// What a booking of this length (microseconds) costs at this price an hour, in micro-units; 0 without a booking.
+fn booked_cost(length: Option<i64>, price: Option<i64>) -> i64 {
     let cost = length.zip(price).map(|(length, price)| Money(price).for_micros_at_hourly_rate(length));
-    Ok(cost.unwrap_or_default().micro_units())
+    cost.unwrap_or_default().micro_units()
 }

@@ -1,69 +1,61 @@
 //! Plans, as they are read.
 
 use forelight_protocol::{Booking, JobId, JobVerdict, Plan, PlanId, PlanSummary};
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
+use crate::columns::{Id, corrupt};
 use crate::database::Store;
-use crate::decode::{corrupt, id, id_opt, json, time, whole, word};
 use crate::error::StoreError;
-use crate::plans::bookings::decode_booking;
 use crate::shared_cache::parts;
 
 impl Store {
     /// The plans, newest first, after the one that `before` names, at most `limit`.
     pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT p.*, (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id) AS bookings FROM plans p \
-             WHERE p.rowid < coalesce((SELECT rowid FROM plans WHERE id = ?1), 9223372036854775807) ORDER BY p.rowid DESC LIMIT ?2",
+        let rows = sqlx::query!(
+            r#"SELECT p.id, p.parent_id, p.reason, p.causes, p.created_at,
+                      (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id) AS "bookings!: u64" FROM plans p
+               WHERE p.rowid < coalesce((SELECT rowid FROM plans WHERE id = ?1), 9223372036854775807)
+               ORDER BY p.rowid DESC LIMIT ?2"#,
+            before.map(|plan| plan.0),
+            limit
         )
-        .bind(before.map(|plan| plan.0))
-        .bind(limit)
         .fetch_all(self.readers())
         .await?;
-        rows.iter()
-            .map(|row| {
-                Ok(PlanSummary {
-                    id: PlanId(id(row, "id")?),
-                    parent_id: id_opt(row, "parent_id")?.map(PlanId),
-                    reason: word(row, "reason")?,
-                    causes: json(row, "causes")?,
-                    created_at: time(row, "created_at")?,
-                    bookings: whole(row, "bookings")?,
-                })
+        Ok(rows
+            .into_iter()
+            .map(|row| PlanSummary {
+                id: row.id.into(),
+                parent_id: row.parent_id.map(Into::into),
+                reason: row.reason.0,
+                causes: row.causes.0,
+                created_at: row.created_at.into(),
+                bookings: row.bookings,
             })
-            .collect()
+            .collect())
     }
 
     /// What the plans before this one booked last for each of its jobs, and said of it.
     pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>), StoreError> {
         let mut transaction = self.read().await?;
-        let rows = sqlx::query(
-            "SELECT j.job_id, (SELECT p.id FROM plans p WHERE p.rowid < (SELECT rowid FROM plans WHERE id = ?1) \
-             AND EXISTS (SELECT 1 FROM json_each(p.verdicts) v WHERE v.value ->> 'job_id' = j.job_id) \
-             ORDER BY p.rowid DESC LIMIT 1) AS before FROM (SELECT value ->> 'job_id' AS job_id FROM plans, json_each(plans.verdicts) WHERE plans.id = ?1) j",
+        let rows = sqlx::query!(
+            r#"SELECT j.job_id AS "job_id!: String",
+                      (SELECT p.id FROM plans p WHERE p.rowid < (SELECT rowid FROM plans WHERE id = ?1)
+                       AND EXISTS (SELECT 1 FROM json_each(p.verdicts) v WHERE v.value ->> 'job_id' = j.job_id)
+                       ORDER BY p.rowid DESC LIMIT 1) AS "before?: Id"
+               FROM (SELECT value ->> 'job_id' AS job_id FROM plans, json_each(plans.verdicts) WHERE plans.id = ?1) j"#,
+            plan.0
         )
-        .bind(plan.0)
         .fetch_all(&mut *transaction)
         .await?;
         let (mut bookings, mut verdicts) = (Vec::new(), Vec::new());
-        for row in &rows {
-            let Some(before) = id_opt(row, "before")? else { continue };
-            let job: JobId =
-                row.try_get::<&str, _>("job_id")?.parse().map_err(|error| corrupt("verdicts", error))?;
-            let said = sqlx::query("SELECT verdicts FROM plans WHERE id = ?")
-                .bind(before)
+        for row in rows {
+            let Some(before) = row.before else { continue };
+            let job: JobId = row.job_id.parse().map_err(|error| corrupt("verdicts", error))?;
+            let said = sqlx::query_scalar!("SELECT verdicts FROM plans WHERE id = ?", before)
                 .fetch_one(&mut *transaction)
                 .await?;
-            let said: Vec<JobVerdict> = json(&said, "verdicts")?;
-            verdicts.extend(said.into_iter().filter(|verdict| verdict.job_id == job));
-            let rows = sqlx::query("SELECT * FROM bookings WHERE plan_id = ? AND job_id = ?")
-                .bind(before)
-                .bind(job.0)
-                .fetch_all(&mut *transaction)
-                .await?;
-            for row in &rows {
-                bookings.push(decode_booking(row)?);
-            }
+            verdicts.extend(said.0.into_iter().filter(|verdict| verdict.job_id == job));
+            bookings.extend(bookings_of(&mut transaction, before.into(), job).await?);
         }
         Ok((bookings, verdicts))
     }
@@ -77,33 +69,53 @@ impl Store {
     /// A plan.
     pub async fn plan(&self, plan: PlanId) -> Result<Plan, StoreError> {
         let mut transaction = self.read().await?;
-        let row = sqlx::query("SELECT * FROM plans WHERE id = ?")
-            .bind(plan.0)
+        let row = sqlx::query!("SELECT * FROM plans WHERE id = ?", plan.0)
             .fetch_optional(&mut *transaction)
             .await?;
         let row = row.ok_or(StoreError::NotFound("plan"))?;
-        let bookings = sqlx::query("SELECT * FROM bookings WHERE plan_id = ? ORDER BY start_at, id")
-            .bind(plan.0)
-            .fetch_all(&mut *transaction)
-            .await?;
-        let seeds = parts::of_plan(&mut transaction, plan.0).await?;
+        let bookings = sqlx::query_as!(
+            Booking,
+            r#"SELECT id, plan_id, job_id, frame, node_id, start_at AS start, end_at AS "end" FROM bookings
+               WHERE plan_id = ? ORDER BY start_at, id"#,
+            plan.0
+        )
+        .fetch_all(&mut *transaction)
+        .await?;
+        let shared_cache_bookings = parts::of_plan(&mut transaction, plan.0).await?;
         Ok(Plan {
             id: plan,
-            parent_id: id_opt(&row, "parent_id")?.map(PlanId),
-            reason: word(&row, "reason")?,
-            causes: json(&row, "causes")?,
-            created_at: time(&row, "created_at")?,
-            verdicts: json(&row, "verdicts")?,
-            bookings: bookings.iter().map(decode_booking).collect::<Result<_, _>>()?,
-            seeds,
+            parent_id: row.parent_id.map(Into::into),
+            reason: row.reason.0,
+            causes: row.causes.0,
+            created_at: row.created_at.into(),
+            verdicts: row.verdicts.0,
+            bookings,
+            shared_cache_bookings,
         })
     }
 }
 
 pub(crate) async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, StoreError> {
     // By row number, not by id: ids sort by the clock, and the clock may have been set back.
-    let id = sqlx::query_scalar("SELECT id FROM plans ORDER BY rowid DESC LIMIT 1")
+    let id = sqlx::query_scalar!("SELECT id FROM plans ORDER BY rowid DESC LIMIT 1")
         .fetch_optional(connection)
         .await?;
-    Ok(id.map(PlanId))
+    Ok(id.map(PlanId::from))
+}
+
+/// A job's bookings in a plan.
+pub(crate) async fn bookings_of(
+    connection: &mut SqliteConnection,
+    plan: PlanId,
+    job: JobId,
+) -> Result<Vec<Booking>, StoreError> {
+    Ok(sqlx::query_as!(
+        Booking,
+        r#"SELECT id, plan_id, job_id, frame, node_id, start_at AS start, end_at AS "end" FROM bookings
+           WHERE plan_id = ? AND job_id = ?"#,
+        plan.0,
+        job.0
+    )
+    .fetch_all(connection)
+    .await?)
 }

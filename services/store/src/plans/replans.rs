@@ -4,11 +4,11 @@
 //! after it, and says with the plan how far it has counted: what happened meanwhile stays due. So bursts become one plan, the newest state wins, and
 //! no death of the service in between loses anything.
 
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
+use crate::columns::Json;
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{json, to_json};
 use crate::error::StoreError;
 use crate::policy::replans::{add_cause, causes_left};
 
@@ -46,17 +46,15 @@ impl Store {
 }
 
 async fn read(connection: &mut SqliteConnection) -> Result<Wanted, StoreError> {
-    let row = sqlx::query("SELECT wanted, planned, causes FROM replans").fetch_one(connection).await?;
-    let count: i64 = row.try_get("wanted")?;
-    Ok(Wanted { count, causes: json(&row, "causes")?, due: count > row.try_get("planned")? })
+    let row = sqlx::query!("SELECT wanted, planned, causes FROM replans").fetch_one(connection).await?;
+    Ok(Wanted { count: row.wanted, causes: row.causes.0, due: row.wanted > row.planned })
 }
 
 /// Says inside a write that the newest plan does not know of this. The same cause is said once.
 pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreError> {
     let mut causes = read(write.connection().await?).await?.causes;
     add_cause(&mut causes, cause);
-    sqlx::query("UPDATE replans SET wanted = wanted + 1, causes = ?")
-        .bind(to_json(&causes)?)
+    sqlx::query!("UPDATE replans SET wanted = wanted + 1, causes = ?", Json(&causes))
         .execute(write.connection().await?)
         .await?;
     write.wants_plan = true;
@@ -67,9 +65,7 @@ pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreErro
 pub(crate) async fn planned(write: &mut Write, wanted: &Wanted) -> Result<(), StoreError> {
     let now = read(write.connection().await?).await?;
     let rest = causes_left(&now.causes, now.count, wanted.count, wanted.causes.len());
-    sqlx::query("UPDATE replans SET planned = max(planned, ?), causes = ?")
-        .bind(wanted.count)
-        .bind(to_json(&rest)?)
+    sqlx::query!("UPDATE replans SET planned = max(planned, ?), causes = ?", wanted.count, Json(rest))
         .execute(write.connection().await?)
         .await?;
     Ok(())

@@ -53,8 +53,12 @@ pub(crate) fn strongest(
 }
 
 /// What these ledger lines cost since an instant; lines that are still open, up to now.
-pub(crate) fn cost_since(lines: &[LedgerLine], from: Timestamp, now: Timestamp) -> Money {
-    lines.iter().fold(Money(0), |sum, line| Money(sum.0.saturating_add(line.cost_within(from, now).0)))
+pub(crate) fn cost_since(
+    lines: impl IntoIterator<Item = LedgerLine>,
+    from: Timestamp,
+    now: Timestamp,
+) -> Money {
+    lines.into_iter().fold(Money(0), |sum, line| Money(sum.0.saturating_add(line.cost_within(from, now).0)))
 }
 
 /// What a frame that is being rendered is expected to cost from now on, at the median `cpu_p50` of its forecast (CPU
@@ -201,6 +205,6 @@ mod tests {
         // 300 are paid; 150 are left of frame 3's booking and 50 of the cache's.
         assert_eq!(spent_and_under_way(&payments, &booked, 150, now), Money(500));
         assert_eq!(spent_and_under_way(&payments, &booked, 20, now), Money(450));
-        assert_eq!(cost_since(&[line(0, None)], at(HOUR / 2), now), Money(50));
+        assert_eq!(cost_since([line(0, None)], at(HOUR / 2), now), Money(50));
     }
 }

@@ -1,25 +1,25 @@
-//! What the bookings look like from now on.
+//! When open bookings will really begin and end, from now on.
 //!
-//! A booking says when a frame *was to be* rendered. Frames run late and early, workers die, nodes help out; plans never
-//! change. So whoever needs to know when a node will be free, or a job done, projects the open bookings from now.
+//! A booking says when a frame *was to be* rendered. Frames run late and early, workers die, idle nodes take frames over.
+//! Plans never change. So what needs to know when a node is free, or a job done, projects the open bookings from now.
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{Booking, Job, JobId, NodeId, SeedBooking, Timestamp, Waits};
+use forelight_protocol::{Booking, Job, JobId, NodeId, SharedCacheBooking, Timestamp, Waits};
 
 /// A booking whose frame is not rendered yet.
 #[derive(Clone, PartialEq, Debug)]
 pub struct OpenBooking {
     /// The booking.
     pub booking: Booking,
-    /// The worker that has the frame, if one has.
+    /// The worker that has the frame; `None` if none has.
     pub holder: Option<Holder>,
 }
 
-/// Who has a frame, or a part of a cache.
+/// The worker that has a frame, or a part of a cache.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Holder {
-    /// On which node: not always the booked one.
+    /// Its node: not always the booked one.
     pub node_id: NodeId,
     /// Since when.
     pub started: Timestamp,
@@ -27,46 +27,34 @@ pub struct Holder {
     pub progress: f64,
 }
 
-/// When and where a frame is expected to be rendered.
-#[derive(Clone, PartialEq, Debug)]
-pub struct Projected {
-    /// The booking that this is about.
-    pub booking: Booking,
-    /// The node that has the frame, or on which it is booked.
-    pub node_id: NodeId,
-    /// From when: not before now, except for a frame under way.
-    pub start: Timestamp,
-    /// Until when: after now.
-    pub end: Timestamp,
-    /// Whether a worker has it.
-    pub under_way: bool,
-}
-
 /// A booked part of an irradiance cache that the frames of a job share and wait for, and that is not full yet.
 #[derive(Clone, PartialEq, Debug)]
-pub struct OpenSeed {
+pub struct OpenCachePart {
     /// The booking: for all rounds of the part.
-    pub booking: SeedBooking,
-    /// The share of it whose rounds are done, 0 to 1.
+    pub booking: SharedCacheBooking,
+    /// The share of the part whose rounds are done, 0 to 1.
     pub done: f64,
-    /// The worker that has the part, if one has; its progress is that of the part, not of the round.
+    /// The worker that has the part; `None` if none has. Its progress is that of the part, not of the round.
     pub holder: Option<Holder>,
 }
 
-/// When and where a part of a cache is expected to be filled.
+/// When and where a booking's frame, or part of a cache, is expected to be done.
 #[derive(Clone, PartialEq, Debug)]
-pub struct ProjectedSeed {
-    /// The booking that this is about.
-    pub booking: SeedBooking,
-    /// The node that has the part, or on which it is booked.
+pub struct Projected<B = Booking> {
+    /// The booking.
+    pub booking: B,
+    /// The node that works on it, or on which it is booked.
     pub node_id: NodeId,
-    /// From when: not before now, except for a part under way.
+    /// From when: not before now, except for work under way.
     pub start: Timestamp,
     /// Until when: after now.
     pub end: Timestamp,
     /// Whether a worker has it.
     pub under_way: bool,
 }
+
+/// When and where a part of a cache is expected to be filled.
+pub type ProjectedCachePart = Projected<SharedCacheBooking>;
 
 /// What is expected of the open bookings.
 #[derive(Clone, PartialEq, Debug, Default)]
@@ -74,14 +62,14 @@ pub struct Projection {
     /// Of frames, in the order of start, node, job, frame.
     pub frames: Vec<Projected>,
     /// Of parts of caches, in the order of start, node, job, part.
-    pub seeds: Vec<ProjectedSeed>,
+    pub cache_parts: Vec<ProjectedCachePart>,
 }
 
-/// What is under way and late is given at least a second more, in microseconds.
+/// Work under way that is late is given at least this much longer: a second, in microseconds.
 const AT_LEAST: i64 = 1_000_000;
 
-/// When something under way should be done: when its booked length is over, or, once its worker has said how far it is, or it is late, after the part of
-/// it that is left.
+/// When work under way should be done, if it was booked for `length` microseconds: once that time is over. If its worker
+/// has said how far it is, or if it is late: after the part of that time that is left.
 fn end_under_way(holder: &Holder, length: i64, now: Timestamp) -> Timestamp {
     let planned_end = holder.started.plus_micros(length);
     let left = (length as f64 * (1.0 - holder.progress.clamp(0.0, 1.0))) as i64;
@@ -92,102 +80,101 @@ fn end_under_way(holder: &Holder, length: i64, now: Timestamp) -> Timestamp {
     }
 }
 
-/// What waits on a node: a frame, or a part of a cache.
+/// What waits on a node.
 enum Waiting<'a> {
-    Seed(&'a OpenSeed),
+    Part(&'a OpenCachePart),
     Frame(&'a Booking),
 }
 
 impl Waiting<'_> {
-    /// Parts before the frames that wait for them, even where they are booked at the same instant.
+    /// Parts come before the frames that wait for them, even where they are booked at the same instant.
     fn order(&self) -> (Timestamp, JobId, bool, u32) {
         match self {
-            Waiting::Seed(seed) => (seed.booking.start, seed.booking.job_id, false, seed.booking.part),
+            Waiting::Part(part) => (part.booking.start, part.booking.job_id, false, part.booking.part),
             Waiting::Frame(booking) => (booking.start, booking.job_id, true, booking.frame),
         }
     }
 }
 
-/// Projects the open bookings from `now` on. On every node, what is under way comes first, then what is booked
-/// in the order of its starts, none before its booking and none before what is ahead of it is done; frames not before the cache that they share should be
-/// full, either. A frame under way that is late is given the part of its booked length that its worker has not done, at least a second.
-pub fn project(open: &[OpenBooking], seeds: &[OpenSeed], now: Timestamp) -> Projection {
-    let mut free_from: BTreeMap<NodeId, Timestamp> = BTreeMap::new();
-    let mut full_from: BTreeMap<JobId, Timestamp> = BTreeMap::new();
-    let mut projection = Projection::default();
-    let mut occupy = |node: NodeId, end: Timestamp| {
-        let free = free_from.entry(node).or_insert(now);
+/// Until when nodes are busy, and jobs' caches not full.
+struct Busy {
+    now: Timestamp,
+    free_from: BTreeMap<NodeId, Timestamp>,
+    full_from: BTreeMap<JobId, Timestamp>,
+}
+
+impl Busy {
+    /// Work of `length` booked microseconds that a worker has.
+    fn under_way<B>(&mut self, booking: B, length: i64, holder: &Holder) -> Projected<B> {
+        let &Holder { node_id, started: start, .. } = holder;
+        let end = end_under_way(holder, length, self.now);
+        let free = self.free_from.entry(node_id).or_insert(self.now);
         *free = (*free).max(end);
-    };
+        Projected { booking, node_id, start, end, under_way: true }
+    }
+
+    /// Work of `length` microseconds that waits: not before its booked start, and not before what is ahead of it on its
+    /// node is done.
+    fn waiting<B>(&mut self, booking: B, node_id: NodeId, start: Timestamp, length: i64) -> Projected<B> {
+        let free = self.free_from.entry(node_id).or_insert(self.now);
+        let start = start.max(*free);
+        let end = start.plus_micros(length);
+        *free = end;
+        Projected { booking, node_id, start, end, under_way: false }
+    }
+
+    /// The job's cache is not full before this part is filled.
+    fn fills(&mut self, part: &ProjectedCachePart) {
+        let full = self.full_from.entry(part.booking.job_id).or_insert(part.end);
+        *full = (*full).max(part.end);
+    }
+}
+
+/// Projects the open bookings from `now` on.
+///
+/// On every node, work under way comes first. Booked work follows in the order of its starts, none before its booked
+/// start and none before what is ahead of it is done. Frames also wait until the cache that they share is full.
+pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) -> Projection {
+    let mut busy = Busy { now, free_from: BTreeMap::new(), full_from: BTreeMap::new() };
+    let mut projection = Projection::default();
     for OpenBooking { booking, holder } in open {
-        let Some(holder) = holder else { continue };
-        let end = end_under_way(holder, booking.end.micros_since(booking.start), now);
-        occupy(holder.node_id, end);
-        projection.frames.push(Projected {
-            booking: booking.clone(),
-            node_id: holder.node_id,
-            start: holder.started,
-            end,
-            under_way: true,
-        });
+        if let Some(holder) = holder {
+            let length = booking.end.micros_since(booking.start);
+            projection.frames.push(busy.under_way(booking.clone(), length, holder));
+        }
     }
-    for OpenSeed { booking, holder, .. } in seeds {
-        let Some(holder) = holder else { continue };
-        let end = end_under_way(holder, booking.end.micros_since(booking.start), now);
-        occupy(holder.node_id, end);
-        projection.seeds.push(ProjectedSeed {
-            booking: booking.clone(),
-            node_id: holder.node_id,
-            start: holder.started,
-            end,
-            under_way: true,
-        });
-    }
-    for seed in &projection.seeds {
-        let full = full_from.entry(seed.booking.job_id).or_insert(seed.end);
-        *full = (*full).max(seed.end);
+    for OpenCachePart { booking, holder, .. } in parts {
+        if let Some(holder) = holder {
+            let length = booking.end.micros_since(booking.start);
+            let part = busy.under_way(booking.clone(), length, holder);
+            busy.fills(&part);
+            projection.cache_parts.push(part);
+        }
     }
     let frames = open.iter().filter(|open| open.holder.is_none()).map(|open| Waiting::Frame(&open.booking));
-    let parts = seeds.iter().filter(|open| open.holder.is_none()).map(Waiting::Seed);
+    let parts = parts.iter().filter(|open| open.holder.is_none()).map(Waiting::Part);
     let mut waiting: Vec<Waiting> = frames.chain(parts).collect();
     waiting.sort_by_key(Waiting::order);
     for waiting in waiting {
         match waiting {
-            Waiting::Seed(OpenSeed { booking, done, .. }) => {
-                let free = free_from.entry(booking.node_id).or_insert(now);
-                let start = booking.start.max(*free);
-                let length = booking.end.micros_since(booking.start) as f64 * (1.0 - done.clamp(0.0, 1.0));
-                let end = start.plus_micros((length as i64).max(1));
-                *free = end;
-                let full = full_from.entry(booking.job_id).or_insert(end);
-                *full = (*full).max(end);
-                projection.seeds.push(ProjectedSeed {
-                    booking: booking.clone(),
-                    node_id: booking.node_id,
-                    start,
-                    end,
-                    under_way: false,
-                });
+            Waiting::Part(OpenCachePart { booking, done, .. }) => {
+                let booked = booking.end.micros_since(booking.start) as f64;
+                let length = (booked * (1.0 - done.clamp(0.0, 1.0))) as i64;
+                let part = busy.waiting(booking.clone(), booking.node_id, booking.start, length.max(1));
+                busy.fills(&part);
+                projection.cache_parts.push(part);
             }
             Waiting::Frame(booking) => {
-                let free = free_from.entry(booking.node_id).or_insert(now);
-                let full = full_from.get(&booking.job_id).copied().unwrap_or(now);
-                let start = booking.start.max(*free).max(full);
-                let end = start.plus_micros(booking.end.micros_since(booking.start));
-                *free = end;
-                projection.frames.push(Projected {
-                    booking: booking.clone(),
-                    node_id: booking.node_id,
-                    start,
-                    end,
-                    under_way: false,
-                });
+                let full = busy.full_from.get(&booking.job_id).copied().unwrap_or(now);
+                let length = booking.end.micros_since(booking.start);
+                let start = booking.start.max(full);
+                projection.frames.push(busy.waiting(booking.clone(), booking.node_id, start, length));
             }
         }
     }
-    let Projection { frames, seeds } = &mut projection;
+    let Projection { frames, cache_parts } = &mut projection;
     frames.sort_by_key(|frame| (frame.start, frame.node_id, frame.booking.job_id, frame.booking.frame));
-    seeds.sort_by_key(|part| (part.start, part.node_id, part.booking.job_id, part.booking.part));
+    cache_parts.sort_by_key(|part| (part.start, part.node_id, part.booking.job_id, part.booking.part));
     projection
 }
 
@@ -202,13 +189,13 @@ pub(crate) fn stretched(bookings: &[OpenBooking], by: f64) -> Vec<OpenBooking> {
 }
 
 impl Projection {
-    /// When the last of a job's frames, and parts of its cache, is expected; `None` if none is open.
+    /// When the last of a job's frames and parts of its cache is expected; `None` if none is open.
     pub fn finish_of(&self, job: JobId) -> Option<Timestamp> {
         let frames = self.frames.iter().filter(|frame| frame.booking.job_id == job).map(|frame| frame.end);
-        frames.chain(self.full(job)).max()
+        frames.chain(self.cache_full_at(job)).max()
     }
 
-    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or if the job waits for money.
+    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or if a budget holds the job.
     pub fn eta(&self, job: &Job) -> Option<Timestamp> {
         let booked = self.frames.iter().filter(|frame| frame.booking.job_id == job.id).count();
         let open = job.frames_total.saturating_sub(job.frames_done);
@@ -217,7 +204,99 @@ impl Projection {
     }
 
     /// When the cache that a job's frames share should be full; `None` if they wait for none.
-    pub fn full(&self, job: JobId) -> Option<Timestamp> {
-        self.seeds.iter().filter(|part| part.booking.job_id == job).map(|part| part.end).max()
+    pub fn cache_full_at(&self, job: JobId) -> Option<Timestamp> {
+        self.cache_parts.iter().filter(|part| part.booking.job_id == job).map(|part| part.end).max()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use forelight_protocol::{BookingId, PlanId};
+
+    use super::*;
+
+    fn at(seconds: i64) -> Timestamp {
+        Timestamp::from_micros(seconds * 1_000_000)
+    }
+
+    struct Farm {
+        job: JobId,
+        plan: PlanId,
+        nodes: [NodeId; 2],
+    }
+
+    impl Farm {
+        fn new() -> Self {
+            Self { job: JobId::new(), plan: PlanId::new(), nodes: [NodeId::new(), NodeId::new()] }
+        }
+
+        fn frame(
+            &self,
+            frame: u32,
+            node: usize,
+            (start, end): (i64, i64),
+            holder: Option<Holder>,
+        ) -> OpenBooking {
+            let booking = Booking {
+                id: BookingId::new(),
+                plan_id: self.plan,
+                job_id: self.job,
+                frame,
+                node_id: self.nodes[node],
+                start: at(start),
+                end: at(end),
+            };
+            OpenBooking { booking, holder }
+        }
+
+        fn part(&self, node: usize, (start, end): (i64, i64), done: f64) -> OpenCachePart {
+            let node_id = self.nodes[node];
+            let booking =
+                SharedCacheBooking { job_id: self.job, part: 0, node_id, start: at(start), end: at(end) };
+            OpenCachePart { booking, done, holder: None }
+        }
+
+        fn held(&self, node: usize, started: i64, progress: f64) -> Option<Holder> {
+            Some(Holder { node_id: self.nodes[node], started: at(started), progress })
+        }
+    }
+
+    fn times(projection: &Projection) -> Vec<(u32, i64, i64)> {
+        let seconds = |it: Timestamp| it.micros() / 1_000_000;
+        projection.frames.iter().map(|it| (it.booking.frame, seconds(it.start), seconds(it.end))).collect()
+    }
+
+    #[test]
+    fn a_frame_that_runs_late_moves_those_after_it_on_its_node() {
+        let farm = Farm::new();
+        let open = [
+            farm.frame(0, 0, (0, 10), farm.held(0, 0, 0.5)),
+            farm.frame(1, 0, (10, 20), None),
+            farm.frame(2, 1, (10, 20), None),
+        ];
+        // Half of ten seconds is left at second 12.
+        let found = project(&open, &[], at(12));
+        assert_eq!(times(&found), [(0, 0, 17), (2, 12, 22), (1, 17, 27)]);
+        assert_eq!(found.finish_of(farm.job), Some(at(27)));
+        assert_eq!(times(&project(&stretched(&open[1..2], 1.5), &[], at(0))), [(1, 10, 25)]);
+    }
+
+    #[test]
+    fn a_frame_under_way_ends_as_booked_until_its_worker_says_otherwise() {
+        let farm = Farm::new();
+        let end = |progress, now| {
+            times(&project(&[farm.frame(0, 0, (0, 10), farm.held(1, 0, progress))], &[], at(now)))[0].2
+        };
+        assert_eq!((end(0.0, 4), end(0.9, 4), end(1.0, 4), end(0.0, 30)), (10, 5, 5, 40));
+    }
+
+    #[test]
+    fn frames_wait_for_the_cache_that_they_share() {
+        let farm = Farm::new();
+        let open = [farm.frame(0, 0, (0, 10), None)];
+        let found = project(&open, &[farm.part(1, (0, 20), 0.5)], at(0));
+        assert_eq!((found.cache_full_at(farm.job), times(&found)), (Some(at(10)), vec![(0, 10, 20)]));
+        let same_node = project(&open, &[farm.part(0, (0, 20), 0.0)], at(0));
+        assert_eq!(times(&same_node), [(0, 20, 30)], "the part goes first");
     }
 }

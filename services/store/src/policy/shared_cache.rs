@@ -1,6 +1,6 @@
 //! How many rounds fill a shared irradiance cache, how far it is, and what follows each round.
 
-use forelight_protocol::{CACHE_ROUNDS, SeedForecast, SeedProgress};
+use forelight_protocol::{CACHE_ROUNDS, SharedCacheForecast, SharedCacheProgress};
 
 /// Levels of a cache that have records, from the number of records of each level.
 fn levels(records: &[u32]) -> u32 {
@@ -46,10 +46,10 @@ pub(crate) struct Filled {
 }
 
 /// How far a cache is that was forecast so.
-pub(crate) fn progress(forecast: &SeedForecast, filled: &Filled) -> SeedProgress {
+pub(crate) fn progress(forecast: &SharedCacheForecast, filled: &Filled) -> SharedCacheProgress {
     let rounds = rounds(forecast.parts, levels(&forecast.records));
     let parts = forecast.parts.saturating_mul(rounds).max(1);
-    SeedProgress {
+    SharedCacheProgress {
         parts,
         parts_done: filled.parts_done,
         progress: (filled.reached / f64::from(parts)).clamp(0.0, 1.0),
@@ -90,7 +90,7 @@ mod tests {
     fn several_parts_fill_one_level_after_the_other_and_one_part_fills_all_at_once() {
         let parts = |parts, records: &[u32]| {
             let records = records.to_vec();
-            let forecast = SeedForecast {
+            let forecast = SharedCacheForecast {
                 records,
                 parts,
                 work: Default::default(),

@@ -2,12 +2,10 @@
 
 use forelight_forecast::{Experience, residual};
 use forelight_protocol::{FrameForecast, JobId, Quantiles, Timestamp};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row as _, SqliteConnection};
+use sqlx::SqliteConnection;
 
 use crate::database::Store;
 use crate::database::Write;
-use crate::decode::{id, whole};
 use crate::error::StoreError;
 use crate::policy::learning::{ALL_FRAMES, Residuals, experience, is_learnt_from};
 use forelight_quote::{JobForecast, QuoteBasis, QuoteKind, Spreads};
@@ -18,44 +16,40 @@ const WINDOW: u32 = 200;
 impl Store {
     /// The kinds of which jobs are finished, with how many.
     pub async fn learnt_kinds(&self) -> Result<Vec<(QuoteKind, u64)>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT renderer, feature_class, count(*) AS jobs FROM quotes WHERE learnt_at IS NOT NULL GROUP BY 1, 2 ORDER BY 1, 2",
+        let rows = sqlx::query!(
+            "SELECT renderer, feature_class, count(*) AS \"jobs!: u64\" FROM quotes \
+             WHERE learnt_at IS NOT NULL GROUP BY 1, 2 ORDER BY 1, 2"
         )
         .fetch_all(self.readers())
         .await?;
-        let kind = |row: &SqliteRow| {
-            let kind = QuoteKind {
-                renderer: row.try_get("renderer")?,
-                feature_class: row.try_get("feature_class")?,
-            };
-            Ok((kind, whole(row, "jobs")?))
-        };
-        rows.iter().map(kind).collect()
+        Ok(rows
+            .into_iter()
+            .map(|row| {
+                let kind = QuoteKind { renderer: row.renderer, feature_class: row.feature_class };
+                (kind, row.jobs)
+            })
+            .collect())
     }
 
     /// What the newest finished jobs of this kind teach.
     pub async fn experience(&self, kind: &QuoteKind) -> Result<Experience, StoreError> {
-        let rows = sqlx::query(
-            "SELECT s.job_id, s.frame, s.work_residual, s.cpu_residual FROM quote_spreads s WHERE s.job_id IN \
-             (SELECT job_id FROM quotes WHERE renderer = ? AND feature_class = ? AND learnt_at IS NOT NULL \
-              ORDER BY learnt_at DESC, job_id DESC LIMIT ?) \
+        let rows = sqlx::query!(
+            "SELECT s.job_id, s.frame, s.work_residual, s.cpu_residual FROM quote_spreads s \
+             WHERE s.job_id IN (SELECT job_id FROM quotes WHERE renderer = ? AND feature_class = ? \
+             AND learnt_at IS NOT NULL ORDER BY learnt_at DESC, job_id DESC LIMIT ?) \
              AND (s.work_residual IS NOT NULL OR s.cpu_residual IS NOT NULL) ORDER BY s.job_id, s.frame",
+            kind.renderer,
+            kind.feature_class,
+            WINDOW
         )
-        .bind(&kind.renderer)
-        .bind(&kind.feature_class)
-        .bind(WINDOW)
         .fetch_all(self.readers())
         .await?;
-        let residuals = |row: &SqliteRow| {
-            Ok(Residuals {
-                job: JobId(id(row, "job_id")?),
-                frame: row.try_get("frame")?,
-                work: row.try_get("work_residual")?,
-                cpu: row.try_get("cpu_residual")?,
-            })
-        };
-        let rows: Vec<Residuals> = rows.iter().map(residuals).collect::<Result<_, StoreError>>()?;
-        Ok(experience(rows))
+        Ok(experience(rows.into_iter().map(|row| Residuals {
+            job: row.job_id.into(),
+            frame: row.frame,
+            work: row.work_residual,
+            cpu: row.cpu_residual,
+        })))
     }
 }
 
@@ -67,12 +61,14 @@ pub(crate) async fn keep(
     frames: &[FrameForecast],
     basis: &QuoteBasis,
 ) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO quotes (job_id, renderer, feature_class) VALUES (?, ?, ?)")
-        .bind(job.0)
-        .bind(&basis.kind.renderer)
-        .bind(&basis.kind.feature_class)
-        .execute(write.connection().await?)
-        .await?;
+    sqlx::query!(
+        "INSERT INTO quotes (job_id, renderer, feature_class) VALUES (?, ?, ?)",
+        job.0,
+        basis.kind.renderer,
+        basis.kind.feature_class
+    )
+    .execute(write.connection().await?)
+    .await?;
     let total = (ALL_FRAMES, forecast.total.work, forecast.total.cpu_seconds, basis.total);
     let each = frames.iter().zip(&basis.frames);
     let each = each.map(|(frame, &spreads)| (i64::from(frame.frame), frame.work, frame.cpu_seconds, spreads));
@@ -89,15 +85,16 @@ async fn keep_one(
     (work, cpu): (Quantiles, Quantiles),
     spreads: Spreads,
 ) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO quote_spreads (job_id, frame, work_mean, work_spread, cpu_mean, cpu_spread) VALUES (?, ?, ?, ?, ?, ?)",
+    sqlx::query!(
+        "INSERT INTO quote_spreads (job_id, frame, work_mean, work_spread, cpu_mean, cpu_spread) \
+         VALUES (?, ?, ?, ?, ?, ?)",
+        job.0,
+        frame,
+        work.mean,
+        spreads.work,
+        cpu.mean,
+        spreads.cpu
     )
-    .bind(job.0)
-    .bind(frame)
-    .bind(work.mean)
-    .bind(spreads.work)
-    .bind(cpu.mean)
-    .bind(spreads.cpu)
     .execute(connection)
     .await?;
     Ok(())
@@ -105,38 +102,34 @@ async fn keep_one(
 
 /// Writes how far the job's quote was off, inside the write that finishes the job. Nothing of a job whose quote was not remembered.
 pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
-    let rows = sqlx::query(
-        "SELECT s.frame, s.work_mean, s.work_spread, s.cpu_mean, s.cpu_spread, f.actual_work, f.actual_cpu FROM quote_spreads s \
-         JOIN frames f ON f.job_id = s.job_id AND f.frame = s.frame WHERE s.job_id = ?1 \
-         UNION ALL SELECT s.frame, s.work_mean, s.work_spread, s.cpu_mean, s.cpu_spread, \
-         (SELECT sum(actual_work) FROM frames WHERE job_id = ?1), (SELECT sum(actual_cpu) FROM frames WHERE job_id = ?1) \
-         FROM quote_spreads s WHERE s.job_id = ?1 AND s.frame = -1 ORDER BY 1",
+    let rows = sqlx::query!(
+        r#"SELECT s.frame AS "frame!: i64", s.work_mean AS "work_mean!: f64", s.work_spread AS "work_spread!: f64",
+                  s.cpu_mean AS "cpu_mean!: f64", s.cpu_spread AS "cpu_spread!: f64",
+                  f.actual_work AS "actual_work!: f64", f.actual_cpu AS "actual_cpu!: f64"
+           FROM quote_spreads s JOIN frames f ON f.job_id = s.job_id AND f.frame = s.frame WHERE s.job_id = ?1
+           UNION ALL SELECT s.frame, s.work_mean, s.work_spread, s.cpu_mean, s.cpu_spread,
+                  (SELECT sum(actual_work) FROM frames WHERE job_id = ?1), (SELECT sum(actual_cpu) FROM frames WHERE job_id = ?1)
+           FROM quote_spreads s WHERE s.job_id = ?1 AND s.frame = -1 ORDER BY 1"#,
+        job.0
     )
-    .bind(job.0)
     .fetch_all(write.connection().await?)
     .await?;
     // The first row is that of all frames.
     for (place, row) in rows.iter().enumerate() {
-        let frame: i64 = row.try_get("frame")?;
-        if !is_learnt_from(frame, place, rows.len()) {
+        if !is_learnt_from(row.frame, place, rows.len()) {
             continue;
         }
-        let off = |mean: &str, spread: &str, actual: &str| -> Result<Option<f64>, StoreError> {
-            Ok(residual(row.try_get(mean)?, row.try_get(spread)?, row.try_get(actual)?))
-        };
-        sqlx::query(
+        sqlx::query!(
             "UPDATE quote_spreads SET work_residual = ?, cpu_residual = ? WHERE job_id = ? AND frame = ?",
+            residual(row.work_mean, row.work_spread, row.actual_work),
+            residual(row.cpu_mean, row.cpu_spread, row.actual_cpu),
+            job.0,
+            row.frame
         )
-        .bind(off("work_mean", "work_spread", "actual_work")?)
-        .bind(off("cpu_mean", "cpu_spread", "actual_cpu")?)
-        .bind(job.0)
-        .bind(frame)
         .execute(write.connection().await?)
         .await?;
     }
-    sqlx::query("UPDATE quotes SET learnt_at = ? WHERE job_id = ?")
-        .bind(now.micros())
-        .bind(job.0)
+    sqlx::query!("UPDATE quotes SET learnt_at = ? WHERE job_id = ?", now.micros(), job.0)
         .execute(write.connection().await?)
         .await?;
     Ok(())

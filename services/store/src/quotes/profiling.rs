@@ -1,10 +1,8 @@
 //! Having frames profiled for a quote.
 
-use forelight_protocol::{FrameSet, JobId, JobState, Ladders, Timestamp};
-use sqlx::Row as _;
+use forelight_protocol::{JobId, JobState, Ladders, Timestamp};
 
 use crate::database::Store;
-use crate::decode::{corrupt, whole, word};
 use crate::error::StoreError;
 use crate::events::job_state;
 use crate::jobs;
@@ -23,31 +21,28 @@ impl Store {
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
-        if word::<JobState>(&row, "state")? != JobState::Previewing {
+        if row.state.0 != JobState::Previewing {
             return Ok(());
         }
-        let common = Common::of(job, &row)?;
+        let common = Common::of(&row);
         // The frame in their middle stands for all where other qualities are asked for.
-        let with_ladders = match word::<Ladders>(&row, "ladders")? {
+        let with_ladders = match row.ladders.0 {
             Ladders::All => frames.get(frames.len() / 2),
             Ladders::Own => None,
         };
         for frame in frames {
             let asked = ProfileAsked {
                 frame: *frame,
-                samples: whole(&row, "samples")?,
+                samples: row.samples,
                 ladders: with_ladders == Some(frame),
                 cache: None,
             };
             common.profile(&mut write, asked, plan_cache).await?;
         }
         if plan_cache {
-            let all: FrameSet =
-                row.try_get::<&str, _>("frames")?.parse().map_err(|error| corrupt("frames", error))?;
-            common.cache_plan(&mut write, all.iter().collect()).await?;
+            common.cache_plan(&mut write, row.frame_set()?.iter().collect()).await?;
         }
-        sqlx::query("UPDATE jobs SET state = 'profiling' WHERE id = ?")
-            .bind(job.0)
+        sqlx::query!("UPDATE jobs SET state = 'profiling' WHERE id = ?", job.0)
             .execute(write.connection().await?)
             .await?;
         job_state(&mut write, job, JobState::Profiling, None, now)?;
@@ -64,23 +59,22 @@ impl Store {
     ) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
-        let asked: Vec<u32> =
-            sqlx::query_scalar("SELECT frame FROM tasks WHERE job_id = ? AND kind = 'profile'")
-                .bind(job.0)
-                .fetch_all(write.connection().await?)
-                .await?;
-        if word::<JobState>(&row, "state")? != JobState::Profiling
-            || frames.iter().any(|frame| asked.contains(frame))
-        {
+        let asked: Vec<u32> = sqlx::query_scalar!(
+            r#"SELECT frame AS "frame!" FROM tasks WHERE job_id = ? AND kind = 'profile'"#,
+            job.0
+        )
+        .fetch_all(write.connection().await?)
+        .await?;
+        if row.state.0 != JobState::Profiling || frames.iter().any(|frame| asked.contains(frame)) {
             return Ok(());
         }
-        let common = Common::of(job, &row)?;
+        let common = Common::of(&row);
         let cache = match planned {
             PlannedCache::There { plan, .. } => plan.cache,
             PlannedCache::NotAsked | PlannedCache::Pending => None,
         };
         for &frame in frames {
-            let samples = whole(&row, "samples")?;
+            let samples = row.samples;
             let asked = ProfileAsked { frame, samples, ladders: false, cache };
             common.profile(&mut write, asked, false).await?;
         }

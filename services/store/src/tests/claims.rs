@@ -216,13 +216,10 @@ async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
 #[tokio::test]
 async fn frames_find_their_tasks_one_by_one_however_many_the_job_has() {
     let farm = Farm::new().await;
-    for query in [
-        crate::plans::bookings::OPEN_OF,
-        crate::plans::farm_jobs::FRAMES,
-        crate::jobs::frames::PAGE,
-        crate::living::FRAMES,
-        crate::jobs::progress::FRAMES,
-    ] {
+    let statements = super::statements::checked();
+    let of_frames = statements.iter().filter(|statement| statement.contains("INDEXED BY tasks_of_frames"));
+    assert_eq!(of_frames.clone().count(), 8);
+    for query in of_frames {
         let steps = steps_of(&farm, query).await;
         let task = steps.iter().find(|step| step.starts_with("SEARCH t "));
         assert!(task.is_some_and(|step| step.contains("(job_id=? AND frame=?)")), "{query}: {steps:?}");

@@ -1,9 +1,9 @@
 //! Plans, bookings, projections.
 
 use super::*;
-use forelight_protocol::SeedBooking;
+use forelight_protocol::SharedCacheBooking;
 
-use crate::{Holder, OpenBooking, OpenSeed, Projected, StoreError, project};
+use crate::{Holder, OpenBooking, OpenCachePart, Projected, StoreError, project};
 use forelight_protocol::{Booking, BookingId, JobState, PlanId};
 
 #[tokio::test]
@@ -165,7 +165,7 @@ fn a_frame_under_way_takes_its_holder_not_its_booked_node_and_always_ends_after_
 #[test]
 fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
     let node = |node: u128| NodeId(uuid::Uuid::from_u128(node));
-    let part = |part, number: u128, start, end| SeedBooking {
+    let part = |part, number: u128, start, end| SharedCacheBooking {
         job_id: JobId(uuid::Uuid::nil()),
         part,
         node_id: node(number),
@@ -176,13 +176,13 @@ fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
         [booking(0, 1, 20, 30), booking(1, 2, 20, 25)].map(|booking| OpenBooking { booking, holder: None });
     // Node 3 has half of its part, and says that it is at the half of the other half; the one on node 2 is done with one of two rounds.
     let held = Holder { node_id: node(3), started: at(10), progress: 0.75 };
-    let seeds = [
-        OpenSeed { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held) },
-        OpenSeed { booking: part(1, 2, 0, 20), done: 0.5, holder: None },
+    let parts = [
+        OpenCachePart { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held) },
+        OpenCachePart { booking: part(1, 2, 0, 20), done: 0.5, holder: None },
     ];
-    let projection = project(&open, &seeds, at(20));
-    let parts: Vec<_> = projection
-        .seeds
+    let projection = project(&open, &parts, at(20));
+    let found: Vec<_> = projection
+        .cache_parts
         .iter()
         .map(|part| {
             (
@@ -192,11 +192,11 @@ fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
             )
         })
         .collect();
-    assert_eq!(parts, [(0, 10, 30), (1, 20, 30)]);
+    assert_eq!(found, [(0, 10, 30), (1, 20, 30)]);
     assert_eq!(spans(&projection.frames), [(0, 30, 40), (1, 30, 35)]);
-    assert_eq!(projection.full(JobId(uuid::Uuid::nil())), Some(at(30)));
+    assert_eq!(projection.cache_full_at(JobId(uuid::Uuid::nil())), Some(at(30)));
     // With nothing left but a part, the job ends no sooner than that.
-    let rest = project(&[], &seeds[..1], at(20));
+    let rest = project(&[], &parts[..1], at(20));
     assert_eq!(rest.finish_of(JobId(uuid::Uuid::nil())), Some(at(30)));
 }
 
@@ -238,7 +238,7 @@ impl Farm {
             wanted: self.store.wanted_plan().await.unwrap(),
             jobs: vec![NewJobPlan { verdict: verdict(job), bookings, begun, factor }],
             outlooks: Vec::new(),
-            seed: None,
+            shared_cache: None,
         }
     }
 }

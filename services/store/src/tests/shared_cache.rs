@@ -2,18 +2,18 @@
 
 use forelight_protocol::{
     CachePrice, CacheQuote, CacheSharing, EventKind, FrameState, JobState, Money, MoneyQuantiles,
-    SeedForecast, TaskError, TaskKind,
+    SharedCacheForecast, TaskError, TaskKind,
 };
 
 use super::*;
-use crate::{NewSeed, NewSeedBooking, PlannedCache, StoreError};
+use crate::{NewPartBooking, NewSharedCache, PlannedCache, StoreError};
 
 /// Micro-units for a second.
 const PRICE: f64 = 1000.0;
 
 impl Farm {
     /// A job whose frames share a cache of two levels in three parts, booked.
-    async fn seeded_job(&self, node: NodeId, parts: u32) -> JobId {
+    async fn job_with_shared_cache(&self, node: NodeId, parts: u32) -> JobId {
         let job = self.submit(request("0-2")).await;
         let preview = self.claim(node, at(0)).await.unwrap();
         self.commit(&preview, at(0)).await;
@@ -31,15 +31,16 @@ impl Farm {
             panic!("no plan")
         };
         assert_eq!(node_speed, 2.0);
-        let booking = |part: u32| NewSeedBooking {
+        let booking = |part: u32| NewPartBooking {
             part,
             node,
             start: at(i64::from(part)),
             end: at(i64::from(part) + 1),
         };
-        let seed = NewSeed { cache: plan.cache.unwrap(), parts, bookings: (0..parts).map(booking).collect() };
+        let cache =
+            NewSharedCache { cache: plan.cache.unwrap(), parts, bookings: (0..parts).map(booking).collect() };
         let mut new = self.plan_for(&job, node, at(10)).await;
-        new.seed = Some(seed);
+        new.shared_cache = Some(cache);
         let mut forecast = JobForecast { cache: Some(quote(parts)), ..job_forecast() };
         forecast.cost = Some(forecast.total.cpu_seconds.plus(&Quantiles::known(6.0)).in_money(PRICE));
         self.store.book(job.id, &forecast, &frame_forecasts(&job), None, &new, at(0)).await.unwrap();
@@ -63,7 +64,7 @@ fn quote(parts: u32) -> CacheQuote {
         reason: "it takes less".to_owned(),
         private_price: CachePrice { records: 200, work: 2000.0, cpu_seconds: 2.0, cost: None },
         shared_price: Some(CachePrice { records: 70, work: 700.0, cpu_seconds: 0.7, cost: None }),
-        seed: Some(SeedForecast {
+        shared_cache: Some(SharedCacheForecast {
             records: vec![50, 20],
             parts,
             work: Quantiles::known(600.0),
@@ -109,7 +110,7 @@ async fn more_profiles_are_asked_for_once_and_measure_with_the_planned_cache_as_
 async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together() {
     let farm = Farm::new().await;
     let node = farm.node("a").await.id;
-    let job = farm.seeded_job(node, 3).await;
+    let job = farm.job_with_shared_cache(node, 3).await;
     let cost = async || farm.store.job(job).await.unwrap().live.unwrap().cost.unwrap();
     let quoted = job_forecast().total.cpu_seconds.mean;
     assert_eq!(cost().await.mean, Money(((quoted + 6.0) * PRICE) as i64));
@@ -120,7 +121,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
         3,
         "frames that wait are booked all the same"
     );
-    assert_eq!(farm.store.open_seeds().await.unwrap().len(), 3);
+    assert_eq!(farm.store.open_cache_parts().await.unwrap().len(), 3);
     // Three parts of a second each, at a unit an hour: what is planned anew has that much less to spend.
     let spent = async || farm.store.farm_jobs(at(20)).await.unwrap()[0].spent.micro_units();
     assert_eq!(spent().await, 3 * 278);
@@ -142,15 +143,16 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
             assert!(again.duplicate);
         }
         let job = farm.store.job(job).await.unwrap();
-        let seed = job.seed.unwrap();
+        let cache = job.shared_cache.unwrap();
         assert_eq!(
-            (job.state, seed.parts, seed.parts_done, seed.ready),
+            (job.state, cache.parts, cache.parts_done, cache.ready),
             (JobState::Rendering, 6, 3 * (round + 1), false)
         );
         // Two seconds a part; what merging took so far is next to nothing.
-        assert_eq!(seed.work, 300 * u64::from(round + 1));
-        assert!((seed.cpu_seconds - 6.0 * f64::from(round + 1)).abs() < 1e-3, "{}", seed.cpu_seconds);
-        let done: Vec<f64> = farm.store.open_seeds().await.unwrap().iter().map(|part| part.done).collect();
+        assert_eq!(cache.work, 300 * u64::from(round + 1));
+        assert!((cache.cpu_seconds - 6.0 * f64::from(round + 1)).abs() < 1e-3, "{}", cache.cpu_seconds);
+        let done: Vec<f64> =
+            farm.store.open_cache_parts().await.unwrap().iter().map(|part| part.done).collect();
         assert_eq!(done, [0.5 * f64::from(round + 1); 3], "the frames wait for them all the same");
         let lease = farm.claim(node, at(20)).await.unwrap();
         assert_eq!((lease.spec.kind(), lease.spec.round()), (merge, Some(round)));
@@ -162,8 +164,8 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
     assert_ne!(seen[0], seen[3]);
     assert!(states().await.all(|state| state == FrameState::Ready));
     assert_eq!(spent().await, 0, "it is full, and took no time");
-    assert!(farm.store.job(job).await.unwrap().seed.unwrap().ready);
-    assert!(farm.store.open_seeds().await.unwrap().is_empty());
+    assert!(farm.store.job(job).await.unwrap().shared_cache.unwrap().ready);
+    assert!(farm.store.open_cache_parts().await.unwrap().is_empty());
     let cache = farm.artifact("a cache").await;
     for _ in 0..3 {
         let lease = farm.claim(node, at(20)).await.unwrap();
@@ -174,7 +176,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
     let done = farm.store.job(job).await.unwrap();
     assert_eq!(done.state, JobState::Done);
     // Quoted were six seconds for the cache, and it took twice as many.
-    let cache = done.seed.unwrap().cpu_seconds;
+    let cache = done.shared_cache.unwrap().cpu_seconds;
     assert!((cache - 12.0).abs() < 1e-3);
     // What is paid is the node's time, five seconds a frame at a unit an hour.
     assert_eq!(farm.store.spent_on(job, at(60)).await.unwrap(), Money(3 * 1389));
@@ -185,7 +187,7 @@ async fn frames_wait_until_every_level_of_the_cache_is_filled_and_put_together()
 async fn parts_that_say_they_took_more_than_can_be_counted_leave_the_farm_readable() {
     let farm = Farm::new().await;
     let node = farm.node("a").await.id;
-    let job = farm.seeded_job(node, 3).await;
+    let job = farm.job_with_shared_cache(node, 3).await;
     for _ in 0..2 {
         let lease = farm.claim(node, at(20)).await.unwrap();
         let TaskResult::CacheFill(mut filled) = farm.result_for(&lease).await else { panic!() };
@@ -193,7 +195,7 @@ async fn parts_that_say_they_took_more_than_can_be_counted_leave_the_farm_readab
         let result = TaskResult::CacheFill(filled);
         farm.store.commit_result(lease.lease_id, lease.fence, &result, at(20)).await.unwrap();
     }
-    assert_eq!(farm.store.job(job).await.unwrap().seed.unwrap().work, u64::MAX);
+    assert_eq!(farm.store.job(job).await.unwrap().shared_cache.unwrap().work, u64::MAX);
     assert_eq!(farm.store.farm_jobs(at(20)).await.unwrap().len(), 1);
 }
 
@@ -201,7 +203,7 @@ async fn parts_that_say_they_took_more_than_can_be_counted_leave_the_farm_readab
 async fn a_cache_in_one_part_is_put_together_by_nobody() {
     let farm = Farm::new().await;
     let node = farm.node("a").await.id;
-    let job = farm.seeded_job(node, 1).await;
+    let job = farm.job_with_shared_cache(node, 1).await;
     let render = (TaskKind::Render, None, None);
     assert_eq!(farm.kinds(node).await, [(TaskKind::CacheFill, Some(0), Some(0)), render, render, render]);
     assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
@@ -211,7 +213,7 @@ async fn a_cache_in_one_part_is_put_together_by_nobody() {
 async fn a_part_whose_worker_is_lost_is_filled_by_another_and_a_late_word_of_the_first_is_refused() {
     let farm = Farm::new().await;
     let (a, b) = (farm.node("a").await.id, farm.node("b").await.id);
-    let job = farm.seeded_job(a, 3).await;
+    let job = farm.job_with_shared_cache(a, 3).await;
     let lost = farm.claim(a, at(0)).await.unwrap();
     let farm = farm.restarted().await;
     // What it waits for stands still with it.
@@ -241,9 +243,9 @@ async fn a_part_whose_worker_is_lost_is_filled_by_another_and_a_late_word_of_the
 async fn frames_that_wait_go_with_a_job_that_is_cancelled_or_whose_cache_cannot_be_made() {
     let farm = Farm::new().await;
     let node = farm.node("a").await.id;
-    let cancelled = farm.seeded_job(node, 2).await;
+    let cancelled = farm.job_with_shared_cache(node, 2).await;
     farm.store.cancel_job(cancelled, at(0)).await.unwrap();
-    let failed = farm.seeded_job(node, 2).await;
+    let failed = farm.job_with_shared_cache(node, 2).await;
     let lease = farm.claim(node, at(0)).await.unwrap();
     let error = TaskError { message: "damaged".to_owned(), permanent: true, limit: None };
     farm.store.fail_task(lease.lease_id, lease.fence, &error, at(0)).await.unwrap();
@@ -283,4 +285,39 @@ async fn tasks_of_a_farm_from_before_caches_were_shared_are_kept_with_their_leas
     .await
     .unwrap();
     assert_eq!(found, ("preview".to_owned(), "active".to_owned(), 7, 8, 1));
+}
+
+#[tokio::test]
+async fn shared_caches_of_a_farm_from_before_they_had_that_name_are_kept() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.job_with_shared_cache(node, 2).await;
+    let plan = farm.store.job(job).await.unwrap().plan_id.unwrap();
+    let known = async |store: &Store| {
+        let (parts, plan) = (store.open_cache_parts().await.unwrap(), store.plan(plan).await.unwrap());
+        (store.job(job).await.unwrap(), store.forecast(job).await.unwrap(), plan, parts)
+    };
+    let before = known(&farm.store).await;
+    assert_eq!((before.2.shared_cache_bookings.len(), before.3.len()), (2, 2));
+    // As it was before migration 16.
+    for statement in [
+        "DROP INDEX shared_cache_bookings_by_job",
+        "DROP TRIGGER shared_cache_bookings_are_never_changed",
+        "DROP TRIGGER shared_cache_bookings_are_never_deleted",
+        "ALTER TABLE shared_cache_bookings RENAME TO seed_bookings",
+        "CREATE INDEX seed_bookings_by_job ON seed_bookings (job_id)",
+        "CREATE TRIGGER seed_bookings_are_never_changed BEFORE UPDATE ON seed_bookings BEGIN SELECT RAISE(ABORT, ''); END",
+        "CREATE TRIGGER seed_bookings_are_never_deleted BEFORE DELETE ON seed_bookings BEGIN SELECT RAISE(ABORT, ''); END",
+        r#"UPDATE jobs SET forecast = replace(forecast, '"shared_cache":', '"seed":')"#,
+        "DELETE FROM _sqlx_migrations WHERE version = 16",
+    ] {
+        let mut write = farm.store.write().await.unwrap();
+        sqlx::query(statement).execute(write.connection().await.unwrap()).await.unwrap();
+        farm.store.commit(write).await.unwrap();
+    }
+    let Farm { folder, store } = farm;
+    store.close().await;
+    drop(store);
+    let store = Store::open(folder.path()).await.unwrap();
+    assert_eq!(known(&store).await, before);
 }

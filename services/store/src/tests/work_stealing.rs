@@ -42,7 +42,7 @@ impl Farm {
             wanted: self.store.wanted_plan().await.unwrap(),
             jobs: Vec::new(),
             outlooks: vec![(job, outlook)],
-            seed: None,
+            shared_cache: None,
         };
         self.store.keep_outlooks(&said, at(1)).await.unwrap();
     }

@@ -156,7 +156,8 @@ async fn a_write_that_is_given_up_between_a_question_and_its_answer_harms_no_oth
         let mut write = store.write().await?;
         token_later(&mut write, "given up");
         for _ in 0..20 {
-            write.ask("SELECT count(*) FROM tokens WHERE created_at > ?").bind(0).first_row().await?;
+            let _: Option<(i64,)> =
+                write.ask("SELECT count(*) FROM tokens WHERE created_at > ?").bind(0).first_row().await?;
         }
         token_later(&mut write, "given up as well");
         write.connection().await?;

@@ -24,7 +24,8 @@ pub(crate) struct FenceQuery {
 }
 
 /// Keeps the tiles of a frame that are finished so far, in place of those that were sent before.
-#[utoipa::path(put, path = "/v1/leases/{id}/checkpoint", tag = "work", params(("id" = LeaseId, Path), FenceQuery),
+#[utoipa::path(put, path = "/v1/leases/{id}/checkpoint", operation_id = "checkpoint_put",
+    tag = "work", params(("id" = LeaseId, Path), FenceQuery),
     request_body(content = inline(FileContent), content_type = "application/octet-stream", description = "A profile, at most 64 MiB"),
     responses((status = 204, description = "Kept until the task ends"), Problems))]
 pub(crate) async fn put(
@@ -42,7 +43,8 @@ pub(crate) async fn put(
 }
 
 /// The tiles of the lease's frame that an earlier worker had finished; 404 if there are none.
-#[utoipa::path(get, path = "/v1/leases/{id}/checkpoint", tag = "work", params(("id" = LeaseId, Path)),
+#[utoipa::path(get, path = "/v1/leases/{id}/checkpoint", operation_id = "checkpoint_get",
+    tag = "work", params(("id" = LeaseId, Path)),
     responses((status = 200, description = "A profile", body = inline(FileContent), content_type = "application/octet-stream"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,

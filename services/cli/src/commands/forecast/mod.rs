@@ -244,14 +244,20 @@ fn report(quote: &ForecastDoc) -> String {
     }
     table.footer();
     let total = &quote.total;
-    match quote.cache.as_ref().and_then(|cache| cache.seed.as_ref()) {
+    match quote.cache.as_ref().and_then(|cache| cache.shared_cache.as_ref()) {
         None => table.row(row("all".into(), &total.work, &total.cpu_seconds, &total.cache_records, "")),
-        Some(seed) => {
+        Some(shared) => {
             let records: Vec<Quantiles> =
-                seed.records.iter().map(|&records| Quantiles::known(records.into())).collect();
+                shared.records.iter().map(|&records| Quantiles::known(records.into())).collect();
             table.row(row("frames".into(), &total.work, &total.cpu_seconds, &[], ""));
-            table.row(row("seed".into(), &seed.work, &seed.cpu_seconds, &records, "before the frames"));
-            let (work, cpu) = (total.work.plus(&seed.work), total.cpu_seconds.plus(&seed.cpu_seconds));
+            table.row(row(
+                "shared cache".into(),
+                &shared.work,
+                &shared.cpu_seconds,
+                &records,
+                "before the frames",
+            ));
+            let (work, cpu) = (total.work.plus(&shared.work), total.cpu_seconds.plus(&shared.cpu_seconds));
             table.row(row("all".into(), &work, &cpu, &[], ""));
         }
     }
@@ -283,8 +289,8 @@ fn report(quote: &ForecastDoc) -> String {
         + &quote
             .cache
             .as_ref()
-            .and_then(|cache| cache.seed.as_ref())
-            .map_or_else(String::new, |seed| caches::seed(seed) + "\n")
+            .and_then(|cache| cache.shared_cache.as_ref())
+            .map_or_else(String::new, |shared| caches::shared(shared) + "\n")
         + &on_others(&quote.cpu_seconds_on)
 }
 

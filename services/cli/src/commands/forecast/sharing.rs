@@ -110,7 +110,7 @@ mod tests {
         let cache = document.cache.as_ref().unwrap();
         let shared = cache.shared_price.unwrap();
         assert_eq!(cache.shared, shared.work < cache.private_price.work, "{}", cache.reason);
-        assert_eq!(cache.shared, cache.seed.is_some());
+        assert_eq!(cache.shared, cache.shared_cache.is_some());
         assert!((cache.private_price.work / quoted.document.total.work.mean - 1.0).abs() < 1e-9);
         assert!(document.spent.work > quoted.document.spent.work, "planning for all took something");
         let forced = ask(CacheSharing::Shared).unwrap().unwrap().cache.unwrap();

@@ -145,11 +145,11 @@ impl Stages {
             self.bars.note(waits.as_deref().unwrap_or("goes on"));
             self.waits = waits;
         }
-        if let Some(seed) = &job.seed {
+        if let Some(shared) = &job.shared_cache {
             let cache = self.cache.get_or_insert_with(|| self.bars.bar("cache", 0));
-            cache.set_length(u64::from(seed.parts) * 100);
-            cache.set_position((seed.progress * f64::from(seed.parts) * 100.0) as u64);
-            if seed.ready {
+            cache.set_length(u64::from(shared.parts) * 100);
+            cache.set_position((shared.progress * f64::from(shared.parts) * 100.0) as u64);
+            if shared.ready {
                 cache.finish();
             }
         }

@@ -64,14 +64,14 @@ pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], no
 /// How the irradiance caches are made, with both prices, and what the shared one took.
 fn made_caches(cache: &CacheQuote, job: &Job) -> String {
     let mut text = caches::ways(cache);
-    if let Some(seed) = &cache.seed {
-        text += &caches::seed(seed);
-        if let Some(done) = job.seed.as_ref().filter(|done| done.ready) {
+    if let Some(shared) = &cache.shared_cache {
+        text += &caches::shared(shared);
+        if let Some(done) = job.shared_cache.as_ref().filter(|done| done.ready) {
             text += &format!(
                 "; it took {}, {} operations for {} forecast",
                 seconds(done.cpu_seconds),
                 count(done.work as f64),
-                count(seed.work.mean)
+                count(shared.work.mean)
             );
         }
         text += "\n";
@@ -134,14 +134,14 @@ fn remark(row: &FrameRow) -> String {
 fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
     let mut text = String::new();
     if let Some(quote) = forecast {
-        let seed = quote.cache.as_ref().map(CacheQuote::seed_seconds).unwrap_or_default();
-        let cpu = quote.total.cpu_seconds.plus(&seed);
+        let shared = quote.cache.as_ref().map(CacheQuote::shared_cache_seconds).unwrap_or_default();
+        let cpu = quote.total.cpu_seconds.plus(&shared);
         text += &format!(
             "quoted     {} CPU time (P50), {} (P80), {} (P95){}",
             seconds(cpu.p50),
             seconds(cpu.p80),
             seconds(cpu.p95),
-            if seed.mean > 0.0 { ", frames and seed" } else { "" }
+            if shared.mean > 0.0 { ", frames and shared cache" } else { "" }
         );
         if let Some(cost) = &quote.cost {
             text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));

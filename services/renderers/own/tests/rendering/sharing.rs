@@ -140,7 +140,10 @@ fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is
                 (asked == CacheSharing::Shared, "the job asks for it")
             );
             let given = said.shared.then_some(&cache);
-            assert_eq!((quoted.shared_cache.is_some(), said.seed.is_some()), (said.shared, said.shared));
+            assert_eq!(
+                (quoted.shared_cache.is_some(), said.shared_cache.is_some()),
+                (said.shared, said.shared)
+            );
             let actual = case.render(given);
             for (forecast, stats) in quoted.frames.iter().zip(&actual) {
                 let error = off(forecast.work.mean, stats.work);
@@ -161,11 +164,11 @@ fn what_is_quoted_for_either_way_is_what_it_takes_and_the_way_that_takes_less_is
             case.compare_explanation(said.shared, &actual);
             let price = if said.shared { said.shared_price.unwrap() } else { said.private_price };
             taken[usize::from(said.shared)] = frames_work;
-            if let (Some(seed), Some(plan)) = (&said.seed, &case.plan) {
-                let error = off(seed.work.mean, fill_work);
-                println!("{scene} seed: {:+.1} %", 100.0 * error);
+            if let (Some(cache), Some(plan)) = (&said.shared_cache, &case.plan) {
+                let error = off(cache.work.mean, fill_work);
+                println!("{scene} cache: {:+.1} %", 100.0 * error);
                 assert!(error.abs() < 0.12, "{scene}, the shared cache: {error}");
-                assert!(seed.work.p80 > seed.work.mean && seed.cpu_seconds.mean > 0.0);
+                assert!(cache.work.p80 > cache.work.mean && cache.cpu_seconds.mean > 0.0);
                 taken[1] += fill_work;
                 for (planned, stats) in plan.frames.iter().zip(&actual) {
                     let found = stats.cache.unwrap();
@@ -265,9 +268,10 @@ fn past_jobs_move_the_quantiles_of_a_shared_cache_too() {
     let corrections = experience.corrections().unwrap();
     let plain = case.quote(CacheSharing::Shared);
     let taught = case.corrected(CacheSharing::Shared, Some(&corrections));
-    let seed = |forecast: &forelight_quote::Quote| forecast.job.cache.clone().unwrap().seed.unwrap();
-    assert_eq!(seed(&plain).work.mean, seed(&taught).work.mean);
-    assert!(seed(&taught).work.p50 > seed(&plain).work.p50, "past jobs took more than they were quoted");
+    let shared =
+        |forecast: &forelight_quote::Quote| forecast.job.cache.clone().unwrap().shared_cache.unwrap();
+    assert_eq!(shared(&plain).work.mean, shared(&taught).work.mean);
+    assert!(shared(&taught).work.p50 > shared(&plain).work.p50, "past jobs took more than they were quoted");
 }
 
 fn sum<'a>(records: impl IntoIterator<Item = &'a u32>) -> u64 {

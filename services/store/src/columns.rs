@@ -1,0 +1,145 @@
+//! Types of columns. `sqlx.toml` says which column has which of them, so that `query!` and its kin decode a row of any
+//! table into these.
+
+use std::marker::PhantomData;
+
+use forelight_protocol::{
+    ArtifactHash, BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, TaskId, Timestamp,
+};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use sqlx::encode::IsNull;
+use sqlx::error::BoxDynError;
+use sqlx::sqlite::{SqliteArgumentsBuffer, SqliteTypeInfo, SqliteValueRef};
+use sqlx::{Decode, Encode, Sqlite, Type};
+use uuid::Uuid;
+
+use crate::error::StoreError;
+
+/// A column holds something that this program never writes there.
+pub(crate) fn corrupt(column: &str, reason: impl std::fmt::Display) -> StoreError {
+    StoreError::Corrupt(format!("column {column}: {reason}"))
+}
+
+/// A wire type as JSON.
+#[derive(Clone, PartialEq, Debug)]
+pub(crate) struct Json<T>(pub T);
+
+impl<T> Type<Sqlite> for Json<T> {
+    fn type_info() -> SqliteTypeInfo {
+        <str as Type<Sqlite>>::type_info()
+    }
+}
+
+impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Json<T> {
+    fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
+        let text = <&str as Decode<Sqlite>>::decode(value)?;
+        serde_json::from_str(text).map(Self).map_err(|error| named::<T>(error))
+    }
+}
+
+impl<'q, T: Serialize> Encode<'q, Sqlite> for Json<T> {
+    fn encode_by_ref(&self, buffer: &mut SqliteArgumentsBuffer) -> Result<IsNull, BoxDynError> {
+        Encode::<Sqlite>::encode(serde_json::to_string(&self.0)?, buffer)
+    }
+}
+
+/// A wire type as JSON that is long, and read only where it is needed.
+#[derive(Clone, PartialEq, Debug)]
+pub(crate) struct Unread<T> {
+    text: String,
+    wire_type: PhantomData<T>,
+}
+
+impl<T: DeserializeOwned> Unread<T> {
+    /// Reads it.
+    pub fn read(self) -> Result<T, StoreError> {
+        serde_json::from_str(&self.text).map_err(|error| StoreError::Corrupt(named::<T>(error).to_string()))
+    }
+}
+
+impl<T> Type<Sqlite> for Unread<T> {
+    fn type_info() -> SqliteTypeInfo {
+        <str as Type<Sqlite>>::type_info()
+    }
+}
+
+impl<'r, T> Decode<'r, Sqlite> for Unread<T> {
+    fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
+        Ok(Self { text: <String as Decode<Sqlite>>::decode(value)?, wire_type: PhantomData })
+    }
+}
+
+/// A value of an enumeration, by the name that it has in JSON.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Word<T>(pub T);
+
+impl<T> Type<Sqlite> for Word<T> {
+    fn type_info() -> SqliteTypeInfo {
+        <str as Type<Sqlite>>::type_info()
+    }
+}
+
+impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Word<T> {
+    fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
+        let text = <&str as Decode<Sqlite>>::decode(value)?;
+        let value = serde_json::Value::from(text);
+        serde_json::from_value(value).map(Self).map_err(|error| named::<T>(error))
+    }
+}
+
+/// An error of decoding with the name of the type that was expected.
+fn named<T>(error: serde_json::Error) -> BoxDynError {
+    let name = std::any::type_name::<T>();
+    format!("{}: {error}", name.rsplit("::").next().unwrap_or(name)).into()
+}
+
+/// Microseconds since 1970-01-01T00:00:00Z.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, sqlx::Type)]
+#[sqlx(transparent)]
+pub(crate) struct Time(pub i64);
+
+impl From<Time> for Timestamp {
+    fn from(time: Time) -> Self {
+        Timestamp::from_micros(time.0)
+    }
+}
+
+/// An id, 16 bytes. It becomes the id of whatever is asked for.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, sqlx::Type)]
+#[sqlx(transparent)]
+pub(crate) struct Id(pub Uuid);
+
+macro_rules! from_id {
+    ($($name:ident),*) => {
+        $(impl From<Id> for $name {
+            fn from(id: Id) -> Self {
+                $name(id.0)
+            }
+        })*
+    };
+}
+from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, TaskId);
+
+/// A BLAKE3 hash, 32 bytes.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) struct Hash(pub ArtifactHash);
+
+impl Type<Sqlite> for Hash {
+    fn type_info() -> SqliteTypeInfo {
+        <[u8] as Type<Sqlite>>::type_info()
+    }
+}
+
+impl<'r> Decode<'r, Sqlite> for Hash {
+    fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
+        let bytes = <&[u8] as Decode<Sqlite>>::decode(value)?;
+        Ok(Self(ArtifactHash(bytes.try_into().map_err(|_| "a hash that is not 32 bytes long")?)))
+    }
+}
+
+impl From<Hash> for ArtifactHash {
+    fn from(hash: Hash) -> Self {
+        hash.0
+    }
+}

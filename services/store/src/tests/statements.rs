@@ -1,0 +1,50 @@
+//! The statements that are checked at compile time, against the schema that the migrations make.
+
+use sqlx::{AssertSqlSafe, Executor as _, SqlSafeStr as _};
+
+use super::*;
+
+/// What `.sqlx` holds of each statement.
+fn prepared() -> Vec<serde_json::Value> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/.sqlx");
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    files.map(|file| serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()).collect()
+}
+
+fn text(prepared: &serde_json::Value) -> String {
+    prepared["query"].as_str().unwrap().to_owned()
+}
+
+/// The texts of all statements that are checked.
+pub(super) fn checked() -> Vec<String> {
+    prepared().iter().map(text).collect()
+}
+
+#[tokio::test]
+async fn what_is_known_of_each_statement_is_what_the_schema_says() {
+    let farm = Farm::new().await;
+    let mut connection = farm.store.readers().acquire().await.unwrap();
+    for prepared in prepared() {
+        let query = text(&prepared);
+        let described =
+            (&mut *connection).describe(AssertSqlSafe(query.clone()).into_sql_str()).await.unwrap();
+        let described = serde_json::to_value(described).unwrap();
+        assert_eq!(described, prepared["describe"], "run services/store/prepare.sh: {query}");
+    }
+}
+
+#[test]
+fn expressions_say_whether_they_can_be_null() {
+    for prepared in prepared() {
+        for column in prepared["describe"]["columns"].as_array().unwrap() {
+            let name = column["name"].as_str().unwrap();
+            // Of an expression, SQLite's word on that cannot be trusted. Counts are never NULL.
+            let is_expression = column["origin"] == "Expression";
+            let is_known = name.contains(['!', '?']) || name.starts_with("count(");
+            // These rows are decoded by name where they are asked for.
+            let is_asked =
+                ["found", "one", "was_answered", "some_ran_out", "artifacts", "task_id", "has_calendar"];
+            assert!(!is_expression || is_known || is_asked.contains(&name), "{name} of {}", text(&prepared));
+        }
+    }
+}
