@@ -1,10 +1,9 @@
-//! What the pictures share: size, colours, drawing into SVG, legends.
+//! Shared parts of the pictures: size, colours, SVG output, legends.
 
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-/// Width and height, pixels.
 pub(super) const SIZE: (u32, u32) = (1120, 470);
 pub(super) const CALIBRATED: RGBColor = RGBColor(0, 114, 178);
 pub(super) const FORMULAS: RGBColor = RGBColor(213, 94, 0);
@@ -13,7 +12,6 @@ pub(super) const GREY: RGBColor = RGBColor(215, 215, 215);
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(super) type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// A white picture with what is drawn on it.
 pub(super) fn svg(draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, String> {
     let mut text = String::new();
     {
@@ -28,10 +26,8 @@ pub(super) fn svg(draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String, Strin
     Ok(text)
 }
 
-/// A diagram with two axes of numbers.
 pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// Draws the names of the series.
 pub(super) fn legend<'a, 'b: 'a>(chart: &mut Chart<'a, 'b>, position: SeriesLabelPosition) -> Drawn {
     let mut labels = chart.configure_series_labels();
     labels.position(position).background_style(WHITE.mix(0.85)).border_style(GREY);

@@ -1,12 +1,12 @@
-//! How a job's estimate moved, as a picture.
+//! A job's estimate over time, as a picture.
 
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobState, Timestamp};
 use plotters::prelude::*;
 
 use super::chart::{Area, CALIBRATED, Chart, Drawn, FORMULAS, GREY, SIZE, legend, svg};
 
-/// Left, what the job was expected to take as its frames were finished, with what was booked and what it was in the end. Right, when it was
-/// expected to end.
+/// Left: expected CPU seconds as frames were finished, with the booking and the final value. Right: the
+/// expected end.
 pub(crate) fn forecast_history(history: &ForecastHistory) -> Result<String, String> {
     svg(|area| {
         let (left, right) = area.split_horizontally(SIZE.0 as i32 * 55 / 100);
@@ -15,7 +15,6 @@ pub(crate) fn forecast_history(history: &ForecastHistory) -> Result<String, Stri
     })
 }
 
-/// A line at one height, with its name.
 fn level(
     chart: &mut Chart<'_, '_>,
     (from, to): (f64, f64),
@@ -33,7 +32,7 @@ fn level(
 fn cost(area: &Area<'_>, history: &ForecastHistory) -> Drawn {
     let ForecastHistory { points, now, frames_total, state, .. } = history;
     let frames = f64::from(*frames_total).max(1.0);
-    // While frames are under way their finished pixels move the estimate: points of as many frames stand over each other.
+    // Finished pixels move the estimate while frames are running: points of the same number of frames.
     let at = |point: &HistoryPoint| f64::from(point.frames_done);
     let highest = points.iter().map(|point| point.cpu_seconds.p95).fold(now.booked.cpu_seconds, f64::max);
     let top = if highest > 0.0 { 1.08 * highest } else { 1.0 };
