@@ -1,4 +1,4 @@
-//! When a node is there: weekly windows of the wall clock, and what it is closed for beside them.
+//! When a node is awake: weekly windows of the wall clock, less its maintenance.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 
 use crate::Timestamp;
 
-/// Windows that a calendar may have.
+/// Most windows of a calendar.
 pub const MOST_WINDOWS: usize = 50;
 
 /// A day of the week.
@@ -84,7 +84,7 @@ impl FromStr for ClockTime {
         let (hour, minute) = text.split_once(':').unwrap_or((text, ""));
         match (two(hour, 23), two(minute, 59)) {
             (Some(hour), Some(minute)) => Ok(Self(hour * 60 + minute)),
-            _ => Err(MalformedCalendar::new(text, "is no time of the day, such as 20:00")),
+            _ => Err(MalformedCalendar::new(text, "is not a time of day, such as 20:00")),
         }
     }
 }
@@ -102,21 +102,21 @@ impl<'de> Deserialize<'de> for ClockTime {
     }
 }
 
-/// A window that comes back every week.
+/// A window that repeats every week.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeWindow {
-    /// Days on which it opens; none: every day.
+    /// Days on which it opens. Empty means every day.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 7)]
     pub days: Vec<Day>,
     /// When it opens.
     pub from: ClockTime,
-    /// When it closes: on the next day if that is not after `from`. Equal times are a whole day.
+    /// When it closes: on the next day if not after `from`. Equal times are a whole day.
     pub until: ClockTime,
 }
 
-/// When a node is awake. Times are those of the wall clock of the time zone, with its daylight saving.
+/// When a node is awake, in wall-clock time of its time zone, with daylight saving.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeCalendar {
@@ -124,7 +124,7 @@ pub struct NodeCalendar {
     #[serde(default = "utc")]
     #[schema(default = "UTC", max_length = 100)]
     pub zone: String,
-    /// The windows, 1 to 50; the node sleeps outside of all of them.
+    /// The windows, 1 to 50. The node sleeps outside of them.
     #[schema(min_items = 1, max_items = 50)]
     pub windows: Vec<NodeWindow>,
 }
@@ -134,7 +134,7 @@ fn utc() -> String {
 }
 
 impl NodeCalendar {
-    /// Whether its numbers are in range and its time zone is known; if not, the field and the reason.
+    /// Checks numbers and time zone. The error is the field and the reason.
     pub fn check(&self) -> Result<(), (&'static str, String)> {
         if !(1..=MOST_WINDOWS).contains(&self.windows.len()) {
             return Err(("windows", format!("a calendar has 1 to {MOST_WINDOWS} windows")));
@@ -143,13 +143,13 @@ impl NodeCalendar {
             return Err(("windows", format!("a week has 7 days, not {}", window.days.len())));
         }
         if self.zone.len() > 100 || TimeZone::get(&self.zone).is_err() {
-            return Err(("zone", "there is no such time zone; write for instance Europe/Berlin".to_owned()));
+            return Err(("zone", "unknown time zone; write for example Europe/Berlin".to_owned()));
         }
         Ok(())
     }
 }
 
-/// Text that is no calendar.
+/// Text that is not a calendar.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{text}` {reason}")]
 pub struct MalformedCalendar {
@@ -164,14 +164,14 @@ impl MalformedCalendar {
     }
 }
 
-/// `Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin`: windows with commas between them, each with its days, or without for every
-/// day; then the time zone, or none for UTC. `always` is every hour of every day.
+/// Parses windows with commas between them, then the time zone, UTC if absent: `Mon-Fri 20:00-08:00, Sat-Sun
+/// 00:00-00:00 Europe/Berlin`. A window without days is for every day. `always` is all the time.
 impl FromStr for NodeCalendar {
     type Err = MalformedCalendar;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         const SHAPE: &str =
-            "is no calendar, such as `Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin`";
+            "is not a calendar, such as `Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin`";
         let malformed = || MalformedCalendar::new(text, SHAPE);
         if text.trim() == "always" {
             let window =
@@ -197,7 +197,7 @@ impl FromStr for NodeCalendar {
         let calendar = Self { zone, windows };
         calendar
             .check()
-            .map_err(|(_, reason)| MalformedCalendar::new(text, format!("cannot be: {reason}")))?;
+            .map_err(|(_, reason)| MalformedCalendar::new(text, format!("is invalid: {reason}")))?;
         Ok(calendar)
     }
 }
@@ -231,7 +231,7 @@ impl fmt::Display for NodeCalendar {
     }
 }
 
-/// What becomes of a task that still runs when its node's window ends.
+/// What happens to a task that is still running when its node's window ends.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WindowEnd {
@@ -252,13 +252,13 @@ impl WindowEnd {
     }
 }
 
-/// A stretch of time, from `start` to just before `end`.
+/// A time span from `start` to just before `end`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TimeSpan {
     /// First instant.
     pub start: Timestamp,
-    /// The instant after the last; absent: nobody knows.
+    /// The instant after the last. Absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end: Option<Timestamp>,
 }
@@ -268,7 +268,7 @@ pub struct TimeSpan {
 pub struct NodePower {
     /// Awake or asleep.
     pub state: PowerState,
-    /// Until when; absent: for longer than two weeks.
+    /// End of this state. Absent if more than two weeks away.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Timestamp>,
 }
@@ -279,7 +279,7 @@ pub struct NodePower {
 pub enum PowerState {
     /// It may work.
     Awake,
-    /// It gets nothing to do.
+    /// It gets no tasks.
     Asleep,
 }
 

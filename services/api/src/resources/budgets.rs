@@ -35,10 +35,7 @@ pub(crate) async fn set(
         return Err(ApiError::invalid("/amount", format!("an amount is 0 to {} micro-units", HIGHEST_SUM.0)));
     }
     if Night::of(&request.zone, app.now()).is_none() {
-        return Err(ApiError::invalid(
-            "/zone",
-            "there is no such time zone; write for instance Europe/Berlin",
-        ));
+        return Err(ApiError::invalid("/zone", "unknown time zone; write for example Europe/Berlin"));
     }
     if request.thresholds.len() > MOST_THRESHOLDS {
         return Err(ApiError::invalid(
