@@ -1,5 +1,4 @@
-//! Counter-based random numbers: a pure function of the counters. Every draw can be repeated from its seed,
-//! on any machine and in any order.
+//! Counter-based random numbers: pure functions of the counters, repeatable in any order.
 
 /// Mixes a 64-bit word so that every input bit affects every output bit: the finaliser of SplitMix64 (Steele,
 /// Lea, Flood 2014, "Fast splittable pseudorandom number generators").
@@ -21,8 +20,7 @@ pub(crate) fn hash(counters: &[u64]) -> u64 {
     })
 }
 
-/// A number below `limit` from a uniform 64-bit one. Uniform up to a bias of `limit` / 2⁶⁴. 0 for a limit
-/// of 0.
+/// A number below `limit` from a uniform 64-bit one, with a bias of `limit` / 2⁶⁴. 0 for a limit of 0.
 pub(crate) fn below(number: u64, limit: u64) -> u64 {
     ((u128::from(number) * u128::from(limit)) >> 64) as u64
 }
