@@ -25,8 +25,8 @@ const PRIOR_FREEDOM: f64 = 2.0;
 /// profiled frame share one error, with the variance of a walk over [`UNKNOWN_LIGHTS`] shot lengths.
 ///
 /// Unlike a Gaussian process, the walk needs no length scale, which few frames cannot show, and has closed
-/// forms. Its rate starts from a prior of 10 % over a third of the shot, with the weight of two comparisons, and
-/// learns from leaving each profiled frame out. The degrees of freedom are the comparisons plus two.
+/// forms. Its rate starts from a prior of 10 % over a third of the shot, with the weight of two comparisons,
+/// and learns from leaving each profiled frame out. The degrees of freedom are the comparisons plus two.
 #[derive(Clone, Debug)]
 pub(crate) struct Drift {
     times: Vec<f64>,

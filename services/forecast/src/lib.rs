@@ -14,20 +14,20 @@
 //! n_h, least for n_h ∝ N_h S_h (Neyman 1934). In whole numbers, each further sample goes to the stratum with
 //! the greatest N_h S_h / √(n_h (n_h + 1)) (Wright 2012).
 //!
-//! **Which pixels** ([`FrameDesign`]). The picks of a group are the Kronecker sequence (u + i φ) mod 1 along a
-//! Hilbert curve: evenly spread, every pixel equally likely, extensible. There are two phases: half of the
+//! **Which pixels** ([`FrameDesign`]). The picks of a group are the Kronecker sequence (u + i φ) mod 1 along
+//! a Hilbert curve: evenly spread, every pixel equally likely, extensible. There are two phases: half of the
 //! samples by expected cost, the rest by measured spread.
 //!
-//! **One frame** ([`estimate()`]). The total is Ŷ = Σ N_g ȳ_g. Its variance v is as above, with s_g² for S_g²,
-//! degrees of freedom after Satterthwaite (1946), and the squared influence of the most influential pixel.
-//! Quantiles are Ŷ exp(t_p σ) with σ² = ln(1 + v / Ŷ²), a log-t interval. Groups with fewer than two samples
-//! borrow from related groups, with the weight λ = τ² / (τ² + σ² / n) for their own mean.
+//! **One frame** ([`estimate()`]). The total is Ŷ = Σ N_g ȳ_g. Its variance v is as above, with s_g² for
+//! S_g², degrees of freedom after Satterthwaite (1946), and the squared influence of the most influential
+//! pixel. Quantiles are Ŷ exp(t_p σ) with σ² = ln(1 + v / Ŷ²), a log-t interval. Groups with fewer than two
+//! samples borrow from related groups, with the weight λ = τ² / (τ² + σ² / n) for their own mean.
 //!
 //! **A shot** ([`choose_frames`], [`forecast_shot`]). A few frames are profiled, so that every important
 //! stratum is near in time to one that shows it (k-median). Other frames have ŷ_t = Σ N_h,t ĉ_h(t), with unit
 //! costs carried over time. Errors that frames share are added before they are squared. The drift of unit
-//! costs is a random walk that is pinned at each profiled frame. Its time (`shot_clock`) runs faster where the
-//! picture changes faster. More frames are profiled if the forecast is uncertain and profiling is cheap
+//! costs is a random walk that is pinned at each profiled frame. Its time (`shot_clock`) runs faster where
+//! the picture changes faster. More frames are profiled if the forecast is uncertain and profiling is cheap
 //! ([`choose_more_frames`]). The error that all frames share is [`ShotForecast::job_sigma`].
 //!
 //! **While a job is rendered** ([`live()`]). Finished frames correct the quote of the others: a Gaussian
@@ -36,17 +36,17 @@
 //! **Cache records** ([`RecordStrata`]). Their number is known from planning the cache. The records of each
 //! level are a stratum that stands apart from the pixels ([`Stratum::apart`]).
 //!
-//! **Image error** ([`accuracy`]). The same pixels tell how far the image will be from the converged image, at
-//! any number of camera samples. [`accuracy::front`] finds the qualities that are worth their cost.
+//! **Image error** ([`accuracy`]). The same pixels tell how far the image will be from the converged image,
+//! at any number of camera samples. [`accuracy::front`] finds the qualities that are worth their cost.
 //!
 //! **Strategies** ([`Strategy`]). The seven strategies of the paper have the same interface. Six of them do
 //! not use the preview. `forelight bench paper` measures how their errors differ.
 //!
 //! # Bias and coverage
 //!
-//! The number of samples of a group depends slightly on the costs seen first, which biases the pooled mean. So
-//! the second phase uses the spread of the material, not that of the group. The tests hold the bias at these
-//! values:
+//! The number of samples of a group depends slightly on the costs seen first, which biases the pooled mean.
+//! So the second phase uses the spread of the material, not that of the group. The tests hold the bias at
+//! these values:
 //!
 //! | costs | half by the group's own spread | as implemented |
 //! | --- | --- | --- |

@@ -129,9 +129,9 @@ fn work(pixel: &Observation) -> f64 {
 
 /// The score of one of the pixels of a sum. `None` if it is the only one.
 ///
-/// Let σ² be the variance of the logarithm of a pixel's work. Then ln(y_i / ȳ_(−i)) has about σ² (1 + 1 / (n −
-/// 1)). A new pixel over the mean of n has σ² (1 + 1 / n). So logarithms of scores are multiplied by √(1 − 1 /
-/// n²).
+/// Let σ² be the variance of the logarithm of a pixel's work. Then ln(y_i / ȳ_(−i)) has about σ² (1 + 1 / (n
+/// − 1)). A new pixel over the mean of n has σ² (1 + 1 / n). So logarithms of scores are multiplied by √(1 −
+/// 1 / n²).
 fn score(Sum { work: sum, count }: Sum, work: f64) -> Option<f64> {
     if count < 2.0 {
         return None;

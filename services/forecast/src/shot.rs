@@ -60,9 +60,9 @@ pub struct ShotForecast {
 
 /// Forecasts every frame from the profiled ones.
 ///
-/// A profiled frame is estimated as by [`crate::estimate()`]. Every other frame t has ŷ_t = Σ_h N_h,t ĉ_h(t)
-/// + fixed(t). The unit cost of a stratum comes from the nearest profiled frames before and after that
-/// sampled it, each with the weight 1 / (CV² / n_h + q Δτ). Here q is the prior drift of unit costs. Time is the
+/// A profiled frame is estimated as by [`crate::estimate()`]. Another frame t has ŷ_t = Σ_h N_h,t ĉ_h(t) +
+/// fixed(t). The unit cost of a stratum comes from the nearest profiled frames before and after that sampled
+/// it, each with the weight 1 / (CV² / n_h + q Δτ). Here q is the prior drift of unit costs. Time is the
 /// shot's own (`shot_clock`), so frames beyond a cut have little weight. Frames with the same lights are
 /// preferred.
 ///

@@ -1,18 +1,16 @@
 //! Bidirectional scattering distribution functions (BSDFs): how a surface scatters light at one point.
 //!
-//! Directions are unit vectors that point away from the surface. They are given in a local frame whose +z is
-//! the shading normal on the viewer's side. `wi` points to the viewer (z > 0). `wo` points to where light
-//! comes from: z > 0 for reflected light, z < 0 for transmitted light. With ρ for the BSDF and θₒ for the
-//! angle of `wo`:
+//! Directions are unit vectors away from the surface, in a frame whose +z is the shading normal on the
+//! viewer's side. `wi` points to the viewer (z > 0), `wo` to where light comes from: z > 0 reflected, z < 0
+//! transmitted. With ρ for the BSDF and θₒ for the angle of `wo`:
 //! * [`Bsdf::evaluate`] is ρ(wi, wo) |cos θₒ|, per channel.
 //! * [`Bsdf::density`] is the density per steradian with which [`Bsdf::sample`] chooses `wo`.
 //! * [`Bsdf::sample`] chooses `wo`. It returns the lobe and the weight ρ |cos θₒ| / density.
 //!
-//! Evaluation and density leave out perfect mirrors and smooth or straight transmission (delta functions).
+//! Evaluation and density leave out delta functions: perfect mirrors and smooth or straight transmission.
 //!
 //! Radiance that enters a medium of relative index η is divided by η², and multiplied by η² on the way out.
-//! The BSDF of an interface is thus the one for radiance, for which ρ(wi, wo) η² is symmetric when the sides
-//! are exchanged.
+//! So ρ(wi, wo) η² of an interface is symmetric when the sides are exchanged.
 
 use crate::geometry;
 use glam::{Vec2, Vec3};
@@ -174,10 +172,8 @@ impl Bsdf {
         }
     }
 
-    /// Samples a direction. `u` and `choice` are uniform random numbers in [0, 1).
-    ///
-    /// Returns `None` if the light is lost: the reflectance is zero, or a microfacet sends the light below
-    /// the surface. Only single scattering is modelled.
+    /// Samples a direction. `u` and `choice` are uniform random numbers in [0, 1). `None` if the light is
+    /// lost: no reflectance, or a microfacet sends it below the surface (single scattering only).
     #[inline]
     pub fn sample(&self, wi: Vec3, u: Vec2, choice: f32) -> Option<Scattering> {
         match self {

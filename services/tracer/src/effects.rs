@@ -1,8 +1,5 @@
-//! The effects that a frame needs.
-//!
-//! The set is derived from the frame's materials, lights, camera and settings. The kernel that traces the
-//! frame is composed from it (see `kernel`). An effect that is not in the set costs nothing: no code in the
-//! path, no rays, no memory.
+//! The effects that a frame needs, from its materials, lights, camera and settings. The kernel is composed
+//! from them (see `kernel`). Other effects cost nothing: no code, no rays, no memory.
 
 use crate::Settings;
 use crate::environment::Sky;

@@ -66,9 +66,8 @@ impl SkyImage {
         let (mut rows, mut columns) = (Vec::with_capacity(height), Vec::with_capacity(height));
         let mut total = 0.0f64;
         for y in 0..height {
-            // A texel's weight is its largest channel times the solid angle of its row. Bilinear lookup
-            // spreads light to the neighbouring texels, so each texel counts the largest of its
-            // neighbourhood. No direction with light then has density zero.
+            // A texel's weight is the largest channel of its neighbourhood times the solid angle of its row.
+            // Bilinear lookup spreads light to neighbours, and no direction with light may have density zero.
             let sin = libm::sin((y as f64 + 0.5) / height as f64 * std::f64::consts::PI);
             let mut sum = 0.0f64;
             let row: Vec<f64> = (0..width)

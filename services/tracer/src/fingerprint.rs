@@ -24,9 +24,7 @@ pub fn fingerprint(
 }
 
 /// Fingerprint of the light: like [`fingerprint`], but without camera, frame number, image size and samples.
-///
-/// It includes which lights can reach anything visible. Two frames that differ in this have different
-/// fingerprints.
+/// It includes which lights can reach anything visible.
 pub fn light_fingerprint(content: &Hasher, settings: &Settings, reach: &Reach) -> [u8; 32] {
     let mut hasher = content.clone();
     let Settings { integrator, ambient_bounces, max_depth, materials, cache, seed, .. } = settings;

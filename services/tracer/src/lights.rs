@@ -26,11 +26,9 @@ use forelight_scene::Geometry;
 use glam::{Vec2, Vec3};
 
 /// Largest number of lights with a position (emissive objects and points) that a point seen by the camera
-/// samples.
-///
-/// The error for a given time is smallest at √(b v / (c w)) light samples. Here b is the time of a camera
-/// sample without light samples, c that of a light sample, v the variance of a light sample, and w that of a
-/// camera sample with known light. This is 2 to 8 in most rooms, and the minimum is flat.
+/// samples. The best number is √(b v / (c w)): b and c are the times of a camera sample without lights and of
+/// a light sample, v and w the variances of a light sample and of a camera sample with known light. This is 2
+/// to 8 in most rooms, and the minimum is flat.
 const SEEN: u32 = 4;
 
 /// Largest number of light samples at any point.
@@ -102,10 +100,8 @@ fn cumulative(areas: impl Iterator<Item = f64> + Clone) -> impl Iterator<Item = 
     })
 }
 
-/// Returns `true` if a point is closer to a light's box than the light is wide.
-///
-/// There, points sampled by area miss the few that matter, because their weight grows like 1/distance².
-/// Directions sampled from the surface have to help.
+/// Whether a point is closer to a light's box than the light is wide. There, sampling by area misses the few
+/// points that matter, and directions from the surface have to help.
 fn is_near(light: &Bounds, area: f32, point: Vec3) -> bool {
     let outside = (light.low - point).max(point - light.high).max(Vec3::ZERO);
     outside.length_squared() < area

@@ -1,9 +1,8 @@
 //! Overlapping solid dielectrics: which solids contain a point, and which of them fills it.
 //!
-//! Where solids with a priority overlap, the one with the highest priority fills the space. The others' faces
-//! inside it are ignored (Schmidt and Budge 2002, "Simple Nested Dielectrics in Ray Traced Images"). Among
-//! equal priorities, the material that is listed first wins, whichever solid was entered first. Light
-//! therefore behaves the same in both directions.
+//! The solid with the highest priority fills the space; the others' faces inside it are ignored (Schmidt and
+//! Budge 2002, "Simple Nested Dielectrics in Ray Traced Images"). Ties go to the material that is listed
+//! first, so light behaves the same in both directions.
 
 use forelight_scene::{MOST_NESTED, Material, Surface};
 

@@ -7,9 +7,8 @@ use std::f32::consts::PI;
 /// mirror.
 pub const SMOOTH: f32 = 1e-3;
 
-/// GGX normal distribution D(h), per steradian (Walter et al. 2007, equation 33).
-///
-/// It uses |h × z|² = x² + y² instead of 1 − z², which would suffer from cancellation.
+/// GGX normal distribution D(h), per steradian (Walter et al. 2007, equation 33), with |h × z|² = x² + y²
+/// against cancellation.
 pub fn distribution(h: Vec3, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
     let d = h.x * h.x + h.y * h.y + a2 * h.z * h.z;
@@ -36,9 +35,8 @@ pub fn masking_shadowing(wi: Vec3, wo: Vec3, alpha: f32) -> f32 {
     1.0 / (1.0 + lambda(wi, alpha) + lambda(wo, alpha))
 }
 
-/// Samples a microfacet normal among those visible from `wi` (z > 0) (Dupuy and Benyoub 2023).
-///
-/// A uniform point of a spherical cap is chosen in the space where the microfacets form a hemisphere.
+/// Samples a microfacet normal visible from `wi` (z > 0), by a uniform point of a spherical cap (Dupuy and
+/// Benyoub 2023).
 pub fn sample_visible(wi: Vec3, alpha: f32, u: Vec2) -> Vec3 {
     let standard = Vec3::new(wi.x * alpha, wi.y * alpha, wi.z).normalize();
     let phi = 2.0 * PI * u.x;

@@ -69,9 +69,9 @@ fn a_pane_in_a_furnace_disappears() {
 
 #[test]
 fn rough_metal_in_a_furnace_loses_only_what_single_scattering_loses() {
-    // White conductor, alpha 0.5: 0.7004 ± 0.001 of the light on a sphere by Monte Carlo quadrature of D G₂ /
-    // (4 μᵢ μₒ) over all pairs of directions, in another program. The sphere's silhouette of radius 1/√8
-    // covers π/8 of the image of side 1.
+    // White conductor, alpha 0.5: it reflects 0.7004 ± 0.001 of the light on a sphere, by Monte Carlo
+    // quadrature of D G₂ / (4 μᵢ μₒ) in another program. The sphere's silhouette of radius 1/√8 covers π/8 of
+    // the image of side 1.
     let value = furnace(Surface::Metal { f0: Color::plain(Vec3::ONE), alpha: 0.5 }, 4);
     let on_sphere = 1.0 - (1.0 - value) / (std::f64::consts::PI / 8.0);
     assert!((on_sphere - 0.7004).abs() < 0.01, "{on_sphere}");

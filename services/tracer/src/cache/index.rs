@@ -1,8 +1,5 @@
-//! Finds the records that may cover a site, by position and by orientation.
-//!
-//! A record only covers sites that face nearly the same way. In a cluttered room, most nearby records face
-//! elsewhere. So the index keeps one set of records per axis direction: those that may cover a site whose
-//! normal points mainly along it.
+//! Finds the records that may cover a site, by position and by orientation: one set of records per axis
+//! direction. In a cluttered room, most nearby records face elsewhere.
 
 use super::octree::{Cube, Octree};
 use super::record::Planned;
@@ -46,8 +43,7 @@ impl Index {
         self.octree.insert(Sphere { index: number, center: position, radius, sets });
     }
 
-    /// Numbers of the records that may cover a site. Their order depends only on the insertions.
-    ///
+    /// Numbers of the records that may cover a site, in an order that depends only on the insertions.
     /// `looked_at` is called with the number of records considered.
     pub fn around(&self, place: &Site, mut looked_at: impl FnMut(u64)) -> impl Iterator<Item = u32> {
         let (position, direction) = (place.position, direction_of(place.normal));

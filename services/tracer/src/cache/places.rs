@@ -34,9 +34,7 @@ impl Cells {
     pub const COUNT: u64 = 1 << (3 * BITS);
 }
 
-/// The positions of records, in blocks of nearby records.
-///
-/// It finds records by position only. [`super::index`] finds the records that may cover a site.
+/// Positions of records, in blocks of nearby records. See [`super::index`] for those that may cover a site.
 pub struct Places(Vec<Block>);
 
 struct Block {

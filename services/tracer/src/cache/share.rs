@@ -1,13 +1,8 @@
 //! Reuse of records between frames.
 //!
-//! A record stays valid as long as the light that it gathered is the same. Its 48 plan rays are checked for
-//! this. The record is dropped in these cases:
-//!
-//! - A ray hits something that moved.
-//! - A ray passes through a place that something moved to.
-//! - A ray hits a point from which a light is seen past something that moved.
-//!
-//! If lights or materials themselves change, all records are dropped.
+//! A record stays valid while the light that it gathered is the same. It is dropped if one of its 48 plan
+//! rays hits something that moved, passes a place that something moved to, or hits a point whose light passes
+//! something that moved. If lights or materials change, all records are dropped.
 
 use super::places::Places;
 use super::plan::world;

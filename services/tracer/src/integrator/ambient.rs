@@ -1,16 +1,14 @@
 //! The `ambient` integrator: distribution ray tracing (Whitted 1980, Cook et al. 1984, Ward et al. 1988).
 //!
-//! At every diffuse or glossy surface, lights are sampled directly (next-event estimation): all of them, or
-//! some if there are many. Rays follow mirrors, glass and glossy lobes. The first `ambient_bounces` diffuse
-//! hits gather their hemisphere.
+//! At every diffuse or glossy surface, lights are sampled directly (next-event estimation): all, or some if
+//! there are many. Rays follow mirrors, glass and glossy lobes. The first `ambient_bounces` diffuse hits
+//! gather their hemisphere.
 //!
 //! Light is counted once. Rays gathered by a diffuse surface do not see the lights that it sampled. Glossy
-//! lobes share the lights with light sampling by multiple importance sampling (Veach 1997, balance
-//! heuristic). So do diffuse surfaces, for lights that are near.
+//! lobes, and diffuse surfaces for near lights, share them with light sampling by multiple importance
+//! sampling (Veach 1997, balance heuristic).
 //!
-//! Caustics are left out, as in Radiance. They are light that reaches a diffuse surface via a mirror, glass
-//! or a narrow glossy lobe. A gathered hemisphere would find them by rare, very bright rays, which add mostly
-//! noise.
+//! Caustics are left out, as in Radiance: a gathered hemisphere would find them by rare, very bright rays.
 
 use super::segment::{Arrival, Segment};
 use super::{Interface, Passed, Pixels, Point, cap_height, fluence, has, leaving};

@@ -1,7 +1,5 @@
-//! Direct light: samples lights from a surface point.
-//!
-//! Lights near a diffuse surface are sampled in two ways, combined by multiple importance sampling: by a
-//! point on the light, and by a cosine-weighted direction from the surface.
+//! Direct light: samples lights from a surface point. Lights near a diffuse surface are sampled by points and
+//! by directions, combined by multiple importance sampling.
 
 use super::{Passed, Pixels, Point, cap_height, fluence, has, leaving};
 use crate::cost::Category;
@@ -108,9 +106,7 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     /// Density per steradian with which light sampling chooses a direction, at a receiver after `level`
-    /// diffuse bounces.
-    ///
-    /// The light leaves a triangle at an angle of cosine `cos` and at the squared distance `distance2`.
+    /// diffuse bounces. The light leaves at an angle of cosine `cos`, at the squared distance `distance2`.
     /// `None` for triangles that light sampling does not choose.
     pub(super) fn density_of_lights(
         &mut self,
@@ -130,10 +126,9 @@ impl<const K: u32> Pixels<'_, K> {
         Some(tracer.luminaires.density(index, distance2, cos))
     }
 
-    /// Light from a sampled point of an emitting triangle.
-    ///
-    /// `density` gives the density per steradian of the choice, from the squared distance and the cosine at
-    /// the light. For a near light, the diffuse lobe's part is weighted against [`Self::near_lights`].
+    /// Light from a sampled point of an emitting triangle. `density` gives the density per steradian of the
+    /// choice, from squared distance and cosine. For a near light, the diffuse lobe's part is weighted
+    /// against [`Self::near_lights`].
     fn triangle_light(
         &mut self,
         p: &Point,
@@ -183,11 +178,9 @@ impl<const K: u32> Pixels<'_, K> {
         opacity * self.color(&emission, self.tracer.frame.geometry.uv(primitive, u, v))
     }
 
-    /// The diffuse lobe's part of the near lights: one cosine-weighted ray that looks for them, straight
-    /// through panes.
-    ///
-    /// `by_light` returns the density per steradian with which light sampling finds a hit. It returns `None`
-    /// if the hit is not on a near light.
+    /// The diffuse lobe's part of the near lights: one cosine-weighted ray, straight through panes.
+    /// `by_light` returns the density per steradian of light sampling for a hit, `None` if that is not on a
+    /// near light.
     fn near_lights(
         &mut self,
         p: &Point,

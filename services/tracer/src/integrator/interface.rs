@@ -54,10 +54,8 @@ impl<const K: u32> Pixels<'_, K> {
         Interface { eta: Some(eta), transmittance, alpha, before: media, beyond: media, passed }
     }
 
-    /// An interface among solids that overlap or touch.
-    ///
-    /// Faces at the same place are crossed together. The continuing ray starts behind all of them, so all
-    /// must be counted here.
+    /// An interface among solids that overlap or touch. Faces at the same place are crossed together: the
+    /// continuing ray starts behind all of them, so all must be counted here.
     pub fn nested_interface(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> Interface {
         let tracer = self.tracer;
         let ranks = &tracer.ranks;
@@ -85,10 +83,9 @@ impl<const K: u32> Pixels<'_, K> {
         Interface { eta: Some(eta), transmittance, alpha, before, beyond, passed }
     }
 
-    /// Ranks, as bits, of the solids that a ray enters and of those that it leaves at a hit.
-    ///
-    /// All faces between the hit and the start of the continuing ray count. Faces of one solid that share a
-    /// hit edge count once. Also returns the distance along the ray up to which faces were counted.
+    /// Ranks, as bits, of the solids that a ray enters and leaves at a hit, and the distance up to which
+    /// faces were counted. All faces up to the start of the continuing ray count; those of one solid that
+    /// share a hit edge count once.
     fn faces_at(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> ([u32; 2], f32) {
         let step = (off_surface(p.position, p.geometric, p.size, ray.direction) - p.position).length();
         let cos = p.geometric.dot(ray.direction).abs();

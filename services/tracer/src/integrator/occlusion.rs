@@ -1,6 +1,4 @@
-//! Shadow rays: how much light passes between a point and a light.
-//!
-//! Opaque surfaces block the light; panes and partial opacity attenuate it.
+//! Shadow rays: how much light passes between a point and a light. Panes and partial opacity attenuate it.
 
 use super::{Passed, Pixels, Point, has, leaving};
 use crate::cost::Category;

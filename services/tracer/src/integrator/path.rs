@@ -1,16 +1,16 @@
 //! The `path` integrator: unbiased path tracing, the ground truth for the other integrator.
 //!
-//! At every surface, a path continues in one direction sampled from the BSDF (Kajiya 1986). At every surface
-//! that spreads light, one light is sampled as well. Light that both techniques can find is weighted by
-//! multiple importance sampling (Veach 1997, power heuristic). Light that reaches the path only through
-//! mirrors and glass, including caustics, is found by BSDF sampling alone.
+//! At every surface, a path continues in one direction sampled from the BSDF (Kajiya 1986). At surfaces that
+//! spread light, one light is sampled as well, combined by multiple importance sampling (Veach 1997, power
+//! heuristic). Light that arrives only through mirrors and glass, including caustics, is found by BSDF
+//! sampling alone.
 //!
-//! Shadow rays pass straight through panes and cut-outs. So do path rays: a light seen through them counts as
-//! one that light sampling finds too.
+//! Shadow rays and path rays pass straight through panes and cut-outs; a light seen through them counts for
+//! both techniques.
 //!
 //! `ambient_bounces` limits how often a path is spread after the first time (diffuse, glossy or rough glass).
-//! `max_depth` limits each chain of mirrors, smooth glass and panes in between. Russian roulette ends paths
-//! that contribute little; it does not change the mean.
+//! `max_depth` limits each chain of mirrors, smooth glass and panes. Russian roulette does not change the
+//! mean.
 
 use super::direct::{LAST_BIT, falloff, fine};
 use super::{Interface, Pixels, Point, cap_height, fluence, has, leaving};
@@ -344,8 +344,7 @@ fn category(lobe: Lobe) -> Category {
 }
 
 /// Weight of a sample with density `own` that another technique would choose with density `other`: the power
-/// heuristic with exponent 2 (Veach 1997). It is computed from the quotient, whose square overflows to the
-/// correct limit.
+/// heuristic with exponent 2 (Veach 1997). The quotient's square overflows to the correct limit.
 fn power(own: f32, other: f32) -> f32 {
     if own <= 0.0 {
         return 0.0;

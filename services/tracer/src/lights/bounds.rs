@@ -14,9 +14,7 @@ pub struct Receiver {
     pub normal: Option<Vec3>,
 }
 
-/// Bounds of one or more lights.
-///
-/// All angles are relative to `axis`. The axis of every light is within the angle `spread` of it, and every
+/// Bounds of one or more lights. The axis of every light is within the angle `spread` of `axis`, and every
 /// light emits up to the angle `reach` from its own axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
@@ -117,13 +115,10 @@ impl Bounds {
     }
 
     /// Importance of the lights at a receiver: an estimate of the light that they bring (Conty Estevez and
-    /// Kulla 2018, equation 3).
+    /// Kulla 2018, equation 3). It is zero only if none can reach the receiver.
     ///
-    /// It is the intensity times the largest possible cosines at both ends, divided by the squared distance.
-    /// It is zero only if none of the lights can reach the receiver.
-    ///
-    /// The cosines are bounded by the box, not by its bounding sphere. Lights often lie in one plane, such as
-    /// a ceiling. Seen from the side, a flat box shows that the angles are grazing; a sphere would not.
+    /// The cosines are bounded by the box, not by its bounding sphere, because a flat box of lights, such as
+    /// a ceiling, shows that angles are grazing.
     pub fn importance(&self, receiver: &Receiver) -> f64 {
         let (centre, half) = (self.centre(), 0.5 * self.high - 0.5 * self.low);
         let to = receiver.position - centre;
@@ -214,10 +209,8 @@ impl Shine {
     }
 
     /// Expected cost of choosing among these lights: intensity × size × the solid angle that they emit into
-    /// (Conty Estevez and Kulla 2018, equations 1 and 2).
-    ///
-    /// The size is the squared diagonal. Unlike the area, it is not zero for lights in a row. The spread of
-    /// the axes is that of a uniform cap with the same mean axis.
+    /// (Conty Estevez and Kulla 2018, equations 1 and 2). The size is the squared diagonal, which is not zero
+    /// for lights in a row.
     pub fn cost(&self) -> f64 {
         if self.is_none() {
             return 0.0;

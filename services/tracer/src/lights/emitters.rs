@@ -1,6 +1,5 @@
-//! Lights with a position: emitting patches of surfaces, and point lights.
-//!
-//! A patch is sampled uniformly by area. Which emitter is sampled is chosen by a light tree.
+//! Lights with a position: emitting patches of surfaces, sampled uniformly by area, and point lights. A light
+//! tree chooses one.
 
 use super::bounds::{Bounds as LightBounds, Receiver};
 use super::tree::{Choice, LightTree};
@@ -50,10 +49,8 @@ pub struct Emitters {
 const FEW: usize = 256;
 
 impl Emitters {
-    /// Collects all emitters: triangles that have an area, emit and are not entirely transparent, and points
-    /// with an intensity.
-    ///
-    /// Lights that cannot affect the image are left out.
+    /// Collects all emitters that can affect the image: triangles with an area that emit and are not fully
+    /// transparent, and points with an intensity.
     pub fn new(frame: &Frame, materials: &[Material], reach: &Reach) -> Self {
         let geometry = &frame.geometry;
         let mut glow = Glow::new(frame, materials);
@@ -145,10 +142,9 @@ impl Emitters {
         Some(self.patch_of[found].1 as usize)
     }
 
-    /// Density per steradian of a uniform point on a patch.
-    ///
-    /// `probability` is that of choosing the patch, or the expected number of choices. The light leaves at an
-    /// angle of cosine `cos` (> 0) and travels the squared distance `distance2` (m²).
+    /// Density per steradian of a uniform point on a patch chosen with `probability` (or an expected number
+    /// of choices). The light leaves at an angle of cosine `cos` (> 0) and travels the squared distance
+    /// `distance2` (m²).
     pub fn density(&self, patch: usize, probability: f64, distance2: f32, cos: f32) -> f32 {
         let area = f64::from(self.patches[patch].area);
         (probability * f64::from(distance2) / (f64::from(cos) * area)) as f32
@@ -191,10 +187,8 @@ const SAME_PLANE: f32 = 1.0 - 1.2e-7;
 /// Smallest fraction of a rectangle that a compact patch covers. A disc covers 0.79.
 const COMPACT: f64 = 0.6;
 
-/// Returns `true` if triangles lie in one plane and fill most of a rectangle.
-///
-/// Sampling them uniformly is then as good as preferring the nearer triangles. The rectangle is aligned with
-/// the shortest edge of the largest triangle.
+/// Whether triangles lie in one plane and fill most of a rectangle, aligned with the shortest edge of the
+/// largest. Uniform sampling is then as good as preferring nearer triangles.
 fn is_flat_and_compact(geometry: &Geometry, members: &[Member]) -> bool {
     let Some(largest) = members.iter().max_by(|a, b| a.area.total_cmp(&b.area)) else { return false };
     if members.iter().any(|m| m.normal.dot(largest.normal) < SAME_PLANE) {

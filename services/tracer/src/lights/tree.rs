@@ -1,12 +1,9 @@
-//! A light tree: chooses lights in proportion to the light that they are estimated to bring to a point.
+//! A light tree: chooses lights in proportion to the light that they are estimated to bring to a point (Conty
+//! Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting").
 //!
-//! It follows Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree
-//! Splitting". Each node bounds the position of its lights and the directions that they emit to. From the
-//! root, one of two children is chosen by their importance. The probability of a light is the product along
-//! its path.
-//!
-//! A node's importance is zero only if none of its lights can reach the point. So no light that matters is
-//! ever left out.
+//! Each node bounds the position of its lights and their directions. From the root, one of two children is
+//! chosen by importance. That is zero only if none of its lights can reach the point, so no light that
+//! matters is left out.
 
 use super::bounds::{Bounds, Receiver, Shine};
 use glam::Vec3;
@@ -81,10 +78,8 @@ impl LightTree {
         self.nodes.first().map_or(0.0, |root| root.bounds.importance(receiver))
     }
 
-    /// Makes several choices. Their random numbers must ascend. Common parts of their paths are walked only
-    /// once.
-    ///
-    /// `visited` counts the nodes that were visited.
+    /// Makes several choices, with ascending random numbers; common parts of paths are walked once. `visited`
+    /// counts the nodes visited.
     pub fn choose(&self, receiver: &Receiver, choices: &mut [Choice], visited: &mut u64) {
         let Some(root) = self.nodes.first() else { return };
         if root.content & LEAF != 0 {

@@ -54,9 +54,8 @@ impl Facet {
         [b - a, c - b, a - c]
     }
 
-    /// Returns `true` if an axis separates the two triangles by more than `distance`.
-    ///
-    /// `false` may be wrong on the safe side, if the closest points are two corners.
+    /// Whether an axis separates the two triangles by more than `distance`. `false` may be wrong, on the safe
+    /// side.
     pub fn is_apart(&self, other: &Self, distance: f64) -> bool {
         let (own, theirs) = (self.edges(), other.edges());
         let gap_along = |axis: DVec3| {
@@ -96,13 +95,10 @@ impl Facet {
         Some((volume > 0.0) == (sides[0] > 0.0))
     }
 
-    /// Returns `true` if a ray that leaves this triangle, close to the triangle `wall` of a shell, may start
-    /// beyond the wall.
-    ///
-    /// Rays start at an offset from the surface along its normal, on one of the `sides`. They may start
-    /// beyond the wall if the offset leads towards it. `sealed` means that no ray leaves on the other side.
-    /// `wall_sides` are the wall's sides that light can reach. `rounding` is the smallest length by which
-    /// positions can differ, in metres.
+    /// Whether a ray that leaves this triangle, close to the triangle `wall` of a shell, may start beyond the
+    /// wall. Rays start at an offset along the normal, on one of the `sides`. `sealed` means that no ray
+    /// leaves on the other side. `wall_sides` are the wall's sides that light can reach. `rounding` is the
+    /// smallest difference of positions, in metres.
     pub fn may_slip(
         &self,
         sides: Sides,

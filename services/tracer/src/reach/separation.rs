@@ -202,9 +202,8 @@ impl<'a> Search<'a> {
         Some(())
     }
 
-    /// The pieces that are wholly on the side of a shell without the camera.
-    ///
-    /// `None` if anything lets light past the shell, or if the budget is exhausted.
+    /// The pieces wholly on the side of a shell without the camera. `None` if anything lets light past the
+    /// shell, or the budget is exhausted.
     fn pieces_beyond(&mut self, wall: &Wall<'_>, shell: &Shell, inside: bool) -> Option<Vec<u32>> {
         let geometry = &*self.frame.geometry;
         let reach = wall.reach();

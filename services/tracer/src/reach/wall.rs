@@ -133,11 +133,9 @@ pub enum Meeting {
     Leaks,
 }
 
-/// Distance within which something may touch the shell.
-///
-/// It is several times the offset of ray origins, and well above the rounding errors of rays that come from
-/// far away. The offset is 2⁻¹⁸ of the largest coordinate of the triangle's corners; see
-/// `forelight_bvh::offset_origin`.
+/// Distance within which something may touch the shell: several times the offset of ray origins, 2⁻¹⁸ of the
+/// largest coordinate of the triangle's corners (`forelight_bvh::offset_origin`), and well above rounding
+/// errors of distant rays.
 fn margin(shell: &Shell, extent: f32) -> f32 {
     (shell.bounds.reach() / 16_384.0).max(extent / 65_536.0)
 }

@@ -59,8 +59,6 @@ impl Sets {
 
 /// Numbers the sets consecutively, in the order of their first wanted item. Returns the number of each wanted
 /// item's set, and the number of sets.
-///
-/// Items that are not `wanted` get no number of their own.
 pub fn number(representatives: &[u32], wanted: impl Fn(usize) -> bool) -> (Vec<Option<u32>>, usize) {
     let mut numbers: Vec<Option<u32>> = vec![None; representatives.len()];
     let mut count = 0;

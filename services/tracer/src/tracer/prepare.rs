@@ -17,26 +17,20 @@ use glam::Vec3;
 use std::sync::{Arc, Mutex, OnceLock};
 
 impl Tracer {
-    /// Builds the tree and collects the lights.
-    ///
-    /// The camera is resized to the settings' width and height. Objects and lights that cannot affect the
-    /// image are left out; see [`Self::left_out`].
+    /// Builds the tree and collects the lights. The camera is resized to the settings. Objects and lights
+    /// that cannot affect the image are left out; see [`Self::left_out`].
     pub fn new(frame: &Frame, settings: &Settings) -> Self {
         Self::build(frame, settings, None, false)
     }
 
-    /// Like [`Self::new`], with a tree built earlier for the same geometry.
-    ///
-    /// If other triangles can affect this frame's image, a new tree is built.
+    /// Like [`Self::new`], with a tree built earlier for the same geometry, if the same triangles can affect
+    /// this image.
     pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
         Self::build(frame, settings, Some(bvh), false)
     }
 
-    /// Like [`Self::new`], but leaves nothing out. It shows what leaving things out saves; images have the
-    /// same bits.
-    ///
-    /// Lights that cannot affect the image are sampled only if all lights are. They never take part in a
-    /// choice among many.
+    /// Like [`Self::new`], but leaves nothing out, for comparison; images have the same bits. Lights that
+    /// cannot affect the image are sampled only if all lights are, never by a choice among many.
     pub fn complete(frame: &Frame, settings: &Settings) -> Self {
         Self::build(frame, settings, None, true)
     }
