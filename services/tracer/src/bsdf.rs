@@ -26,8 +26,7 @@ const CONTRAST: f32 = 1e-3;
 /// The BSDF of a material at a point.
 #[derive(Debug, Clone, Copy)]
 pub enum Bsdf {
-    /// Lambertian base, bare or coated, with an optional glossy lobe. A coat without a glossy lobe is smooth:
-    /// a perfect mirror.
+    /// Lambertian base, bare or coated, with an optional glossy lobe. A coat without one is a perfect mirror.
     Opaque(Response),
     /// Smooth conductor with this reflectance at normal incidence.
     Mirror(Vec3),
@@ -69,11 +68,9 @@ pub enum Lobe {
 pub struct Scattering {
     /// Direction towards the incoming light, local.
     pub direction: Vec3,
-    /// ρ |cos θₒ| / density. For perfect mirrors and smooth transmission: the fraction of light divided by
-    /// the probability of the choice.
+    /// ρ |cos θₒ| / density. For delta functions: the fraction of light over the probability of the choice.
     pub weight: Vec3,
-    /// [`Bsdf::density`] of the direction. `None` for perfect mirrors and smooth transmission, which no other
-    /// sampling technique can find.
+    /// [`Bsdf::density`] of the direction. `None` for delta functions, which no other technique can find.
     pub density: Option<f32>,
     /// The sampled lobe.
     pub lobe: Lobe,
@@ -110,14 +107,12 @@ impl Bsdf {
         Self::Pane { ior, transmittance }
     }
 
-    /// Interface of a solid dielectric. `eta` is the index beyond the interface, relative to the viewer's
-    /// side.
+    /// Interface of a solid dielectric. `eta` is the index beyond it, relative to the viewer's side.
     pub fn glass(eta: f32, transmittance: Vec3, alpha: f32) -> Self {
         Self::Glass { eta, transmittance, alpha }
     }
 
-    /// Returns `true` if the BSDF has anything besides delta functions (perfect mirrors, smooth
-    /// transmission).
+    /// Whether the BSDF has anything besides delta functions.
     #[inline]
     pub fn spreads(&self) -> bool {
         match self {
@@ -145,8 +140,7 @@ impl Bsdf {
         self.light(wi, wo).0
     }
 
-    /// Density per steradian with which [`Self::sample`] chooses `wo`, without perfect mirrors and smooth
-    /// transmission.
+    /// Density per steradian with which [`Self::sample`] chooses `wo`, without delta functions.
     pub fn density(&self, wi: Vec3, wo: Vec3) -> f32 {
         self.light(wi, wo).1
     }
@@ -300,13 +294,11 @@ fn glossy_share(response: &Response, wi: Vec3) -> f32 {
         return 1.0;
     }
     let share = reflectance / (reflectance + base * (1.0 - reflectance));
-    // Microfacets of a rough lobe reflect at other angles than the mean surface, so neither lobe may get too
-    // few samples.
+    // Microfacets reflect at other angles than the mean surface, so neither lobe may get too few samples.
     if response.glossy.is_some() { share.clamp(0.1, 0.9) } else { share }
 }
 
-/// Value times cosine, and density, of a rough interface with visible normals (Walter et al. 2007, equations
-/// 20, 21 and 17).
+/// Value times cosine, and density, of a rough interface (Walter et al. 2007, equations 20, 21 and 17).
 fn rough_glass(wi: Vec3, wo: Vec3, eta: f32, transmittance: Vec3, alpha: f32) -> (Vec3, f32) {
     let nothing = (Vec3::ZERO, 0.0);
     if wo.z == 0.0 || wi.z <= 0.0 {

@@ -73,8 +73,7 @@ pub struct Level {
     strata: Strata,
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
-    /// The smoothed value of each planned record, if it is already known: from a file, or from before more
-    /// records were planned.
+    /// Smoothed value of each planned record, if known from a file or from before more were planned.
     known: Vec<Option<Value>>,
     /// The values that are read, available once all records are filled.
     smoothed: OnceLock<Smoothed>,
@@ -106,8 +105,7 @@ pub struct Cache {
     plan_rays: Rays,
     /// CPU time of reading the cache from a file, nanoseconds.
     reading: u64,
-    /// Set if only the first level was filled, for some pixels. Deeper levels are then followed by rays, not
-    /// read.
+    /// Set if only the first level was filled, for some pixels. Rays then follow deeper levels.
     partial: OnceLock<()>,
 }
 

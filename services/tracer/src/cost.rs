@@ -156,15 +156,13 @@ impl Tally {
     }
 }
 
-/// Work of reading the cache at a point, in the units of [`work`]: finding the records around it, and
-/// interpolating between the four or five that cover it.
+/// Work of reading the cache at a point: finding the records, and interpolating between four or five.
 const READ_WORK: u64 = 300;
 
 /// Work of considering one cache record.
 const RECORD_WORK: u64 = 4;
 
-/// Work of averaging a cache record with its neighbours, about 280 of them. It is the same for every record,
-/// so that a record's cost is known as soon as it is gathered.
+/// Work of averaging a record with about 280 neighbours. Constant, so that a record's cost is known at once.
 pub const SMOOTHING_WORK: u64 = 3400;
 
 /// [`SMOOTHING_WORK`] by class.

@@ -77,8 +77,7 @@ impl Effects {
     /// Solid glass with priorities. Rays keep track of the solids that they are inside of.
     pub const NESTED_MEDIA: u32 = 1 << 18;
 
-    /// This set plus all effects that a scene can contain. Effects of the method (integrator, bounces, choice
-    /// of lights) stay unchanged.
+    /// This set plus all effects that a scene can contain, without those of the method.
     pub fn with_all(self) -> Self {
         let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE | Self::LIGHT_CHOICE;
         let all = NAMES.iter().fold(0, |set, (bit, _)| set | bit);

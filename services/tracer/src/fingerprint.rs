@@ -4,8 +4,7 @@ use crate::{Reach, SampleCounts, Settings};
 use blake3::Hasher;
 use forelight_scene::{Frame, Texels};
 
-/// Increase this when a change to the tracer changes images or counters. Pixels of another version are not
-/// reused.
+/// Increase this when images or counters change. Pixels of another version are not reused.
 const TRACER_VERSION: u32 = 12;
 
 /// BLAKE3 hash of frame, settings and tracer version. `content` is [`of_content`] of the frame.
@@ -36,8 +35,8 @@ pub fn light_fingerprint(content: &Hasher, settings: &Settings, reach: &Reach) -
     *hasher.finalize().as_bytes()
 }
 
-/// Hash state of everything that does not depend on the view: geometry, textures, materials, lights, and the
-/// tracer's version.
+/// Hash of everything that does not depend on the view: geometry, textures, materials, lights, tracer
+/// version.
 pub fn of_content(frame: &Frame) -> Hasher {
     let mut hasher = Hasher::new();
     let geometry = &frame.geometry;

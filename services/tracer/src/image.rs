@@ -150,8 +150,7 @@ impl Image {
     }
 }
 
-/// A filmic curve with a soft shoulder above 0.6, the same for every channel, followed by the sRGB transfer
-/// function.
+/// A filmic curve with a soft shoulder above 0.6 per channel, then the sRGB transfer function.
 fn tone_map(color: Vec3) -> [u8; 3] {
     const KNEE: f32 = 0.6;
     color.to_array().map(|c| {

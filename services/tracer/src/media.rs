@@ -12,8 +12,7 @@ const BITS: u32 = 4;
 const MOST: u128 = (1 << BITS) - 1;
 const _: () = assert!(MOST_NESTED as u32 * BITS == u128::BITS);
 
-/// The media that contain a point. For each medium, by rank, it counts the solids that were entered and not
-/// left.
+/// The media at a point: per rank, how many solids were entered and not left.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Media(u128);
 

@@ -3,8 +3,7 @@
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
-/// Below this alpha, the lobe is narrower than f32 directions can resolve. The surface is then treated as a
-/// mirror.
+/// Below this alpha, the lobe is narrower than f32 directions can resolve: a mirror.
 pub const SMOOTH: f32 = 1e-3;
 
 /// GGX normal distribution D(h), per steradian (Walter et al. 2007, equation 33), with |h × z|² = x² + y²
@@ -29,8 +28,7 @@ pub fn masking(w: Vec3, alpha: f32) -> f32 {
     1.0 / (1.0 + lambda(w, alpha))
 }
 
-/// Height-correlated masking and shadowing G₂: the fraction visible from both directions (Heitz 2014,
-/// equation 99).
+/// Height-correlated masking and shadowing G₂: fraction visible from both (Heitz 2014, equation 99).
 pub fn masking_shadowing(wi: Vec3, wo: Vec3, alpha: f32) -> f32 {
     1.0 / (1.0 + lambda(wi, alpha) + lambda(wo, alpha))
 }
@@ -46,8 +44,7 @@ pub fn sample_visible(wi: Vec3, alpha: f32, u: Vec2) -> Vec3 {
     Vec3::new(half.x * alpha, half.y * alpha, half.z.max(0.0)).normalize_or(Vec3::Z)
 }
 
-/// Density per steradian of the reflection of `wi` about a normal from [`sample_visible`]: G₁(wi) D(h) / (4
-/// wi.z).
+/// Density per steradian of reflecting `wi` about a normal of [`sample_visible`]: G₁(wi) D(h) / (4 wi.z).
 pub fn reflected_density(wi: Vec3, h: Vec3, alpha: f32) -> f32 {
     masking(wi, alpha) * distribution(h, alpha) / (4.0 * wi.z)
 }
@@ -57,8 +54,8 @@ pub fn reflect(w: Vec3, n: Vec3) -> Vec3 {
     2.0 * w.dot(n) * n - w
 }
 
-/// Direction of refraction at an interface with relative index `eta`. The normal `n` is on the side of `w`;
-/// `cos_t` is the cosine of the angle of refraction.
+/// Refraction at relative index `eta`. `n` is on the side of `w`; `cos_t` is the cosine of the refracted
+/// angle.
 pub fn refract(w: Vec3, n: Vec3, eta: f32, cos_t: f32) -> Vec3 {
     let cos_i = w.dot(n);
     ((cos_i / eta - cos_t) * n - w / eta).normalize()

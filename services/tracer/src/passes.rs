@@ -47,8 +47,7 @@ pub struct SoFar {
     pub variance: Option<f64>,
     /// Work of the samples.
     pub work: u64,
-    /// Change of the mean by the later half of the samples, or slightly more than half. `None` for fewer than
-    /// two samples.
+    /// Change of the mean by the later half of the samples (rounded up). `None` with fewer than two.
     pub grown: Option<Grown>,
 }
 
@@ -61,8 +60,7 @@ pub struct Grown {
     pub square: f64,
 }
 
-/// An image in progress. All calls need the tracer that it was started with, and that tracer's cache must be
-/// filled.
+/// An image in progress. All calls need the same tracer, whose cache must be filled.
 #[derive(Debug)]
 pub struct Passes {
     width: u32,

@@ -105,8 +105,7 @@ impl Sampler {
         self.point(dimension, index)
     }
 
-    /// Draws the next index for this purpose, to be passed to [`Sampler::related`] for several related
-    /// points.
+    /// Draws the next index for this purpose, for [`Sampler::related`] points.
     pub fn draw(&mut self, purpose: Purpose, vertex: u32) -> (u64, u32) {
         let dimension = (vertex as usize).min(VERTICES - 1) * PURPOSES + purpose as usize;
         let index = self.drawn[dimension];
@@ -122,8 +121,7 @@ impl Sampler {
     fn point(&self, dimension: u64, index: u32) -> Vec2 {
         let key = hash(self.key ^ dimension.wrapping_mul(0xd6e8_feb8_6659_fd93));
         let index = reversed_scramble(index.reverse_bits(), hash(key) as u32).reverse_bits();
-        // First dimension: van der Corput, which is the bit reversal. Second: Sobol' with the primitive
-        // polynomial x + 1.
+        // First dimension: van der Corput (bit reversal). Second: Sobol' with the primitive polynomial x + 1.
         let x = reversed_scramble(index, key as u32).reverse_bits();
         let y = reversed_scramble(sobol_second_reversed(index), (key >> 32) as u32).reverse_bits();
         Vec2::new(unit(x), unit(y))

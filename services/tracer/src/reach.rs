@@ -183,8 +183,7 @@ impl Reach {
         materials.iter().zip(met).filter(|(_, met)| *met).map(|(material, _)| material).collect()
     }
 
-    /// Everything that cannot affect the image: area lights, point lights, suns, environment, then objects by
-    /// id.
+    /// Everything that cannot affect the image: area lights, points, suns, environment, objects by id.
     pub fn left_out(&self) -> &[LeftOut] {
         &self.left_out
     }
@@ -294,12 +293,10 @@ impl Survey<'_> {
         away.then_some(Reason::FacesAway)
     }
 
-    /// Returns `true` if the camera and everything else visible are behind the planes of all triangles of a
-    /// light.
+    /// Whether camera and everything else visible are behind the planes of all triangles of a light.
     fn faces_away(&self, stratum: u32, triangles: &[u32], boxes: &[Bounds]) -> bool {
         let (geometry, camera) = (&*self.frame.geometry, &self.frame.camera);
-        // Anything that is not behind the light's plane by at least `least` may be lit. The light may also
-        // light itself, unless it is black and flat.
+        // Anything not behind the plane by `least` may be lit, also the light itself unless black and flat.
         let black = match self.materials[geometry.strata.pairs[stratum as usize].1 as usize].surface {
             Surface::Lambert { albedo } => albedo.factor == Vec3::ZERO,
             _ => false,

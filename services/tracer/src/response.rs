@@ -5,8 +5,8 @@ use crate::microfacet as ggx;
 use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
-/// The part of a surface's reflection that light sampling can find. Directions are local, with +z on the
-/// viewer's side.
+/// The part of a surface's reflection that light sampling can find. Local directions, +z on the viewer's
+/// side.
 #[derive(Debug, Clone, Copy)]
 pub struct Response {
     /// Lambertian reflectance.
@@ -70,8 +70,8 @@ impl Response {
         self.outgoing(wi) * self.coat.map_or(1.0, |coat| coat.passes(wo.z))
     }
 
-    /// The part of [`Self::diffuse`] that does not depend on `wo`: the response towards `wi` to light that
-    /// has passed the coat.
+    /// The part of [`Self::diffuse`] independent of `wo`: response towards `wi` to light that passed the
+    /// coat.
     pub fn outgoing(&self, wi: Vec3) -> Vec3 {
         match self.coat {
             None => self.diffuse,
@@ -94,8 +94,7 @@ impl Response {
         (diffuse, value, ggx::reflected_density(wi, h, glossy.alpha))
     }
 
-    /// Returns `true` if there is diffuse reflection, for which lights are sampled and the hemisphere is
-    /// gathered.
+    /// Whether there is diffuse reflection, for which lights are sampled and the hemisphere gathered.
     pub fn has_diffuse(&self) -> bool {
         self.diffuse.max_element() > 0.0
     }

@@ -18,8 +18,8 @@ pub struct Settings {
     /// [`Integrator::Path`], it limits how often light is spread (diffuse, glossy, rough glass) after the
     /// first time; its largest value means no limit.
     pub ambient_bounces: u32,
-    /// Rays of a hemisphere gather at the first diffuse hit with full weight. Hits with lower weight get
-    /// proportionally fewer. Each further bounce gets an eighth.
+    /// Rays of a gather at the first diffuse hit with full weight, proportionally fewer with less. Each
+    /// further bounce gets an eighth.
     pub ambient_divisions: u32,
     /// Longest chain of mirror, glass and glossy hits.
     pub max_depth: u32,
@@ -38,8 +38,8 @@ pub struct CacheSettings {
     /// 1988: a record is used up to this fraction of the harmonic mean distance to its surroundings. Above
     /// 0.3, the densest records also lie farther apart. Above 0.4, only they do.
     pub accuracy: u32,
-    /// Rays per record, rounded to the nearest of 48, 192, 432, 768, 1200, … Each further bounce uses about a
-    /// quarter, but at least 48.
+    /// Rays per record: nearest of 48, 192, 432, 768, 1200, … Each further bounce uses a quarter, at least
+    /// 48.
     pub rays: u32,
 }
 

@@ -28,12 +28,10 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// The kernel of a frame: traces its pixels, and the rays that plan and fill its irradiance cache.
 pub trait Trace: Send + Sync {
-    /// Traces one pixel, given by its row-major index. `each` receives the radiance of every camera sample,
-    /// in order.
+    /// Traces one pixel by row-major index. `each` receives the radiance of every camera sample in order.
     fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
 
-    /// Adds camera samples to a pixel until it has `samples` of them. `each` receives the radiance of each
-    /// new one.
+    /// Adds camera samples to a pixel until it has `samples`. `each` receives the radiance of each new one.
     fn go_on(
         &self,
         tracer: &Tracer,
@@ -43,8 +41,7 @@ pub trait Trace: Send + Sync {
         each: &mut dyn FnMut([f32; 3]),
     );
 
-    /// Finds the sites at which the first `samples` camera samples of a pixel read the first level of the
-    /// cache.
+    /// Sites at which the first `samples` camera samples of a pixel read the first level of the cache.
     fn sites(
         &self,
         tracer: &Tracer,

@@ -42,8 +42,7 @@ fn a_white_lambert_sphere_in_a_furnace_disappears() {
 
 #[test]
 fn a_perfect_mirror_in_a_furnace_disappears() {
-    // A flat one: on a tessellated sphere with smooth normals a few rays at the silhouette are mirrored into
-    // it.
+    // A flat light: on a tessellated smooth sphere, a few rays at the silhouette are mirrored into it.
     let mirror = Surface::Metal { f0: Color::plain(Vec3::ONE), alpha: 0.0 };
     let frame = Builder::default()
         .cuboid(Vec3::splat(-1.0), Vec3::ONE, false, material("mirror", mirror, 0.0))
@@ -173,8 +172,7 @@ fn point_light_and_sun_follow_their_definitions() {
         frame.suns.push(Sun { direction, irradiance: Vec3::splat(3.0), angle_deg });
         let expected = 0.5 / std::f64::consts::PI * 3.0 * 0.8;
         let value = mean(&render(&frame, &settings(64, 0)));
-        // Irradiance is a vector: of a disc that is above the horizon as a whole, the surface gets the
-        // cosine's share, however wide it is.
+        // Irradiance is a vector: a disc wholly above the horizon counts by its centre's cosine.
         assert!((value / expected - 1.0).abs() < 2e-3, "{angle_deg}°: {value} against {expected}");
     }
 }

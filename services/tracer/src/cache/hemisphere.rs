@@ -103,10 +103,10 @@ impl Strata {
         Vec2::new(cos, sin)
     }
 
-    /// Weights of a ring's radiance under a coat with transmittance `passes` at a cosine: for the irradiance,
-    /// its mean over the ring; for the rotational gradient, the mean of d(cos θ · passes) / d cos θ · tan θ.
-    /// Published implementations take tan θ at the centre of the ring, which makes the outermost ring's
-    /// weight 30 % too small.
+    /// Weights of a ring's radiance under a coat with transmittance `passes` at a cosine. For the irradiance
+    /// it is the mean over the ring. For the rotational gradient it is the mean of d(cos θ · passes) / d cos
+    /// θ · tan θ. Taking tan θ at the centre of the ring, as published implementations do, makes the
+    /// outermost weight 30 % too small.
     fn ring(&self, j: usize, passes: impl Fn(f32) -> f32) -> (f32, f32) {
         const STEPS: usize = 8;
         let cos = |step: usize| {
@@ -202,8 +202,7 @@ impl Strata {
 mod tests {
     use super::*;
 
-    /// Radiance and distance along a ray, in closed form: a floor between a wall and a ceiling, both
-    /// luminous.
+    /// Radiance and distance along a ray, in closed form: a floor between a luminous wall and ceiling.
     fn surroundings(origin: Vec3, direction: Vec3) -> Sample {
         // A wall at x = 2 with radiance 3, and a ceiling at z = 1.5 whose radiance varies along y.
         let wall = if direction.x > 0.0 { (2.0 - origin.x) / direction.x } else { f32::INFINITY };

@@ -88,8 +88,7 @@ impl Octree {
         }
     }
 
-    /// The spheres in the cells that contain a point. They include all spheres that may contain the point.
-    /// Their order depends only on the insertions.
+    /// The spheres in the cells that contain a point, in an order that only the insertions determine.
     pub fn near(&self, point: Vec3) -> impl Iterator<Item = &Block> {
         let mut cell = self.cells.first();
         let mut middle = self.cube.low + self.cube.edge * 0.5;

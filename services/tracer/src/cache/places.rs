@@ -64,8 +64,7 @@ impl Places {
         Self(order.chunks(TOGETHER).map(block).collect())
     }
 
-    /// Indices of the records within `distance` of a point, each once, in any order. Rounding may add some,
-    /// but never leaves one out.
+    /// Indices of the records within `distance` of a point, each once, in any order. Rounding may add some.
     pub fn within(&self, distance: f32, point: Vec3) -> impl Iterator<Item = u32> {
         /// Larger than a few rounding errors.
         const WIDER: f32 = 1.0 + 1e-5;

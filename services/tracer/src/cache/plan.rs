@@ -58,8 +58,8 @@ const SPACING: f32 = 1.5;
 const FINE: f32 = 0.3;
 const COARSEST_SEEN: f32 = 0.4;
 
-/// Upper bounds of the radii: as a multiple of the smallest radius, and as a fraction of the visible extent
-/// (as in Radiance).
+/// Upper bounds of the radii: times the smallest radius, and as a fraction of the visible extent (as in
+/// Radiance).
 const LARGEST: f32 = 64.0;
 const LARGEST_OF_VIEW: f32 = 0.2;
 
@@ -261,8 +261,8 @@ impl Planning<'_> {
         });
     }
 
-    /// Applies the insertion rule to the sites of each list, in sequence. The next list's sites are found at
-    /// the same time, because insertion is mostly single-threaded.
+    /// Applies the insertion rule to each list in sequence. Insertion is mostly single-threaded, so the next
+    /// list's sites are found meanwhile.
     fn cover_in_turn(
         &mut self,
         coverage: &mut Coverage,

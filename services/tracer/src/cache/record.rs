@@ -22,8 +22,7 @@ pub struct Planned {
     pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
 }
 
-/// Two points of one surface are nearly in a plane perpendicular to their mean normal. This is the largest
-/// sine of the angle to that plane.
+/// Two points of one surface lie nearly perpendicular to their mean normal: largest sine of that angle.
 const SLANT: f32 = 0.25;
 
 impl Planned {

@@ -55,8 +55,7 @@ impl Level {
     }
 }
 
-/// Position of a record along the curve: the axis direction of its normal, then the Morton order of its
-/// position.
+/// Position along the curve: the axis direction of the normal, then the Morton order of the position.
 fn curve(planned: &Planned, cells: &Cells) -> u64 {
     direction_of(planned.site.normal) as u64 * Cells::COUNT + cells.number(planned.site.position)
 }

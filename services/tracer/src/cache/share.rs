@@ -23,8 +23,7 @@ pub struct Shared {
 }
 
 impl Cache {
-    /// Returns `true` if the records are valid in the tracer's frame: same geometry, same light, same light
-    /// settings.
+    /// Whether the records are valid in the tracer's frame: same geometry, light and light settings.
     pub fn suits(&self, tracer: &Tracer) -> bool {
         self.fingerprint == tracer.cache_fingerprint()
     }
@@ -74,8 +73,7 @@ impl Level {
         self.index.at(place).any(|index| !kept[index as usize])
     }
 
-    /// The level with some of its records. A record's smoothed value is kept if all records that contributed
-    /// to it are kept.
+    /// The level with some of its records. Smoothed values stay if all contributing records are kept.
     fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
             strata: self.strata,

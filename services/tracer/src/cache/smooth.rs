@@ -66,8 +66,7 @@ impl Level {
         self.records[index].get().map(Value::of)
     }
 
-    /// CPU time of smoothing a record, nanoseconds. It does not matter whether the neighbours are filled:
-    /// each counts as if it had the record's own value.
+    /// CPU nanoseconds of smoothing a record. Neighbours that are not filled count with the record's value.
     pub(super) fn smoothing_nanos(&self, index: usize, record: &Record, places: &Places) -> u64 {
         let value = Value::of(record);
         let (averaged, nanos) = clocked(|| self.averaged(index, places, |_| Some(value)));
@@ -133,8 +132,7 @@ impl Level {
     }
 }
 
-/// How far noise explains the difference between a neighbour's prediction and the record's own value: 1 if it
-/// explains it fully, falling to 0.
+/// How far noise explains a neighbour's difference from the record's value: 1 fully, falling to 0.
 fn agreement(own: &Value, neighbour: &Value, said: Vec3) -> f32 {
     let difference = (said - own.irradiance).element_sum() / 3.0;
     let variance = own.noise * own.noise + neighbour.noise * neighbour.noise;

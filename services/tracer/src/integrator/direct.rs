@@ -44,8 +44,7 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Light from some of the lights with a position, chosen by the light tree. The number depends on
-    /// `level`, the number of diffuse bounces.
+    /// Light from some of the lights with a position. Their number depends on `level`, the diffuse bounces.
     pub fn some_lights(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let Some(looks) = tracer.looks.at(level) else { return Vec3::ZERO };
@@ -90,8 +89,8 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Density per steradian of [`Self::some_lights`], all choices together, for light that leaves an
-    /// emitting patch at an angle of cosine `cos`.
+    /// Density per steradian of [`Self::some_lights`], all choices together, for an emitting patch seen at
+    /// `cos`.
     fn density_of_choice(
         &mut self,
         receiver: &Receiver,

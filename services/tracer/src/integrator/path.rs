@@ -28,8 +28,7 @@ use std::f32::consts::TAU;
 /// From this vertex on, paths are subject to Russian roulette.
 const ROULETTE: u32 = 4;
 
-/// From this vertex on, even a path without losses may end. A closed room of perfect mirrors would otherwise
-/// never release it.
+/// From this vertex on, even a path without losses may end, as in a closed room of mirrors.
 const LONG: u32 = 32;
 
 /// Largest probability of survival per vertex of a long path.
@@ -49,8 +48,7 @@ struct Candidate {
     direction: Vec3,
     /// End of the shadow ray. `None` means infinity.
     target: Option<Vec3>,
-    /// Radiance divided by the density of the choice. For lights without size: irradiance divided by its
-    /// probability.
+    /// Radiance over the density of the choice. For lights without size: irradiance over its probability.
     light: Vec3,
     /// Density of the choice per steradian. `None` for lights without size, which BSDF sampling cannot find.
     density: Option<f32>,
@@ -161,8 +159,7 @@ impl<const K: u32> Pixels<'_, K> {
         self.counters.ray(category);
     }
 
-    /// The BSDF of any surface except a solid dielectric's. Each kernel contains code only for the materials
-    /// of its frame.
+    /// The BSDF of any surface except a solid dielectric's, for the materials of this kernel.
     #[inline]
     fn bsdf(&mut self, p: &Point, surface: Surface) -> Bsdf {
         match surface {

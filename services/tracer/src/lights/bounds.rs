@@ -1,5 +1,4 @@
-//! Bounds of a set of lights: its position, the directions that it emits to, and how much light it can bring
-//! to a point.
+//! Bounds of a set of lights: position, directions, and how much light it can bring to a point.
 
 use crate::bounds::Bounds as Place;
 use glam::{DVec3, Vec3};
@@ -9,8 +8,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 #[derive(Debug, Clone, Copy)]
 pub struct Receiver {
     pub position: Vec3,
-    /// Light from below the plane of this normal does not count. `None` means that light counts from all
-    /// directions.
+    /// Light from below the plane of this normal does not count. `None`: all light counts.
     pub normal: Option<Vec3>,
 }
 
@@ -92,8 +90,7 @@ impl Bounds {
         }
     }
 
-    /// The smallest cone that contains the axes of both (Conty Estevez and Kulla 2018, algorithm 1). It is
-    /// computed in f64 and slightly widened.
+    /// Smallest cone around the axes of both (Conty Estevez and Kulla 2018, algorithm 1), slightly widened.
     fn cone_with(&self, other: &Self) -> (Vec3, (f32, f32)) {
         let angle = |b: &Self| libm::atan2(b.spread.1.into(), b.spread.0.into());
         let (wide, narrow) = if angle(self) >= angle(other) { (self, other) } else { (other, self) };
@@ -223,8 +220,7 @@ impl Shine {
     }
 }
 
-/// Solid angle of a cone with half-angle `spread`, plus the cosine-weighted solid angle beyond it up to
-/// `reach`.
+/// Solid angle of a cone with half-angle `spread`, plus the cosine-weighted one beyond up to `reach`.
 fn solid_angle(spread: f64, reach: f64) -> f64 {
     let (sin, cos) = (libm::sin(spread), libm::cos(spread));
     let end = (spread + reach).min(PI);

@@ -19,8 +19,7 @@ pub enum Emitter {
     Point(usize),
 }
 
-/// Emitting triangles that are sampled as one light: a flat, compact and evenly bright piece of an object, or
-/// a single triangle.
+/// Triangles sampled as one light: a flat, compact, evenly bright piece of an object, or one triangle.
 #[derive(Debug, Clone, Copy)]
 struct Patch {
     /// Range of its triangles in [`Emitters::surfaces`].
@@ -180,8 +179,7 @@ struct Member {
     intensity: f64,
 }
 
-/// Normals with at least this cosine count as one plane. The difference is well within the tolerance of
-/// [`LightBounds`].
+/// Normals with at least this cosine count as one plane, well within the tolerance of [`LightBounds`].
 const SAME_PLANE: f32 = 1.0 - 1.2e-7;
 
 /// Smallest fraction of a rectangle that a compact patch covers. A disc covers 0.79.
@@ -209,8 +207,7 @@ fn is_flat_and_compact(geometry: &Geometry, members: &[Member]) -> bool {
     area >= COMPACT * width * height && depth * depth <= 1e-6 * area
 }
 
-/// Unit normal and area of a triangle. Computed in f64, because corners may be far from the origin and close
-/// together.
+/// Unit normal and area of a triangle, in f64: corners may be close together far from the origin.
 fn plane([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let cross = (b - a).as_dvec3().cross((c - a).as_dvec3());
     (cross.normalize_or_zero().as_vec3(), (0.5 * cross.length()) as f32)
@@ -224,8 +221,7 @@ struct Glow<'a> {
     brightest: Vec<Option<f32>>,
 }
 
-/// Lower bound of a textured triangle's brightness, relative to its brightest texel. The samples of its
-/// texture may miss the bright parts.
+/// Lower bound of a textured triangle's brightness relative to its brightest texel; samples may miss it.
 const FLOOR: f32 = 1.0 / 64.0;
 
 /// A triangle's texture is sampled at the centres of its subdivision into `LOOKS`² triangles.
@@ -257,8 +253,7 @@ impl<'a> Glow<'a> {
         })
     }
 
-    /// Estimated mean radiance of a triangle in the strongest channel, W/(m² sr), from a few samples of its
-    /// texture.
+    /// Mean radiance of a triangle in the strongest channel, W/(m² sr), from a few texture samples.
     fn radiance(&mut self, triangle: u32, material: usize) -> f32 {
         let Material { emission, opacity, .. } = self.materials[material];
         let Some(texture) = emission.texture else { return opacity * emission.factor.max_element() };
@@ -266,8 +261,7 @@ impl<'a> Glow<'a> {
         let mut sum = 0.0;
         for i in 0..LOOKS {
             for j in 0..LOOKS {
-                // Upright and inverted subtriangles of the grid are distinguished by the sum of their
-                // coordinates.
+                // The sum of coordinates tells upright from inverted subtriangles.
                 let (b, c) = (i as f32 + 1.0 / 3.0, j as f32 + 1.0 / 3.0);
                 let turned = i + j >= LOOKS;
                 let (b, c) = if turned { (LOOKS as f32 - b, LOOKS as f32 - c) } else { (b, c) };

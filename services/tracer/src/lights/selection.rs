@@ -21,8 +21,7 @@ pub enum Light {
     Sky,
 }
 
-/// All lights that are sampled. A constant environment is not one of them, because BSDF sampling finds it as
-/// well.
+/// All lights that are sampled. BSDF sampling alone finds a constant environment.
 #[derive(Debug, Clone, Default)]
 pub struct Lights {
     pub emitters: Emitters,

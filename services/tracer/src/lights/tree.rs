@@ -11,8 +11,7 @@ use glam::Vec3;
 /// Number of bins along each axis when a set of lights is split.
 const BINS: usize = 12;
 
-/// Larger sets of lights are split only along the longest axis. It is by far the best one for so many, and
-/// each further axis costs as much again.
+/// Larger sets are split only along the longest axis, by far the best one.
 const ALL_AXES: usize = 4096;
 
 #[derive(Debug, Clone, Copy)]
@@ -26,13 +25,11 @@ struct Node {
 /// A choice among lights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Choice {
-    /// Before the choice, a uniform random number in [0, 1). Afterwards its remainder, uniform in [0, 1)
-    /// again, but coarse if there are many lights.
+    /// Uniform random number in [0, 1). After the choice its remainder, uniform but coarser.
     pub number: f64,
     /// The chosen light.
     pub light: usize,
-    /// Probability of the choice. 0 before the choice, or if no light on the chosen path can reach the
-    /// receiver.
+    /// Probability of the choice. 0 before it, or if no light on the path can reach the receiver.
     pub probability: f64,
 }
 
@@ -138,11 +135,9 @@ impl LightTree {
         probability
     }
 
-    /// Returns `true` if `is_near` holds for any light. `may_hold` tells from a node's bounds whether it can
-    /// hold for one of the node's lights.
+    /// Whether `is_near` holds for any light. `may_hold` decides by a node's bounds.
     pub fn any(&self, may_hold: impl Fn(&Bounds) -> bool, is_near: impl Fn(usize) -> bool) -> bool {
-        // Depth-first without a stack: after a subtree, continue at the second sibling of the nearest
-        // ancestor that is a first sibling.
+        // Depth-first without a stack: continue at the second sibling of the nearest first-sibling ancestor.
         let mut index = ROOT;
         if self.nodes.is_empty() {
             return false;

@@ -9,8 +9,7 @@ pub struct Shell {
     /// Triangle indices, ascending.
     pub triangles: Vec<u32>,
     pub bounds: Bounds,
-    /// Whether all geometric normals point outward (`Some(true)`) or inward (`Some(false)`). `None` if they
-    /// are mixed.
+    /// Whether all geometric normals point outward (`Some(true)`) or inward. `None` if mixed.
     pub outward: Option<bool>,
 }
 

@@ -3,8 +3,7 @@
 use crate::random::hash;
 use glam::Vec3;
 
-/// For each vertex, the first vertex at exactly the same position. Takes linear time, with an open hash table
-/// of the positions' bits.
+/// For each vertex, the first one at exactly the same position. Linear time by an open hash table.
 pub fn weld(positions: &[Vec3]) -> Vec<u32> {
     const FREE: u32 = u32::MAX;
     let mask = (2 * positions.len()).next_power_of_two().max(2) - 1;
@@ -64,8 +63,7 @@ pub fn number(representatives: &[u32], wanted: impl Fn(usize) -> bool) -> (Vec<O
     let mut count = 0;
     for (item, &representative) in representatives.iter().enumerate() {
         if wanted(item) {
-            // A representative is its set's lowest member, so it already has its number, unless it is not
-            // wanted itself.
+            // A representative is its set's lowest member, so it already has its number if wanted.
             let known = numbers[representative as usize];
             numbers[representative as usize] = known.or_else(|| {
                 count += 1;

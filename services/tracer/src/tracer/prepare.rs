@@ -107,15 +107,14 @@ impl Tracer {
         tracer
     }
 
-    /// Uses a kernel with additional effects. It shows what leaving effects out saves; images and counters
-    /// have the same bits.
+    /// Uses a kernel with additional effects, for comparison; images and counters have the same bits.
     pub fn with_kernel_for(self, effects: Effects) -> Self {
         Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
     }
 }
 
-/// The material as two-sided Lambertian: its diffuse colour or texture, or 0.5 grey for metals and glass.
-/// Emission is kept.
+/// The material as two-sided Lambertian with its emission: diffuse colour or texture, 0.5 grey for metals and
+/// glass.
 fn as_lambert(material: &Material) -> Material {
     let albedo = match material.surface {
         Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,
