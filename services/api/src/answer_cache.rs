@@ -1,4 +1,4 @@
-//! Answers about plans that were worked out a moment ago.
+//! Cache of recent answers about plans.
 
 use parking_lot::Mutex;
 use std::collections::VecDeque;
@@ -7,10 +7,9 @@ use std::sync::Arc;
 use forelight_protocol::AnswersDoc;
 use tokio::sync::Semaphore;
 
-/// Answers that are kept.
 const KEPT: usize = 64;
 
-/// Works answers out, one at a time, and keeps the newest: by the plan and everything else that they rest on.
+/// Works out answers one at a time and keeps the newest. A key holds everything that its answer depends on.
 pub(crate) struct AnswerCache {
     pub turn: Semaphore,
     kept: Mutex<VecDeque<([u8; 32], Arc<AnswersDoc>)>>,

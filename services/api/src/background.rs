@@ -1,4 +1,4 @@
-//! What the service does by itself: one task advances jobs and plans the farm, one takes leases back that ran out.
+//! Background work of the service. One task advances jobs and plans the farm; one takes back expired leases.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -14,42 +14,41 @@ use crate::clock::SteadyClock;
 use crate::conductor::Conductor;
 use crate::state::App;
 
-/// How long after a panic a loop begins again.
+/// Pause before a loop restarts after a panic.
 const AFTER_PANIC: Duration = Duration::from_secs(1);
 
-/// A loop that ends by a panic, which is a defect, begins again: without it the service would take requests and do nothing about them.
+/// Whether a loop panicked and must restart. Without it the service would accept requests and never act on
+/// them.
 async fn again_after_panic(name: &str, run: impl Future<Output = ()>) -> bool {
     match AssertUnwindSafe(run).catch_unwind().await {
         Ok(()) => false,
         Err(_) => {
-            tracing::error!("{name} panicked; it begins again");
+            tracing::error!("{name} panicked; restarting");
             tokio::time::sleep(AFTER_PANIC).await;
             true
         }
     }
 }
 
-/// Advances jobs and plans the farm for as long as the service runs.
 pub(crate) async fn run_conductor(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
     while again_after_panic("advancing jobs", conduct(&app, &mut jobs)).await {}
 }
 
-/// Takes leases back that ran out, for as long as the service runs.
 pub(crate) async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
     while again_after_panic("the sweep", sweep(&app, &clock)).await {}
 }
 
-/// The least time between two plans that nobody waits for; after one that took long, four times as long as that.
+/// Shortest time between plans that no request waits for, or four times the last plan's duration if longer.
 const BREATH: Duration = Duration::from_millis(500);
 
-/// Advances jobs as they are announced, and all that wait once in a while: an advance may have failed for a reason that
-/// has passed. Plans the farm anew when something happened, one plan at a time: what happens meanwhile, or soon after, is in the next.
+/// Advances announced jobs, and sometimes all waiting ones, since a transient error may have passed. Makes
+/// one plan at a time; events meanwhile, or soon after, are covered by the next plan.
 async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
     let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
     let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));
     let mut wanted = app.store.watch_plans();
     let mut not_before = Instant::now();
-    // What was due when the service died is due now.
+    // Work that was due when the service died is due now.
     let mut due = true;
     loop {
         tokio::select! {
@@ -78,10 +77,10 @@ async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
     }
 }
 
-/// A clock that is this much off was set; less is what a time server corrects all day.
+/// From this difference on, the clock was set. Time servers correct smaller ones all day.
 const CLOCK_WAS_SET: Duration = Duration::from_secs(1);
 
-/// Takes back tasks whose leases have run out, four times a lease; before that, follows a clock that was set.
+/// Takes back tasks with expired leases, four times per lease duration, after following the system's clock.
 async fn sweep(app: &App, clock: &SteadyClock) {
     let mut ticks = tokio::time::interval((app.lease_ttl / 4).max(Duration::from_millis(100)));
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -106,17 +105,16 @@ async fn sweep(app: &App, clock: &SteadyClock) {
         match app.store.enforce_budgets(app.now()).await {
             Ok(0) => {}
             Ok(changed) => {
-                tracing::info!(budgets = changed, "actions of budgets came into force or are over")
+                tracing::info!(budgets = changed, "actions of budgets began or ended")
             }
             Err(error) => {
-                tracing::warn!(%error, "budgets could not be looked at; the next sweep tries again")
+                tracing::warn!(%error, "the budgets could not be checked; the next sweep tries again")
             }
         }
     }
 }
 
-/// Has the service's time follow the system's, if that was set, and takes everything along that is to end some time after now. The order
-/// is such that in between nothing can seem to have run out.
+/// Follows a clock that was set, and moves all ends along. In this order, nothing seems to expire in between.
 async fn follow(store: &Store, clock: &SteadyClock) -> Result<(), StoreError> {
     let micros = clock.set_by();
     if micros.unsigned_abs() < CLOCK_WAS_SET.as_micros() as u64 {
@@ -133,7 +131,7 @@ async fn follow(store: &Store, clock: &SteadyClock) -> Result<(), StoreError> {
     let moved = store.clock_was_set(micros).await;
     match (micros < 0, &moved) {
         (false, Ok(())) => clock.follow(micros),
-        // Not moved: as if it had not been noticed.
+        // The ends were not moved, so the clock goes back to where it was.
         (true, Err(_)) => clock.follow(-micros),
         _ => {}
     }

@@ -1,10 +1,9 @@
-//! What tonight and the nights after it will cost.
+//! Forecast of what tonight and the following nights will cost.
 //!
-//! The open bookings are projected from now on, and carried out in many scenarios: the frames of a job share the part of their
-//! forecast's error that does not average out (`forelight_planner::scenarios`). Every scenario is paid for, night by night, and quantiles
-//! are those of the sums; quantiles of parts do not add up, and are not added.
-//!
-//! Random numbers are hashes of scenario, job and frame: two runs of the same farm at the same instant say the same.
+//! The open bookings are carried out in many scenarios (`forelight_planner::scenarios`). Frames of a job
+//! share the part of their forecast's error that does not average out. Quantiles are taken of the sums, since
+//! quantiles of parts do not add up. Random numbers are hashes of scenario, job and frame: the same farm at
+//! the same instant gives the same forecast.
 
 mod basis;
 mod error;
@@ -28,13 +27,12 @@ use self::money::sum;
 use self::scenarios::work_out;
 use crate::conductor::farm::Snapshot;
 
-/// Most nights that are looked at.
+/// Most nights in one forecast.
 pub const MOST_NIGHTS: u32 = 60;
-/// Past nights that the track record looks at.
 const REMEMBERED: u32 = 400;
 
-/// Works the forecast out, and keeps it as what was said of its first night. Asked again for the same night, it is kept in the same place until
-/// the middle of the night, and not at all after it: what is held against the night is what was known before.
+/// Computes the forecast and keeps it under its first night, replacing an earlier one. After the middle of
+/// that night it is not kept: the track record compares the night with what was known before.
 pub async fn budget_forecast(
     store: &Store,
     request: &BudgetForecastRequest,
@@ -44,14 +42,14 @@ pub async fn budget_forecast(
     let (Some(first), Some(last)) = (nights.first(), nights.last()) else {
         return Err(BudgetForecastError::Invalid {
             pointer: "/days",
-            reason: "there is no night".to_owned(),
+            reason: "the forecast covers no night".to_owned(),
         });
     };
     let budgets = store.budgets(now).await?;
     let jobs = store.open_jobs().await?;
     let snapshot = Snapshot::with_all_nodes(store, now).await?;
     let nodes = snapshot.nodes.clone();
-    // Budgets of a month or for good began before tonight.
+    // Budgets of a month, or without an end, began before tonight.
     let begins = budgets.iter().filter_map(|budget| budget.period.bounds(&budget.zone, first.from));
     let since = begins.map(|(from, _)| from).chain([first.from]).min().unwrap_or(first.from);
     let ledger = store.ledger(since, now).await?;
@@ -91,12 +89,12 @@ fn nights(request: &BudgetForecastRequest, now: Timestamp) -> Result<Vec<Night>,
         date = date.tomorrow().map_err(|_| beyond())?;
     }
     if nights.last().is_some_and(|last| last.until <= now) {
-        return Err(invalid("/date", "these nights are over".to_owned()));
+        return Err(invalid("/date", "these nights are over; choose tonight or later".to_owned()));
     }
     Ok(nights)
 }
 
-/// How often what was said beforehand of nights that are over was right.
+/// How often forecasts of past nights were right.
 async fn track_record(store: &Store, past: &[KeptNight], now: Timestamp) -> Result<NightRecord, StoreError> {
     let mut record = NightRecord::default();
     for night in past.iter().filter(|night| night.until <= now && night.forecast.beforehand) {
@@ -111,7 +109,7 @@ async fn track_record(store: &Store, past: &[KeptNight], now: Timestamp) -> Resu
     Ok(record)
 }
 
-/// By job, what all nights were to cost at P80 and are now.
+/// By job, the P80 of all nights in the forecast before and in this one.
 fn changes(before: &BudgetForecast, after: &BudgetForecast) -> Vec<BudgetChange> {
     let all = |forecast: &BudgetForecast| {
         let mut jobs: BTreeMap<JobId, (String, i64)> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! Looking into bundles: whether they are scenes, and what is in them.
+//! Inspects bundles: whether they are scenes, and what they contain.
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +8,9 @@ use forelight_scene::{Scene, SceneError};
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
-/// Loads a bundle and says what is in it. `shown` is what the client calls it: errors of files speak of that, and
-/// never of where it lies on the service's disk.
-///
-/// Loading takes a processor and memory, so it is done on a thread of its own, and only a few at a time.
+/// Loads and describes a bundle. Errors call it `shown`, the client's name, instead of its path on the
+/// service's disk. Loading needs a core and memory, so it runs on its own thread, and only a few run at a
+/// time.
 pub(crate) async fn inspect(app: &App, path: PathBuf, shown: &str) -> ApiResult<SceneSummary> {
     let stopped = |_| ApiError::new(ProblemKind::Busy, "the service is stopping");
     let _permit = app.checks.clone().acquire_owned().await.map_err(stopped)?;
@@ -20,11 +19,14 @@ pub(crate) async fn inspect(app: &App, path: PathBuf, shown: &str) -> ApiResult<
     let own_name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let summary = tokio::task::spawn_blocking(move || summary(&path, &limits)).await.map_err(|error| {
         tracing::error!(%error, bundle = own_path, "loading a bundle panicked");
-        ApiError::new(ProblemKind::Internal, "the bundle could not be looked into")
+        ApiError::new(
+            ProblemKind::Internal,
+            "the bundle could not be inspected; the service's log has the cause",
+        )
     })?;
     match summary {
         Ok(mut scene) => {
-            // A scene without a name is called after its file, which for an upload is a name of ours.
+            // A scene without a name is named after its file. For an upload that is an internal name.
             if scene.name == own_name {
                 scene.name = Path::new(shown)
                     .file_stem()
@@ -54,11 +56,11 @@ fn summary(path: &Path, limits: &forelight_scene::Limits) -> Result<SceneSummary
     })
 }
 
-/// The canonical path of a bundle on shared storage.
+/// Canonical path of a bundle on shared storage.
 ///
-/// The hazard: a client names `/scenes/../etc`, or a link below a root that leads out of it, and has the service and all
-/// workers read what it may not see. So the path is made canonical, which resolves both, and has to lie below a
-/// canonical root then. What is not there and what is not allowed get the same answer: nobody can look around with this.
+/// Hazard: with `/scenes/../etc`, or a link out of a root, a client could have the service read files that it
+/// may not see. So the canonical path must lie below a canonical root. Missing and forbidden paths get the
+/// same answer, against probing.
 pub(crate) async fn resolve(app: &App, path: &str) -> ApiResult<PathBuf> {
     let refused = || {
         let reason = if app.bundle_roots.is_empty() {

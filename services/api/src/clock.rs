@@ -1,9 +1,8 @@
-//! Where the time comes from.
+//! Source of the time.
 //!
-//! The system's clock can be set: by hand, by a time server that finds it wrong, by a machine that wakes up. A lease that lasts thirty
-//! seconds must last thirty seconds all the same. So the service reads time from a [`SteadyClock`], which goes on by the
-//! system's monotonic clock; the sweep looks at the difference once in a while, and when the clock was set it moves everything
-//! that lies in the future along with it, in one transaction, before the service's time follows.
+//! The system's clock can jump, but a lease of thirty seconds must last thirty seconds. So the service reads
+//! a [`SteadyClock`], which follows the monotonic clock. After a jump the sweep moves all future ends in one
+//! transaction, then the service's time.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -11,12 +10,12 @@ use std::time::{Duration, Instant};
 
 use forelight_protocol::Timestamp;
 
-/// A source of time. The service reads time nowhere else.
+/// A source of time, the only one that the service reads.
 pub trait Clock: Send + Sync {
-    /// The time of day, which may be set at any moment.
+    /// Time of day. It can be set at any moment.
     fn now(&self) -> Timestamp;
 
-    /// Time since some moment of the past, which only ever goes on, at the pace of time.
+    /// Time since a fixed moment in the past. It never goes back or jumps.
     fn elapsed(&self) -> Duration;
 }
 
@@ -42,7 +41,7 @@ impl Clock for SystemClock {
     }
 }
 
-/// A clock that stands still until it is moved, for tests.
+/// A clock for tests that stands still until it is moved.
 #[derive(Debug)]
 pub struct ManualClock {
     now: AtomicI64,
@@ -55,13 +54,13 @@ impl ManualClock {
         Self { now: AtomicI64::new(time.micros()), elapsed: AtomicI64::new(0) }
     }
 
-    /// Lets so many microseconds pass.
+    /// Lets time pass, in microseconds.
     pub fn advance_micros(&self, micros: i64) {
         self.elapsed.fetch_add(micros, Ordering::SeqCst);
         self.now.fetch_add(micros, Ordering::SeqCst);
     }
 
-    /// Sets the time of day forward (back, if negative) by so many microseconds, without any passing.
+    /// Sets the time of day by this many microseconds, back if negative. No time passes.
     pub fn set_micros(&self, micros: i64) {
         self.now.fetch_add(micros, Ordering::SeqCst);
     }
@@ -77,7 +76,7 @@ impl Clock for ManualClock {
     }
 }
 
-/// The time of day as another clock had it when this one was made, or last followed it; it passes as time does.
+/// Time of day of another clock when this one was made or last followed it, plus the time elapsed since.
 pub(crate) struct SteadyClock {
     source: Arc<dyn Clock>,
     /// Time of day at which nothing had elapsed, in microseconds.
@@ -90,12 +89,12 @@ impl SteadyClock {
         Self { source, origin }
     }
 
-    /// By how many microseconds the other clock was set forward (back, if negative) since this one last followed it.
+    /// Microseconds by which the other clock was set since this one last followed it; negative if back.
     pub fn set_by(&self) -> i64 {
         origin(&*self.source) - self.origin.load(Ordering::SeqCst)
     }
 
-    /// Follows the other clock by this much.
+    /// Follows the other clock by this many microseconds.
     pub fn follow(&self, micros: i64) {
         self.origin.fetch_add(micros, Ordering::SeqCst);
     }

@@ -1,20 +1,17 @@
-//! Takes jobs from one state to the next, as far as that is the service's own work:
+//! Moves jobs from one state to the next, where that is the service's work:
 //!
 //! ```text
-//! previewing ──preview is there──► choose frames, make profile tasks, and one that plans a shared cache ──► profiling
-//! profiling  ──all of these are there──► estimate, plan, verify, book, make render tasks, and those of the cache ──► booked
+//! previewing ──preview is there──► choose frames; make profile tasks, plan a shared cache ──► profiling
+//! profiling  ──all are there──► estimate, plan, verify, book; make render and cache tasks ──► booked
 //! ```
 //!
-//! When something happens that the newest plan does not know of, the farm is planned anew, moving as little as possible (`replan`).
+//! The store makes the other steps: the first task handed out makes a job `rendering`, the last result
+//! `done`. Events that the newest plan does not know start a new one (`replan`).
 //!
-//! (The first frame, or part of a shared cache, handed out makes a job `rendering`, the last result `done`; that happens in the store, in the same
-//! transaction.)
+//! *Idempotent*: every step reads the store, computes, and writes one transaction, which does nothing if the
+//! job has left its state. So crashes, repeated advances and cancellations are harmless.
 //!
-//! *Idempotent*: every step looks at the store, computes, and writes one transaction that does nothing if the
-//! job is not in the state that it was computed for. So a crash anywhere, an advance that is asked for twice, and a
-//! cancellation in between are all harmless, and a start of the service simply advances every job that waits.
-//!
-//! There is one conductor and it does one thing at a time: plans never compete.
+//! There is one conductor and it does one thing at a time, so plans never compete.
 
 pub(crate) mod answers;
 mod book;
@@ -43,26 +40,23 @@ use forelight_store::{PlannedCache, Store, StoreError};
 use crate::clock::Clock;
 use crate::metrics::Metrics;
 
-/// Plans that may be overtaken by another one before a job waits for the next round.
+/// Attempts to plan a job that other plans overtake, before it waits for the next round.
 const ATTEMPTS: usize = 3;
 
 pub(crate) struct Conductor {
     store: Store,
     clock: Arc<dyn Clock>,
     metrics: Arc<Metrics>,
-    /// When the service was started.
     started: Timestamp,
-    /// The nodes that could be booked when that was last looked at.
     seen: Mutex<Option<BTreeSet<NodeId>>>,
 }
 
-/// Why a job does not advance.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum AdvanceError {
-    /// The store cannot just now, or the job went elsewhere: later, or never, but nothing is wrong with the job.
+    /// The store failed, or the job changed meanwhile. Trying later may succeed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The job itself is at fault, or we are: trying again would end the same way.
+    /// The job or the code is at fault. Trying again would fail the same way.
     #[error("{0}")]
     Hopeless(String),
 }
@@ -79,7 +73,6 @@ impl Conductor {
         Self { store, clock, metrics, started, seen: Mutex::new(None) }
     }
 
-    /// Advances every job that may be waiting for it.
     pub async fn advance_all(&self) {
         match self.store.jobs_to_advance().await {
             Ok(jobs) => {
@@ -87,11 +80,11 @@ impl Conductor {
                     self.advance(job).await;
                 }
             }
-            Err(error) => tracing::warn!(%error, "the jobs to advance could not be read"),
+            Err(error) => tracing::warn!(%error, "the list of jobs to advance could not be read"),
         }
     }
 
-    /// Advances a job as far as it goes. What goes wrong is logged, and fails the job if trying again is pointless.
+    /// Advances a job as far as possible. Errors are logged. If trying again is pointless, the job fails.
     pub async fn advance(&self, job: JobId) {
         let outcome = self.try_advance(job).await;
         self.settle(job, outcome).await;
@@ -101,12 +94,12 @@ impl Conductor {
         match outcome {
             Ok(()) => {}
             Err(AdvanceError::Store(error)) => {
-                tracing::warn!(%job, %error, "the job does not advance for now")
+                tracing::warn!(%job, %error, "the job does not advance yet")
             }
             Err(AdvanceError::Hopeless(reason)) => {
                 tracing::error!(%job, reason, "the job cannot advance");
                 if let Err(error) = self.store.fail_job(job, &reason, self.clock.now()).await {
-                    tracing::warn!(%job, %error, "nor could it be failed; the next round tries again");
+                    tracing::warn!(%job, %error, "the job could not be marked as failed; the next round tries again");
                 }
             }
         }
@@ -161,11 +154,11 @@ impl Conductor {
         let asked = job.clone();
         let (quote, rungs) =
             compute(move || quote_job(&asked, &preview, &profiles, &planned, &experience, limit)).await?;
-        // Frames that are given their work do not show how far forecasts are off.
+        // Frames with a fixed amount of work do not show forecast errors.
         let basis = kind.filter(|_| job.within.is_none()).map(|kind| quote.basis(kind));
         for _ in 0..ATTEMPTS {
             match self.book(job, &quote, basis.as_ref(), &rungs).await {
-                // Overtaken by another plan, or by a cancellation: look again.
+                // Overtaken by another plan or a cancellation: look again.
                 Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
                     tracing::info!(job = %job.id, reason, "the plan is made again");
                     if self.store.job(job.id).await?.state != JobState::Profiling {
@@ -179,7 +172,6 @@ impl Conductor {
     }
 }
 
-/// The quote of a job, and the other qualities that its profile tells.
 fn quote_job(
     job: &Job,
     preview: &PreviewResult,
@@ -202,7 +194,7 @@ fn quote_job(
     Ok((quote, rungs))
 }
 
-/// The limit of a job on a farm of these nodes. Without a node that has a price, money says nothing of time.
+/// The limit of a job on a farm of these nodes. Money sets a limit only if a node has a price.
 fn limit(within: &Within, job: &Job, nodes: Vec<Node>) -> Result<Limit, AdvanceError> {
     let most = match (within.cpu_micros, within.money) {
         (Some(micros), _) => Most::Seconds(micros as f64 * 1e-6),
@@ -215,13 +207,15 @@ fn limit(within: &Within, job: &Job, nodes: Vec<Node>) -> Result<Limit, AdvanceE
             return Err(AdvanceError::Hopeless(reason.to_owned()));
         }
         (None, None) => {
-            return Err(AdvanceError::Hopeless("within: it holds neither a time nor money".to_owned()));
+            return Err(AdvanceError::Hopeless(
+                "within: it gives neither a time nor an amount of money".to_owned(),
+            ));
         }
     };
     Ok(Limit { most, per: within.per, confidence: job.confidence })
 }
 
-/// Runs what may take a while on a thread of its own, so that requests go on being answered.
+/// Runs a long computation on its own thread, so that requests are still answered.
 pub(crate) async fn compute<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, AdvanceError> + Send + 'static,
 ) -> Result<T, AdvanceError> {

@@ -1,4 +1,4 @@
-//! How the service is to be run. Every default is said where it is set.
+//! Configuration of the service. Every default is documented where it is set.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -9,24 +9,24 @@ use forelight_store::ArtifactPlace;
 
 use crate::clock::{Clock, SystemClock};
 
-/// How the service is to be run.
+/// Configuration of the service.
 #[derive(Clone)]
 pub struct Config {
-    /// Folder of the database and the artefacts; made if it is not there.
+    /// Folder of the database and the artefacts. It is created if missing.
     pub data_dir: PathBuf,
-    /// Where artefacts rest. Default the data folder.
+    /// Where artefacts are stored. Default: the data folder.
     pub artifacts: ArtifactPlace,
-    /// Whether the artefacts have been copied there from where they were. Default no.
+    /// Whether the artefacts were copied there from their former place. Default: no.
     pub artifacts_moved: bool,
-    /// Address to listen on. Default 127.0.0.1:7878: nobody from outside; port 0 picks a free one.
+    /// Address to listen on. Default: 127.0.0.1:7878, local only. Port 0 picks a free port.
     pub listen: SocketAddr,
     /// How long a lease lasts without renewal. Default 30 s.
     pub lease_ttl: Duration,
     /// Folders on shared storage under which jobs may name bundles by path. Default none.
     pub bundle_roots: Vec<PathBuf>,
-    /// What is too much.
+    /// Limits on what clients send.
     pub limits: Limits,
-    /// Where the time comes from. Default the system clock.
+    /// Source of the time. Default: the system clock.
     pub clock: Arc<dyn Clock>,
 }
 
@@ -46,27 +46,26 @@ impl Config {
     }
 }
 
-/// What is too much: everything a client can make large.
+/// Limits on everything that a client can make large.
 #[derive(Clone, Debug)]
 pub struct Limits {
-    /// Bytes of an uploaded bundle. Default 256 MiB.
+    /// Bytes of an uploaded bundle. Default: 256 MiB.
     pub bundle_bytes: u64,
     /// Bytes of an artefact. Default 1 GiB.
     pub artifact_bytes: u64,
     /// Bytes of a JSON request. Default 1 MiB.
     pub request_bytes: usize,
-    /// Bytes of a task's result: a preview of many frames with many objects is long. Default 64 MiB.
+    /// Bytes of a task's result. Default: 64 MiB, since a preview of many frames with many objects is long.
     pub result_bytes: usize,
     /// Frames of a job. Default 10,000.
     pub frames: u64,
     /// Pixels of an image. Default 2²⁶, 8192 × 8192.
     pub pixels: u64,
-    /// Bytes of room where the data are without which no task is handed out, and the service is not ready: what is under way is
-    /// written meanwhile, the log of the database included. Default 64 MiB.
+    /// Least free disk space in bytes, left for running work and the database's log. Default: 64 MiB.
     pub least_disk_space: u64,
-    /// Bundles that are checked at the same time; others wait. Default 2.
+    /// Bundles checked at the same time; others wait. Default: 2.
     pub checks_at_once: usize,
-    /// What a scene may hold.
+    /// Limits of a scene.
     pub scene: forelight_scene::Limits,
 }
 

@@ -1,8 +1,7 @@
-//! Connections: accepted, answered, and brought to their end in order.
+//! Accepts connections, answers them, and closes them in order.
 //!
-//! A farm has a connection for each of its workers, nearly all of them silent at any moment: what a silent one takes in memory is what
-//! thousands of workers take. So they are served by HTTP/1.1 alone, without the states of a second protocol beside it, and each
-//! lies in one box that is never moved.
+//! A farm has one connection per worker, nearly all idle, so the memory of an idle one counts. Therefore only
+//! HTTP/1.1 is served, and each connection lies in one box that is never moved.
 
 use std::time::Duration;
 
@@ -14,13 +13,13 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-/// Most bytes of a request's head, and of what is read ahead of a body.
+/// Most bytes of a request's head, and of read-ahead into a body.
 const BUFFER: usize = 64 << 10;
 
-/// Pause after the system could not give a connection, for want of files or memory: others have to end first.
+/// Pause when the system is out of files or memory for a connection. Others have to end first.
 const NO_ROOM: Duration = Duration::from_millis(200);
 
-/// Serves until `stopping` is cancelled; then takes no more connections, and returns when every request that was begun is answered.
+/// Serves until `stopping` is cancelled; returns once all running requests are answered.
 pub(crate) async fn serve(listener: TcpListener, router: Router, stopping: CancellationToken) {
     let connections = TaskTracker::new();
     loop {
@@ -45,9 +44,9 @@ pub(crate) async fn serve(listener: TcpListener, router: Router, stopping: Cance
 }
 
 async fn answer(stream: TcpStream, router: Router, stopping: CancellationToken) {
-    // An answer is one write: there is nothing to wait for.
+    // An answer is one write, so there is nothing to wait for.
     if let Err(error) = stream.set_nodelay(true) {
-        tracing::debug!(%error, "a connection may answer a little late");
+        tracing::debug!(%error, "TCP_NODELAY could not be set; answers may be a little late");
     }
     let mut connection = std::pin::pin!(
         http1::Builder::new()
@@ -57,7 +56,6 @@ async fn answer(stream: TcpStream, router: Router, stopping: CancellationToken) 
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
         () = stopping.cancelled() => {
-            // What is being answered is; then the connection is closed.
             connection.as_mut().graceful_shutdown();
             connection.await
         }
@@ -67,7 +65,7 @@ async fn answer(stream: TcpStream, router: Router, stopping: CancellationToken) 
     }
 }
 
-/// Whether the next connection may be better.
+/// Whether the error concerns only one connection, so the next may succeed.
 fn is_of_one_connection(error: &std::io::Error) -> bool {
     use std::io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)

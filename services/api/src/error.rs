@@ -1,8 +1,7 @@
 //! Every error that a client can see, as problem details (RFC 9457).
 //!
-//! A handler returns an [`ApiError`]; it becomes a response without body that carries the problem as an extension,
-//! and [`render_problems`], the outermost layer, writes the body: there the path of the request is known, and errors
-//! that axum itself made (a method that is not allowed, a panic) get the same form.
+//! A handler's [`ApiError`] becomes a response without a body and with the problem as an extension. The
+//! outermost layer, [`render_problems`], knows the path and writes the body, also for axum's own errors.
 
 use std::collections::BTreeMap;
 
@@ -16,10 +15,9 @@ use forelight_store::StoreError;
 
 use utoipa::openapi::{ContentBuilder, Ref, RefOr, Response as DocumentedResponse, ResponseBuilder};
 
-/// The media type of problem details.
 pub(crate) const PROBLEM_JSON: &str = "application/problem+json";
 
-/// Seconds after which a client may ask again when the artefact store is away. It was tried several times before that was said.
+/// Seconds until a client may retry when the artefact store, retried already, is unavailable.
 const ARTIFACTS_AWAY: u32 = 2;
 
 /// Challenges to authenticate (RFC 6750).
@@ -27,7 +25,6 @@ pub(crate) const NO_TOKEN: &str = "Bearer realm=\"forelight\"";
 pub(crate) const BAD_TOKEN: &str = "Bearer realm=\"forelight\", error=\"invalid_token\"";
 pub(crate) const WRONG_ROLE: &str = "Bearer realm=\"forelight\", error=\"insufficient_scope\"";
 
-/// An error on its way to the client.
 #[derive(Debug)]
 pub(crate) struct ApiError {
     problem: Box<Problem>,
@@ -35,7 +32,6 @@ pub(crate) struct ApiError {
     authenticate: Option<&'static str>,
 }
 
-/// What handlers return.
 pub(crate) type ApiResult<T> = Result<T, ApiError>;
 
 impl ApiError {
@@ -44,7 +40,6 @@ impl ApiError {
         Self { problem: Box::new(Problem::new(kind, detail)), retry_after, authenticate: None }
     }
 
-    /// A field of the body does not hold what it has to.
     pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         Self::new(ProblemKind::Invalid, detail).at(pointer)
     }
@@ -53,25 +48,23 @@ impl ApiError {
         self.problem.known_kind()
     }
 
-    /// The same error at this place of the request's body (RFC 6901).
+    /// Sets the place in the request's body (RFC 6901).
     pub fn at(mut self, pointer: impl Into<String>) -> Self {
         self.problem.pointer = Some(pointer.into());
         self
     }
 
-    /// The same error in this query parameter or header.
     pub fn in_parameter(mut self, name: impl Into<String>) -> Self {
         self.problem.parameter = Some(name.into());
         self
     }
 
-    /// The same error with advice to come back after so many seconds.
     pub fn retry_after(mut self, seconds: u32) -> Self {
         self.retry_after = Some(seconds);
         self
     }
 
-    /// The same error with a challenge to authenticate (RFC 6750).
+    /// Adds a challenge to authenticate (RFC 6750).
     pub fn authenticate(mut self, challenge: &'static str) -> Self {
         self.authenticate = Some(challenge);
         self
@@ -97,21 +90,21 @@ impl From<StoreError> for ApiError {
         };
         match kind {
             ProblemKind::Internal => {
-                // What exactly failed is for the operator's log: a client can do nothing with it, and should not see paths.
+                // Details are for the operator's log. A client cannot use them and should not see paths.
                 tracing::error!(%error, "the store failed");
                 Self::new(kind, "the service failed; its log says more")
             }
             ProblemKind::StorageFull => {
-                tracing::warn!(%error, "nothing could be written");
+                tracing::warn!(%error, "the store could not write");
                 Self::new(kind, error.to_string())
             }
             ProblemKind::Busy if matches!(error, StoreError::ArtifactsAway(_)) => {
-                // Whoever runs the farm has to see to it; a client has to know no more than that it may try again.
+                // The operator has to act. The client only needs to know that it may retry.
                 tracing::warn!(%error, "an artefact could not be moved");
                 Self::new(kind, "the artefact store cannot be used just now").retry_after(ARTIFACTS_AWAY)
             }
             ProblemKind::ArtifactLost => {
-                tracing::error!(%error, "kept content is lost");
+                tracing::error!(%error, "stored content is lost");
                 Self::new(kind, format!("{error}; bring it back from a backup, or submit what made it again"))
             }
             ProblemKind::LeaseLost | ProblemKind::NotFound => Self::new(kind, error.to_string()),
@@ -127,7 +120,7 @@ impl From<StoreError> for ApiError {
     }
 }
 
-/// The problem of a response, before it is written.
+/// Problem of a response whose body is not written yet.
 #[derive(Clone)]
 struct Pending(Box<Problem>);
 
@@ -167,7 +160,6 @@ pub(crate) async fn render_problems(request: Request, next: Next) -> Response {
     (status, headers, body).into_response()
 }
 
-/// The problem of an error that axum made.
 fn of_status(status: StatusCode) -> Problem {
     let kind = match status {
         StatusCode::NOT_FOUND => ProblemKind::NotFound,
@@ -179,14 +171,14 @@ fn of_status(status: StatusCode) -> Problem {
         _ => ProblemKind::Internal,
     };
     let detail = match kind {
-        ProblemKind::NotFound => "there is nothing at this address".to_owned(),
-        ProblemKind::MethodNotAllowed => "this address does not take this method; see Allow".to_owned(),
+        ProblemKind::NotFound => "there is no resource at this address".to_owned(),
+        ProblemKind::MethodNotAllowed => "this method is not allowed here; see the Allow header".to_owned(),
         _ => kind.title().to_owned(),
     };
     Problem { status: status.as_u16(), ..Problem::new(kind, detail) }
 }
 
-/// The error responses that every operation can give, for the OpenAPI document.
+/// Error responses of every operation, for the OpenAPI document.
 pub(crate) struct Problems;
 
 impl utoipa::IntoResponses for Problems {
@@ -196,7 +188,7 @@ impl utoipa::IntoResponses for Problems {
             RefOr::T(ResponseBuilder::new().description(description).content(PROBLEM_JSON, content).build())
         };
         BTreeMap::from([
-            ("4XX".to_owned(), response("The request cannot be done as it is; `type` says why")),
+            ("4XX".to_owned(), response("The request is refused; `type` says why")),
             ("5XX".to_owned(), response("The service cannot do it now; 503 has `Retry-After`")),
         ])
     }

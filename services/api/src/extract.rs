@@ -1,4 +1,4 @@
-//! From requests to values, with an error that names the place where that fails.
+//! Extracts values from requests, with errors that name the place.
 
 mod auth;
 mod body;

@@ -1,11 +1,10 @@
-//! The farm over HTTP: routes, roles, events, dashboard, and the conductor that takes jobs from one state to the next.
+//! The farm over HTTP: routes, roles, events, dashboard, and the conductor that moves jobs from one state to
+//! the next.
 //!
-//! A walk through: [`Service::start`] opens the store and spawns three tasks. One serves ([`router`](self) lists every
-//! address; handlers are in `resources`, a file each, and do little: they check what came, ask the store, and
-//! answer). One sweeps leases that have run out. One is the conductor, which is told of every preview and profile that was
-//! committed, and decides what follows: which frames to profile, what the job will cost, who renders what and when.
-//!
-//! Nothing that matters is kept in the process: whatever it was doing when it died is found in the store at the next start.
+//! [`Service::start`] opens the store and spawns three tasks. One serves requests ([`router`](self) lists
+//! every address). One sweeps expired leases. The third is the conductor: it hears of every committed preview
+//! and profile and decides what follows. All state that matters is in the store, so a restart continues where
+//! the process died.
 
 mod answer_cache;
 mod background;

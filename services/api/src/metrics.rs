@@ -1,11 +1,10 @@
-//! Numbers for monitoring, as Prometheus text.
+//! Metrics in Prometheus text format.
 
 use std::fmt::Write as _;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use forelight_protocol::DashboardCounts;
 
-/// A number that only grows while the process lives.
 #[derive(Debug, Default)]
 pub(crate) struct Counter(AtomicU64);
 
@@ -19,7 +18,7 @@ impl Counter {
     }
 }
 
-/// What is counted in the process; what can be asked of the store is asked there.
+/// Counters of the process. Everything else is read from the store.
 #[derive(Debug, Default)]
 pub(crate) struct Metrics {
     /// Responses by the first digit of their status, 1 to 5.
@@ -44,11 +43,10 @@ impl Metrics {
         }
     }
 
-    /// All of it, in the text format of Prometheus; `room` in bytes.
+    /// All metrics in Prometheus text format. `room` is free disk space in bytes.
     pub fn render(&self, counts: &DashboardCounts, room: u64) -> String {
         let mut text = String::new();
         let mut family = |name: &str, kind: &str, help: &str, values: &[(String, u64)]| {
-            // Writing to a string cannot fail.
             let _ = writeln!(text, "# HELP forelight_{name} {help}\n# TYPE forelight_{name} {kind}");
             for (labels, value) in values {
                 let _ = writeln!(text, "forelight_{name}{labels} {value}");

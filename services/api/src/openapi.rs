@@ -1,18 +1,17 @@
-//! The frame of the OpenAPI document: what it says beside the operations, which `router` adds.
+//! The OpenAPI document without its operations, which `router` adds.
 
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, SecurityRequirement};
 use utoipa::{PartialSchema, ToSchema};
 
-/// The document without its operations: who we are, and how one proves who one is.
 pub(crate) fn frame() -> OpenApi {
     let mut info = Info::new("forelight", env!("CARGO_PKG_VERSION"));
     info.description = Some(
-        "A render farm that knows what a frame will cost before it is rendered. Times are RFC 3339 with microseconds, money is \
-         micro-units, errors are problem details (RFC 9457). Every POST that makes something new each time takes an `Idempotency-Key`, but the one for one-time \
-         tokens, which nobody keeps. Default \
-         limits: bundles 256 MiB, artefacts 1 GiB, JSON 1 MiB (results 64 MiB), 10,000 frames a job, 2^26 pixels an image, \
-         50 million triangles and 4 GiB a scene."
+        "A render farm that forecasts what a frame will cost before it is rendered. Times are RFC 3339 with \
+         microseconds, money is micro-units, errors are problem details (RFC 9457). Every POST that creates \
+         something takes an `Idempotency-Key`, except for one-time tokens, which are not stored. Default \
+         limits: bundles 256 MiB, artefacts 1 GiB, JSON 1 MiB (results 64 MiB), 10,000 frames a job, 2^26 pixels \
+         an image, 50 million triangles and 4 GiB a scene."
             .to_owned(),
     );
     let bearer = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));

@@ -1,5 +1,4 @@
-//! Paging by key: a page token says after which thing the next page starts, so that pages neither skip nor repeat
-//! anything while things are added.
+//! Paging by key: a token holds the key after which the next page starts. No item is skipped or repeated.
 
 use forelight_protocol::{PageToken, ProblemKind};
 use serde::de::DeserializeOwned;
@@ -11,29 +10,27 @@ use crate::extract::number_if_any;
 
 const DEFAULT_SIZE: u32 = 50;
 
-/// Most things on a page.
+/// Most items on a page.
 pub(crate) const LARGEST_PAGE: i64 = 200;
 
-/// Which page of a list.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams, ToSchema)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct PageQuery {
-    /// `next_page_token` of the page before.
+    /// `next_page_token` of the previous page.
     pub page_token: Option<String>,
-    /// Things on a page: 1 to 200, default 50.
+    /// Number of items on a page: 1 to 200, default 50.
     #[param(minimum = 1, maximum = 200, default = 50)]
     #[serde(default, deserialize_with = "number_if_any::<_, _, 1, LARGEST_PAGE>")]
     pub page_size: Option<u32>,
 }
 
 impl PageQuery {
-    /// How many things to show.
     pub fn size(&self) -> u32 {
         self.page_size.unwrap_or(DEFAULT_SIZE)
     }
 
-    /// The key after which the page starts; `list` names the list, for a token of another list is refused.
+    /// The key after which the page starts. A token made for another `list` is refused.
     pub fn key<K: DeserializeOwned>(&self, list: &str) -> ApiResult<Option<K>> {
         let Some(token) = &self.page_token else { return Ok(None) };
         let refused = || {
@@ -46,7 +43,7 @@ impl PageQuery {
     }
 }
 
-/// Cuts a list that was asked for with one thing more than the page shows; that thing only says that there is a next page.
+/// Cuts a list read with one item more than the page size, which only shows that there is a next page.
 pub(crate) fn cut<T, K: Serialize>(
     items: &mut Vec<T>,
     size: u32,

@@ -1,4 +1,4 @@
-//! What a plan changed, with names and in words.
+//! Changes of a plan, with names and in words.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,10 +12,9 @@ use forelight_store::{Store, StoreError};
 use crate::conductor::effects::priced;
 use crate::conductor::settle::stayed;
 
-/// Frames that are told one by one in words.
 const MOST_LINES: usize = 50;
 
-/// Compares a plan with what was booked before it.
+/// Compares a plan with the bookings before it.
 pub(crate) async fn difference(store: &Store, plan: PlanId) -> Result<PlanDifference, StoreError> {
     let after = store.plan(plan).await?;
     let (before, said) = store.booked_before(plan).await?;
@@ -67,7 +66,6 @@ pub(crate) async fn difference(store: &Store, plan: PlanId) -> Result<PlanDiffer
     Ok(difference)
 }
 
-/// Jobs and nodes of two plans, by their places in lists.
 struct Places {
     jobs: Vec<JobId>,
     nodes: Vec<NodeId>,
@@ -128,7 +126,7 @@ fn words(difference: &PlanDifference) -> Vec<String> {
         words.push(format!("because {}", difference.causes.join("; ")));
     }
     words.push(format!(
-        "{} frames moved, {} booked for the first time, {} without a place, {} as they were; {}",
+        "{} frames moved, {} booked for the first time, {} without a booking, {} unchanged; {}",
         count(|frame| frame.before.is_some() && frame.after.is_some()),
         count(|frame| frame.before.is_none()),
         count(|frame| frame.after.is_none()),
@@ -151,7 +149,7 @@ fn words(difference: &PlanDifference) -> Vec<String> {
             }
             (None, Some(new)) => format!("{}, frame {}: {}", name(frame.job_id), frame.frame, at(new)),
             (old, None) => format!(
-                "{}, frame {}: no place any more{}",
+                "{}, frame {}: no longer booked{}",
                 name(frame.job_id),
                 frame.frame,
                 old.as_ref().map(|old| format!(", was on {}", at(old))).unwrap_or_default()
@@ -164,7 +162,6 @@ fn words(difference: &PlanDifference) -> Vec<String> {
     words
 }
 
-/// What is said of a job, and was said before.
 fn of_job(change: &VerdictChange) -> Option<String> {
     let end = |verdict: &JobVerdict| verdict.finish.map_or("never".to_owned(), |finish| finish.to_string());
     let Some(before) = &change.before else {
@@ -176,7 +173,7 @@ fn of_job(change: &VerdictChange) -> Option<String> {
         (_, Verdict::OnTime) => " and is in time now",
         (_, Verdict::Late) => " and misses its deadline now",
         (_, Verdict::OverBudget) => " and is above its budget now",
-        (_, Verdict::Impossible) => " and has no place any more",
+        (_, Verdict::Impossible) => " and has no booking any more",
     };
     (moved || !word.is_empty())
         .then(|| format!("{} ends {} instead of {}{word}", change.name, end(&change.after), end(before)))

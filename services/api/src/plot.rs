@@ -1,4 +1,4 @@
-//! Pictures as SVG: the track record, and how a job's estimate moved.
+//! SVG pictures: the track record, and a job's estimate over time.
 
 mod chart;
 mod history;

@@ -1,4 +1,4 @@
-//! The resources, one file or folder each, with a small handler for each verb.
+//! The resources: a file or folder each, with a small handler per verb.
 
 pub(crate) mod answers;
 pub(crate) mod artifacts;

@@ -1,4 +1,4 @@
-//! Which address leads to which handler, and what happens to every request on the way.
+//! Maps addresses to handlers, and wraps every request in the common layers.
 
 use std::time::Duration;
 
@@ -23,10 +23,9 @@ use crate::resources::{
 };
 use crate::state::App;
 
-/// How long a client may leave off in the middle of a body.
+/// Longest pause of a client within a body.
 const BODY_SILENCE: Duration = Duration::from_secs(60);
 
-/// All routes, and the document that describes them.
 fn routes() -> (axum::Router<App>, OpenApi) {
     OpenApiRouter::with_openapi(frame())
         .routes(routes!(bundles::upload))
@@ -79,14 +78,14 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .split_for_parts()
 }
 
-/// The whole OpenAPI document as YAML. It is generated from the types and handlers, so it cannot say anything else.
+/// The whole OpenAPI document as YAML, generated from the types and handlers.
 pub fn openapi_yaml() -> String {
     let (_, document) = routes();
-    // The document is made of strings, numbers, lists and maps with string keys, all of which YAML can say.
+    // Strings, numbers, lists and maps with string keys always have a YAML form.
     document.to_yaml().unwrap_or_default()
 }
 
-/// The service as axum runs it. The layers, from the outside in: a log line, the count, the form of errors, panics, bodies.
+/// The axum router. Layers from the outside in: log line, counter, form of errors, panics, bodies.
 pub(crate) fn router(app: App) -> axum::Router {
     let (routes, _) = routes();
     routes
@@ -100,11 +99,11 @@ pub(crate) fn router(app: App) -> axum::Router {
         .with_state(app)
 }
 
-/// What is refused for want of room is asked again and again. That it is refused is told once, when it begins.
+/// Logs a failure. Refusals for lack of disk space repeat, so they are logged at debug level.
 fn tell_failure(failure: ServerErrorsFailureClass, latency: Duration, _: &Span) {
     match failure {
         ServerErrorsFailureClass::StatusCode(StatusCode::INSUFFICIENT_STORAGE) => {
-            tracing::debug!(?latency, "refused for want of room");
+            tracing::debug!(?latency, "refused for lack of disk space");
         }
         _ => tracing::error!(%failure, ?latency, "response failed"),
     }

@@ -2,7 +2,7 @@
 
 use utoipa::{IntoParams, ToSchema};
 
-/// The bytes of a file as they are: not text, and no list of numbers in JSON.
+/// The raw bytes of a file, neither text nor a JSON list of numbers.
 #[derive(ToSchema)]
 #[schema(value_type = String, format = Binary)]
 #[allow(dead_code, reason = "describes bodies that are streamed and never held")]

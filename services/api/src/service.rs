@@ -1,4 +1,4 @@
-//! The running service: its start, what it does by itself, and its end.
+//! The running service: start, background work, and shutdown.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -18,10 +18,10 @@ use crate::metrics::Metrics;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
 
-/// How long requests that are being answered may take when the service stops.
+/// Time allowed for running requests when the service stops.
 const LAST_ANSWERS: Duration = Duration::from_secs(10);
 
-/// Why the service does not run.
+/// Why the service cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
     /// The data folder cannot be used.
@@ -30,22 +30,22 @@ pub enum ServiceError {
     /// The address cannot be listened on.
     #[error("cannot listen on {address}: {source}")]
     Listen {
-        /// Which address.
+        /// The address.
         address: SocketAddr,
-        /// Why not.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A bundle root is not there.
+    /// A bundle root does not exist.
     #[error("bundle root {path}: {source}")]
     BundleRoot {
-        /// Which one.
+        /// Its path.
         path: String,
-        /// Why not.
+        /// The system's error.
         source: std::io::Error,
     },
 }
 
-/// A running service. It stops when this is dropped; [`Service::shutdown`] waits for that.
+/// A running service. Dropping it stops it; [`Service::shutdown`] waits for that.
 pub struct Service {
     address: SocketAddr,
     store: Store,
@@ -54,7 +54,7 @@ pub struct Service {
 }
 
 impl Service {
-    /// Opens the data folder, resumes what was under way, and serves. When this returns, the service can be reached.
+    /// Opens the data folder, resumes earlier work, and serves. The service is reachable when this returns.
     pub async fn start(config: Config) -> Result<Self, ServiceError> {
         let Config { data_dir, artifacts, artifacts_moved, listen, lease_ttl, bundle_roots, limits, clock } =
             config;
@@ -69,7 +69,7 @@ impl Service {
         let store = Store::open_with(&data_dir, &artifacts, artifacts_moved).await?;
         let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
         if extended > 0 {
-            tracing::info!(leases = extended, "leases from before the start have one more term");
+            tracing::info!(leases = extended, "leases from before the start were extended");
         }
         let listener = TcpListener::bind(listen)
             .await
@@ -101,22 +101,22 @@ impl Service {
         Ok(Self { address, store, stopping, tasks })
     }
 
-    /// The address that it listens on.
+    /// The address it listens on.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
     }
 
-    /// Its memory, for making tokens in the same process.
+    /// Its store, for making tokens in the same process.
     pub fn store(&self) -> &Store {
         &self.store
     }
 
-    /// Takes no more requests, ends waits and event streams, answers what is being answered, and closes the database.
+    /// Takes no more requests, ends waits and event streams, finishes running requests, closes the database.
     pub async fn shutdown(mut self) {
         self.stopping.cancel();
         for mut task in self.tasks.drain(..) {
             if tokio::time::timeout(LAST_ANSWERS, &mut task).await.is_err() {
-                tracing::warn!("a request took too long to be waited for");
+                tracing::warn!("a running request took too long and is dropped");
                 task.abort();
             }
         }

@@ -1,5 +1,3 @@
-//! What every handler can reach.
-
 use parking_lot::Mutex;
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -17,26 +15,24 @@ use crate::config::Limits;
 use crate::error::ApiError;
 use crate::metrics::Metrics;
 
-/// What every handler can reach. Cheap to clone.
+/// State shared by all handlers. Cheap to clone.
 #[derive(Clone)]
 pub(crate) struct App {
     pub store: Store,
     pub clock: Arc<dyn Clock>,
     pub lease_ttl: Duration,
-    /// Canonical paths.
+    /// Canonical paths of the bundle roots.
     pub bundle_roots: Arc<[PathBuf]>,
     pub limits: Arc<Limits>,
     pub metrics: Arc<Metrics>,
-    /// Cancelled when the service is to stop: whoever waits for something stops waiting.
+    /// Cancelled when the service stops. All waits then end.
     pub stopping: CancellationToken,
-    /// Bounds how many bundles are loaded at once: each takes memory and a processor.
+    /// Limits how many bundles are loaded at once, since each needs a core and memory.
     pub checks: Arc<Semaphore>,
     /// Jobs for which the conductor may have something to do.
     pub conductor: mpsc::UnboundedSender<JobId>,
     pub in_flight: InFlight,
-    /// Answers about plans.
     pub answers: Arc<AnswerCache>,
-    /// When the service was started.
     pub started: Timestamp,
     pub openapi: Arc<str>,
 }
@@ -47,24 +43,20 @@ impl App {
     }
 }
 
-/// The idempotency keys of requests that are being worked on in this process.
-///
-/// Not what makes repetition harmless (the store does that, in the creating transaction), but what
-/// saves a client that repeats impatiently from having its bundle checked twice at the same time.
+/// Idempotency keys of requests in progress. The store makes repetition harmless; this only keeps an
+/// impatient client from having its bundle checked twice at the same time.
 #[derive(Clone, Default)]
 pub(crate) struct InFlight(Arc<Mutex<HashSet<OwnedKey>>>);
 
-/// The hash of a client's token, and the key that it chose.
 type OwnedKey = ([u8; 32], String);
 
-/// Holds a key until the request is answered or dropped.
 pub(crate) struct InFlightGuard {
     keys: InFlight,
     key: OwnedKey,
 }
 
 impl InFlight {
-    /// Takes a key, or says that another request has it.
+    /// Takes a key, or returns an error if another request holds it.
     pub fn enter(&self, key: Option<&IdempotencyKey>) -> Result<Option<InFlightGuard>, ApiError> {
         let Some(key) = key else { return Ok(None) };
         let key = (key.principal, key.key.clone());

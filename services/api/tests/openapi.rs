@@ -1,4 +1,4 @@
-//! The OpenAPI document against the repository's copy.
+//! Compares the OpenAPI document with the repository's copy.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! The irradiance cache that the frames of a job share, made by a farm: the images are those that one process makes from one file.
+//! A shared irradiance cache made by a farm. The images equal those of one process with one cache file.
 
 mod support;
 
@@ -25,13 +25,13 @@ use serde_json::json;
 use support::{Answer, Farm};
 use tokio_util::sync::CancellationToken;
 
-/// Does tasks, but for the first part of a cache that it is given: it stands still at that, until it is dead.
+/// Does tasks, but stops at the first part of a cache until it is killed.
 struct Doomed {
     runner: TaskRunner,
     began: AtomicBool,
     dead: AtomicBool,
     fills: AtomicU32,
-    /// Whether it is to die at all.
+    /// Whether it stops at all.
     mortal: bool,
 }
 
@@ -91,7 +91,7 @@ impl Worker {
         Self { executor, agent, stop, _folder: folder }
     }
 
-    /// Ends it without a word to anyone.
+    /// Ends the worker without a message to the service.
     async fn kill(&mut self) {
         self.agent.abort();
         let _ = (&mut self.agent).await;
@@ -103,7 +103,7 @@ fn scenes() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes").canonicalize().unwrap()
 }
 
-/// The samples of an image by channel, as bits; without the time that its pixels took.
+/// Samples of an image by channel, as bits, without the pixels' time.
 fn channels(file: &[u8]) -> BTreeMap<String, Vec<u32>> {
     let image = exr::prelude::read()
         .no_deep_data()
@@ -135,7 +135,7 @@ async fn until(what: &str, mut done: impl AsyncFnMut() -> bool) {
     }
 }
 
-/// The shared cache's line of a quote, which has the prices of both ways and takes the cheaper one.
+/// The quote's shared cache. Asserts that both prices are there and that the cheaper way is taken.
 fn quoted_cache(quote: &ForecastDoc) -> SharedCacheForecast {
     let cache = quote.cache.clone().unwrap();
     let (shared, private) = (cache.shared_price.unwrap(), cache.private_price);
@@ -146,7 +146,7 @@ fn quoted_cache(quote: &ForecastDoc) -> SharedCacheForecast {
     line
 }
 
-/// One process that fills the cache into one file renders the same images at the same cost.
+/// Asserts that one process with one cache file renders the same images at the same cost.
 async fn assert_offline_images_are_the_same(
     farm: &Farm,
     job: &Job,
@@ -232,7 +232,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     assert_eq!(seen(EventKind::LeaseExpired, TaskKind::CacheFill), 1);
     assert_eq!(seen(EventKind::TaskDone, TaskKind::CacheMerge), 2);
 
-    // The quote has both prices, and what it said came to pass.
+    // The quote has both prices, and they came true.
     let quote: ForecastDoc =
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     let line = quoted_cache(&quote);

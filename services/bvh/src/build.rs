@@ -1,5 +1,4 @@
-//! Builds the tree: `obvhs` makes a binary BVH, which [`Collapse`] turns into one with eight children per
-//! node.
+//! Builds the tree: a binary BVH by `obvhs`, which [`Collapse`] turns into one with eight children per node.
 
 use crate::collapse::Collapse;
 use crate::node::{Bvh, GROUP};
@@ -8,9 +7,7 @@ use obvhs::{BvhBuildParams, bvh2::builder::build_bvh2_from_tris, triangle::Trian
 use std::time::Duration;
 
 impl Bvh {
-    /// Builds the tree over `triangles`.
-    ///
-    /// `positions` are in metres and must be finite. Each triangle is three indices into `positions`.
+    /// Builds the tree over `triangles`, each three indices into `positions` (finite, in metres).
     ///
     /// # Panics
     /// If an index is out of range. The scene loader has checked all indices by then.
@@ -23,8 +20,8 @@ impl Bvh {
         if input.is_empty() {
             return Self::default();
         }
-        // A spatial split pays for large triangles whose boxes are mostly empty. Most shots build the tree
-        // once, so the slow preset is worth its extra second per million triangles.
+        // Spatial splits help large triangles with mostly empty boxes. Most shots build the tree once, so the
+        // slow preset is worth a second per million triangles.
         let params = BvhBuildParams { max_prims_per_leaf: GROUP as u32, ..BvhBuildParams::slow_build() };
         let mut build_time = Duration::ZERO; // Required by obvhs; not used here.
         let binary = build_bvh2_from_tris(&input, params, &mut build_time);

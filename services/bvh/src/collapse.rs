@@ -1,13 +1,9 @@
 //! Collapses the binary tree into a tree with eight children per node, at the least expected traversal cost.
 //!
-//! Two decisions are made: which binary nodes become wide nodes, and which subtrees become one triangle
-//! group. Dynamic programming over the surface area heuristic makes both (Ylitie, Karras and Laine 2017,
-//! "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", section 3.1). For each binary
-//! subtree it computes the cost of representing the subtree by 1 to 7 roots in the wide node above. The costs
-//! follow from those of the two children.
-//!
-//! Children are stored in the order in which an any-hit query should visit them, so that it finds occluders
-//! early.
+//! Dynamic programming over the surface area heuristic decides which binary nodes become wide nodes, and
+//! which subtrees become one triangle group. It computes the cost of each subtree as 1 to 7 roots in the wide
+//! node above (Ylitie, Karras and Laine 2017, "Efficient Incoherent Ray Traversal on GPUs Through Compressed
+//! Wide BVHs", section 3.1). Children are stored in the order in which an any-hit query should visit them.
 
 use crate::node::{Bvh, GROUP, Group, LEAF, Node, WIDTH};
 use glam::{Vec3A, Vec4};
@@ -20,8 +16,7 @@ use obvhs::{
 const NODE_COST: f32 = 1.0;
 const GROUP_COST: f32 = 0.7;
 
-/// Cost of a binary subtree as a forest of at most 1, 2, … 7 roots. Each cost is multiplied by the area of
-/// its box.
+/// Cost of a binary subtree as a forest of at most 1, 2, … 7 roots, times the area of its box.
 type Forest = [f32; WIDTH - 1];
 
 /// Cost and contents of a binary subtree.
@@ -97,9 +92,8 @@ impl<'a> Collapse<'a> {
             }
             Subtree { cost, triangles, area: left.area + right.area, leaf, promise: 0.0 }
         };
-        // If triangles faced random directions, a ray through the box would meet `x = area / box_area` of
-        // them on average. Triangles also hide each other; `x / (1 + x)` approximates the probability of a
-        // hit.
+        // A random ray through the box would meet `x = area / box_area` triangles on average. Because
+        // triangles hide each other, the probability of a hit is about `x / (1 + x)`.
         let floor = box_area.max(f32::MIN_POSITIVE);
         let covered = subtree.area / floor;
         let promise = covered / (1.0 + covered) / (subtree.cost[0] / floor).max(GROUP_COST);
@@ -110,16 +104,16 @@ impl<'a> Collapse<'a> {
     /// Writes the wide tree.
     pub fn run(mut self) -> Bvh {
         self.out.nodes.push(Node::EMPTY);
-        // Entries: (wide node to fill, binary node that it represents, level). Depth-first order keeps
-        // subtrees together in memory.
+        // Entries: (wide node to fill, binary node, level). Depth-first order keeps subtrees together in
+        // memory.
         let mut pending = vec![(0u32, 0u32, 1)];
         while let Some((wide, binary, level)) = pending.pop() {
             self.out.depth = self.out.depth.max(level);
             for (slot, child) in self.children(binary).into_iter().enumerate() {
                 let source = &self.binary.nodes[child as usize];
                 // The triangle test shears the corners along the ray. The rounding error of a corner's
-                // distance along the ray, a few 2⁻²⁴ of the box's longest side, then appears across the ray.
-                // Without slack, the box test would reject valid hits on long, narrow triangles.
+                // distance, a few 2⁻²⁴ of the box's longest side, then appears across the ray. Without slack,
+                // the box test would reject valid hits on narrow triangles.
                 let slack = (source.aabb.max - source.aabb.min).max_element() * BOX_SLACK;
                 let (lower, upper) =
                     ((source.aabb.min - slack).to_array(), (source.aabb.max + slack).to_array());
@@ -144,8 +138,7 @@ impl<'a> Collapse<'a> {
         self.out
     }
 
-    /// The descendants of `root` that become the children of its wide node. The last has the highest
-    /// priority.
+    /// The descendants of `root` that become its wide node's children. The last has the highest priority.
     fn children(&self, root: u32) -> Vec<u32> {
         let mut children = Vec::with_capacity(WIDTH);
         if self.subtrees[root as usize].leaf {
@@ -212,8 +205,7 @@ impl<'a> Collapse<'a> {
     }
 }
 
-/// The least cost of two sibling subtrees as a forest of `roots` roots (at least 2), and how many roots the
-/// left one gets.
+/// Least cost of two sibling subtrees as `roots` ≥ 2 roots, and the number of the left one.
 fn halves(left: &Forest, right: &Forest, roots: usize) -> (f32, usize) {
     let cost = |k: usize| left[k.min(WIDTH - 1) - 1] + right[(roots - k).min(WIDTH - 1) - 1];
     (2..roots).fold((cost(1), 1), |best, k| if cost(k) < best.0 { (cost(k), k) } else { best })

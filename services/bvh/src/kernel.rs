@@ -4,10 +4,9 @@ use crate::node::{Node, WIDTH};
 use crate::ray::Ray;
 use glam::{Vec3, Vec4};
 
-/// Relative widening of a box's exit distance. It makes the slab test conservative in f32.
-///
-/// The value is 1 + 2γ₄ with γ₄ = 4ε / (1 − 4ε). It covers the rounding of the reciprocal, its widening, the
-/// difference and the product (Ize 2013, "Robust BVH Ray Traversal").
+/// Widening of a box's exit distance that makes the slab test conservative in f32: 1 + 2γ₄ with γ₄ = 4ε / (1
+/// − 4ε), for the rounding of reciprocal, widening, difference and product (Ize 2013, "Robust BVH Ray
+/// Traversal").
 pub(crate) const EXIT_SCALE: f32 = 1.0 + 4.8e-7;
 
 /// A ray prepared for box tests.
@@ -38,17 +37,14 @@ pub(crate) struct Boxes {
     pub mask: u32,
 }
 
-/// An implementation of the box test.
-///
-/// A NaN arises as 0 · ∞ when the ray runs inside a slab's plane. All comparisons are written so that a NaN
-/// leaves the interval unchanged: that axis does not exclude the box.
+/// An implementation of the box test. A NaN, 0 · ∞, arises when the ray runs inside a slab's plane.
+/// Comparisons are written so that a NaN leaves the interval unchanged.
 pub(crate) trait Kernel: Copy {
     /// Tests the eight boxes of a node.
     fn boxes(self, node: &Node, ray: &BoxRay, t_max: f32) -> Boxes;
 
-    /// Writes the children whose boxes the ray meets to the front of `children`, in slot order.
-    ///
-    /// Returns the bit mask of their slots. The entries behind them are undefined.
+    /// Writes the children whose boxes the ray meets to the front of `children`, in slot order; the rest is
+    /// undefined. Returns the bit mask of their slots.
     fn met(self, node: &Node, ray: &BoxRay, t_max: f32, children: &mut [u32; WIDTH]) -> u32;
 
     /// Prefetches memory that may be read soon.
@@ -93,8 +89,7 @@ impl Kernel for Portable {
     fn prefetch<T>(self, _soon: Option<&T>) {}
 }
 
-/// The AVX2 kernel: eight lanes. A value of this type proves that the processor has the features that
-/// [`Avx2::detect`] checks.
+/// The AVX2 kernel: eight lanes. A value proves that [`Avx2::detect`] found the processor's features.
 #[cfg(target_arch = "x86_64")]
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
@@ -120,8 +115,7 @@ static LANES: [[u8; WIDTH]; 1 << WIDTH] = {
 
 #[cfg(target_arch = "x86_64")]
 impl Avx2 {
-    /// Returns the kernel if this processor has AVX2, BMI1, BMI2, LZCNT and POPCNT. Every processor with AVX2
-    /// has the other four.
+    /// The kernel if this processor has AVX2, BMI1, BMI2, LZCNT and POPCNT; all with AVX2 have the others.
     #[inline]
     pub fn detect() -> Option<Self> {
         let found = std::arch::is_x86_feature_detected!("avx2")

@@ -15,7 +15,6 @@ pub(crate) const WIDTH: usize = 8;
 pub(crate) const GROUP: usize = 4;
 
 /// Eight boxes, stored axis by axis, and their children. An empty slot has an inverted box that no ray meets.
-///
 /// Later slots have higher priority in an any-hit query; see [`crate::collapse`].
 #[repr(C, align(32))]
 #[derive(Debug, Clone, Copy)]
@@ -32,8 +31,7 @@ impl Node {
     };
 }
 
-/// Up to four triangles, as `corners[corner][axis]` with one triangle per lane. Unused lanes repeat the last
-/// triangle.
+/// Up to four triangles, as `corners[corner][axis]`, one per lane. Unused lanes repeat the last.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Group {
     pub corners: [[Vec4; 3]; 3],
@@ -60,10 +58,8 @@ impl Bvh {
         size_of_val(self.nodes.as_slice()) + size_of_val(self.groups.as_slice())
     }
 
-    /// Number of stack entries that a traversal needs.
-    ///
-    /// Each node on the way down leaves at most seven children on the stack, because the eighth is visited
-    /// next. The last node may write eight before one is taken. One more entry holds [`END`].
+    /// Number of stack entries that a traversal needs: at most seven per node on the way down, eight for the
+    /// last, and one for [`END`].
     pub(crate) fn waiting(&self) -> usize {
         (WIDTH - 1) * self.depth.saturating_sub(1) + WIDTH + 1
     }

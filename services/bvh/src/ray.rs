@@ -7,8 +7,7 @@ use glam::Vec3;
 pub struct Ray {
     /// Start point, in metres.
     pub origin: Vec3,
-    /// Direction. It must be finite and not zero, and the inverse of its largest component must be finite.
-    /// Any component may be zero of either sign.
+    /// Direction: finite and not zero. The inverse of its largest component must be finite.
     pub direction: Vec3,
     /// Hits at `t <= t_min` do not count.
     pub t_min: f32,
@@ -37,10 +36,9 @@ pub struct Hit {
 }
 
 impl Hit {
-    /// The position of the hit, computed from the triangle's corners instead of along the ray.
-    ///
-    /// Its error is then a few ulps of the corners' coordinates, whatever the length of the ray (Wächter and
-    /// Binder 2019, "A Fast and Robust Method for Avoiding Self-Intersection").
+    /// The position of the hit, from the triangle's corners. Its error is a few ulps of their coordinates,
+    /// whatever the length of the ray (Wächter and Binder 2019, "A Fast and Robust Method for Avoiding
+    /// Self-Intersection").
     pub fn position(&self, [a, b, c]: [Vec3; 3]) -> Vec3 {
         (1.0 - self.u - self.v) * a + self.u * b + self.v * c
     }
@@ -67,12 +65,9 @@ pub(crate) struct Entry {
 /// Moves `point` off its surface along the unit `normal`, so that a ray from there does not hit that surface
 /// again.
 ///
-/// `size` is the largest coordinate of the triangle's corners ([`size_of`]). It bounds the rounding error of
-/// a point between them. Points from barycentrics are off by a few ulps of the corners (Wächter and Binder
-/// 2019); the step is 2⁻¹⁸ of `size`, which is 32 to 64 ulps.
-///
-/// Unlike the step of Wächter and Binder, ours contains no length in metres. A scene scaled by a power of two
-/// therefore has rays with the same mantissas, and the step is as small as the corners allow.
+/// The step is 2⁻¹⁸ of `size`, the largest coordinate of the triangle's corners ([`size_of`]): 32 to 64 ulps.
+/// Points from barycentrics are off by a few ulps (Wächter and Binder 2019). The step contains no length in
+/// metres, so scaling a scene by a power of two keeps all mantissas.
 pub fn offset_origin(point: Vec3, normal: Vec3, size: f32) -> Vec3 {
     const STEP: f32 = 1.0 / 262_144.0;
     point + normal * (size * STEP)

@@ -161,8 +161,7 @@ fn an_empty_tree_is_never_hit() {
 
 #[test]
 fn a_tree_as_deep_as_its_triangles_are_many_has_room_for_what_waits() {
-    // Nested boxes that share a corner. Their sizes are powers of two over the whole range whose squares are
-    // finite.
+    // Nested boxes that share a corner, with all power-of-two sizes whose squares are finite.
     let sizes = (-58..58).map(|i| (i as f32).exp2());
     let positions: Vec<Vec3> = sizes
         .flat_map(|s| [Vec3::ZERO, s * Vec3::new(1.0, 0.9, 0.1), s * Vec3::new(0.2, 1.0, 1.0)])
@@ -242,8 +241,7 @@ proptest! {
         picks in prop::collection::vec([any::<prop::sample::Index>(), any::<prop::sample::Index>(), any::<prop::sample::Index>()], 1..120),
         rays in prop::collection::vec((coarse_point(), axis_parallel()), 16),
     ) {
-        // Random indices give triangles that share edges, duplicates, and triangles that degenerate to a line
-        // or a point.
+        // Random indices give shared edges, duplicates, and triangles degenerated to a line or a point.
         let triangles: Vec<[u32; 3]> = picks.iter().map(|p| p.map(|i| i.index(positions.len()) as u32)).collect();
         let bvh = Bvh::build(&positions, &triangles);
         for (origin, direction) in rays {
@@ -269,9 +267,8 @@ proptest! {
                 // What the tree finds is a real hit: it is not nearer than the nearest.
                 let nearest = expected.map_or(f32::INFINITY, |hit| hit.t);
                 prop_assert!(found.is_none_or(|hit| hit.t >= nearest), "{:?} {:?} {:?}", ray, found, expected);
-                // The tree finds every hit up to rounding. At a triangle's border the box test may fail where
-                // the triangle test succeeds, and of two triangles at nearly the same distance either may
-                // win.
+                // The tree finds every hit up to rounding: at a triangle's border the box test may fail, and
+                // of two triangles at nearly the same distance either may win.
                 if expected.is_some_and(|hit| hit.u.min(hit.v).min(1.0 - hit.u - hit.v) > 1e-5) {
                     let far = nearest * (1.0 + 1e-5);
                     prop_assert!(found.is_some_and(|hit| hit.t <= far), "{:?} {:?} {:?}", ray, found, expected);
@@ -366,8 +363,7 @@ fn dented_globe(radii: &[f32], centre: Vec3, scale: f32) -> (Vec<Vec3>, Vec<[u32
     (positions, triangles)
 }
 
-/// A box with `cells` by `cells` squares on every side. Vertices shared by two sides are equal to the last
-/// bit.
+/// A box with `cells` by `cells` squares on every side. Shared vertices are equal to the last bit.
 fn tiled_box(cells: u32, corner: Vec3, size: Vec3) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let at = |steps: [u32; 3]| {
         corner + size * Vec3::from(steps.map(|s| if s == cells { 1.0 } else { s as f32 / cells as f32 }))

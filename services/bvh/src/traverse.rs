@@ -1,7 +1,5 @@
-//! The two queries: the closest hit, and whether there is any hit.
-//!
-//! Both walk the tree depth-first with an explicit stack. Each exists once, generic over the box test
-//! ([`Kernel`]), and is compiled a second time with AVX2 enabled.
+//! The closest-hit and any-hit queries: depth-first with an explicit stack. Each is generic over the box test
+//! ([`Kernel`]), and compiled a second time with AVX2.
 
 use crate::kernel::{BoxRay, Boxes, EXIT_SCALE, Kernel, Portable};
 use crate::node::{Bvh, END, LEAF, Node, WIDTH};
@@ -10,10 +8,8 @@ use crate::triangle::Shear;
 
 impl Bvh {
     /// The hit with the smallest `t` in (`t_min`, `t_max`] that `keep` accepts. Ties go to the lowest
-    /// triangle index.
-    ///
-    /// `keep` is called for each hit that would be the closest so far. Its result must depend only on the
-    /// hit.
+    /// triangle index. `keep` is called for each hit that would be the closest so far, and must depend only
+    /// on it.
     pub fn closest(&self, ray: &Ray, keep: impl Fn(&Hit) -> bool, steps: &mut Traversal) -> Option<Hit> {
         #[cfg(target_arch = "x86_64")]
         if let Some(kernel) = crate::kernel::Avx2::detect() {
@@ -121,9 +117,8 @@ pub(crate) fn closest<K: Kernel>(
     }
 }
 
-/// Returns the nearest child that the ray meets, and pushes the others onto the stack, the farthest first.
-///
-/// At least one child must be met. Of equally near children, the one in the later slot comes first.
+/// Returns the nearest child that the ray meets, the later slot on ties, and pushes the others, farthest
+/// first. At least one child must be met.
 #[inline(always)]
 fn nearest<K: Kernel>(
     bvh: &Bvh,
@@ -169,8 +164,7 @@ fn nearest<K: Kernel>(
     stack[*top].child
 }
 
-/// Limits `t_max` to finite values, because a hit is never infinitely far. An infinite `t` arises from a
-/// triangle seen so nearly edge-on that the reciprocal of its area is infinite.
+/// Limits `t_max` to finite values. An infinite `t` is no hit, but comes from a nearly edge-on triangle.
 #[inline(always)]
 fn finite(t_max: f32) -> f32 {
     t_max.min(f32::MAX)
@@ -232,8 +226,8 @@ pub(crate) fn any<K: Kernel>(
             };
             let met = kernel.met(node, &boxes, cull, free);
             if met != 0 {
-                // The last child has the highest priority. Read it from the node, because the copy just
-                // written is not available yet.
+                // The last child has the highest priority. Read it from the node: the copy just written is
+                // not available yet.
                 top += met.count_ones() as usize - 1;
                 current = node.children[(u32::BITS - 1 - met.leading_zeros()) as usize];
                 continue;

@@ -1,15 +1,12 @@
-//! The watertight test of one ray against four triangles.
-//!
-//! It follows Woop, Benthin and Wald 2013, "Watertight Ray/Triangle Intersection". Edges that the f32 test
-//! cannot decide are evaluated in f64, and a tie-breaking rule decides rays that pass exactly through an edge
-//! or a corner.
+//! The watertight test of one ray against four triangles (Woop, Benthin and Wald 2013, "Watertight
+//! Ray/Triangle Intersection"). Edges that f32 cannot decide are evaluated in f64, and a tie-breaking rule
+//! decides rays exactly through an edge or a corner.
 
 use crate::node::{GROUP, Group};
 use crate::ray::{Hit, Ray};
 use glam::{BVec4A, Vec4};
 
-/// A ray prepared for the watertight test. The axes are permuted so that the ray runs mainly along the last
-/// one. A shear then makes it run exactly along that axis.
+/// A ray prepared for the watertight test: axes permuted and sheared so that it runs along the last one.
 pub(crate) struct Shear {
     axes: [usize; 3],
     origin: [f32; 3],
@@ -98,11 +95,9 @@ impl Shear {
     }
 }
 
-/// Decides on which side of each edge the ray passes, as a sign.
-///
-/// A ray through an edge or a corner is treated as if it were shifted by (ε, ε²), with ε arbitrarily small
-/// (Edelsbrunner and Mücke 1990, "Simulation of Simplicity"). So exactly one of two adjacent triangles is hit
-/// at their common edge, and exactly one triangle of a fan at its centre.
+/// Decides on which side of each edge the ray passes, as a sign. A ray through an edge or a corner is treated
+/// as if shifted by (ε, ε²) (Edelsbrunner and Mücke 1990, "Simulation of Simplicity"). So exactly one of two
+/// adjacent triangles is hit.
 #[cold]
 #[inline(never)]
 fn decided(sides: [Vec4; 3], [ax, ay]: [Vec4; 2], [bx, by]: [Vec4; 2], [cx, cy]: [Vec4; 2]) -> [Vec4; 3] {
@@ -115,10 +110,8 @@ fn decided(sides: [Vec4; 3], [ax, ay]: [Vec4; 2], [bx, by]: [Vec4; 2], [cx, cy]:
     })
 }
 
-/// Recomputes the scaled barycentrics u, v and w in f64, for the lanes in `zero`.
-///
-/// Products of two f32 are exact in f64. The two triangles at an edge therefore agree about the side on which
-/// the ray passes.
+/// Recomputes the scaled barycentrics u, v and w in f64, for the lanes in `zero`. Products of two f32 are
+/// exact in f64, so two triangles agree about their shared edge.
 #[cold]
 #[inline(never)]
 fn exact(

@@ -1,9 +1,8 @@
-//! What accuracy costs in time: the expected error of an image at any number of camera samples.
+//! The expected error of an image at any number of camera samples.
 //!
-//! The error of an image is the root mean square of (pixel − converged pixel) over pixels and channels, as a
-//! share of the image's mean. Its square is the mean over the pixels of their variance, plus the square of
-//! the bias that interpolation adds. It is estimated from a few profiled pixels, in the same way as the cost
-//! of a frame: by strata whose pixel counts the preview knows.
+//! The error is the root mean square of (pixel − converged pixel) over pixels and channels, divided by the
+//! image's mean. Its square is the mean variance of the pixels, plus the square of the bias of interpolation.
+//! It is estimated from a few profiled pixels by strata, like the cost of a frame.
 //!
 //! | file | subject |
 //! | --- | --- |
@@ -13,14 +12,12 @@
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
 //! | `sampled_pixel` | a pixel of an unfinished image |
 //! | `survey` | where further samples reduce the error most, judged by an unfinished image |
-//! | `curve_correction` | corrects the profile's variance curve by what the unfinished image shows |
+//! | `curve_correction` | corrects the profile's variance curve by the unfinished image |
 //! | `front` | which qualities of a ladder are Pareto optimal, and which is the next better one |
 //!
-//! # Why not the sample variance
-//! The usual estimate of the variance of a mean, s² / n, holds for independent samples. Camera samples are
-//! points of scrambled (0,2)-sequences, whose mean converges faster. On smooth pixels s² / n is too large, by
-//! a factor that grows with n. So the variance of a pixel is measured as a *spectrum* over the number of
-//! samples, see [`PixelSamples`].
+//! The usual estimate s² / n holds only for independent samples. Camera samples are points of scrambled
+//! (0,2)-sequences, whose mean converges faster. So the variance is measured as a *spectrum* over the number
+//! of samples; see [`PixelSamples`].
 
 pub mod allot;
 mod curve_correction;

@@ -1,5 +1,4 @@
-//! How many samples each stratum gets: Neyman allocation in whole numbers, with a floor and a cap per
-//! stratum.
+//! Samples per stratum: Neyman allocation in whole numbers, with a floor and a cap per stratum.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -18,15 +17,13 @@ pub struct Cell {
 /// Divides `samples` over the strata so that the variance Σ N_h² S_h² / n_h of a stratified total is least.
 ///
 /// Starts from the floors. Each further sample goes to the stratum with the greatest priority N_h S_h / √(n_h
-/// (n_h + 1)) that is not full. A sample reduces the variance by exactly the square of its priority, and the
-/// priorities of a stratum fall. So the result is the exact optimum in whole numbers (Wright 2012, "The
-/// equivalence of Neyman optimum allocation for sampling and equal proportions for apportioning the U.S.
-/// House of Representatives").
+/// (n_h + 1)) that is not full. This is the exact optimum in whole numbers (Wright 2012, "The equivalence of
+/// Neyman optimum allocation for sampling and equal proportions for apportioning the U.S. House of
+/// Representatives").
 ///
-/// The result sums to `samples`, or to the number of pixels if that is less. Among equal priorities the
-/// stratum with the greater N_h / √(n_h (n_h + 1)) is first, then the lower index. If the samples do not
-/// suffice for the floors, they are dealt out in rounds of one each, in the order of N_h S_h. So the strata
-/// that contribute most to the variance are not left empty.
+/// The result sums to `samples`, or to the number of pixels if less. Ties go to the greater N_h / √(n_h (n_h
+/// + 1)), then the lower index. If samples do not suffice for the floors, they are dealt out one by one in
+/// the order of N_h S_h.
 pub fn allocate(cells: &[Cell], samples: u64) -> Vec<u64> {
     let mut allocation = vec![0u64; cells.len()];
     let mut left = samples;

@@ -3,10 +3,8 @@
 /// 0.975 quantile of the standard normal distribution.
 const NORMAL: f64 = 1.959_963_984_540_054;
 
-/// The 95 % interval of Wilson (1927) for a proportion observed in `trials` trials, as (low, high).
-///
-/// It has a width above zero at proportions of 0 and 1 as well, and holds its coverage for few trials. With
-/// less than one trial, or a proportion outside 0 to 1, it is (0, 1).
+/// The 95 % interval of Wilson (1927) for a proportion observed in `trials` trials, as (low, high). With less
+/// than one trial, or a proportion outside 0 to 1, it is (0, 1).
 pub fn share_interval(share: f64, trials: f64) -> (f64, f64) {
     if !(trials >= 1.0 && (0.0..=1.0).contains(&share)) {
         return (0.0, 1.0);

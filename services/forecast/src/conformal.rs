@@ -1,22 +1,19 @@
 //! Calibrates quantiles by finished jobs, so that they hold whatever the distribution of costs (conformal
 //! prediction).
 //!
-//! A forecast has a mean ŷ and a spread s. The spread is its own estimate of the standard deviation of ln y,
-//! with a constant added for what no formula knows ([`Measure`]). A finished job yields the *residual* z =
-//! ln(y / ŷ) / s. Suppose the next job is exchangeable with n past ones: every order of them is equally
-//! likely. Then its z has each of the n + 1 ranks with the same probability. So it stays below the ⌈(n + 1)
-//! p⌉-th smallest past residual with probability p at least, however wrong the formulas behind ŷ and s are.
-//! This is split conformal prediction with a normalised residual (Papadopoulos et al. 2002; Vovk, Gammerman,
-//! Shafer 2005). The calibrated quantile is ŷ exp(s z_(p)). It is one-sided, and corrects bias as well.
+//! A forecast has a mean ŷ and a spread s, its estimate of the standard deviation of ln y plus a constant
+//! ([`Measure`]). A finished job yields the *residual* z = ln(y / ŷ) / s. If the next job is exchangeable
+//! with n past ones, its z has each of the n + 1 ranks with the same probability. So it stays below the ⌈(n +
+//! 1) p⌉-th smallest past residual with probability p at least. This is split conformal prediction with a
+//! normalised residual (Papadopoulos et al. 2002; Vovk, Gammerman, Shafer 2005). The calibrated quantile ŷ
+//! exp(s z_(p)) is one-sided and corrects bias as well.
 //!
-//! The frames of one job share their errors, so a hundred frames are not a hundred independent observations.
-//! For a frame of a new job, each past job has the weight one, divided evenly over its frames. The new job
-//! has the weight one too, at infinity, since nothing is known of it yet. The result is the quantile of Σ_j
-//! Σ_i δ(z_ji) / ((J + 1) n_j) + δ(∞) / (J + 1): hierarchical conformal prediction (Lee, Barber, Willett
-//! 2023). With one residual per job it is the rule above.
+//! Frames of one job share their errors. So for a frame of a new job, each of J past jobs has the weight one,
+//! divided over its n_j frames, and the new job has the weight one at infinity. The result is the quantile of
+//! Σ_j Σ_i δ(z_ji) / ((J + 1) n_j) + δ(∞) / (J + 1): hierarchical conformal prediction (Lee, Barber, Willett
+//! 2023).
 //!
-//! The caller decides which jobs are comparable. They should share the version of the renderer and the class
-//! of features, since both may change the distribution of z.
+//! The caller passes comparable jobs: same version of the renderer and same class of features.
 
 use serde::{Deserialize, Serialize};
 
@@ -41,11 +38,9 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// Standard deviation of the logarithm that is added to every spread.
-    ///
-    /// A forecast can be very sure of itself and still be off by what no sample shows: noise of clocks, or a
-    /// tree that takes longer to build. Without this constant its residual would be hundreds of its spreads,
-    /// and the next, less certain forecast would be stretched by as many of its own.
+    /// Standard deviation of the logarithm that is added to every spread, for errors that no sample shows:
+    /// noise of clocks, or a slow tree build. Without it, the residual of a very certain forecast would be
+    /// hundreds of spreads.
     pub(crate) const fn extra_deviation(self) -> f64 {
         match self {
             Measure::Work => 0.001,
@@ -62,10 +57,8 @@ impl Quantity {
         libm::hypot(own / NORMAL_95, measure.extra_deviation())
     }
 
-    /// The quantile at any `p` between 0 and 1, of the log-t distribution that p50 and p95 belong to.
-    ///
-    /// Valid only for a quantity made by [`Calibration`](crate::Calibration), not for one corrected by past
-    /// jobs.
+    /// The quantile at any `p` between 0 and 1, of the log-t distribution through p50 and p95. Only for
+    /// quantities made by [`Calibration`](crate::Calibration), not for corrected ones.
     pub fn at(&self, p: f64) -> f64 {
         if self.mean <= 0.0 || self.p95 <= self.mean {
             return self.mean;
@@ -76,8 +69,7 @@ impl Quantity {
     }
 }
 
-/// How far a forecast was off, ln(actual / mean), in units of its spread. `None` unless all three are
-/// positive.
+/// The residual ln(actual / mean) in units of the spread. `None` unless all three are positive.
 pub fn residual(mean: f64, spread: f64, actual: f64) -> Option<f64> {
     (mean > 0.0 && actual > 0.0 && spread > 0.0).then(|| libm::log(actual / mean) / spread)
 }
@@ -104,8 +96,7 @@ impl Past {
         self.jobs.len()
     }
 
-    /// The residual that the next one stays below with probability `p` at least. `None` if there are too few
-    /// jobs.
+    /// Bound on the next residual that holds with probability `p` at least. `None` with too few jobs.
     pub fn quantile(&self, p: f64) -> Option<f64> {
         let mut weighted: Vec<(f64, f64)> =
             self.jobs.iter().flat_map(|job| job.iter().map(|&z| (z, 1.0 / job.len() as f64))).collect();
@@ -186,8 +177,7 @@ impl Experience {
 }
 
 impl ShotForecast {
-    /// The forecast with calibrated quantiles of work and CPU time. Quantiles of ray counts stay as they are,
-    /// because nothing is booked by them.
+    /// The forecast with calibrated quantiles of work and CPU time. Those of rays stay, as none is booked.
     #[must_use]
     pub fn corrected(mut self, corrections: &Corrections) -> Self {
         let correct = |costs: &mut Costs<Quantity>, work: &Correction, cpu: &Correction| {

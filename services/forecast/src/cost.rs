@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Number of ray categories: primary, shadow, transparent, reflected, refracted, ambient, specular, in this
-/// order (Gillibrand et al. 2006).
+/// Number of ray categories: primary, shadow, transparent, reflected, refracted, ambient, specular.
 pub const RAY_KINDS: usize = 7;
 
 /// Index of shadow rays.
@@ -39,11 +38,9 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// The cost of a pixel with `factor` times as many camera samples, rounded to whole numbers.
-    ///
-    /// `extra` is the part of its work that is not proportional to the samples; it is multiplied by
-    /// `extra_factor` instead. That part consists of gathered rays and what they cause. So it has the same
-    /// share of the CPU time as of the work, and its rays are ambient and shadow rays.
+    /// The cost of a pixel with `factor` times as many camera samples, rounded. `extra`, the work of gathered
+    /// rays, is multiplied by `extra_factor` instead. Its share of CPU time is that of its work, and its rays
+    /// are ambient and shadow rays.
     #[must_use]
     pub fn with_samples(&self, factor: f64, extra: u64, extra_factor: f64) -> Self {
         let share = extra.min(self.work) as f64 / self.work.max(1) as f64;

@@ -1,7 +1,5 @@
-//! How far unit costs drift between profiled frames.
-//!
-//! Unit costs are carried from profiled frames to others. The error of that is modelled as a random walk,
-//! whose variance rate is learnt by predicting each profiled frame from the others.
+//! Drift of unit costs between profiled frames: a random walk. Its variance rate is learnt by predicting each
+//! profiled frame from the others.
 
 use std::collections::BTreeSet;
 
@@ -13,8 +11,7 @@ use crate::shot_clock::ShotClock;
 /// Variance for frames whose lights no profiled frame has, in shot lengths of the walk.
 const UNKNOWN_LIGHTS: f64 = 4.0;
 
-/// Prior standard deviation of the logarithm that a frame's cost gains over a third of the shot, beyond what
-/// its pixel counts explain.
+/// Prior standard deviation of the log unit cost gained over a third of the shot.
 const PRIOR_DEVIATION: f64 = 0.1;
 
 /// Weight of the prior, as a number of leave-one-out comparisons.
@@ -22,17 +19,14 @@ const PRIOR_FREEDOM: f64 = 2.0;
 
 /// The residuals d_t = ln(y_t / ŷ_t) of carried frames, modelled as a random walk.
 ///
-/// The walk has the variance q per frame of the shot's clock, and is zero at every profiled frame. Between
-/// two profiled frames it is a Brownian bridge: Cov(d_s, d_t) = q (s − L)(R − t) / (R − L) for L ≤ s ≤ t ≤ R.
-/// Before the first and after the last it is a free walk. Each set of shining lights has a walk of its own
-/// with the same q. Frames with lights that no profiled frame has share one error, with the variance of a
-/// walk over [`UNKNOWN_LIGHTS`] shot lengths.
+/// The walk has the variance q per frame of the shot's clock and is zero at every profiled frame. Between two
+/// of them it is a Brownian bridge: Cov(d_s, d_t) = q (s − L)(R − t) / (R − L) for L ≤ s ≤ t ≤ R. Outside it
+/// is a free walk. Each set of shining lights has its own walk with the same q. Frames with lights of no
+/// profiled frame share one error, with the variance of a walk over [`UNKNOWN_LIGHTS`] shot lengths.
 ///
-/// This is a rough relative of a Gaussian process with Matérn covariance. A handful of profiled frames cannot
-/// show a length scale. The walk needs none, does not become overconfident between frames, and has closed
-/// forms. Its one parameter q starts from a prior: 10 % over a third of the shot, with the weight of two
-/// comparisons. It then learns from leaving each profiled frame out. The degrees of freedom are the
-/// comparisons plus two, so few profiled frames give wide quantiles.
+/// Unlike a Gaussian process, the walk needs no length scale, which few frames cannot show, and has closed
+/// forms. Its rate starts from a prior of 10 % over a third of the shot, with the weight of two comparisons,
+/// and learns from leaving each profiled frame out. The degrees of freedom are the comparisons plus two.
 #[derive(Clone, Debug)]
 pub(crate) struct Drift {
     times: Vec<f64>,
@@ -48,10 +42,8 @@ pub(crate) struct Drift {
 }
 
 impl Drift {
-    /// Prior variance per frame of the shot's clock.
-    ///
-    /// The length of the shot is its number of frames, without what cuts add to the clock. Otherwise a cut
-    /// would reduce the variance across it.
+    /// Prior variance per frame of the shot's clock. The length of the shot excludes what cuts add to the
+    /// clock, or a cut would reduce the variance across it.
     pub fn prior_rate(clock: &ShotClock) -> f64 {
         PRIOR_DEVIATION * PRIOR_DEVIATION / (clock.frames().max(1.0) / 3.0)
     }
@@ -74,10 +66,8 @@ impl Drift {
         Self { prior: 0.0, ..self }
     }
 
-    /// Learns from predicting profiled frame number `k` by the others.
-    ///
-    /// `residual` is the logarithm of true over predicted cost, and `noise` its variance due to sampling. A
-    /// frame that is the only one with its lights shows nothing about the walk and is ignored.
+    /// Learns from predicting profiled frame number `k` by the others. `residual` is the logarithm of true
+    /// over predicted cost, `noise` its sampling variance. The only frame with its lights is ignored.
     pub fn learn(&mut self, k: usize, residual: f64, noise: f64) {
         let at = self.profiled[k];
         let others: Vec<usize> = self.pins(self.lights[at]).filter(|&other| other != at).collect();
@@ -112,10 +102,9 @@ impl Drift {
         self.profiled.iter().copied().filter(move |&k| self.lights[k] == lights)
     }
 
-    /// Variance due to carrying of the sum over all frames, where frame t has the total `totals[t]`.
-    ///
-    /// Let the walk have steps of length Δ_i, and let S_i be the sum of the totals after step i. A free walk
-    /// has the variance q Σ Δ_i S_i². Pinning its end reduces that by q (Σ Δ_i S_i)² / Σ Δ_i.
+    /// Variance of the sum over all frames due to carrying; frame t has the total `totals[t]`. A free walk
+    /// with steps Δ_i and sums S_i of the totals after them has q Σ Δ_i S_i². Pinning its end reduces that by
+    /// q (Σ Δ_i S_i)² / Σ Δ_i.
     pub fn of_total(&self, totals: &[f64]) -> Part {
         let known: BTreeSet<u32> = self.profiled.iter().map(|&k| self.lights[k]).collect();
         let of_set = |&lights: &u32| {
@@ -144,8 +133,7 @@ impl Drift {
         variance
     }
 
-    /// Σ Δ S², Σ Δ S and Σ Δ along a path of frames that starts at a profiled one. Profiled frames have no
-    /// residual, so their totals do not count.
+    /// Σ Δ S², Σ Δ S and Σ Δ along frames after a profiled one. Totals of profiled frames do not count.
     fn walk(
         &self,
         path: impl DoubleEndedIterator<Item = usize> + Clone,
@@ -166,8 +154,8 @@ impl Drift {
         (squares, sums, length)
     }
 
-    /// Variance at frame t of a walk of unit rate that is pinned at the nearest of `pins` before and after
-    /// it. Zero without pins. `pins` must be increasing.
+    /// Variance at frame t of a unit-rate walk pinned at the nearest of the increasing `pins`. Zero without
+    /// pins.
     fn spread(&self, t: usize, pins: &[usize]) -> f64 {
         let split = pins.partition_point(|&pin| pin <= t);
         let before = split.checked_sub(1).map(|before| self.times[pins[before]]);

@@ -1,8 +1,5 @@
-//! Estimates the cost of one frame from its profiled pixels.
-//!
-//! The stratified expansion estimator, with variances by stratum and degrees of freedom after Satterthwaite.
-//! Groups of strata with fewer than two samples borrow means and variances from related groups. A tail
-//! allowance widens the interval where few pixels dominate the estimate.
+//! Estimates the cost of one frame from its profiled pixels: the stratified expansion estimator, with
+//! Satterthwaite's degrees of freedom. Groups with fewer than two samples borrow from related ones.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,8 +13,7 @@ use crate::strata::{Group, Grouping, Stratum, check};
 /// Coefficient of variation within groups, assumed where no group has the two samples that would show one.
 const PRIOR_VARIATION: f64 = 1.0;
 
-/// Least coefficient of variation between strata of one material. A handful of samples may agree by chance,
-/// and a borrowed mean should never look exact.
+/// Least coefficient of variation between strata of one material, since a few samples may agree by chance.
 pub(crate) const BORROWED_VARIATION: f64 = 0.5;
 
 /// Degrees of freedom of a borrowed variance.
@@ -45,8 +41,7 @@ pub struct FrameEstimate {
     pub strata: Vec<StratumEstimate>,
     /// Number of profiled pixels.
     pub samples: u64,
-    /// Number of groups of strata that borrow their mean or variance: those with fewer than two samples and
-    /// at least one pixel that was not profiled.
+    /// Number of groups that borrow mean or variance: fewer than two samples, and not all pixels profiled.
     pub borrowed: usize,
     /// Whether the factor on the interval was measured on past jobs.
     pub calibrated: bool,
@@ -54,12 +49,10 @@ pub struct FrameEstimate {
 
 /// Estimates the cost of a frame from its profiled pixels.
 ///
-/// Uses the stratified expansion estimator Ŷ = Σ N_g ȳ_g over groups g of strata. Its variance is Σ N_g² (1 −
-/// n_g/N_g) s_g² / n_g (Cochran 1977, sections 5.3 and 5.4).
-///
-/// `counts[h]` is the number of pixels of stratum h. Groups with fewer than two samples borrow from those of
-/// their material, or else from all, and are counted in [`FrameEstimate::borrowed`]. If every pixel was
-/// profiled, the total is exact and the interval has no width.
+/// The estimator is Ŷ = Σ N_g ȳ_g over groups g of strata, with the variance Σ N_g² (1 − n_g/N_g) s_g² / n_g
+/// (Cochran 1977, sections 5.3 and 5.4). `counts[h]` is the number of pixels of stratum h. Groups with fewer
+/// than two samples borrow from their material, or else from all; see [`FrameEstimate::borrowed`]. If every
+/// pixel was profiled, the total is exact.
 ///
 /// # Errors
 /// [`ForecastError::NoSamples`] if the frame has pixels but none was profiled, or has cache records
@@ -132,10 +125,8 @@ impl GroupFit {
 
 /// Collects the sampling error of a total of group means.
 ///
-/// Besides the variances it holds a *tail allowance*. Suppose rare pixels cost many times the mean, and the
-/// sample missed some of them. Then the estimate and its variance are both too low. So the total may miss one
-/// sample's worth of pixels that cost as much as the most influential sample: the square of that influence is
-/// added to the variance. Where costs are similar, this is negligible.
+/// The *tail allowance* covers rare expensive pixels that the sample may have missed. It adds the squared
+/// influence of the most influential sample to the variance. Where costs are similar, this is negligible.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Uncertainty {
     parts: Vec<Part>,
@@ -202,8 +193,7 @@ impl FrameFit {
                 joined[group].merge(moments);
             }
         }
-        // Groups of pixels borrow only from groups of pixels, and groups of records only from records. So
-        // each kind that the frame has needs a sample.
+        // Pixels borrow only from pixels, records only from records. So each kind that exists needs a sample.
         let sampled =
             |apart| grouping.groups.iter().zip(&joined).any(|(g, m)| g.apart == apart && m.count > 0);
         if grouping.groups.iter().any(|group| !sampled(group.apart)) {
@@ -260,11 +250,9 @@ fn pixels_of(groups: &[GroupFit]) -> u64 {
 }
 
 impl GroupFit {
-    /// Turns a group's fit into that of an expansion other than [`Expansion::Groups`].
-    ///
-    /// There is no tail allowance, and means are not shrunk towards those of other groups. `total` replaces
-    /// the total of all columns, and `variance` the variance of one observation, where the expansion provides
-    /// them. `alike` are the groups to borrow from.
+    /// Turns a group's fit into that of an expansion other than [`Expansion::Groups`], without tail allowance
+    /// or shrinking. `total` and `variance` replace the totals and the variance of one observation, where
+    /// given. `alike` are the groups to borrow from.
     fn apply_expansion(
         &mut self,
         own: &Moments,
@@ -338,10 +326,8 @@ fn fit_group(grouping: &Grouping, joined: &[Moments], group: usize) -> GroupFit 
     fit
 }
 
-/// Mean cost of a pixel of each stratum.
-///
-/// For a stratum that is a whole group, it is the group's mean. In a joined group it is the stratum's own
-/// mean, shrunk towards the group's, and scaled so that the strata add up to the group's total.
+/// Mean cost of a pixel of each stratum. In a joined group it is the stratum's own mean, shrunk towards the
+/// group's, and scaled so that the strata add up to the group's total.
 fn unit_costs(counts: &[u32], moments: &[Moments], grouping: &Grouping, groups: &[GroupFit]) -> Vec<Row> {
     let mut means = vec![[0.0; COLUMNS]; counts.len()];
     for (g, group) in groups.iter().enumerate() {
@@ -372,8 +358,7 @@ fn unit_costs(counts: &[u32], moments: &[Moments], grouping: &Grouping, groups: 
     means
 }
 
-/// Related strata, or groups of them, that one with too few samples can borrow from. A one-way analysis of
-/// variance with random effects.
+/// Strata or groups that others can borrow from. A one-way analysis of variance with random effects.
 struct Pool {
     mean: f64,
     samples: f64,
@@ -407,11 +392,9 @@ impl Pool {
         Some(Pool { mean, samples, within, between: moment.max(least) })
     }
 
-    /// The mean of a member shrunk towards the pool's, and the variance of the result (Fay, Herriot 1979).
-    ///
-    /// The weight of the member's own mean is λ = τ² / (τ² + σ² / n). With m samples in the pool, the
-    /// variance is λ σ² / n + (1 − λ)² σ² / m. A member without samples gets the pool's mean, with the
-    /// variance τ² + σ² / m.
+    /// The mean of a member shrunk towards the pool's, and its variance (Fay, Herriot 1979). The own mean has
+    /// the weight λ = τ² / (τ² + σ² / n). With m samples in the pool, the variance is λ σ² / n + (1 − λ)² σ²
+    /// / m; without own samples, τ² + σ² / m.
     fn shrink(&self, own: &Moments, column: usize) -> (f64, f64) {
         let of_pool = self.within / self.samples;
         if own.count == 0 {

@@ -5,25 +5,21 @@ use serde::{Deserialize, Serialize};
 use crate::cost::{COLUMNS, Observation, Row};
 use crate::error::ForecastError;
 
-/// The estimator that expands measured pixels to all pixels of a frame.
-///
-/// It applies to pixels only. Cache records are always expanded stratum by stratum.
+/// The estimator that expands measured pixels to a frame. Cache records are always expanded by stratum.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Expansion {
     /// By groups of strata, see [`crate::estimate()`]. Strata that are too small are joined, and groups with
     /// too few samples borrow. The order of the observations does not matter.
     #[default]
     Groups,
-    /// By strata, as in the paper (Gillibrand et al. 2006, section 3): Σ N_h ȳ_h. A stratum with one sample
-    /// has the cost of that sample. A stratum without samples takes the mean of all samples; the paper does
-    /// not say.
+    /// By strata, as in the paper (Gillibrand et al. 2006, section 3): Σ N_h ȳ_h. A stratum without samples
+    /// takes the mean of all samples; the paper does not say.
     EachStratum,
-    /// All pixels together: N ȳ, with the variance N² (1 − n/N) s² / n of a simple random sample (Cochran
-    /// 1977, section 2.6).
+    /// All pixels: N ȳ, with the simple-random variance N² (1 − n/N) s² / n (Cochran 1977, section 2.6).
     Flat,
-    /// By strata: Σ N_h ȳ_h, for a systematic sample along some order of the pixels. Successive observations
-    /// of a stratum must be neighbours in that order. The variance uses successive differences: N_h² (1 −
-    /// n_h/N_h) / n_h · Σ (y_(i+1) − y_i)² / (2 (n_h − 1)) (Cochran 1977, section 8.11).
+    /// By strata: Σ N_h ȳ_h, for a systematic sample along an order in which successive observations are
+    /// neighbours. Variance by successive differences: N_h² (1 − n_h/N_h) / n_h · Σ (y_(i+1) − y_i)² / (2
+    /// (n_h − 1)) (Cochran 1977, section 8.11).
     Neighbours,
     /// By the number of pixels a_i that each observation stands for, in the order of the observations: Σ a_i
     /// y_i. The variance of this estimator is not known; that of [`Expansion::Flat`] takes its place.

@@ -1,9 +1,5 @@
-//! Chooses which frames of a shot to profile.
-//!
-//! Every frame takes its unit costs from profiled frames near in time that show the same strata. The choice
-//! minimises the cost-weighted distance to these frames: a k-median problem, solved greedily and by local
-//! search. After the first frames are profiled, more are added if the forecast is uncertain and they are
-//! cheap.
+//! Chooses which frames of a shot to profile, by a k-median problem. More are added if the forecast is
+//! uncertain and they are cheap.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -35,15 +31,12 @@ const OTHER_LIGHTS: f64 = 1.0;
 /// Chooses at most `at_most` frames to profile, as indices in increasing order.
 ///
 /// In each frame, a stratum takes its unit cost from the nearest profiled frame that shows enough of it. The
-/// loss is the sum of these distances over all frames and strata, weighted by pixels times prior cost. A
-/// stratum that no profiled frame shows has the largest distance. The loss is minimised greedily, frame by
-/// frame, then by moving one frame at a time while that helps: local search for the k-median problem (Arya et
-/// al. 2004). Ties go to the earlier frame, so the choice is a function of the previews only.
+/// loss is the sum of these distances, weighted by pixels times prior cost; a stratum shown by no profiled
+/// frame has the largest distance. It is minimised greedily, then by moving one frame at a time (k-median
+/// local search: Arya et al. 2004). Ties go to the earlier frame.
 ///
-/// The chosen frames are spread over time, and drawn to where expensive strata appear. Time is the shot's own
-/// (`shot_clock`). There a cut is as long as the shot, so each side of it gets frames of its own. A frame
-/// with other lights is one shot length further away. [`choose_more_frames`] adds frames once these have been
-/// profiled.
+/// Time is the shot's own (`shot_clock`): a cut is as long as the shot, so each side of it gets frames. A
+/// frame with other lights is one shot length further away.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not match.
@@ -89,18 +82,14 @@ pub const MOST_FRAMES: usize = 16;
 /// Largest share of the forecast work that profiling may cost, for more frames to be profiled.
 const LARGEST_SHARE: f64 = 0.01;
 
-/// A forecast is certain enough if P95 of the work of all frames is at most this far above P50, as a share of
-/// P50.
+/// A forecast is certain enough if P95 of all work exceeds P50 by at most this share of P50.
 const CERTAIN_ENOUGH: f64 = 0.02;
 
-/// Which further frames to profile after the first [`FIRST_FRAMES`], as indices in increasing order.
+/// Further frames to profile after the first [`FIRST_FRAMES`], as indices in increasing order.
 ///
-/// There are as many as one percent of the forecast work pays for, and at most [`MOST_FRAMES`] in all. The
-/// result is empty if the forecast is certain enough. It is also empty if the number of profiled frames is
-/// not [`FIRST_FRAMES`], so frames are added only once. `spent` is the work that profiling these frames cost.
-///
-/// The frames are chosen as in [`choose_frames`], in addition to the profiled ones, and weighted by the costs
-/// that the forecast gives to the strata.
+/// As many as one percent of the forecast work pays for, at most [`MOST_FRAMES`] in all. None if the forecast
+/// is certain enough, or if the number of profiled frames is not [`FIRST_FRAMES`]. `spent` is the work of
+/// profiling so far. They are chosen as in [`choose_frames`], weighted by forecast costs.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not match.
@@ -220,8 +209,7 @@ impl Cover {
         Distances { nearest, loss }
     }
 
-    /// The candidate that reduces the loss most when added to `others`, with the loss that it leaves. The
-    /// earliest one among equals.
+    /// The candidate that reduces the loss most when added to `others`, earliest first, and the loss left.
     fn best(&self, others: &[usize]) -> Option<(f64, usize)> {
         let without = self.distances(others).nearest;
         let with = |candidate: &Candidate| -> f64 {
@@ -263,11 +251,8 @@ fn light_sets(frames: &[FramePopulation]) -> Vec<usize> {
     frames.iter().map(number).collect()
 }
 
-/// Divides the frames into runs that get one candidate each.
-///
-/// A shot with few frames has one run per frame. In a longer one, runs have equal length on the shot's clock,
-/// and are split by the set of shining lights. So something that is there for a few frames only, and changes
-/// the picture or its light, gets a run of its own.
+/// Divides the frames into runs with one candidate each: of equal length on the shot's clock, and split by
+/// the set of shining lights. So anything brief that changes the picture or its light gets a run.
 fn runs_of_frames(clock: &ShotClock, lights: &[usize]) -> Vec<Vec<usize>> {
     if lights.len() <= MOST_CANDIDATES {
         return (0..lights.len()).map(|t| vec![t]).collect();

@@ -1,8 +1,5 @@
-//! Chooses which pixels of a frame to profile.
-//!
-//! A stratified design in two phases: the first phase spends half of the samples by expected cost, the second
-//! spends the rest by the spread of the costs that the first one measured. Within a group of strata the
-//! pixels are a quasi-random sequence along a Hilbert curve, so they are spread evenly over every object.
+//! Chooses which pixels of a frame to profile, in two phases: half of the samples by expected cost, the rest
+//! by the spread of measured costs. Within a group of strata, pixels are picked evenly along a Hilbert curve.
 
 use serde::{Deserialize, Serialize};
 
@@ -31,24 +28,18 @@ const HALF_TRUSTED_FREEDOM: f64 = 8.0;
 
 /// The sampling design of one frame, in two phases.
 ///
-/// The pixels of each group of strata are ordered along a Hilbert curve; strata that were joined follow one
-/// another. The picks of a group are the terms of a Kronecker sequence along that order: pick i is at the
-/// fraction (u + i φ) mod 1. Here φ is the golden ratio, and u is a start drawn from the seed, the frame and
-/// the group. This has three consequences.
+/// Pixels of each group of strata are ordered along a Hilbert curve; joined strata follow one another. Pick i
+/// of a group is at the fraction (u + i φ) mod 1 of that order (Kronecker sequence). φ is the golden ratio; u
+/// is drawn from seed, frame and group.
 ///
-/// * Every single pick hits each pixel with the same probability, because u is uniform. So the mean of a
-///   fixed number of picks is unbiased.
-/// * Every prefix of the sequence is spread evenly (three-distance theorem). The picks of the second phase
-///   fall into the gaps that the first one left, however many they are. Both phases together work like one
-///   systematic sample.
-/// * A pixel that was picked before is skipped. So no pixel is picked twice, and a full sample is every pixel
-///   once.
+/// * Every pick hits each pixel with the same probability, so the mean of a fixed number of picks is
+///   unbiased.
+/// * Every prefix is spread evenly (three-distance theorem), so both phases work like one systematic sample.
+/// * A pixel that was picked before is skipped, so a full sample is every pixel once.
 ///
-/// One bias remains: the *number* of picks of a group depends on the costs seen in its first phase. If the
-/// first phase saw a costly pixel, the group gets more picks, and pooling both phases gives the first one
-/// less weight. Two measures keep the bias small. Half of the samples go to the first phase, by expected
-/// cost. The second phase goes by the spreads of materials, shrunk towards the overall spread. A test on
-/// synthetic populations measures the bias that is left.
+/// One bias remains: the *number* of picks of a group depends on the costs in its first phase. It is small
+/// because half of the samples go by expected cost, and the second phase by spreads of materials, shrunk
+/// towards the overall spread. A test on synthetic populations measures it.
 #[derive(Clone, Debug)]
 pub struct FrameDesign {
     counts: Vec<u32>,
@@ -63,9 +54,7 @@ pub struct FrameDesign {
 
 impl FrameDesign {
     /// A design of `samples` picks for a frame whose preview shows stratum `stratum_ids[pixel]`, in rows of
-    /// `width` pixels. If there are fewer pixels than `samples`, all are picked.
-    ///
-    /// Strata without pixels, such as those of cache records ([`Stratum::apart`]), get no picks.
+    /// `width` pixels. With fewer pixels, all are picked. Strata without pixels get no picks.
     ///
     /// # Errors
     /// If an id has no stratum, the pixels do not fill whole rows, or a prior cost is not positive and
@@ -124,18 +113,15 @@ impl FrameDesign {
         &self.counts
     }
 
-    /// The picks of the first phase: two in each group, then in proportion to expected cost. They are half of
-    /// all samples, or more if the floors need more.
+    /// Picks of the first phase: two per group, then by expected cost. Half of the samples, or the floors.
     pub fn first_phase(&self) -> Vec<Pick> {
         self.picks(&vec![0; self.first.len()], &self.first)
     }
 
-    /// The picks of the second phase, allocated by the work that the first picks cost. The order of the
-    /// observations does not matter.
+    /// The picks of the second phase, by the work that the first picks cost, in any order.
     ///
-    /// The spread of a group is taken as S_material^λ S_all^(1−λ) with λ = ν / (ν + 8), where ν is the number
-    /// of degrees of freedom behind the material's spread. A material with few picks is thus mostly like all
-    /// others. A group's own spread is not used, because that would bias the estimate (see [`FrameDesign`]).
+    /// The spread of a group is S_material^λ S_all^(1−λ) with λ = ν / (ν + 8), with ν degrees of freedom of
+    /// the material's spread. A group's own spread would bias the estimate (see [`FrameDesign`]).
     ///
     /// # Errors
     /// [`ForecastError::UnknownStratum`] if an observation names a stratum that the frame does not show.
@@ -185,10 +171,7 @@ impl FrameDesign {
     }
 }
 
-/// Number of pixels of each stratum of an image. Checks what every design requires.
-///
-/// # Errors
-/// As for [`FrameDesign::new`].
+/// Number of pixels of each stratum of an image. Errors as for [`FrameDesign::new`].
 pub(crate) fn count_pixels(
     strata: &[Stratum],
     stratum_ids: &[u32],
@@ -209,9 +192,8 @@ pub(crate) fn count_pixels(
     Ok(counts)
 }
 
-/// The first `wanted` distinct places, out of `size`, of the Kronecker sequence that starts at `start`.
-///
-/// Fractions of the order are in units of 2^−64, so that nothing is rounded.
+/// The first `wanted` distinct places, out of `size`, of the Kronecker sequence from `start`. Fractions are
+/// in units of 2^−64, so nothing is rounded.
 fn distinct_places(start: u64, size: usize, wanted: usize) -> Vec<usize> {
     let mut taken = vec![false; size];
     let mut places = Vec::with_capacity(wanted);

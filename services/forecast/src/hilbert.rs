@@ -1,13 +1,9 @@
-//! The Hilbert curve: an order of the pixels in which neighbours are also neighbours in the image.
-//!
-//! Picks that are spread evenly along the curve are spread evenly over the image, and over an object of any
-//! shape. So smooth changes of the cost within an object, such as light that falls off along a wall, add
-//! little to the error.
+//! The Hilbert curve: an order of the pixels in which neighbours are also neighbours in the image. Picks
+//! spread evenly along it are spread evenly over an object of any shape, so smooth changes of cost add little
+//! error.
 
 /// Position of pixel (x, y) along the Hilbert curve (Hilbert 1891) over a square of 2^`order` pixels a side.
-///
-/// At each level the quadrant gives two bits of the position. The quadrant is then turned, so that the curve
-/// enters and leaves it next to the neighbouring quadrants.
+/// Each level gives two bits, and turns the quadrant so that the curve joins up.
 pub(crate) fn hilbert(order: u32, mut x: u32, mut y: u32) -> u64 {
     let mut place = 0u64;
     for level in (0..order).rev() {

@@ -16,8 +16,7 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// No past jobs to learn from. The factor 1.3 stands for what the formulas omit when costs have no heavy
-    /// tail.
+    /// No past jobs. The factor 1.3 stands for what the formulas omit when costs have no heavy tail.
     pub const NONE: Calibration = Calibration { inflation: 1.3, calibrated: false };
 }
 
@@ -28,8 +27,7 @@ pub(crate) struct Part {
     pub degrees_of_freedom: f64,
 }
 
-/// The variance of a sum of independent parts, with the degrees of freedom v² / Σ (v_i² / df_i)
-/// (Satterthwaite 1946).
+/// Variance of a sum of independent parts, with v² / Σ (v_i² / df_i) degrees of freedom (Satterthwaite 1946).
 pub(crate) fn combined(parts: &[Part]) -> Part {
     let variance = sum(parts.iter().map(|part| part.variance));
     let denominator = sum(parts
@@ -47,9 +45,8 @@ pub(crate) fn log_deviation(mean: f64, variance: f64) -> f64 {
     if mean > 0.0 && variance > 0.0 { libm::sqrt(libm::log1p(variance / mean / mean)) } else { 0.0 }
 }
 
-/// Mean and quantiles by a log-t interval: mean · exp(t · inflation · σ), with σ from [`log_deviation`].
-///
-/// Quantiles are never negative, and right-skewed as costs are. They equal the mean if nothing is uncertain.
+/// Mean and quantiles by a log-t interval: mean · exp(t · inflation · σ), with σ from [`log_deviation`]. They
+/// equal the mean if nothing is uncertain.
 pub(crate) fn quantity(mean: f64, part: Part, calibration: Calibration) -> Quantity {
     let sigma = log_deviation(mean, part.variance) * calibration.inflation;
     let at = |p: f64| {

@@ -1,18 +1,12 @@
-//! Adds costs that are known without profiling to a forecast.
-//!
-//! Examples are the records of an irradiance cache that are shared between frames. Means shift by the known
-//! cost; variances stay.
+//! Adds costs that are known without profiling, such as shared cache records. Means shift; variances stay.
 
 use crate::cost::{Cost, Costs, Quantity};
 use crate::interval::{Calibration, Part, log_deviation, quantity};
 use crate::shot::ShotForecast;
 
 impl ShotForecast {
-    /// Adds the known cost of each frame, in the order of the frames.
-    ///
-    /// A known cost may be negative, for something that was counted but does not occur in the frame. Means
-    /// shift and variances stay. `calibration` must be the one that made this forecast. Call this before
-    /// [`ShotForecast::corrected`].
+    /// Adds the known cost of each frame, in order; it may be negative. `calibration` must be the one that
+    /// made this forecast. Call this before [`ShotForecast::corrected`].
     #[must_use]
     pub fn with_known(mut self, known: &[Costs<f64>], calibration: Calibration) -> Self {
         let mut all = Costs::default();
@@ -27,10 +21,8 @@ impl ShotForecast {
     }
 }
 
-/// Adds times to costs whose work and rays were counted beforehand.
-///
-/// Times are proportional to work. The rate is that of `taken`: pairs of work and nanoseconds, measured for
-/// costs of the same kind.
+/// Adds times to costs whose work and rays were counted. The rate is that of `taken`: pairs of work and
+/// nanoseconds of the same kind.
 pub fn with_times(
     counted: impl IntoIterator<Item = Cost>,
     taken: impl IntoIterator<Item = (u64, u64)>,

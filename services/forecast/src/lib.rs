@@ -1,71 +1,58 @@
 //! Forecasts the cost of a frame, and of a shot, from a few traced pixels and a preview of all pixels.
 //!
 //! The preview shows which (object, material) pair every pixel of every frame belongs to. These pairs are the
-//! *strata*, with exactly known pixel counts N_h. A few pixels are traced, and their cost is measured. This
-//! crate chooses the pixels, and estimates all other costs from them. It is pure: no I/O, no clock, and
-//! random numbers only from a seed that the caller passes in. It does not know how light is traced.
+//! *strata*, with exactly known pixel counts N_h. This crate chooses a few pixels to trace, and estimates all
+//! other costs from theirs. It is pure: no I/O, no clock, random numbers only from the caller's seed.
 //!
 //! # The method
 //!
-//! **Groups** (`strata`). Strata that are too small to be sampled are joined by material, until every group
-//! can have two samples. The joined pixels are sampled together with equal probability, so small objects
-//! cause no bias (collapsed strata: Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12).
+//! **Groups** (`strata`). Strata that are too small to be sampled are joined by material and sampled together
+//! with equal probability, so small objects cause no bias (collapsed strata: Cochran, *Sampling Techniques*,
+//! 3rd edition 1977, section 5A.12).
 //!
 //! **How many samples** ([`allocate()`]). The variance of a stratified total is Σ N_h² (1 − n_h/N_h) S_h² /
-//! n_h. For a fixed number of samples it is least for n_h ∝ N_h S_h (Neyman 1934). In whole numbers, each
-//! further sample goes to the stratum with the greatest N_h S_h / √(n_h (n_h + 1)) (Wright 2012).
+//! n_h, least for n_h ∝ N_h S_h (Neyman 1934). In whole numbers, each further sample goes to the stratum with
+//! the greatest N_h S_h / √(n_h (n_h + 1)) (Wright 2012).
 //!
-//! **Which pixels** ([`FrameDesign`]). The pixels of a group are ordered along a Hilbert curve. The picks are
-//! the Kronecker sequence (u + i φ) mod 1 along it: evenly spread, every pixel equally likely, and
-//! extensible. There are two phases. The first spends half of the samples by expected cost, the second the
-//! rest by measured spread.
+//! **Which pixels** ([`FrameDesign`]). The picks of a group are the Kronecker sequence (u + i φ) mod 1 along
+//! a Hilbert curve: evenly spread, every pixel equally likely, extensible. There are two phases: half of the
+//! samples by expected cost, the rest by measured spread.
 //!
 //! **One frame** ([`estimate()`]). The total is Ŷ = Σ N_g ȳ_g. Its variance v is as above, with s_g² for
-//! S_g², and with degrees of freedom after Satterthwaite (1946). Quantiles are Ŷ exp(t_p σ) with σ² = ln(1 +
-//! v / Ŷ²), a log-t interval. The variance includes a tail allowance: the squared influence of the most
-//! influential pixel. Groups with fewer than two samples borrow from related groups, with the weight λ = τ² /
-//! (τ² + σ² / n) for their own mean. Such groups are counted.
+//! S_g², degrees of freedom after Satterthwaite (1946), and the squared influence of the most influential
+//! pixel. Quantiles are Ŷ exp(t_p σ) with σ² = ln(1 + v / Ŷ²), a log-t interval. Groups with fewer than two
+//! samples borrow from related groups, with the weight λ = τ² / (τ² + σ² / n) for their own mean.
 //!
-//! **A shot** ([`choose_frames`], [`forecast_shot`]). A few frames are profiled. They are chosen so that
-//! every important stratum is near in time to a profiled frame that shows it (k-median). Other frames have
-//! the estimate ŷ_t = Σ N_h,t ĉ_h(t), with unit costs carried over time. All frames depend on the same
-//! samples, so their errors are added before they are squared. The drift of unit costs between profiled
-//! frames is a random walk that is pinned at each of them. Its time (`shot_clock`) runs faster where the
-//! picture changes faster, so that nothing is carried across a cut. If the forecast of the shot is uncertain
-//! and profiling is cheap, more frames are profiled ([`choose_more_frames`]). The error that the frames of a
-//! job share is [`ShotForecast::job_sigma`].
+//! **A shot** ([`choose_frames`], [`forecast_shot`]). A few frames are profiled, so that every important
+//! stratum is near in time to one that shows it (k-median). Other frames have ŷ_t = Σ N_h,t ĉ_h(t), with unit
+//! costs carried over time. Errors that frames share are added before they are squared. The drift of unit
+//! costs is a random walk that is pinned at each profiled frame. Its time (`shot_clock`) runs faster where
+//! the picture changes faster. More frames are profiled if the forecast is uncertain and profiling is cheap
+//! ([`choose_more_frames`]). The error that all frames share is [`ShotForecast::job_sigma`].
 //!
-//! **While a job is rendered** ([`live()`]). Finished frames have known costs, and tell how far the quote of
-//! the others is off. The model is a Gaussian process over the shot's clock, with a common factor and a
-//! nugget. It takes time linear in the number of frames.
+//! **While a job is rendered** ([`live()`]). Finished frames correct the quote of the others: a Gaussian
+//! process over the shot's clock, with a common factor and a nugget, in linear time.
 //!
-//! **Cache records** ([`RecordStrata`]). With an irradiance cache, most of the cost of a frame is in the
-//! records. Their number is known from planning the cache. The records of each level are a stratum that
-//! stands apart from the pixels ([`Stratum::apart`]).
+//! **Cache records** ([`RecordStrata`]). Their number is known from planning the cache. The records of each
+//! level are a stratum that stands apart from the pixels ([`Stratum::apart`]).
 //!
-//! **Image error** ([`accuracy`]). The same few pixels tell how far the image will be from the converged
-//! image, at any number of camera samples. [`accuracy::front`] finds the qualities that are worth their cost.
+//! **Image error** ([`accuracy`]). The same pixels tell how far the image will be from the converged image,
+//! at any number of camera samples. [`accuracy::front`] finds the qualities that are worth their cost.
 //!
-//! **Strategies** ([`Strategy`]). The seven strategies that the paper compares have the same interface, so
-//! any of them can make a quote. Six of them do not use the preview. `forelight bench paper` measures how
-//! their errors differ.
+//! **Strategies** ([`Strategy`]). The seven strategies of the paper have the same interface. Six of them do
+//! not use the preview. `forelight bench paper` measures how their errors differ.
 //!
 //! # Bias and coverage
 //!
-//! The number of samples of a group depends slightly on the costs seen first, and this biases the pooled
-//! mean. If the first picks of a group happened to be cheap, it gets fewer further picks to correct them. So
-//! the second phase does not use the spread of the group itself. It uses the spread of the material, shrunk
-//! towards the overall spread while the material has few picks. The tests hold the bias at these values:
+//! The number of samples of a group depends slightly on the costs seen first, which biases the pooled mean.
+//! So the second phase uses the spread of the material, not that of the group. The tests hold the bias at
+//! these values:
 //!
-//! | costs | second phase by the group's own spread | as implemented |
+//! | costs | half by the group's own spread | as implemented |
 //! | --- | --- | --- |
 //! | smooth pictures with shadow edges and lognormal noise | −2 to −3 % | −0.6 ± 0.2 % |
 //! | lognormal noise only | −2 to −3 % | −0.4 ± 0.2 % |
 //! | heavy tails | −10 % | −5 % |
-//!
-//! The first of these columns used half the group's own spread and half that of its material. A design
-//! without such a bias must give each phase a fixed weight. It is no more accurate than a design that ignores
-//! costs.
 //!
 //! Measured with 256 samples on pictures of 57 objects:
 //!
@@ -75,13 +62,11 @@
 //! | 1 to 5 % of some materials' pixels cost 10 to 40 times as much | 9 % | | 70 to 80 % |
 //!
 //! No formula can account for costs that no sample has met. Such pixels should be strata of their own, with a
-//! prior cost that attracts samples. The preview can tell, for example, glass and mirrors.
+//! prior cost that attracts samples.
 //!
-//! Without past jobs, [`Calibration::NONE`] widens intervals by the factor 1.3, and the forecast is marked as
-//! not calibrated. Once [`LEAST_JOBS`] jobs of the same kind are finished, [`Experience`] gives the
-//! calibrated quantiles, and [`ShotForecast::corrected`] applies them. These hold even if the formulas are
-//! wrong. The cost of a single pixel has quantiles too, from the profiled pixels of its frame
-//! ([`PixelCosts`]).
+//! Without past jobs, [`Calibration::NONE`] widens intervals by the factor 1.3. Once [`LEAST_JOBS`] jobs of
+//! the same kind are finished, [`Experience`] gives calibrated quantiles, which hold even if the formulas are
+//! wrong, and [`ShotForecast::corrected`] applies them. [`PixelCosts`] has quantiles of single pixels.
 //!
 //! # Use
 //! ```

@@ -1,7 +1,7 @@
 //! The live estimate: the cost of a running job, given its quote and the costs of its finished frames.
 //!
-//! Let x_t be the quoted median of frame t, and y_t its true cost. The *residual* is d_t = ln(y_t / x_t). It
-//! is known for finished frames, and these tell something about the others:
+//! Let x_t be the quoted median of frame t, and y_t its true cost. The *residual* d_t = ln(y_t / x_t) is
+//! known for finished frames:
 //!
 //! ```text
 //! d_t = c + l(L_t) + g(τ_t) + e_t
@@ -9,37 +9,29 @@
 //!
 //! * c is a factor that all frames of the job share.
 //! * l is a factor that frames with the same set L of shining lights share.
-//! * g is a Gaussian process over the shot's own clock τ, with Matérn covariance (ν = 3/2). A cut separates
-//!   frames in that clock, see [`shot_times`].
-//! * e_t is a nugget, for what only this frame has. Its mean is −½ Var e_t, so that exp(e_t) has the mean 1.
+//! * g is a Gaussian process over the shot's clock τ ([`shot_times`]), with Matérn covariance (ν = 3/2).
+//! * e_t is a nugget of this frame. Its mean is −½ Var e_t, so that exp(e_t) has the mean 1.
 //!
-//! The quote itself says how large each part is. The spread of a frame is that of c, l, g and e together; the
-//! spread of the job is what does not average out. Frames with a less certain quote have a larger nugget.
-//! Where lights change within the job, half of the variance of c goes to l, scaled so that the job's spread
-//! stays the same. Frames under lights that no finished frame has seen then follow the finished ones less,
-//! and stay less certain.
+//! The quote gives the size of each part: the spread of a frame is that of all four, the spread of the job is
+//! what does not average out. If lights change within the job, half of the variance of c goes to l, scaled so
+//! that the job's spread stays. Frames under lights of no finished frame then stay less certain.
 //!
-//! *The scale of the variances* is uncertain too. All of them share an unknown factor. It starts at one, with
-//! the weight of [`pieces::SCALE_FREEDOM`] frames, and learns from how surprising each finished frame is
-//! given those before it. This is the conjugate prior of a normal model (Gelman et al., *Bayesian Data
-//! Analysis*, 3rd edition 2013, section 3.3). With fewer than [`pieces::MIN_FINISHED`] finished frames,
-//! neither the length of g nor the nugget's share is estimated: the length is a third of the shot, and the
-//! scale does not fall below one. So no interval shrinks by luck. From there on, a few lengths and shares are
-//! averaged by their marginal likelihood. A larger variance of c than the quote suggests is always one of the
-//! alternatives.
+//! *The scale of the variances* is an unknown common factor. It starts at one, with the weight of
+//! [`pieces::SCALE_FREEDOM`] frames, and learns from each finished frame (conjugate prior of a normal model:
+//! Gelman et al., *Bayesian Data Analysis*, 3rd edition 2013, section 3.3). With fewer than
+//! [`pieces::MIN_FINISHED`] finished frames, the length of g is a third of the shot and the scale at least
+//! one, so no interval shrinks by luck. Then a few lengths, nuggets and larger variances of c are averaged by
+//! marginal likelihood.
 //!
-//! *Linear time.* g has a state-space form (Hartikainen, Särkkä 2010). Its state is (c, g, g′) and one l for
-//! each set of lights, and a matrix takes it from frame to frame. A Kalman filter and the modified
-//! Bryson–Frazier smoother (Bierman 1973) yield all residuals in one forward and one backward pass. The
-//! variance of the sum over unfinished frames is a'[K_UU − K_US (K_SS + D)⁻¹ K_SU] a with weights a_t = x_t
-//! exp(d̂_t). It needs no large matrix either: the sum so far is one more component of the state, and its
-//! variance after the last frame is the result. No state is kept between calls. So the order in which frames
-//! finish does not change a single bit.
+//! *Linear time.* The state-space form of g (Hartikainen, Särkkä 2010) has the state (c, g, g′) and one l per
+//! set of lights. A Kalman filter and the modified Bryson–Frazier smoother (Bierman 1973) yield all residuals
+//! in two passes. The variance of the sum over unfinished frames, a'[K_UU − K_US (K_SS + D)⁻¹ K_SU] a with
+//! a_t = x_t exp(d̂_t), comes from the running sum as one more component of the state. No state is kept
+//! between calls, so the order of finishing changes no bit.
 //!
-//! *The quantiles* of the remainder keep the shape of the quote, which may be calibrated by past jobs. Their
-//! distances from the median, in logarithms, are those of the quote times the ratio of the standard
-//! deviations now and at the start. Where the scale was learnt, they are also widened by the ratio of
-//! Student's t quantiles to normal ones.
+//! *The quantiles* of the remainder keep the shape of the quote. Their log distances from the median are the
+//! quote's, times the ratio of the standard deviations now and at the start. Where the scale was learnt, they
+//! are widened by the ratio of Student's t quantiles to normal ones.
 
 mod band;
 mod frame;
@@ -61,8 +53,7 @@ pub use frame::{Known, LiveFrame};
 /// 0.80 quantile of the standard normal distribution.
 const NORMAL_80: f64 = 0.841_621_233_572_914_2;
 
-/// Bound on the absolute logarithm of a median, so that the median and its quantiles stay in the range of a
-/// float.
+/// Bound on the absolute logarithm of a median, so that quantiles stay in the range of a float.
 const MAX_LOG_MEDIAN: f64 = 600.0;
 
 /// The present estimate of a job.
@@ -74,15 +65,12 @@ pub struct Live {
     pub remaining: Band,
     /// Forecast cost of the whole job: spent and remaining.
     pub whole: Band,
-    /// Forecast median of the rest over its quoted median. 1.3 means 30 % more expensive than quoted. 1 if
-    /// nothing remains.
+    /// Forecast over quoted median of the rest: 1.3 is 30 % more expensive. 1 if nothing remains.
     pub factor: f64,
 }
 
-/// The time of each frame on the shot's own clock, which runs faster where the picture changes faster.
-///
-/// Times start at zero and increase strictly. A light that goes on or off counts as a cut: the quote's error
-/// with the light says little about frames without it.
+/// The time of each frame on the shot's own clock. Times start at zero and increase strictly. A light that
+/// goes on or off counts as a cut.
 ///
 /// # Errors
 /// If frames are out of order, or counts and strata do not match.
@@ -98,10 +86,9 @@ pub fn shot_times(strata: &[Stratum], frames: &[FramePopulation]) -> Result<Vec<
     Ok(times)
 }
 
-/// The present estimate of a job that was quoted at `total` and consists of these frames, in their order.
-///
-/// While nothing is finished, it is the quote itself. Once everything is finished, it is the true cost. Takes
-/// time linear in the number of frames. Negative and non-finite numbers count as zero.
+/// The present estimate of a job that was quoted at `total` and consists of these frames, in order. It is the
+/// quote while nothing is finished, and the true cost in the end. Negative and non-finite numbers count as
+/// zero.
 pub fn live(total: &Band, frames: &[LiveFrame], measure: Measure) -> Live {
     let spent = sum(frames.iter().map(|frame| match frame.known {
         Known::Nothing => 0.0,

@@ -2,10 +2,8 @@
 
 use crate::cost::{COLUMNS, Cost, Row};
 
-/// Count, exact sum, and sum of squared deviations of every column.
-///
-/// Deviations follow Welford's recurrence (Welford 1962). E\[x²\] − E\[x\]² would lose all digits when costs
-/// are large and similar. Sums are integers and so exact: the total of a completely sampled stratum is exact.
+/// Count, exact sum, and sum of squared deviations of every column. Deviations follow Welford (1962), since
+/// E\[x²\] − E\[x\]² would lose all digits. Sums are integers, so the total of a complete sample is exact.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Moments {
     pub count: u64,

@@ -1,15 +1,12 @@
 //! Finds the nearest marked pixel to each pixel of an image, by an exact distance transform.
 
-/// For each pixel in row order, the index into `marked` of the nearest marked pixel. Ties are broken
-/// arbitrarily.
+/// For each pixel in row order, the index into `marked` of a nearest marked pixel. The image has `pixels`
+/// pixels in rows of `width`. At least one pixel must be marked, and all marks must lie inside; otherwise the
+/// result is empty.
 ///
-/// The image has `pixels` pixels in rows of `width`. At least one pixel must be marked, and all marks must
-/// lie inside the image; otherwise the result is empty.
-///
-/// The distance is exact. A first pass goes along the columns. A second pass goes along the rows, on the
-/// lower envelope of the parabolas that the columns define (Meijster, Roerdink, Hesselink 2000, "A general
-/// algorithm for computing distance transforms in linear time"). The time is linear in the number of pixels,
-/// for any number of marks.
+/// Exact and in linear time: one pass along columns, one along rows, on the lower envelope of parabolas
+/// (Meijster, Roerdink, Hesselink 2000, "A general algorithm for computing distance transforms in linear
+/// time").
 pub fn nearest(width: u32, pixels: usize, marked: &[u32]) -> Vec<u32> {
     let row = width as usize;
     if row == 0 || !pixels.is_multiple_of(row) || marked.is_empty() {
@@ -62,8 +59,7 @@ struct Parabola {
     from: i64,
 }
 
-/// The lower envelope within the row: the parabolas that are lowest somewhere, and from where on. `parabolas`
-/// must be in the order of their columns.
+/// Lower envelope within the row: which parabola is lowest from where. They must be in column order.
 fn lower_envelope(parabolas: impl Iterator<Item = Parabola>, width: i64, envelope: &mut Vec<Parabola>) {
     envelope.clear();
     for mut next in parabolas {

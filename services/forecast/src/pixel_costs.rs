@@ -1,20 +1,15 @@
 //! Quantiles of the cost of a single pixel.
 //!
-//! A forecast gives the mean cost of the pixels of a stratum; single pixels cost more or less. Suppose n
-//! pixels of the stratum were profiled. A pixel that was not profiled has any rank among them with the same
-//! probability. So it costs less than the k-th cheapest of them with probability k / (n + 1), whatever the
-//! distribution (conformal prediction by stratum: Vovk, Gammerman, Shafer 2005). Between these probabilities
-//! the quantile is interpolated (definition 6 of Hyndman, Fan 1996). Without that, P80 of six pixels would be
-//! the most expensive one, which holds in six of seven cases rather than four of five. Profiled pixels are
-//! spread evenly over what they show, so quantiles tend to be too large rather than too small.
+//! If n pixels of a stratum were profiled, another one has any rank among them with the same probability. So
+//! it costs less than the k-th cheapest with probability k / (n + 1), whatever the distribution (conformal
+//! prediction by stratum: Vovk, Gammerman, Shafer 2005). In between, the quantile is interpolated (definition
+//! 6 of Hyndman, Fan 1996). Profiled pixels are spread evenly, so quantiles tend to be too large.
 //!
-//! P80 needs 4 profiled pixels, and P95 needs 19. Strata with fewer are pooled by the *scores* y_i / ȳ_(−i)
-//! of their pixels: each pixel relative to the mean of the others (as in the jackknife+: Barber, Candès,
-//! Ramdas, Tibshirani 2021). A score is weighted by the number of pixels that it stands for (Tibshirani,
-//! Barber, Candès, Ramdas 2019). If these strata together have too few as well, all strata are pooled. The
-//! unknown pixel gets the mean weight; with its own weight there would be no quantile for a large stratum
-//! with few samples. So the pooled quantiles hold for the pixels of all these strata together, not for each
-//! stratum. This is an approximation; `forelight bench coverage` measures it.
+//! P80 needs 4 profiled pixels, and P95 needs 19. Strata with fewer are pooled by the *scores* y_i / ȳ_(−i),
+//! each pixel relative to the mean of the others (as in the jackknife+: Barber, Candès, Ramdas, Tibshirani
+//! 2021), weighted by the pixels they stand for (Tibshirani, Barber, Candès, Ramdas 2019). If that is too
+//! few, all strata are pooled. The unknown pixel gets the mean weight. Pooled quantiles hold for these strata
+//! together, not for each; `forelight bench coverage` measures the error.
 
 use crate::cost::{Observation, WORK};
 use crate::strata::Stratum;
@@ -36,10 +31,8 @@ pub struct PixelQuantiles {
 }
 
 impl PixelQuantiles {
-    /// The quantile of the work of a pixel of `stratum`. `None` if too few pixels were profiled.
-    ///
-    /// `here` is the forecast mean work of a pixel of the stratum in the frame in question, and `there` in
-    /// the profiled frame. The quantile is scaled by their ratio.
+    /// The quantile of the work of a pixel of `stratum`, scaled from its mean work in the profiled frame,
+    /// `there`, to that in the frame in question, `here`. `None` if too few pixels were profiled.
     pub fn of(&self, stratum: usize, there: f64, here: f64) -> Option<f64> {
         match self.own.get(stratum)? {
             Some(own) if there > 0.0 => Some(own * (here / there)),
@@ -81,8 +74,7 @@ impl Sum {
 }
 
 impl PixelCosts {
-    /// Collects the profiled pixels of a frame. `counts[h]` is the number of pixels of stratum h. Cache
-    /// records ([`Stratum::apart`]) are ignored.
+    /// Collects the profiled pixels of a frame. `counts[h]` is the number of pixels of stratum h.
     pub fn new(strata: &[Stratum], counts: &[u32], observations: &[Observation]) -> Self {
         let is_pixel = |observation: &&Observation| {
             strata.get(observation.stratum as usize).is_some_and(|stratum| !stratum.apart)
@@ -137,9 +129,9 @@ fn work(pixel: &Observation) -> f64 {
 
 /// The score of one of the pixels of a sum. `None` if it is the only one.
 ///
-/// Let σ² be the variance of the logarithm of a pixel's work. Then ln(y_i / ȳ_(−i)) has the variance σ² (1 +
-/// 1 / (n − 1)), approximately. A new pixel over the mean of all n has σ² (1 + 1 / n). So logarithms of
-/// scores are multiplied by √(1 − 1 / n²).
+/// Let σ² be the variance of the logarithm of a pixel's work. Then ln(y_i / ȳ_(−i)) has about σ² (1 + 1 / (n
+/// − 1)). A new pixel over the mean of n has σ² (1 + 1 / n). So logarithms of scores are multiplied by √(1 −
+/// 1 / n²).
 fn score(Sum { work: sum, count }: Sum, work: f64) -> Option<f64> {
     if count < 2.0 {
         return None;
@@ -149,8 +141,7 @@ fn score(Sum { work: sum, count }: Sum, work: f64) -> Option<f64> {
     Some(if work == mean { 1.0 } else { libm::pow(work / mean, closer) })
 }
 
-/// The quantile of ascending weighted scores, plus one of weight `next` that may lie anywhere. `None` if the
-/// quantile may be that one.
+/// Quantile of ascending weighted scores and one unknown of weight `next`. `None` if it may be that one.
 fn quantile(scores: impl Iterator<Item = (f64, f64)> + Clone, next: f64, probability: f64) -> Option<f64> {
     let all = scores.clone().map(|(_, weight)| weight).sum::<f64>() + next;
     // Slightly less than the exact value, so that the rounding of p does not skip a score.
@@ -199,14 +190,12 @@ mod tests {
         is(costs.at(0.8).of(0, 5.0, 5.0), 8.0);
         is(costs.at(0.5).of(0, 5.0, 5.0), 5.0);
         is(costs.at(0.575).of(0, 5.0, 5.0), 5.75);
-        // The other strata have three scores together. The greatest is that of the pixel compared with all
-        // others.
+        // The other strata have three scores; the greatest is that of the pixel against all others.
         let closer = |score: f64, count: f64| score.powf((1.0 - 1.0 / (count * count)).sqrt());
         let (alone, one_of_two) = (closer(100.0 / (85.0 / 11.0), 12.0), closer(3.0, 2.0));
         for stratum in [1, 2] {
             is(costs.at(0.75).of(stratum, 7.0, 7.0), 7.0 * alone);
-            // Too few for a higher quantile, so all strata are pooled: rank eleven of thirteen, each for ten
-            // pixels.
+            // Too few for a higher quantile, so all strata are pooled: rank 11 of 13, each for ten pixels.
             is(costs.at(11.0 / 13.0).of(stratum, 7.0, 7.0), 7.0 * one_of_two);
             assert_eq!(costs.at(0.95).of(stratum, 7.0, 7.0), None, "it may be the one more");
         }

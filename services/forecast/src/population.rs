@@ -8,16 +8,14 @@ use crate::strata::{Stratum, check};
 /// The preview of one frame, as pixel counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FramePopulation {
-    /// The frame's number, which is also its time. Numbers increase strictly from frame to frame. Gaps are
-    /// allowed.
+    /// The frame's number, which is also its time. Strictly increasing, gaps allowed.
     pub number: i64,
     /// Number of pixels of each stratum, N_h.
     pub counts: Vec<u32>,
-    /// The set of shining lights, as a number. Frames with the same set have the same number. The cost of a
-    /// surface depends on the lights, and no preview shows them.
+    /// Number of the set of shining lights. Costs depend on the lights, and no preview shows them.
     pub lights: u32,
-    /// Number of shining lights. A unit cost under one set of lights is closer to that under another set than
-    /// to that in the dark.
+    /// Number of shining lights. Unit costs under any lights are closer to each other than to those in the
+    /// dark.
     pub shining: u32,
     /// Triangles of the frame, visible or not. They determine the cost of building the tree. 0 if unknown.
     pub triangles: u64,

@@ -1,5 +1,4 @@
-//! Counter-based random numbers: a pure function of the counters. Every draw can be repeated from its seed,
-//! on any machine and in any order.
+//! Counter-based random numbers: pure functions of the counters, repeatable in any order.
 
 /// 2^64 divided by the golden ratio: the step of the Kronecker sequence and the increment of SplitMix64.
 pub(crate) use forelight_random::STEP as GOLDEN_STEP;
@@ -12,8 +11,7 @@ pub(crate) fn hash(counters: &[u64]) -> u64 {
     })
 }
 
-/// A number below `limit` from a uniform 64-bit one. Uniform up to a bias of `limit` / 2⁶⁴. 0 for a limit
-/// of 0.
+/// A number below `limit` from a uniform 64-bit one, with a bias of `limit` / 2⁶⁴. 0 for a limit of 0.
 pub(crate) fn below(number: u64, limit: u64) -> u64 {
     ((u128::from(number) * u128::from(limit)) >> 64) as u64
 }

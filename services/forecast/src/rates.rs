@@ -1,31 +1,26 @@
 //! Seconds per unit of work on a machine, by class of work: measured by kernels, corrected by rendered
 //! frames.
 //!
-//! A kernel k does work of several classes, W_kc, in t_k seconds. On the reference machine, a unit of class c
-//! takes p_c seconds. The p_c are known from whole frames, and kernels are not frames. So W_kc is counted
-//! such that Σ_c W_kc p_c is the time of the kernel on the reference machine. The rates of another machine
-//! are r_c = m p_c x_c: the reference's rates, times one factor m for all classes, times one factor x_c per
-//! class:
+//! A kernel k does work W_kc of several classes in t_k seconds. On the reference machine, a unit of class c
+//! takes p_c seconds, and Σ_c W_kc p_c is the time of the kernel there. The rates of another machine are r_c
+//! = m p_c x_c:
 //!
 //! ```text
 //! min Σ_k ( Σ_c W_kc m p_c x_c / t_k − 1 )²  +  λ Σ_c ( x_c − 1 )² ,      m = mean of t_k / Σ_c W_kc p_c
 //! ```
 //!
-//! This is ridge regression towards the proportions of the reference (Hoerl and Kennard 1970). Machines are
-//! taken to differ by one factor unless kernels show otherwise. A class with much kernel work is hardly
-//! shrunk; one without kernel work gets the rate m p_c. Errors in the division into classes are the same on
-//! two machines, and cancel when a time is carried from one to the other.
+//! This is ridge regression towards the proportions of the reference (Hoerl and Kennard 1970). A class with
+//! much kernel work is hardly shrunk; one without gets the rate m p_c. Errors in the division into classes
+//! cancel between two machines.
 //!
 //! Rendered frames correct these rates. Let m_j be the mean, over the frames of job j, of ln(time taken /
-//! time forecast by the rates). Jobs differ in m_j about as much as machines differ beyond what kernels show.
-//! So with a normal prior of that width around zero, the posterior mean after J jobs is Σ m_j / (J + 1)
-//! (Gelman et al., *Bayesian Data Analysis*, section 2.5). A sum does not depend on the order in which jobs
-//! finish.
+//! time by the rates). Jobs differ in m_j about as much as machines do beyond their kernels. So with a normal
+//! prior of that width around zero, the posterior mean is Σ m_j / (J + 1) (Gelman et al., *Bayesian Data
+//! Analysis*, section 2.5), in any order of jobs.
 
 use crate::moments::sum;
 
-/// λ: the variance of the kernels' error, since no kernel is a frame, over the variance between machines by
-/// class. About (8 % / 15 %)².
+/// λ: the kernels' error over the machines' variance by class, about (8 % / 15 %)².
 const RIDGE: f64 = 0.3;
 
 /// Bound on the factors x_c, in both directions.
@@ -40,10 +35,8 @@ const MILLIONTHS: f64 = 1e6;
 /// Work of a kernel by class, and the seconds that it took.
 pub type Timed<const CLASSES: usize> = ([f64; CLASSES], f64);
 
-/// Seconds per unit of work of each class, all positive.
-///
-/// `reference` are the seconds per unit on the reference machine. `None` if no kernel did any work in a
-/// positive time.
+/// Seconds per unit of work of each class, all positive. `reference` are those of the reference machine.
+/// `None` if no kernel did any work in a positive time.
 pub fn class_rates<const CLASSES: usize>(
     kernels: &[Timed<CLASSES>],
     reference: &[f64; CLASSES],
@@ -79,8 +72,7 @@ pub fn class_rates<const CLASSES: usize>(
     }))
 }
 
-/// Solves a symmetric positive definite system by elimination. Such systems need no pivoting (Golub and Van
-/// Loan, section 4.2).
+/// Solves a symmetric positive definite system. No pivoting is needed (Golub and Van Loan, section 4.2).
 fn solved<const N: usize>(mut matrix: [[f64; N]; N], mut right: [f64; N]) -> [f64; N] {
     for k in 0..N {
         let (pivot, known) = (matrix[k], right[k]);
@@ -104,9 +96,8 @@ pub fn log_ratio_millionths(took: f64, forecast: f64) -> Option<i64> {
         .then(|| (log.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO) * MILLIONTHS).round() as i64)
 }
 
-/// The factor by which a machine is slower than its kernels say.
-///
-/// `sum_of_means` is the sum over `jobs` jobs of the mean of [`log_ratio_millionths`] over each job's frames.
+/// Factor by which a machine is slower than its kernels say. `sum_of_means` sums, over `jobs` jobs, the mean
+/// of [`log_ratio_millionths`] over the job's frames.
 pub fn learned_factor(sum_of_means: i64, jobs: u64) -> f64 {
     libm::exp(sum_of_means as f64 / MILLIONTHS / (jobs as f64 + 1.0))
 }

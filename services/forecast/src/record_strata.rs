@@ -1,7 +1,5 @@
-//! The records of an irradiance cache, as strata.
-//!
-//! The number of records is known once the cache is planned. The cost of gathering one is learnt from a few.
-//! So the records of each level are a stratum of exactly known size, beside the strata of pixels.
+//! The records of an irradiance cache, as strata. Their number is known from planning; the cost of gathering
+//! one is learnt from a few.
 
 use crate::cost::{Cost, Observation};
 use crate::population::FramePopulation;
@@ -14,11 +12,9 @@ pub struct RecordStrata {
 }
 
 impl RecordStrata {
-    /// Adds strata for the cache records after the last stratum, which must be the background.
-    ///
-    /// `records[t][level]` is the number of records of a level in frame t. There is one stratum per level
-    /// that any frame has, each with `prior_cost` per record. The numbers of records are added to the counts
-    /// of every frame.
+    /// Adds strata for the cache records after the last stratum, which must be the background, and their
+    /// numbers to every frame's counts. `records[t][level]` is the number of records of a level in frame t.
+    /// Each has `prior_cost`.
     pub fn add(
         strata: &mut Vec<Stratum>,
         frames: &mut [FramePopulation],

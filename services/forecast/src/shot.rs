@@ -1,8 +1,5 @@
-//! Forecasts every frame of a shot from a few profiled ones.
-//!
-//! The preview gives the pixel counts of every frame. Unit costs of the strata are carried from the profiled
-//! frames to the others. The variance of a total takes into account that all frames depend on the same
-//! samples.
+//! Forecasts every frame of a shot from a few profiled ones: unit costs of the strata are carried to the
+//! other frames. All frames depend on the same samples, which the variance of a total takes into account.
 
 use serde::{Deserialize, Serialize};
 
@@ -63,22 +60,21 @@ pub struct ShotForecast {
 
 /// Forecasts every frame from the profiled ones.
 ///
-/// A profiled frame is estimated as by [`crate::estimate()`]. Every other frame t has the estimate ŷ_t = Σ_h
-/// N_h,t ĉ_h(t) + fixed(t). The preview knows all N_h,t. The unit cost of a stratum comes from the nearest
-/// profiled frames before and after it that sampled the stratum. Each has the weight 1 / (CV² / n_h + q Δτ),
-/// which balances samples against distance in time; q is the prior drift of unit costs. Time is the shot's
-/// own (`shot_clock`), in which a cut is as long as the shot. So frames beyond a cut have little weight.
-/// Profiled frames with the same lights are preferred to all others.
+/// A profiled frame is estimated as by [`crate::estimate()`]. Another frame t has ŷ_t = Σ_h N_h,t ĉ_h(t) +
+/// fixed(t). The unit cost of a stratum comes from the nearest profiled frames before and after that sampled
+/// it, each with the weight 1 / (CV² / n_h + q Δτ). Here q is the prior drift of unit costs. Time is the
+/// shot's own (`shot_clock`), so frames beyond a cut have little weight. Frames with the same lights are
+/// preferred.
 ///
 /// The variance of a frame and of the total has three parts.
 ///
-/// * *Sampling*: each group mean of a profiled frame counts with the number of pixels that depend on it, over
-///   all frames. So errors that frames share are added before they are squared.
-/// * *Carrying*: the residual ln(y_t / ŷ_t) of carried frames is a random walk that is zero at every profiled
-///   frame. Its rate has a prior of 10 % over a third of the shot, and learns from predicting each profiled
-///   frame by the others.
-/// * *Borrowing*: a stratum that no profiled frame shows is taken to cost what its material costs, with a
-///   standard deviation of a half of that.
+/// * *Sampling*: each group mean of a profiled frame counts with all pixels that depend on it, over all
+///   frames. So shared errors are added before they are squared.
+/// * *Carrying*: the residual ln(y_t / ŷ_t) is a random walk that is zero at every profiled frame. Its rate
+///   has a prior of 10 % over a third of the shot, and learns from predicting each profiled frame by the
+///   others.
+/// * *Borrowing*: a stratum that no profiled frame shows costs what its material costs, with a standard
+///   deviation of half of that.
 ///
 /// # Errors
 /// If nothing was profiled, or frames, counts, strata and observations do not match.
@@ -144,8 +140,7 @@ pub fn forecast_shot(
     })
 }
 
-/// Squared coefficient of variation within a stratum. It is weighed against drift when unit costs are
-/// carried.
+/// Squared coefficient of variation within a stratum, weighed against drift.
 const CARRIED_VARIATION_SQUARED: f64 = 0.25;
 
 /// A frame as predicted from the profiled ones.
@@ -171,8 +166,7 @@ struct Source {
     overall: Row,
 }
 
-/// How much the lights of two frames differ: first whether only one frame has any, then by how many. Numbers
-/// that differ by up to a third count as equal.
+/// Difference of two frames' lights: only one has any, then the number. Up to a third counts as equal.
 fn light_difference(one: &FramePopulation, other: &FramePopulation) -> (bool, u32) {
     let (fewer, more) = (one.shining.min(other.shining), one.shining.max(other.shining));
     let differ = more - fewer;
@@ -288,10 +282,9 @@ impl<'a> Carrier<'a> {
         f64::from(self.sources[k].fit.strata[h].samples)
     }
 
-    /// The nearest usable sources before and after frame t, with shares that add up to one.
-    ///
-    /// Sources with the frame's lights are preferred, otherwise those with the most similar lights. `samples`
-    /// gives the number of samples behind a source, or `None` if it is not usable.
+    /// The nearest usable sources before and after frame t, with shares that add up to one. Those with the
+    /// most similar lights are preferred. `samples` is the number of samples of a source, or `None` if not
+    /// usable.
     fn neighbours(
         &self,
         t: usize,
@@ -327,10 +320,8 @@ impl<'a> Carrier<'a> {
         shares
     }
 
-    /// Mean unit cost of a stratum's material, in the profiled frames nearest to frame t that show it.
-    ///
-    /// If none shows it, the mean over all pixels takes its place. For cache records, that mean is multiplied
-    /// by their prior cost.
+    /// Mean unit cost of a stratum's material in the profiled frames nearest to frame t. If none shows it,
+    /// the mean over all pixels, for cache records times their prior cost.
     fn material_mean(&self, t: usize, left_out: Option<usize>, stratum: &Stratum) -> Row {
         let amount = |k: usize| {
             let source = &self.sources[k];
@@ -377,8 +368,7 @@ impl<'a> Carrier<'a> {
         uncertainty
     }
 
-    /// Whether all pixels of all profiled frames have exactly the same cost in this column, and cache records
-    /// have none. This is the case for camera rays.
+    /// Whether all profiled pixels cost exactly the same in this column, and records nothing: camera rays.
     fn is_constant(&self, column: usize) -> bool {
         let mut groups = self.sources.iter().flat_map(|source| &source.fit.groups);
         let pixels = self.sources[0].fit.groups.iter().find(|group| !group.is_apart());

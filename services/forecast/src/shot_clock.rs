@@ -1,35 +1,27 @@
-//! The shot's own clock, which runs faster where the picture changes faster.
-//!
-//! Unit costs are carried from profiled frames to others that are near in time. Near a cut, neighbouring
-//! frame numbers say nothing about similar costs. So time is stretched by how much of the picture changes
-//! from one frame to the next.
+//! The shot's own clock: faster where the picture changes faster, so that nothing is carried across a cut.
 
 use crate::population::FramePopulation;
 use crate::strata::Stratum;
 
 /// The time of each frame, for everything that is carried over time.
 ///
-/// The cost of a stratum depends on where the camera is, what is near and what is lit. None of that is known
-/// of frames that are not profiled. But the preview shows how much of the picture changes from one frame to
-/// the next:
+/// The preview shows how much of the picture changes from one frame to the next:
 ///
 /// ```text
 /// D = ½ Σ_h |w_h(t) − w_h(t−1)|
 /// ```
 ///
-/// where w_h is the share of stratum h in the expected cost. D is the share of the cost that moves to other
-/// strata: 0 is nothing, 1 is everything. Something that appears outside the view may be reflected in a
-/// mirror, or light what is in view. The preview knows only its triangles, so D is at least the share of
-/// triangles that appear or vanish. If unit costs change as much as the picture does, the variance that they
-/// gain grows with D². So a step takes, in frames,
+/// where w_h is the share of stratum h in the expected cost. D is 0 if nothing changes and 1 if everything
+/// does. Things outside the view may be reflected or light it, so D is at least the share of triangles that
+/// appear or vanish. If unit costs change as much as the picture, their variance grows with D². So a step
+/// takes, in frames,
 ///
 /// ```text
 /// Δτ = Δn + L D² ,     n the frames' numbers, L the length of the shot
 /// ```
 ///
-/// At a cut, D is near one. The frames on its two sides are then a whole shot apart. They take their unit
-/// costs from their own side, a short scene gets a profiled frame of its own, and the quote's interval widens
-/// across the cut. A smooth camera move has a D of a few hundredths and changes next to nothing.
+/// At a cut, D is near one, so its two sides are a whole shot apart. A smooth camera move has a D of a few
+/// hundredths.
 #[derive(Clone, Debug)]
 pub(crate) struct ShotClock {
     /// In frames: from zero, strictly increasing.

@@ -4,10 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::ForecastError;
 
-/// An (object, material) pair that the preview can show.
-///
-/// The background is a stratum like any other. By convention it is the last one, with an object and a
-/// material of its own. Strata of cache records follow it (see [`Stratum::apart`]).
+/// An (object, material) pair that the preview can show. By convention the last one is the background; strata
+/// of cache records follow it (see [`Stratum::apart`]).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stratum {
     /// The object, for tables by object.
@@ -17,10 +15,8 @@ pub struct Stratum {
     /// Expected cost of one pixel before anything is measured, relative to a plain diffuse pixel (1). It only
     /// steers where samples go, for example to glass rather than walls. No estimate depends on it otherwise.
     pub prior_cost: f64,
-    /// Whether the stratum stands apart from the pixels: it consists of other things, such as cache records,
-    /// whose number is known and some of which are measured. It is never joined with another stratum, and
-    /// does not affect how pixels are grouped. Such strata borrow from each other within a material, but
-    /// never from pixels.
+    /// Whether it consists of other things than pixels, such as cache records, of known number. It is never
+    /// joined with another stratum, and borrows only from such strata of its material.
     #[serde(default)]
     pub apart: bool,
 }
@@ -31,16 +27,13 @@ impl Stratum {
         Self { object: u32::MAX, material: u32::MAX, prior_cost, apart: false }
     }
 
-    /// Pixels at the edges of lights. They are a stratum of their own when the error of an image is
-    /// estimated, not for its cost. An edge between a lamp and what it lights may contribute more error than
-    /// the rest of the image.
+    /// Pixels at the edges of lights: their own stratum for the error of an image, not for its cost. Such an
+    /// edge may contribute more error than the rest of the image.
     pub const fn edges_of_lights() -> Self {
         Self { object: u32::MAX, material: u32::MAX - 2, prior_cost: 1.0, apart: false }
     }
 
-    /// One stratum per level of an irradiance cache, for its records, each with `prior_cost` per record.
-    ///
-    /// Objects are numbered downwards from below the background's, where no object of a scene is.
+    /// One stratum per level of an irradiance cache. Objects are numbered downwards from the background's.
     pub fn of_records(levels: usize, prior_cost: f64) -> impl Iterator<Item = Self> {
         (0..levels as u32).map(move |level| Self {
             object: u32::MAX - 1 - level,
@@ -51,21 +44,18 @@ impl Stratum {
     }
 }
 
-/// Least number of samples that a group should get by its share of the expected cost. Smaller ones are
-/// joined.
+/// Least number of samples of a group by its share of the expected cost. Smaller groups are joined.
 const LEAST_DESERVED_SAMPLES: f64 = 0.5;
 
-/// Average number of samples per group. With at most a quarter as many groups as samples, the floor of two in
-/// each group needs no more than half of the samples.
+/// Average samples per group. With this, the floor of two needs no more than half of the samples.
 const SAMPLES_PER_GROUP: u64 = 4;
 
 /// Strata joined into groups that can have two samples or more each.
 ///
-/// With more strata than samples, most small strata would get none. Guessing their cost would cause a bias
-/// that no interval shows. Sampling the small strata *of one material together*, each pixel with the same
-/// probability, causes no such bias (collapsed strata: Cochran 1977, section 5A.12). The grouping depends on
-/// pixel counts, materials, prior costs and the number of samples, never on measured costs. So the estimate
-/// finds the same groups as the design.
+/// Guessing the cost of unsampled small strata would cause a hidden bias. Sampling the small strata *of one
+/// material together*, each pixel with the same probability, causes none (collapsed strata: Cochran 1977,
+/// section 5A.12). The grouping never depends on measured costs, so the estimate finds the same groups as the
+/// design.
 #[derive(Clone, Debug)]
 pub(crate) struct Grouping {
     /// Group of each stratum. `None` for strata without pixels.

@@ -1,13 +1,10 @@
 //! Student's t distribution for any real number of degrees of freedom: quantiles and tails.
 
-/// From this number on, the t distribution equals the normal one to five digits, and differences of log-gamma
-/// would lose more.
+/// From here on the t distribution is normal to five digits; differences of log-gamma would lose more.
 const NORMAL_FROM: f64 = 1.0e6;
 
 /// The quantile at `p` of the t distribution, for 0.5 ≤ p < 1. Less than one degree of freedom counts as one.
-///
-/// The distribution function is concave for t > 0. So Newton's method from zero approaches the root from
-/// below and never passes it.
+/// Newton's method from zero never passes the root, because the distribution function is concave for t > 0.
 pub(crate) fn quantile(p: f64, degrees_of_freedom: f64) -> f64 {
     let df = if degrees_of_freedom.is_nan() { 1.0 } else { degrees_of_freedom.clamp(1.0, NORMAL_FROM) };
     let log_scale =
@@ -36,10 +33,8 @@ fn upper_tail(t: f64, df: f64) -> f64 {
     0.5 * student_two_sided(t, df)
 }
 
-/// Regularised incomplete beta function I_x(a, b). The caller gives `y` = 1 − x, which it knows without
-/// cancellation.
-///
-/// Continued fraction of DLMF 8.17.22, evaluated by the method of Lentz, on the side where it converges fast.
+/// Regularised incomplete beta function I_x(a, b), with `y` = 1 − x given without cancellation. Continued
+/// fraction of DLMF 8.17.22 by the method of Lentz, on the side where it converges fast.
 fn incomplete_beta(x: f64, y: f64, a: f64, b: f64) -> f64 {
     if x <= 0.0 {
         return 0.0;

@@ -30,8 +30,7 @@ fn run(recipe: Recipe, calibration: Calibration) -> Outcome {
     Outcome { errors: errors(&relative), hits }
 }
 
-/// Four standard errors of a share of `TRIALS` trials: a right service fails once in ten thousand runs of
-/// other seeds.
+/// Four standard errors of a share of `TRIALS` trials: fails once in ten thousand runs of other seeds.
 fn slack(share: f64) -> f64 {
     4.0 * (share * (1.0 - share) / TRIALS as f64).sqrt()
 }

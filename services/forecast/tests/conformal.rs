@@ -48,8 +48,7 @@ fn frames_that_share_their_jobs_error_do_not_make_the_quantile_surer_than_it_is(
     for p in [0.5, 0.8] {
         holds(20, p, job);
     }
-    // Were every frame taken for a job of its own, five jobs would seem to be fifty, and their frames too
-    // sure.
+    // If frames counted as jobs, five jobs would seem to be fifty, and their frames too certain.
     let mut stream = Stream::new(7);
     let mut hits = [0.0; 2];
     for _ in 0..4000 {

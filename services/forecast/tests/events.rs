@@ -1,6 +1,5 @@
-//! Shots in which something happens: cuts, brief appearances, things and lights that move. Each is forecast
-//! from five of its frames and held against what farms do, the mean of the first, the middle and the last
-//! frame.
+//! Shots with events: cuts, brief appearances, moving things and lights. Each forecast from five frames is
+//! compared with the mean of the first, middle and last frame.
 
 mod common;
 
@@ -24,8 +23,7 @@ struct Shot {
 }
 
 impl Shot {
-    /// `look(object, frame)` is the object's part of the picture (relative to that of the others) and the
-    /// mean work of its pixels, which differ by a third.
+    /// `look(object, frame)`: the object's relative part of the picture, and the mean work of its pixels.
     fn new(objects: u32, frames: i64, seed: u64, look: impl Fn(u32, i64) -> (f64, f64)) -> Self {
         let pixels = SIDE * SIDE;
         let mut noise = Stream::new(seed);
@@ -103,8 +101,7 @@ impl Shot {
     }
 }
 
-/// Means over many shots of the error of all work, of the errors of frames over all work, and of the error of
-/// the mean of the first, the middle and the last frame.
+/// Mean errors over many shots: of all work, of frames, and of the mean of first, middle and last frame.
 struct Errors {
     total: f64,
     frame: f64,
@@ -244,8 +241,8 @@ fn in_a_shot_of_5000_frames_three_that_show_something_else_are_not_overlooked() 
             2 => (if (at..at + 3).contains(&t) { 3.0 } else { 0.0 }, 1.0),
             _ => (1.0, 1.0),
         });
-        // Known to be dear: three frames of 5,000 at the price of the others would not be worth one of five
-        // profiled ones.
+        // Expensive: at the price of the others, three frames of 5,000 would not deserve one of five
+        // profiles.
         shot.strata[2].prior_cost = 200.0;
         let chosen = choose_frames(&shot.strata, &shot.frames, 5).expect("good frames");
         assert!(chosen.iter().any(|&t| (at..at + 3).contains(&(t as i64))), "{at}: {chosen:?}");

@@ -11,8 +11,7 @@ fn lognormal(median: f64, deviation: f64) -> Band {
     Band { mean: median, p50: median, p80: at(0.8416), p95: at(1.6449) }
 }
 
-/// How a job's frames differ from their quotes: standard deviations of what they share, of what drifts, and
-/// of their own.
+/// Deviations of frames from their quotes: what they share, what drifts, and their own.
 #[derive(Clone, Copy)]
 struct Truth {
     common: f64,
@@ -29,15 +28,13 @@ struct Job {
 }
 
 impl Job {
-    /// A job of `count` frames that cost alike to within a third, quoted with the spreads of `quoted` and
-    /// differing from the quote as `truth` says.
+    /// A job of `count` similar frames, quoted with the spreads `quoted`, true costs as in `truth`.
     fn new(seed: u64, count: usize, quoted: Truth, truth: Truth) -> Self {
         let mut stream = Stream::new(seed);
         let medians: Vec<f64> = (0..count).map(|_| 100.0 * (0.3 * stream.normal()).exp()).collect();
         let Truth { common, smooth, own } = quoted;
         let of_frame = common.hypot(smooth).hypot(own);
-        // The mean over a whole shot keeps about six tenths of the variance of what drifts over a third of
-        // it.
+        // The mean over a shot keeps six tenths of the variance of what drifts over a third of it.
         let of_job = common.hypot(0.6f64.sqrt() * smooth).hypot(own / (count as f64).sqrt());
         let sum: f64 = medians.iter().sum();
         let frames = medians
@@ -50,8 +47,7 @@ impl Job {
                 known: Known::Nothing,
             })
             .collect();
-        // What drifts, as is assumed: a Gaussian process with Matérn covariance, a third of the shot long,
-        // from frame to frame.
+        // The drift as assumed: a Gaussian process with Matérn covariance, a third of the shot long.
         let x = 3.0f64.sqrt() / (count as f64 / 3.0);
         let fall = (-x).exp();
         let step = [[fall * (1.0 + x), fall * x], [-fall * x, fall * (1.0 - x)]];
@@ -153,15 +149,14 @@ fn a_job_thirty_percent_dearer_than_its_quote_is_seen_as_such_after_a_few_frames
         in_order.finish(frame);
     });
     let live = job.live();
-    // Of n = 6 equal residuals the posterior mean keeps at least n c / (n c + s + e), with c, s, e the
-    // variances of AS_QUOTED. So it loses 3.4 % of ln 1.3. The frames' own noise of 3 % adds 3 · 0.03 / √6 =
-    // 3.7 % at three sigmas. An eighth of the whole is known.
+    // The posterior mean of n = 6 equal residuals keeps at least n c / (n c + s + e), with the variances of
+    // AS_QUOTED: 3.4 % of ln 1.3 is lost. Three sigmas of the frames' noise of 3 % add 3 · 0.03 / √6 = 3.7 %.
+    // An eighth of the whole is known.
     let lost = 0.034 + 0.037;
     assert!(off(&job).abs() < 7.0 / 8.0 * lost, "{} {live:?}", off(&job));
     assert!((live.factor / 1.3 - 1.0).abs() < lost, "{live:?}");
     assert!(live.whole.p50 > job.total.p80, "the quote's P80 is out of reach");
-    // Neighbouring frames may share an error that passes, so they count for less: of what they say, c / (c +
-    // s) = 69 % is common to the job.
+    // Neighbours may share a passing error, so they count less: c / (c + s) = 69 % is common to the job.
     let live = in_order.live();
     assert!(
         off(&in_order).abs() < 7.0 / 8.0 * (0.31 * 0.262 + 0.037) && live.whole.p95 > job.whole(),
@@ -197,8 +192,7 @@ fn it_does_not_matter_in_which_order_frames_arrived() {
     assert_eq!(one.live(), other.live());
 }
 
-/// How often truths stayed at or below P50, P80 and P95 of the whole, over seeded jobs with these frames
-/// finished.
+/// Share of seeded jobs whose true cost stayed below P50, P80 and P95 with these frames finished.
 fn hits(
     jobs: u64,
     [quoted, truth]: [Truth; 2],
@@ -218,8 +212,7 @@ fn hits(
     hits
 }
 
-/// Four standard deviations of the share of so many jobs in which something of this probability happens: of
-/// the twenty or so such bounds here none is left by chance.
+/// Four standard deviations of a share of so many jobs, for about twenty such bounds.
 fn by_chance(probability: f64, jobs: u64) -> f64 {
     4.0 * (probability * (1.0 - probability) / jobs as f64).sqrt()
 }
@@ -278,8 +271,7 @@ fn quantiles_hold_what_they_promise_where_the_quote_knows_itself() {
 
 #[test]
 fn a_quote_that_is_far_too_sure_of_itself_is_found_out() {
-    // It gives itself a third of the spread that there is: P95 is then at 1.645 / 3 standard deviations
-    // before anything is seen.
+    // Quoted with a third of the true spread: at first, P95 lies at 1.645 / 3 standard deviations.
     let third = Truth { common: 0.04, smooth: 0.027, own: 0.027 };
     let none = hits(500, [third, AS_QUOTED], |_, _| {}, &[]);
     let before = 0.708;
@@ -287,17 +279,16 @@ fn a_quote_that_is_far_too_sure_of_itself_is_found_out() {
     println!("before {none:?}");
     let quarter: Vec<usize> = (0..48).step_by(4).collect();
     let seen = hits(500, [third, AS_QUOTED], |_, _| {}, &quarter);
-    // Twelve frames are each nine times as surprising as they should be: the variance is found to be (4 + 9 ·
-    // 12) / (4 + 12) = 7 times the quote's.
+    // Twelve frames, each nine times as surprising: a variance of (4 + 9 · 12) / (4 + 12) = 7 times the
+    // quote's.
     println!("a quarter {seen:?}");
     let [_, at_80, at_95] = kept((7.0f64 / 9.0).sqrt(), 12);
     assert!(seen[1] > at_80 - by_chance(at_80, 500), "{seen:?}");
     assert!(seen[2] > at_95 - by_chance(at_95, 500), "{seen:?}");
 }
 
-/// A light goes on half-way, and the quote is off by another factor on each side of it. What the whole is off
-/// by is as uncertain as it was: half of the variance of what frames have in common is that of the sides,
-/// each of which is half of the job.
+/// A light goes on half-way, and the quote is off by another factor on each side. The error of the whole
+/// stays as uncertain: half of the common variance is that of the sides.
 fn switched_on(job: &mut Job, seed: u64) {
     let mut stream = Stream::new(seed ^ 0x5eed);
     let sides = [0, 1].map(|_| AS_QUOTED.common * stream.normal());
@@ -340,8 +331,7 @@ fn frames_in_a_light_that_was_not_seen_yet_are_thought_less_like_those_that_were
     assert!(other.factor > 1.02 && other.factor < same.factor - 0.05, "{other:?} {same:?}");
     let spread = |live: &Live| (live.remaining.p95 / live.remaining.p50).ln();
     assert!(spread(&other) > 1.2 * spread(&same), "{other:?} {same:?}");
-    // It makes no difference what a set of lights is called, nor that there are more of them than are told
-    // apart.
+    // Numbers of sets of lights are only names, and more sets than are told apart change nothing.
     assert_eq!(estimate(7), other);
 }
 

@@ -209,8 +209,7 @@ fn unit_costs_follow_a_trend_between_profiled_frames() {
     assert!(found.frames[5].total.work.variance > found.frames[1].total.work.variance);
 }
 
-/// The forecast of a shot of pictures whose frames have `records` of a cache, of which some were gathered at
-/// the works given by level.
+/// Forecast of a shot with `records` of a cache, some gathered at the works given by level.
 fn with_records(shot: &Shot, records: &[&[u32]], works: &[&[f64]]) -> ShotForecast {
     let (mut strata, mut frames) = (shot.pictures[0].strata.clone(), shot.frames.clone());
     let apart = RecordStrata::add(&mut strata, &mut frames, records, 20.0);

@@ -110,8 +110,7 @@ fn random_pixels_are_the_same_with_and_without_areas() {
 
 #[test]
 fn a_pixel_counts_for_the_area_that_is_nearest_to_it() {
-    // A plain slope across the picture: areas correct for where the random pixels happen to be, in most
-    // cases.
+    // A plain slope: areas mostly correct for where random pixels happen to be.
     let cost = |pixel: u32| cost_of(1000.0 + 100.0 * f64::from(pixel % 64));
     let truth: f64 = (0..4096).map(|pixel| cost(pixel).work as f64).sum();
     let error = |strategy| {
@@ -154,8 +153,7 @@ fn the_papers_snapshot_is_pixels_of_an_object_times_its_mean_cost() {
     assert!((found.total.work.mean / expected - 1.0).abs() < 1e-12);
 }
 
-/// Relative errors over many seeds of pictures of one recipe, and the mean of the variances that were
-/// estimated.
+/// Relative errors over many seeds of one recipe, and the mean of the estimated variances.
 fn trials(strategy: Strategy, recipe: Recipe, picture: u64, trials: u64) -> (Vec<f64>, f64) {
     let picture = Picture::new(recipe, picture, picture, 0.0);
     let truth = picture.truth();

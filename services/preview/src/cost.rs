@@ -10,11 +10,9 @@ pub struct Cost {
     pub nodes: u64,
     /// Number of triangle tests. Deterministic. 0 on the GPU.
     pub triangles: u64,
-    /// CPU time of this process's threads in nanoseconds, including the build of the tree. The threads of a
-    /// Vulkan driver are not included.
+    /// CPU nanoseconds of this process's threads, with the build of the tree, without a driver's threads.
     pub cpu_nanos: u64,
-    /// Wall-clock time spent waiting for the device, in nanoseconds. 0 on the CPU. With a software driver,
-    /// the device is the same processor.
+    /// Wall-clock nanoseconds spent waiting for the device. 0 on the CPU.
     pub device_nanos: u64,
 }
 

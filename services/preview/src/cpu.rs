@@ -10,12 +10,9 @@ use forelight_scene::{Frame, Geometry};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// The preview of a frame, and its cost. `bvh` must be the tree of `frame.geometry`.
-///
-/// The result does not depend on the number of threads.
-///
-/// # Errors
-/// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`].
+/// The preview of a frame, and its cost, for any number of threads. `bvh` must be the tree of
+/// `frame.geometry`. Fails with [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or
+/// [`PreviewError::Camera`].
 pub fn cpu_preview_with(bvh: &Bvh, frame: &Frame) -> Result<(Preview, Cost), PreviewError> {
     check(&frame.camera)?;
     let rays = CameraRays::new(bvh, frame);
@@ -30,9 +27,6 @@ pub fn cpu_preview_with(bvh: &Bvh, frame: &Frame) -> Result<(Preview, Cost), Pre
 }
 
 /// Like [`cpu_preview_with`], but returns only the pixel counts.
-///
-/// # Errors
-/// As for [`cpu_preview_with`].
 pub fn cpu_counts_with(bvh: &Bvh, frame: &Frame) -> Result<(Counts, Cost), PreviewError> {
     check(&frame.camera)?;
     let rays = CameraRays::new(bvh, frame);
@@ -65,8 +59,7 @@ impl<'a> CameraRays<'a> {
         Self { bvh, frame, cutouts: Cutouts::of(frame), near: near_distance(&frame.geometry) }
     }
 
-    /// Calls `see` with the column and the triangle of every pixel of row `y`. The triangle is [`NOTHING`]
-    /// where no surface is.
+    /// Calls `see` with column and triangle of every pixel of row `y`, [`NOTHING`] without a surface.
     fn row(&self, y: u32, mut see: impl FnMut(usize, u32)) -> Cost {
         let clock = ThreadClock::start();
         let camera = &self.frame.camera;

@@ -1,17 +1,13 @@
-//! Finds what the camera sees in every pixel of a frame: the (object, material) pair, and the position and
-//! normal of the surface at the centre of the pixel.
+//! Finds what the camera sees at the centre of every pixel: the (object, material) pair, position and normal.
 //!
-//! There are two implementations: the GPU (headless Vulkan through `wgpu`), and its CPU twin, which traces
-//! one ray per pixel. Both find only *which triangle* a pixel shows. One function then computes stratum,
-//! position and normal from the triangle and the pixel. So wherever both find the same triangle, all other
-//! bits agree too. They may find different triangles where an edge passes a pixel centre within the
-//! rasteriser's snapping (1/256 pixel). The same holds where two surfaces are closer to each other than the
-//! precision of a float depth.
+//! The GPU (headless Vulkan through `wgpu`) and its CPU twin, which traces one ray per pixel, only find
+//! *which triangle* a pixel shows. One function computes the rest, so for the same triangle all bits agree.
+//! They may differ where an edge passes a pixel centre within 1/256 pixel (the rasteriser's snapping), or
+//! where two surfaces are closer than a float depth resolves.
 //!
-//! Both sides of every triangle are visible, as seen through a pinhole. A lens blurs, but does not change
-//! what a pixel mostly shows. Surfaces with an opacity below ½ are left out, as are the transparent texels of
-//! a cut-out texture. Glass is shown, not what is behind it. Of surfaces at the same depth, the one with the
-//! lowest triangle index is visible.
+//! Both sides of every triangle are visible, through a pinhole. Surfaces with an opacity below ½ and
+//! transparent texels are left out. Glass is shown, not what is behind it. At equal depth, the lowest
+//! triangle index is visible.
 
 mod clock;
 mod cost;

@@ -10,10 +10,9 @@ const BACKGROUND: Rgb<u8> = Rgb([8, 8, 10]);
 /// A colour for every stratum, by its index.
 ///
 /// The largest channel names the class of the material (the paper, section 2, step 1): red for transparent,
-/// blue for specular and glossy, green for all others. Within a class, the colours are the points of an
-/// additive recurrence with the inverse powers of the root of x⁴ = x + 1. This is the three-dimensional
-/// relative of the golden ratio (Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences").
-/// Any number of colours fills the range evenly, and successive colours differ strongly.
+/// blue for specular and glossy, green for others. Within a class, colours are points of an additive
+/// recurrence with the inverse powers of the root of x⁴ = x + 1. Successive ones differ strongly (Roberts
+/// 2018, "The Unreasonable Effectiveness of Quasirandom Sequences").
 pub fn palette(frame: &Frame) -> Vec<[u8; 3]> {
     const ROOT: f64 = 1.220_744_084_605_759_5;
     let mut ranks = [0u32; 3];
@@ -39,8 +38,7 @@ pub fn palette(frame: &Frame) -> Vec<[u8; 3]> {
     frame.geometry.strata.pairs.iter().map(colour).collect()
 }
 
-/// The preview as a picture in the colours of [`palette`]. Surfaces are darkened where they turn away from
-/// the eye, so that shapes are visible.
+/// The preview in the colours of [`palette`], darkened where surfaces turn away from the eye.
 pub fn picture(preview: &Preview, frame: &Frame) -> RgbImage {
     let palette = palette(frame);
     let mut image = RgbImage::from_pixel(preview.width, preview.height, BACKGROUND);

@@ -17,8 +17,7 @@ pub struct Preview {
     pub stratum: Vec<u32>,
     /// Point on the surface, in metres. Zero where no surface is.
     pub position: Vec<Vec3>,
-    /// Geometric unit normal by the winding of the triangle, for both visible sides. Zero where no surface
-    /// is.
+    /// Geometric unit normal by the triangle's winding. Zero where no surface is.
     pub normal: Vec<Vec3>,
     /// (object id, material index) of each stratum, from the frame's [`forelight_scene::Strata`].
     pub pairs: Arc<[(u32, u32)]>,

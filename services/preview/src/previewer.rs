@@ -13,8 +13,7 @@ use thiserror::Error;
 /// Where previews are made: the value of `--preview`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Choice {
-    /// On the GPU if there is a usable Vulkan device. Otherwise on the CPU, also if the device fails or the
-    /// scene does not fit it.
+    /// On the GPU if a usable Vulkan device exists and the scene fits. Otherwise on the CPU.
     #[default]
     Auto,
     /// On the GPU. Fails if that is not possible.
@@ -51,8 +50,7 @@ impl FromStr for Choice {
     }
 }
 
-/// Makes previews. Geometry and textures that a frame shares with the previous one are kept: on the device,
-/// or in the tree of the CPU twin.
+/// Makes previews. Keeps geometry and textures that a frame shares with the previous one.
 pub struct Previewer {
     choice: Choice,
     gpu: Option<Gpu>,
@@ -63,10 +61,7 @@ pub struct Previewer {
 }
 
 impl Previewer {
-    /// Opens a device if `choice` asks for one. Logs once whether previews are made on the GPU or the CPU,
-    /// and why.
-    ///
-    /// # Errors
+    /// Opens a device if `choice` asks for one, and logs the outcome once. Fails with
     /// [`PreviewError::NoDevice`] or [`PreviewError::Device`], for [`Choice::Gpu`] only.
     pub fn new(choice: Choice) -> Result<Self, PreviewError> {
         let gpu = match choice {
@@ -109,20 +104,15 @@ impl Previewer {
         self.cost
     }
 
-    /// What each pixel of the frame shows at its centre, at the camera's resolution.
-    ///
-    /// # Errors
-    /// [`PreviewError::EmptyImage`], [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`] for a frame
-    /// without a valid image. Failures of the device, for [`Choice::Gpu`] only.
+    /// What each pixel of the frame shows at its centre. Fails with [`PreviewError::EmptyImage`],
+    /// [`PreviewError::ImageTooLarge`] or [`PreviewError::Camera`], and on device failures for
+    /// [`Choice::Gpu`] only.
     pub fn preview(&mut self, frame: &Frame) -> Result<Preview, PreviewError> {
         self.make(|gpu| gpu.preview(frame), |cpu| cpu.preview(frame))
     }
 
-    /// Number of pixels of the frame that show each stratum: the same as `preview(frame)?.counts()`. The GPU
-    /// reads back nothing else.
-    ///
-    /// # Errors
-    /// As for [`Previewer::preview`].
+    /// Number of pixels per stratum, as in `preview(frame)?.counts()`, with less read-back. Errors as for
+    /// [`Previewer::preview`].
     pub fn counts(&mut self, frame: &Frame) -> Result<Counts, PreviewError> {
         self.make(|gpu| gpu.counts(frame), |cpu| cpu.counts(frame))
     }

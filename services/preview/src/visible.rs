@@ -1,5 +1,4 @@
-//! Rules that GPU and CPU previews share: what is drawn, how near is too near, and which point of a triangle
-//! a pixel shows.
+//! Rules that GPU and CPU previews share: what is drawn, the near distance, and the point that a pixel shows.
 
 use crate::error::PreviewError;
 use crate::preview::{NOTHING, Preview};
@@ -14,8 +13,7 @@ const MOST_PIXELS: u64 = 1 << 28;
 /// Surfaces with a constant opacity below this are not drawn.
 const OPAQUE_ENOUGH: f32 = 0.5;
 
-/// Near distance, relative to the size of the scene. With f32 coordinates of that size, points closer to the
-/// eye cannot be told from it.
+/// Near distance relative to the size of the scene. Closer points coincide with the eye in f32.
 const NEAR: f32 = 1e-7;
 
 /// Checks that the camera has an image, and a finite direction for every pixel.
@@ -45,9 +43,8 @@ pub(crate) fn check(camera: &Camera) -> Result<(), PreviewError> {
     Ok(())
 }
 
-/// Distance along the view direction, in metres, from which on surfaces are visible.
-///
-/// 10⁻⁷ of the diagonal of the bounding box of the vertices. Always positive.
+/// Distance along the view direction, in metres, from which on surfaces are visible: 10⁻⁷ of the vertices'
+/// bounding-box diagonal. Always positive.
 pub(crate) fn near_distance(geometry: &Geometry) -> f32 {
     let mut lower = Vec3::INFINITY;
     let mut upper = Vec3::NEG_INFINITY;
@@ -116,11 +113,8 @@ pub(crate) fn centre(x: u32, y: u32) -> Vec2 {
     Vec2::new(x as f32 + 0.5, y as f32 + 0.5)
 }
 
-/// The point where the camera ray meets the triangle, by Cramer's rule in f64.
-///
-/// A rasteriser may draw a triangle on a pixel whose centre it just misses, or that sees it edge-on. The
-/// result is then the nearest point of the triangle in barycentric coordinates. So it lies on the surface,
-/// and is finite for every triangle.
+/// The point where the camera ray meets the triangle, by Cramer's rule in f64. If the ray misses it or sees
+/// it edge-on, as a rasteriser allows, the nearest point of the triangle in barycentric coordinates.
 fn point_on(corners: [Vec3; 3], camera: &Camera, direction: Vec3) -> Vec3 {
     let [a, b, c] = corners.map(Vec3::as_dvec3);
     let (edge_b, edge_c) = (b - a, c - a);

@@ -17,8 +17,7 @@ const SIDE: u32 = 512;
 struct Agreement {
     /// Share of pixels of the same stratum.
     stratum: f64,
-    /// Of those that show the same surface: the share whose positions are within a thousandth of their
-    /// distance.
+    /// Of pixels with the same surface: share with positions within a thousandth of their distance.
     position: f64,
     /// And whose normals are within 2.5°.
     normal: f64,

@@ -1,40 +1,38 @@
-//! What accuracy costs in time: ladders of qualities, with what each takes and how far its image will be from the converged one.
+//! Ladders of qualities: the cost of each, and the expected error of its image.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{Confidence, Profiled, Quantiles, RenderSettings, SpentOnForecast};
 
-/// What is changed along a ladder; all else is as it was asked for.
+/// The setting that changes along a ladder. All others are as requested.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LadderKind {
-    /// Camera samples a pixel, with the integrator `ambient` and without an irradiance cache.
+    /// Camera samples per pixel, with the integrator `ambient` and no irradiance cache.
     Ambient,
-    /// Camera samples a pixel, with the integrator `path`.
+    /// Camera samples per pixel, with the integrator `path`.
     Path,
-    /// Camera samples a pixel, with the integrator `ambient` and an irradiance cache: of the accuracy that was asked for, or the usual one.
+    /// Camera samples per pixel, with the integrator `ambient` and an irradiance cache.
     CachedSamples,
-    /// The error that an irradiance cache may make, with the integrator `ambient`.
+    /// Allowed error of an irradiance cache, with the integrator `ambient`.
     Cache,
-    /// Hemisphere rays of a gather, with the integrator `ambient` and without a cache.
+    /// Hemisphere rays per gather, with the integrator `ambient` and no cache.
     Divisions,
-    /// Pixels, with all else as it was asked for. The error is that of the pixels that are delivered, each against its own
-    /// converged self: an image of more pixels is as far from its own converged self, and shows more. So these rungs are not held
-    /// against the others.
+    /// Number of pixels. Each image is compared with its own converged image, so these errors are not
+    /// comparable with others.
     Resolution,
 }
 
-/// Which ladders of qualities are part of a job's quote.
+/// Which ladders a job's quote contains.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Ladders {
-    /// Those that the job's own profile speaks of: camera samples and, without a cache, resolutions.
+    /// Those that the job's own profile covers: camera samples and, without a cache, resolutions.
     #[default]
     Own,
-    /// All of them: one frame is profiled with the other settings too, before the job is quoted. That takes about as much as half a million camera
-    /// samples of it, whatever its size and the length of the shot: a few percent of a large frame, several times a small one. What it took is part
-    /// of what the quote did.
+    /// All. One frame is also profiled with the other settings before the quote. This costs about 500,000
+    /// camera samples, which are part of the cost of quoting.
     All,
 }
 
@@ -47,14 +45,14 @@ impl Ladders {
         }
     }
 
-    /// Whether they are the usual ones.
+    /// Whether only the job's own ladders are wanted.
     pub fn are_own(&self) -> bool {
         *self == Ladders::Own
     }
 }
 
 impl LadderKind {
-    /// All of them, in the order in which they are listed.
+    /// All ladders, in the order in which they are listed.
     pub const ALL: [LadderKind; 6] = [
         LadderKind::Ambient,
         LadderKind::Path,
@@ -77,9 +75,9 @@ impl LadderKind {
     }
 }
 
-/// The error of an image that is forecast: the values that it stays below with these probabilities. The error is the root mean
-/// square of (pixel − converged pixel) over all pixels and channels, as a share of the mean of the converged image. Converged is
-/// the image of the same integrator with endless camera samples, and nothing interpolated.
+/// Forecast error of an image, as quantiles. The error is the root mean square of (pixel − converged pixel)
+/// over all pixels and channels, divided by the mean of the converged image. The converged image has endless
+/// camera samples and no interpolation.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct ImageError {
     /// 5 % quantile.
@@ -103,83 +101,83 @@ impl ImageError {
     }
 }
 
-/// The way from a rung that is worth taking to the next better one.
+/// Comparison of a rung with the next better one.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct NextRung {
-    /// Its index in the list of rungs.
+    /// Index of the better rung in the list.
     pub rung: u32,
-    /// CPU seconds that it takes more, by the medians.
+    /// Its additional CPU seconds, by the medians.
     pub more_cpu_seconds: f64,
-    /// Its CPU time over that of this rung.
+    /// Its CPU time divided by that of this rung.
     pub times_cpu_seconds: f64,
-    /// Its error over that of this rung.
+    /// Its error divided by that of this rung.
     pub times_error: f64,
 }
 
-/// What a rung took and came to when it was rendered.
+/// Cost and error of a rung that was rendered.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct MeasuredRung {
     /// Deterministic count of operations.
     pub work: u64,
     /// CPU seconds.
     pub cpu_seconds: f64,
-    /// Error as in [`ImageError`], without that of the image that it was held against. 0 where it is too small to be told from it.
+    /// Error as in [`ImageError`], less that of the reference image. 0 if it is too small to be measured.
     pub error: f64,
-    /// Standard deviation of that number, for want of pixels.
+    /// Standard deviation of `error`, from the number of pixels.
     pub error_deviation: f64,
 }
 
-/// A quality, what it takes and how good it is.
+/// A quality with its cost and error.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct AccuracyRung {
-    /// The ladder that it is of. A quality that is on several ladders is listed once on each.
+    /// Its ladder. A quality on several ladders is listed once on each.
     pub ladder: LadderKind,
     /// All settings.
     pub settings: RenderSettings,
-    /// Whether these are the settings that were asked for.
+    /// Whether these are the requested settings.
     pub asked_for: bool,
     /// Deterministic count of operations.
     pub work: Quantiles,
     /// CPU seconds over all threads, on a node of speed 1.
     pub cpu_seconds: Quantiles,
-    /// How far the image will be from its converged self; absent where the profiled pixels do not tell.
+    /// Expected error of the image. Absent if the profiled pixels do not show it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<ImageError>,
-    /// Whether it is worth taking: no other rung is both cheaper and better, by the medians. Never of a ladder of resolutions.
+    /// Whether no other rung is both cheaper and better, by the medians. Always false for resolutions.
     pub worth_taking: bool,
-    /// The next better rung that is worth taking; absent for the best, and for those that are not worth taking.
+    /// The next better rung that is worth taking. Absent for the best one, and if this one is not worth
+    /// taking.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub next: Option<NextRung>,
-    /// What it took and came to, if it was rendered to find out.
+    /// Measured cost and error, if it was rendered.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<MeasuredRung>,
 }
 
-/// A ladder that is missing, or has no errors, or a rung of it that is left out.
+/// A ladder that is missing or has no errors, or a rung that is left out.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct MissingLadder {
     /// The ladder.
     pub ladder: LadderKind,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
-/// What accuracy costs in time, as `forelight accuracy --json` (of one frame) and `GET /v1/jobs/{id}/accuracy` (of all frames of a
-/// job) give it.
+/// Ladders of one frame (`forelight accuracy --json`) or of a job (`GET /v1/jobs/{id}/accuracy`).
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct AccuracyDoc {
-    /// Number of frames that `work` and `cpu_seconds` are of, all together.
+    /// Number of frames that `work` and `cpu_seconds` cover.
     pub frames: u32,
-    /// The settings that were asked for.
+    /// The requested settings.
     pub settings: RenderSettings,
-    /// The rungs, ladder by ladder, from the cheapest settings to the dearest.
+    /// The rungs by ladder, cheapest settings first.
     pub rungs: Vec<AccuracyRung>,
-    /// Ladders that are missing or have no errors, rungs that are left out, and why.
+    /// Missing ladders, ladders without errors and left-out rungs, with reasons.
     pub missing: Vec<MissingLadder>,
-    /// Frames and pixels that the predictions rest on. Errors are those of the profiled frames: root mean square over them.
+    /// Profiled frames and pixels. Errors are root mean squares over these frames.
     pub profiled: Profiled,
-    /// What the predictions took; its fraction is that of one frame of the settings that were asked for, or of the job.
+    /// Cost of the predictions. Its fraction relates to one frame of the requested settings, or to the job.
     pub spent: SpentOnForecast,
-    /// Whether the quantiles have been calibrated; if not, they rest on the statistics alone.
+    /// Whether the quantiles were calibrated. If not, they are based on sampling statistics only.
     pub calibrated: bool,
 }

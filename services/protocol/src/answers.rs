@@ -84,8 +84,7 @@ pub struct PlanEffect {
     /// When the job in question would finish. Absent if it never would.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<Timestamp>,
-    /// Whether that is by its deadline, or by the moved deadline if the change is one. For a job without a
-    /// deadline, whether it would finish at all.
+    /// Whether it meets its deadline, or the moved one. Without a deadline, whether it would finish at all.
     pub in_time: bool,
     /// Other jobs that would finish at another time.
     pub moved: Vec<MovedJob>,
@@ -96,8 +95,7 @@ pub struct PlanEffect {
 pub struct Promise {
     /// Whether the newest plan keeps the deadline.
     pub kept: bool,
-    /// Probability of finishing by the deadline in the newest plan, 0 to 1: the share of simulated scenarios
-    /// that do.
+    /// Share of simulated scenarios in which it finishes by the deadline, 0 to 1.
     pub probability: f64,
     /// When the job finishes in the newest plan. Absent if it never does.
     pub finish: Option<Timestamp>,
@@ -128,16 +126,14 @@ pub enum WaitKind {
     Room,
 }
 
-/// Why a job waits: a booked job that has not started, a job whose quote makes no progress, or any job while
-/// the disk is nearly full.
+/// Why a job waits: its frames, its quote or the whole farm cannot go on.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Waits {
     /// Kind of reason.
     pub kind: WaitKind,
     /// The reason, as one line of text that begins with "waits because".
     pub because: String,
-    /// Expected end of the wait: when the first frame is booked, or when the first node wakes if the job has
-    /// no quote yet. Absent if that is not known.
+    /// Expected end of the wait: first booked frame or, without a quote, next node awake. Absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<Timestamp>,
     /// Jobs that go first. Those that hold the most node time come first.
@@ -149,8 +145,7 @@ pub struct Waits {
 }
 
 impl Waits {
-    /// Whether the job waits for a budget. Then the end of the wait is unknown until somebody changes the
-    /// budget.
+    /// Whether the job waits for a budget. The wait then ends when somebody changes the budget.
     pub fn is_for_money(&self) -> bool {
         self.kind == WaitKind::Budget
     }
@@ -242,9 +237,7 @@ pub struct QualityOffer {
     pub fits: bool,
 }
 
-/// Answers about the plan of a job, from the newest plan and the state of the farm at `at`.
-///
-/// They are recomputed when either changes. Costs are for what is left of the job.
+/// Answers about the plan of a job at `at`. Costs are for what is left of the job.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct AnswersDoc {
     /// The job.
@@ -257,20 +250,17 @@ pub struct AnswersDoc {
     pub deadline: Option<Timestamp>,
     /// Finish and cost at P50, P80 and P95.
     pub outlook: Vec<OutlookLine>,
-    /// The cheapest plan that keeps the deadline at the job's own confidence. Absent without a deadline or
-    /// such a plan.
+    /// The cheapest plan that keeps the deadline at the job's confidence. Absent if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cheapest: Option<PriceOffer>,
-    /// The earliest finish for the budget of the request, or for what is left of the job's own. Absent if
-    /// there is neither.
+    /// The earliest finish for the requested budget, or for the rest of the job's own. Absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub for_budget: Option<BudgetAnswer>,
     /// Price against deadline, from the earliest possible finish on.
     pub curve: Vec<PriceOffer>,
     /// Other qualities, the best first.
     pub qualities: Vec<QualityOffer>,
-    /// Effects of three changes: one more node, one more hour, and the loss of the node with most of the
-    /// job's bookings.
+    /// Effects of one more node, one more hour, and the loss of the node with most of the job's bookings.
     pub what_if: Vec<PlanEffect>,
     /// Jobs that finish later because of this one.
     pub pushes_back: Vec<MovedJob>,

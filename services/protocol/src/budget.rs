@@ -30,9 +30,8 @@ impl BudgetPeriod {
         }
     }
 
-    /// First instant of the period that contains `at`, and the instant after its last one.
-    ///
-    /// `None` if the time zone is unknown, or the dates are outside the calendar.
+    /// First instant of the period that contains `at`, and the instant after its last one. `None` if the time
+    /// zone is unknown, or a date is outside the calendar.
     pub fn bounds(self, zone: &str, at: Timestamp) -> Option<(Timestamp, Timestamp)> {
         let night = Night::of(zone, at)?;
         match self {
@@ -59,8 +58,7 @@ pub struct Night {
 }
 
 impl Night {
-    /// The night that begins on `date`. `None` if the time zone is unknown, or the date is outside the
-    /// calendar.
+    /// The night that begins on `date`. `None` if the zone is unknown or the date is outside the calendar.
     pub fn on(zone: &str, date: Date) -> Option<Self> {
         let zone = TimeZone::get(zone).ok()?;
         let noon = |date: Date| {
@@ -128,8 +126,7 @@ pub struct BudgetRequest {
     #[serde(default = "utc")]
     #[schema(default = "UTC")]
     pub zone: String,
-    /// Actions and when they are taken, at most 10. With an empty list, nothing happens. If absent: `warn` at
-    /// 80 % and `drain` at 100 %.
+    /// Actions and when they are taken, at most 10. If absent: `warn` at 80 % and `drain` at 100 %.
     #[serde(default = "BudgetRequest::usual_thresholds")]
     #[schema(max_items = 10)]
     pub thresholds: Vec<BudgetThreshold>,
@@ -187,8 +184,8 @@ pub struct BudgetList {
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BudgetForecastRequest {
-    /// Date on which the first night begins, such as 2026-03-01. If absent: the present night, or before noon
-    /// the night that is ending.
+    /// Date on which the first night begins, such as 2026-03-01. If absent: the present or, before noon, the
+    /// ending night.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, format = Date)]
     pub date: Option<Date>,
@@ -227,8 +224,7 @@ pub struct CostLine {
     pub job_id: Option<JobId>,
     /// Amount already spent.
     pub spent: Money,
-    /// Forecast for the whole night, including what is spent. These are quantiles of sums, not sums of
-    /// quantiles.
+    /// Forecast for the whole night, including what is spent. Quantiles of sums, not sums of quantiles.
     pub cost: MoneyForecast,
 }
 

@@ -12,9 +12,8 @@ pub struct BundleRef {
     /// Id of an uploaded bundle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub id: Option<BundleId>,
-    /// A folder or zip file on storage that the service and all workers share. It must be below one of the
-    /// service's bundle roots. It must not change while the job is active. A task that finds other files
-    /// there fails, and the job fails with it.
+    /// A folder or zip file on shared storage, below one of the service's bundle roots. It must not change
+    /// while the job is active, else the job fails.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<String>,
 }

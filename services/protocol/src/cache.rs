@@ -1,12 +1,9 @@
-//! The irradiance cache of a shot: whether its frames share one, what that costs, and how far it is complete.
-//!
-//! The cache is planned, filled in parallel parts, and merged. With several levels, filling and merging
-//! repeat.
+//! The irradiance cache of a shot: whether its frames share one, its cost, and its progress.
 //!
 //! ```text
 //! cache_plan ──► the quote: shared or private ──► cache_fill (parts, in parallel) ──► cache_merge ──► frames
-//!                                                   ▲                                    │
-//!                                                   └── the next level, if there is one ─┘
+//!                                                      ▲                                    │
+//!                                                      └── the next level, if there is one ─┘
 //! ```
 
 use serde::{Deserialize, Serialize};
@@ -16,8 +13,8 @@ use crate::{
     ArtifactHash, BundleSource, JobId, Money, MoneyQuantiles, Quantiles, RenderSettings, SceneDigest, Spent,
 };
 
-/// Largest size of a shared irradiance cache, and of a part of one, in bytes. It is also the service's
-/// default limit for artefacts. If a shot needs more, each of its frames makes its own cache.
+/// Largest size of a shared irradiance cache or a part of it, in bytes. If a shot needs more, each frame
+/// makes its own cache.
 pub const CACHE_BYTES: u64 = 1 << 30;
 
 /// Largest number of rounds of filling: one for each bounce of indirect light.
@@ -48,8 +45,7 @@ impl CacheSharing {
     }
 }
 
-/// Task: plan one irradiance cache for all frames of a job, and find out which of its records are valid in
-/// each frame.
+/// Task: plan one irradiance cache for all frames of a job, and check its records in each frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CachePlanSpec {
     /// The job.
@@ -77,8 +73,8 @@ pub struct CacheFillSpec {
     pub settings: RenderSettings,
     /// The cache so far: the planned one in the first round, the merged one in later rounds.
     pub cache: ArtifactHash,
-    /// The round, from 0. With several parts, each round fills one level of the cache, the deepest first.
-    /// With one part, the first round fills all levels.
+    /// The round, from 0. With several parts, each round fills one level, the deepest first. One part fills
+    /// all levels.
     pub round: u32,
     /// The part, from 0.
     pub part: u32,
@@ -122,11 +118,9 @@ pub struct CacheFrame {
     pub records: Vec<u32>,
     /// How many of them the shared cache lacks, by level. The frame gathers these itself.
     pub own: Vec<u32>,
-    /// Number of records of the shared cache that are not valid here, because something moved and changes
-    /// their light.
+    /// Number of records of the shared cache that are not valid here, because something moved.
     pub dropped: u64,
-    /// Cost of reading the shared cache, checking which of its records are valid, and planning the missing
-    /// ones.
+    /// Cost of reading the shared cache, checking its records, and planning the missing ones.
     pub plan: Spent,
     /// Rays of `plan` by category: primary, shadow, transparent, reflected, refracted, ambient, specular.
     #[schema(min_items = 7, max_items = 7)]

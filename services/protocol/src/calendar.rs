@@ -13,7 +13,7 @@ use utoipa::openapi::{Array, Object, Type};
 
 use crate::Timestamp;
 
-/// Windows that a calendar may have.
+/// Most windows of a calendar.
 pub const MOST_WINDOWS: usize = 50;
 
 /// The days in JSON, Monday first.
@@ -138,7 +138,7 @@ impl NodeCalendar {
             return Err(("windows", format!("a week has 7 days, not {}", window.days.len())));
         }
         if self.zone.len() > 100 || TimeZone::get(&self.zone).is_err() {
-            return Err(("zone", "there is no such time zone; write for instance Europe/Berlin".to_owned()));
+            return Err(("zone", "unknown time zone; write for example Europe/Berlin".to_owned()));
         }
         Ok(())
     }
@@ -254,7 +254,7 @@ impl WindowEnd {
     }
 }
 
-/// A stretch of time, from `start` to just before `end`.
+/// A time span from `start` to just before `end`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TimeSpan {

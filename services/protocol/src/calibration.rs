@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Work by class. An operation takes about a nanosecond on a present-day core. The true time differs between
-/// machines, and between classes on one machine.
+/// Work by class. An operation takes about a nanosecond, depending on the machine and the class.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ByClass {
@@ -75,8 +74,7 @@ pub struct KernelTime {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeCalibration {
-    /// Picoseconds per unit of work of each class: 1 to 1,000,000,000. If `build` is 0 or missing, the value
-    /// of `memory` applies to it.
+    /// Picoseconds per unit of work of each class: 1 to 1,000,000,000. A `build` of 0 means that of `memory`.
     pub picos_per_work: ByClass,
     /// The kernel times behind these numbers, at most 20.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -88,8 +86,7 @@ impl NodeCalibration {
     /// Largest number of kernels.
     pub const MOST_KERNELS: usize = 20;
 
-    /// Picoseconds per unit of work of each class. Building a tree mostly waits for memory, so `memory` takes
-    /// its place where it was not measured.
+    /// Picoseconds per unit of work of each class. An unmeasured `build` takes the value of `memory`.
     fn rates(&self) -> [u64; ByClass::CLASSES] {
         let ByClass { memory, build, .. } = self.picos_per_work;
         let build = if build == 0 { memory } else { build };
@@ -107,17 +104,13 @@ impl NodeCalibration {
         self.picos(work) as f64 * 1e-12
     }
 
-    /// Speed for this mix of work, relative to the reference core, which takes a nanosecond per unit. `None`
-    /// without work.
+    /// Speed for this mix of work; 1 is a nanosecond per unit. `None` without work.
     pub fn speed(&self, work: &ByClass) -> Option<f64> {
         let (reference, own) = (1000 * u128::from(work.total()), self.picos(work));
         (reference > 0 && own > 0).then(|| reference as f64 / own as f64)
     }
 
-    /// Checks that all numbers are within their ranges.
-    ///
-    /// # Errors
-    /// The name of the field, and the reason.
+    /// Checks that all numbers are within their ranges. The error is the field's name and the reason.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
         if self.rates().into_iter().any(|picos| !(1..=1_000_000_000).contains(&picos)) {
             return Err(("picos_per_work", "must each be 1 to 1000000000"));

@@ -25,8 +25,7 @@ pub enum EventKind {
     TaskLeased,
     /// A task was submitted to Slurm, which will start a process for it.
     TaskSubmitted,
-    /// Slurm ended the submission of a task that is not done. The task is submitted again unless the job
-    /// failed.
+    /// Slurm ended the submission of an unfinished task, which is submitted again unless the job failed.
     SubmissionLost,
     /// A worker reported progress.
     TaskProgress,
@@ -36,8 +35,8 @@ pub enum EventKind {
     TaskFailed,
     /// A task's lease expired, and the task was queued again.
     LeaseExpired,
-    /// A task was queued again: its worker returned it, or an operator, a budget or the end of the node's
-    /// window took it away.
+    /// A task was queued again: returned by its worker, or taken away by an operator, a budget or a window's
+    /// end.
     LeaseReleased,
     /// A request of a worker was refused, because it no longer holds the lease.
     LeaseLost,
@@ -49,8 +48,7 @@ pub enum EventKind {
     NodeSetAside,
     /// A budget's action came into force, or ended.
     Budget,
-    /// The system that runs the farm's processes, such as Slurm, became unavailable, came back, or refused a
-    /// request.
+    /// The engine, such as Slurm, became unavailable, came back, or refused a request.
     EngineState,
     /// A job will probably miss its promised deadline. `promise` has the probability and the cheapest rescue.
     JobPromiseAtRisk,

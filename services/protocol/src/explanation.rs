@@ -1,10 +1,10 @@
-//! Why a quote is what it is: the document.
+//! The explanation of a quote.
 
 use crate::StratumName;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What the work of a quote goes into, and what would halve it. Work is the expected work of all frames, or of one.
+/// Where the expected work of a quote, or of one of its frames, goes, and what would halve it.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Explanation {
     /// The explanation in words, a sentence each, the most important first.
@@ -54,8 +54,8 @@ pub struct ObjectShare {
     pub times_mean_pixel: f64,
     /// How many of these pixels were profiled.
     pub samples: u64,
-    /// Share of the whole work that each profiled pixel stands for, 0 to 1. Absent if none was profiled, so that similar
-    /// pixels stand in for them.
+    /// Share of the whole work per profiled pixel, 0 to 1. Absent if none was profiled and similar pixels
+    /// stand in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub share_per_sample: Option<f64>,
 }
@@ -78,7 +78,7 @@ pub struct RayShare {
     pub rays: f64,
     /// Share of all rays, 0 to 1.
     pub share: f64,
-    /// Work that these rays cause, as in [`crate::RenderStats::work_by_ray`]. Absent if the profiles do not say.
+    /// Work that these rays cause; see [`crate::RenderStats::work_by_ray`]. Absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work: Option<f64>,
     /// Share of the whole work, 0 to 1.

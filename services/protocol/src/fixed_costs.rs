@@ -20,8 +20,7 @@ pub struct FixedCosts {
     #[serde(default)]
     #[schema(min_items = 7, max_items = 7)]
     pub plan_rays: [u64; 7],
-    /// Writing the files of a finished frame, including the pictures and the preview. It is CPU time only,
-    /// because `work` counts tracing. 0 if no files are written.
+    /// Writing the files of a finished frame, pictures included. CPU time only. 0 if no files are written.
     pub write: Spent,
 }
 
@@ -67,16 +66,14 @@ impl FixedCosts {
     }
 }
 
-/// Costs that each process pays once before it renders frames of a shot. They are not part of any frame or
-/// total.
+/// Costs that each process pays once per shot. They are not part of any frame or total.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProcessCosts {
     /// Reading the bundle. It is CPU time only, because `work` counts tracing.
     pub load: Spent,
-    /// Building the acceleration structure, if nothing moves in the shot and its frames share it. There may
-    /// be several, one after the other, where the camera goes from one closed room to the next. 0 if each
-    /// frame builds its own.
+    /// Building the acceleration structures that frames share because nothing moves: one for each closed room
+    /// that the camera visits. 0 if each frame builds its own.
     pub build: Spent,
 }
 

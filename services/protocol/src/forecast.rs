@@ -129,43 +129,36 @@ pub struct ForecastDoc {
     pub profiled: Profiled,
     /// Cost of making the quote.
     pub spent: SpentOnForecast,
-    /// Whether the quantiles were calibrated on past jobs. If not, they are based on sampling statistics
-    /// only.
+    /// Whether the quantiles were calibrated on past jobs. If not, only sampling statistics support them.
     pub calibrated: bool,
     /// Names of the effects that any profiled frame needs, sorted. Only these are simulated and paid for.
     #[serde(default)]
     pub effects: Vec<String>,
-    /// Lights and objects that provably do not affect any of the profiled frames. They are not simulated and
-    /// cost nothing.
+    /// Lights and objects that provably do not affect the profiled frames. They are not simulated.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Camera samples per pixel that were chosen for the job's limit (`within`). Absent without a limit. A
-    /// frame may use as much work as if every pixel had so many samples, and puts the samples where they
-    /// reduce the image's error most.
+    /// Camera samples per pixel chosen for the job's limit (`within`). Absent without a limit. A frame may
+    /// use the work of this many, and puts them where they reduce the image's error most.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub chosen_spp: Option<u32>,
-    /// Cost per frame that does not depend on its pixels, on a node of speed 1: the mean of the profiled
-    /// frames. Included in the forecasts.
+    /// Mean cost per frame that does not depend on its pixels, at speed 1. Included in the forecasts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fixed: Option<FixedCosts>,
-    /// Cost that every process pays once before it renders frames of the shot, on a node of speed 1. Not
-    /// included in the frames or the total.
+    /// Cost that every process pays once per shot, at speed 1. Not included in the frames or the total.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub once: Option<ProcessCosts>,
     /// Work of the profiled frames by class. With a node's calibration, it gives the time on that node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_class: Option<ByClass>,
-    /// CPU seconds of all frames on particular nodes, at most 20: the calibrated nodes of the farm when the
-    /// quote was made, or the node that was requested.
+    /// CPU seconds of all frames on at most 20 particular nodes: calibrated ones of the farm, or the
+    /// requested one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cpu_seconds_on: Vec<NodeSeconds>,
-    /// How the irradiance caches are made: one for all frames, with a price of its own, or one by each frame.
-    /// Absent without caches, and with a limit on time or money. With a limit, each frame makes its own
-    /// cache.
+    /// How the irradiance caches are made: shared or per frame. Absent without caches, and with a limit,
+    /// where each frame makes its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<CacheQuote>,
-    /// Total cost at the mean price of the farm's nodes, including a shared irradiance cache. Absent if there
-    /// are no nodes.
+    /// Total cost at the mean price of the farm's nodes, with a shared cache. Absent without nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
 }
@@ -204,8 +197,8 @@ impl NodeSeconds {
         Self { node, speed, cpu_seconds }
     }
 
-    /// What a quote comes to on another machine, from the calibrations of the machine that made the quote (`here`) and of the other
-    /// one (`there`). `None` if the quote does not say of which classes its work is.
+    /// The quote on another machine, from the calibrations of the quote's machine (`here`) and of that one
+    /// (`there`). `None` if the quote has no work by class.
     pub fn carried(
         quote: &ForecastDoc,
         node: String,

@@ -1,6 +1,4 @@
-//! BLAKE3 hashes: 64 lower-case hexadecimal digits in JSON and in addresses.
-//!
-//! Each kind of hashed content has a type of its own, so that two kinds of hashes cannot be confused.
+//! BLAKE3 hashes: 64 lower-case hexadecimal digits. Each kind of content has its own type.
 
 use std::fmt;
 use std::str::FromStr;
@@ -61,8 +59,8 @@ hash! {
 }
 
 hash! {
-    /// BLAKE3 hash of the paths and contents of all files of a scene: 64 lower-case hexadecimal digits. Two
-    /// bundles with the same digest hold the same scene, wherever they are and however they are packed.
+    /// BLAKE3 hash of the paths and contents of all files of a scene: 64 lower-case hexadecimal digits. Equal
+    /// scenes have equal digests, wherever and however they are stored.
     SceneDigest
 }
 

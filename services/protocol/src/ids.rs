@@ -1,5 +1,4 @@
-//! Identifiers, with one type for each kind of thing. So a lease id cannot be passed where a task id is
-//! expected.
+//! Identifiers. Each kind of thing has its own type.
 
 use std::fmt;
 use std::str::FromStr;

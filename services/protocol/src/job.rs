@@ -34,28 +34,24 @@ pub struct JobRequest {
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
     pub samples: u32,
-    /// Largest number of frames to profile, 1 to 1000. If absent: five, and up to 16 if the forecast is then
-    /// uncertain and profiling more costs less than one percent of the job.
+    /// Most frames to profile, 1 to 1000. If absent: five, and up to 16 if the forecast is uncertain and the
+    /// cost below 1 %.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 1000)]
     pub profile_frames: Option<u32>,
-    /// Which other qualities the quote prices. `all` cannot be combined with `within`, which chooses the
-    /// number of samples.
+    /// Which other qualities the quote prices. `all` cannot be combined with `within`.
     #[serde(default, skip_serializing_if = "Ladders::are_own")]
     pub ladders: Ladders,
-    /// Limit on time or money. The job then uses the most camera samples that fit into it, instead of
-    /// `settings.spp`, which is only used for profiling. The number is chosen after profiling, at the job's
-    /// `confidence`. If not even one sample per pixel fits, the job fails, and the error says what would fit.
-    /// Each frame may use the work of that many samples per pixel, and puts them where they reduce the
-    /// image's error most.
+    /// Limit on time or money. Instead of `settings.spp`, the job uses the most camera samples that fit, at
+    /// its `confidence`. If not even one per pixel fits, the job fails. A frame puts its samples where they
+    /// reduce the image's error most.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,
     /// When all frames must be finished. If absent, there is no deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline: Option<Timestamp>,
-    /// Largest cost of the job, in micro-units. If absent, there is no limit. Plans keep to it if possible.
-    /// If no plan can, the job is rendered anyway, and its verdict is `over_budget`. Only the budget of a
-    /// project stops work.
+    /// Largest cost of the job, in micro-units. Plans keep to it if they can; else the verdict is
+    /// `over_budget` and the job is still rendered. Only a project's budget stops work.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Money>,
     /// Probability with which the plan must keep deadline and budget.
@@ -65,8 +61,7 @@ pub struct JobRequest {
     #[serde(default)]
     #[schema(default = 0, minimum = -1000, maximum = 1000)]
     pub priority: i32,
-    /// Weight among jobs of the same priority, 1 to 1000. A job of weight two counts like two jobs of weight
-    /// one.
+    /// Weight among jobs of the same priority, 1 to 1000. A job of weight 2 counts like two of weight 1.
     #[serde(default = "default_weight")]
     #[schema(default = 1, minimum = 1, maximum = 1000)]
     pub weight: u32,
@@ -181,8 +176,7 @@ pub struct Job {
     /// State of its promised deadline. Absent if none was promised.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
-    /// Expected finish of the last frame. Absent until the job is booked, and once it is done, failed or
-    /// cancelled.
+    /// Expected finish of the last frame. Absent until the job is booked, and once it is over.
     pub eta: Option<Timestamp>,
     /// Cost of node time so far, including quotes and lost work. Absent in lists, and while it is zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -1,8 +1,7 @@
 //! Leases: a worker holds a task for a bounded time.
 //!
-//! A lease has a *fencing token* (`fence`), which grows with every lease of the task. A worker that was
-//! paused or cut off may lose its lease without noticing. It still has an old token, so all its requests are
-//! refused.
+//! The *fencing token* (`fence`) grows with every lease of a task. A paused or isolated worker may lose its
+//! lease without noticing; its old token is refused.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -10,8 +9,7 @@ use uuid::Uuid;
 
 use crate::{JobId, JobState, LeaseId, LogLine, NodeId, TaskId, TaskResult, TaskSpec, Timestamp};
 
-/// Largest size of a checkpoint, the finished tiles of a frame, in bytes. This is about a million pixels.
-/// Larger frames have no checkpoints.
+/// Largest size of a checkpoint in bytes, about a million pixels. Larger frames have no checkpoints.
 pub const CHECKPOINT_BYTES: usize = 64 << 20;
 
 /// A worker's request for a task.
@@ -24,12 +22,11 @@ pub struct ClaimRequest {
     #[serde(default)]
     #[schema(default = 0, maximum = 60000)]
     pub wait_ms: u32,
-    /// The only task to lease, for a process that was started for it. Waits while another worker holds the
-    /// task, and is a conflict once the task is over. If absent, the service chooses the task.
+    /// The only task to lease, for a process started for it. Waits if another worker holds it; a conflict
+    /// once it is over. If absent, the service chooses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task_id: Option<TaskId>,
-    /// The number with which this process registered. It is a conflict if another process has taken over the
-    /// node since.
+    /// Number with which this process registered. A conflict if another process has taken over the node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worker: Option<Uuid>,
 }
@@ -56,13 +53,11 @@ pub struct Lease {
     pub limits: TaskLimits,
 }
 
-/// Limits on what a task of a job may use. They are limits, not forecasts: the worker stops a task that
-/// exceeds one, and reports which.
+/// Limits on what a task of a job may use. The worker stops a task that exceeds one, and says which.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskLimits {
-    /// Resident memory of the worker's process during the task, in bytes, 2²⁰ or more. If absent, there is no
-    /// limit.
+    /// Resident memory of the worker's process during the task in bytes, 2²⁰ or more. If absent, unlimited.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1_048_576)]
     pub memory_bytes: Option<u64>,
@@ -109,8 +104,8 @@ pub struct RenewRequest {
     #[serde(default)]
     #[schema(minimum = 0, maximum = 1)]
     pub progress: f64,
-    /// Finished pixels of a frame and their cost. Absent for other tasks. With an irradiance cache, absent
-    /// until the cache is filled, because filling costs most.
+    /// Finished pixels of a frame and their cost. Absent for other tasks, and until an irradiance cache is
+    /// filled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixels: Option<FinishedPixels>,
     /// Whether the worker is paused, as it was ordered to.
@@ -122,10 +117,8 @@ pub struct RenewRequest {
     pub log: Vec<LogLine>,
 }
 
-/// Finished pixels of a frame and their cost.
-///
-/// With an irradiance cache, these are counted from when the cache is filled. The filled cache then counts as
-/// a number of pixels too, and `work` and `cpu_nanos` include it.
+/// Finished pixels of a frame and their cost. A filled irradiance cache counts as a number of pixels, with
+/// its work.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishedPixels {
@@ -162,14 +155,12 @@ pub struct Renewal {
     /// Whether the node is being drained, so that this is its last task for now.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drain: bool,
-    /// After this task, do not ask for another one before this instant. Absent while the node's window is
-    /// open.
+    /// The node's next window: ask for no task before. Absent while its window is open.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sleep_until: Option<Timestamp>,
 }
 
-/// Returns an unfinished task, for example because the worker is shutting down. It does not count as a
-/// failure.
+/// Returns an unfinished task, for example because the worker stops. It does not count as a failure.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReleaseRequest {
@@ -184,8 +175,7 @@ pub struct TaskError {
     /// The error as one line of text, 1 to 2000 characters.
     #[schema(min_length = 1, max_length = 2000)]
     pub message: String,
-    /// Whether every attempt would fail with this error, as with a malformed scene. The job then fails at
-    /// once.
+    /// Whether every attempt would fail like this, as with a malformed scene. The job then fails at once.
     #[serde(default)]
     pub permanent: bool,
     /// The limit that the task exceeded. Absent if the error has another cause.

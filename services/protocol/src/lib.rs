@@ -2,17 +2,15 @@
 //!
 //! The doc comments of these types are the descriptions in `openapi.yaml`. These conventions hold everywhere:
 //!
-//! * **Time** is [`Timestamp`]: integer microseconds UTC in memory and in the database, RFC 3339 with six
-//!   fractional digits in JSON. Durations are integers with the unit in their name (`_nanos`, `_micros`,
-//!   `_ms`).
+//! * **Time** is [`Timestamp`]: integer microseconds UTC, RFC 3339 with six fractional digits in JSON.
+//!   Durations are integers with the unit in their name (`_nanos`, `_micros`, `_ms`).
 //! * **Money** is [`Money`]: integer micro-units of the farm's one currency.
-//! * **Work** is the renderer's deterministic count of operations. It is an integer, and the same in every
-//!   run.
+//! * **Work** is the renderer's count of operations: an integer, the same in every run.
 //! * **Ids** are UUIDs of version 7, so they sort by age. Each kind of id has its own type.
-//! * **Enumerations** are snake_case strings. An enumeration that carries data is an object with one key, the
-//!   name of the variant (`{"render": {…}}`). So an error can point to a place inside of it.
+//! * **Enumerations** are snake_case strings. A variant with data is an object with one key, its name
+//!   (`{"render": {…}}`), so an error can point to a place inside of it.
 //! * **Absent values** are omitted or `null`. Clients should treat both alike.
-//! * **Unknown fields** are errors in types that a client sends. A misspelt option is never silently ignored.
+//! * **Unknown fields** in requests are errors, so a misspelt option is never ignored.
 
 mod accuracy;
 mod answers;

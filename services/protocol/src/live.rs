@@ -14,8 +14,7 @@ pub struct LiveFigure {
     pub spent: f64,
     /// Forecast cost of the rest.
     pub remaining: Quantiles,
-    /// Forecast cost of the whole job: equal to the quote before anything is finished, and to the true cost
-    /// after the last frame.
+    /// Forecast cost of the whole job. It starts at the quote and ends at the true cost.
     pub whole: Quantiles,
     /// Forecast median of the rest over its quoted median. 1.3 means 30 % more expensive than quoted.
     pub factor: f64,
@@ -46,8 +45,7 @@ pub struct Booked {
     pub finish: Option<Timestamp>,
 }
 
-/// The live estimate of a job. It does not change the quote: the track record judges quotes, not later
-/// estimates.
+/// The live estimate of a job. It does not change the quote, which alone enters the track record.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct LiveForecast {
     /// When the estimate was made.
@@ -58,9 +56,8 @@ pub struct LiveForecast {
     pub work: LiveFigure,
     /// CPU seconds over all threads, on a node of speed 1.
     pub cpu_seconds: LiveFigure,
-    /// Cost of the whole job. It is the cost of node time so far, including the quote and lost work, plus the
-    /// forecast of the rest at the quote's mean price. After the last frame it is the true cost. Absent if
-    /// the quote has no cost.
+    /// Cost of node time so far, with the quote and lost work, plus the rest at the quote's mean price.
+    /// Absent if the quote has no cost.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
     /// Expected finish of the last frame, at the plan's confidence. Absent if nothing is booked.
@@ -157,7 +154,6 @@ pub struct ForecastHistory {
     pub frames_total: u32,
     /// The present estimate.
     pub now: LiveForecast,
-    /// Earlier estimates, the quote first: at most 512. When there would be more, every second one is
-    /// dropped.
+    /// Earlier estimates, the quote first. Beyond 512, every second one is dropped.
     pub points: Vec<HistoryPoint>,
 }

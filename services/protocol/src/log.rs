@@ -46,8 +46,7 @@ impl fmt::Display for LogLevel {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LogLine {
-    /// Number of the line in the attempt, 0 to 399. A number that was sent before is ignored, so sending
-    /// again is harmless.
+    /// Number of the line in the attempt, 0 to 399. A line that was sent before is ignored.
     #[schema(maximum = 399)]
     pub number: u32,
     /// Time of the line, by the worker's clock.

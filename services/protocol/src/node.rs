@@ -9,8 +9,7 @@ use crate::{
     TimeSpan, Timestamp, WindowEnd,
 };
 
-/// Registers a node. A node with the same name is updated and keeps its id. It also keeps a speed, price or
-/// schedule that an operator set.
+/// Registers a node. A node with the same name is updated; it keeps its id and what an operator set.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeRegistration {
@@ -34,9 +33,8 @@ pub struct NodeRegistration {
     /// When the machine is awake. If absent, always.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub schedule: Option<NodeCalendar>,
-    /// Number of the registering process, chosen by itself. It takes over the node from an earlier process:
-    /// the tasks of that process are queued again, and its requests for tasks are refused. If absent, the
-    /// process does not take over the node.
+    /// Number of the registering process, chosen by itself. It takes over the node: an earlier process loses
+    /// its tasks and gets no new ones. If absent, it does not take over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worker: Option<Uuid>,
 }
@@ -73,8 +71,7 @@ pub struct Capabilities {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 200)]
     pub processor: Option<String>,
-    /// Name, kind and driver of the Vulkan adapter for previews: 1 to 200 characters. Absent if previews are
-    /// made on the CPU.
+    /// Name, kind and driver of the Vulkan adapter for previews: 1 to 200 characters. Absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 200)]
     pub vulkan_adapter: Option<String>,
@@ -102,11 +99,11 @@ impl Capabilities {
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JoinRequest {
-    /// The node to register. If a node of this name exists, the one-time token must have been made for that
-    /// name. The machine then replaces that node, and the earlier token of the node becomes invalid.
+    /// The node to register. To replace an existing node, the one-time token must be made for its name. The
+    /// node's earlier token becomes invalid.
     pub node: NodeRegistration,
-    /// BLAKE3 hash of the bearer token that the machine made for itself and will use from now on. The token
-    /// itself is not sent. So a lost answer does no harm, and an eavesdropper does not learn the token.
+    /// BLAKE3 hash of the machine's own future bearer token. The token itself is never sent, so an
+    /// eavesdropper does not learn it.
     pub token_hash: ArtifactHash,
 }
 
@@ -114,8 +111,7 @@ pub struct JoinRequest {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JoinTokenRequest {
-    /// Name of the machine that the token is for: 1 to 200 characters. With the name of an existing node, the
-    /// machine may replace that node.
+    /// Name of the machine for the token: 1 to 200 characters. It may be that of a node to replace.
     #[schema(min_length = 1, max_length = 200)]
     pub name: String,
     /// Validity in hours: 1 to 720.
@@ -149,10 +145,8 @@ fn default_cores() -> u32 {
     1
 }
 
-/// A change to a node. Fields that are left out stay as they are.
-///
-/// A speed, price or schedule that is set here overrides what the node reports, also when it registers again.
-/// With `null`, the node's own value is used again.
+/// A change to a node. Absent fields stay. A set speed, price or schedule overrides what the node reports;
+/// `null` restores the node's own value.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NodeChange {
@@ -162,16 +156,13 @@ pub struct NodeChange {
     /// Whether to pause the node: its worker keeps its task, and continues it when this is `false` again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pause: Option<bool>,
-    /// `true` takes away the node's present task. Any node may then start it again, including this one unless
-    /// it is drained.
+    /// `true` takes away the node's present task. Any node may then start it again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cancel_task: Option<bool>,
-    /// `true` sets the node aside. `false` brings it back, and forgets the failures for which the farm set it
-    /// aside.
+    /// `true` sets the node aside. `false` brings it back and forgets its failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_aside: Option<bool>,
-    /// Speed of one of its cores relative to the reference core: above 0, up to 1000. `null` restores the
-    /// node's own value.
+    /// Speed of one core relative to the reference core: above 0, up to 1000. `null` restores the node's own.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
     #[schema(value_type = Option<f64>, exclusive_minimum = 0, maximum = 1000)]
     pub speed: Option<Option<f64>>,
@@ -224,9 +215,8 @@ impl Node {
         !self.drain && !self.pause && self.set_aside.is_none()
     }
 
-    /// Speed of one of its cores for this mix of work, by its calibration.
-    ///
-    /// `None` if it has no calibration, if an operator set its speed, or if the mix of work is unknown.
+    /// Calibrated speed of one core for this mix of work. `None` without a calibration or mix, or if an
+    /// operator set the speed.
     pub fn speed_by_class(&self, work: Option<&ByClass>) -> Option<f64> {
         self.capabilities.calibration.as_ref().filter(|_| !self.speed_set)?.speed(work?)
     }
@@ -236,8 +226,7 @@ impl Node {
         Some(self.speed_by_class(work)? / self.time_factor)
     }
 
-    /// The best known speed of one of its cores for this mix of work: by its corrected calibration, or else
-    /// its plain speed. A core of speed 1 does one second of work per second.
+    /// Best known speed of one core for this mix of work: by its corrected calibration, else its plain speed.
     pub fn speed_for(&self, work: Option<&ByClass>) -> f64 {
         self.corrected_speed(work).unwrap_or(self.speed)
     }
@@ -274,8 +263,8 @@ pub struct Node {
     pub price_per_hour: Money,
     /// Whether an operator set the price.
     pub price_set: bool,
-    /// The factor by which frames take longer on it than its calibration says. It is learnt from finished
-    /// frames of jobs that were profiled on other nodes. 1 until something is learnt.
+    /// Factor on its calibrated time, learnt from finished frames that were profiled on other nodes. 1 at
+    /// first.
     #[serde(default = "one")]
     pub time_factor: f64,
     /// Number of cores that its worker uses.
@@ -306,8 +295,8 @@ pub struct Node {
     /// Why it was set aside. Absent if it was not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_aside: Option<String>,
-    /// Why it got no frame when it last asked although some were ready. For example, it is more expensive
-    /// than the nodes where they are booked. Absent if no ready frame was passed over.
+    /// Why it got none of the ready frames when it last asked, for example because it is more expensive.
+    /// Absent if there were none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub idle_reason: Option<String>,
     /// The task that it holds. Absent if it has none.

@@ -131,8 +131,7 @@ pub struct Plan {
     pub created_at: Timestamp,
     /// What it says about each job that it books.
     pub verdicts: Vec<JobVerdict>,
-    /// Bookings of all frames of its jobs, by start. Frames that were finished or leased when it was made
-    /// keep their earlier bookings.
+    /// Bookings of all frames of its jobs, by start. Finished and leased frames keep their earlier bookings.
     pub bookings: Vec<Booking>,
     /// Bookings of shared irradiance caches, by start.
     #[serde(default, skip_serializing_if = "Vec::is_empty", alias = "seeds")]

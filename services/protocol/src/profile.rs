@@ -18,8 +18,8 @@ pub struct ProfileSample {
     /// The part of `work` that is not proportional to the camera samples, see `UncoveredGathers`.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub extra_work: u64,
-    /// `work` by the category of the ray that caused it, as in `work_by_ray` of `RenderStats`. In the order
-    /// primary, shadow, transparent, reflected, refracted, ambient, specular. All 0 if unknown.
+    /// `work` by category of ray, as in `RenderStats`: primary, shadow, transparent, reflected, refracted,
+    /// ambient, specular. All 0 if unknown.
     #[serde(default)]
     #[schema(min_items = 7, max_items = 7)]
     pub work_by_ray: [u64; 7],
@@ -38,9 +38,8 @@ fn is_false(value: &bool) -> bool {
     !value
 }
 
-/// Number of rays that are gathered at a point without an irradiance cache record. The n-th camera sample of
-/// a pixel gathers `first` / n rays, but at least `least`. The rays above `least` are the part of a pixel's
-/// cost that is not proportional to its samples.
+/// Number of rays gathered at a point without an irradiance cache record. The n-th camera sample of a pixel
+/// gathers `first` / n rays, at least `least`.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UncoveredGathers {
@@ -66,8 +65,7 @@ impl UncoveredGathers {
     }
 }
 
-/// Cost of a profiled pixel if the frame uses a shared irradiance cache. It differs because there are more
-/// records to look up.
+/// Cost of a profiled pixel with a shared irradiance cache, which has more records to look up.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SharedSample {
@@ -89,8 +87,7 @@ pub struct SharedSample {
 pub struct CacheSample {
     /// Level of the record. The image reads level 0; the gathers of each level read the next one.
     pub level: u32,
-    /// Whether the frame gathers it in addition to the shared cache. Such records are near moving things and
-    /// have other costs.
+    /// Whether the frame gathers it in addition to the shared cache. Such records are near moving things.
     #[serde(default, skip_serializing_if = "is_false")]
     pub own: bool,
     /// Deterministic count of operations.
@@ -108,9 +105,8 @@ pub struct CacheSample {
 pub struct NoiseSample {
     /// Mean of the samples, over the three linear channels.
     pub brightness: f32,
-    /// Estimates of V(1) − V(2), V(2) − V(4), V(4) − V(8), … Here V(n) is the variance of the mean of n
-    /// camera samples, averaged over the channels. There are ⌊log₂ n⌋ of them for n samples. None is
-    /// negative.
+    /// Estimates of V(1) − V(2), V(2) − V(4), … V(n) is the variance of the mean of n camera samples,
+    /// averaged over the channels. ⌊log₂ n⌋ values for n samples, none negative.
     #[schema(max_items = 32)]
     pub drops: Vec<f32>,
 }
@@ -129,8 +125,8 @@ pub struct NoiseCell {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProfileArtifacts {
-    /// The finished pixels with their radiance and counters, or the irradiance cache as far as it was
-    /// gathered. The render takes them over.
+    /// Finished pixels with radiance and counters, or the gathered irradiance cache. The render takes it
+    /// over.
     pub profile: ArtifactHash,
     /// The frame's preview as an image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -143,27 +139,24 @@ pub struct ProfileArtifacts {
 pub struct ProfileResult {
     /// The frame.
     pub frame: u32,
-    /// The strata that the samples refer to, each once. They match those of the preview by object and
-    /// material; the order may differ.
+    /// Strata of the samples, each once. They match the preview's by object and material, in any order.
     pub strata: Vec<Stratum>,
     /// The profiled pixels, each once.
     pub samples: Vec<ProfileSample>,
     /// Rays of gathers at points that the irradiance cache does not cover. Absent without a cache.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncovered: Option<UncoveredGathers>,
-    /// Cost of each of these pixels with the task's shared cache, in the same order. Empty if the task has
-    /// none.
+    /// Costs of these pixels with the task's shared cache, in the same order. Empty without one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared_samples: Vec<SharedSample>,
     /// Irradiance cache records that were gathered, some of every level. Empty without a cache.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cache_samples: Vec<CacheSample>,
-    /// The same for the task's shared cache. Its costs differ, because gathers of one level look up more
-    /// records of the next.
+    /// The same for the task's shared cache, whose gathers look up more records.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared_cache_samples: Vec<CacheSample>,
-    /// Noise of the profiled pixels, grouped by what they show. Every pixel of the frame is in one of the
-    /// cells. Empty with an irradiance cache, since it is not filled yet, and with too few camera samples.
+    /// Noise of the profiled pixels, by what they show; the cells cover the frame. Empty with an irradiance
+    /// cache, and with too few camera samples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub noise: Vec<NoiseCell>,
     /// Names of the effects that the frame needs, sorted.
@@ -172,8 +165,8 @@ pub struct ProfileResult {
     /// Lights and objects that provably do not affect the frame's image.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Renderer that measured the costs, with its version: at most 200 characters. Jobs are only compared
-    /// with jobs of the same renderer. If absent, nothing is learnt from the job.
+    /// Renderer and version: at most 200 characters. Jobs are compared only within a renderer. If absent,
+    /// nothing is learnt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(max_length = 200)]
     pub renderer: Option<String>,
@@ -185,9 +178,8 @@ pub struct ProfileResult {
     /// Costs that the process paid once for the shot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub once: Option<ProcessCosts>,
-    /// Ladders of other qualities in this frame that its samples alone do not show, with the requested
-    /// quality as one rung. Absent unless the task asks for them. If they could not be made, they hold only
-    /// the reason.
+    /// Ladders of other qualities in this frame, with the requested quality as one rung. Absent unless the
+    /// task asks for them. If they could not be made, only the reason.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ladders: Option<Box<AccuracyDoc>>,
     /// Cost of the whole task.
@@ -197,9 +189,7 @@ pub struct ProfileResult {
 }
 
 impl ProfileResult {
-    /// Work of setting up the frame and tracing its pixels. It excludes work for other qualities and for the
-    /// irradiance cache: the plan of the cache is needed to count its records, and the render takes over the
-    /// gathered ones.
+    /// Work of setting up the frame and tracing its pixels, without other qualities and the irradiance cache.
     pub fn work_on_pixels(&self) -> u64 {
         let gathered = self.cache_samples.iter().chain(&self.shared_cache_samples).map(|sample| sample.work);
         let on_ladders = self.ladders.as_ref().map_or(0, |ladders| ladders.spent.work);

@@ -1,5 +1,4 @@
-//! Results of preview and render tasks. Those of profiles are in `profile`, those of irradiance caches in
-//! `cache`.
+//! Results of preview and render tasks.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -80,22 +79,19 @@ pub struct FrameStrata {
     pub pixels: Vec<u32>,
     /// Number of pixels that show no surface. The sum of `pixels` and this is the whole image.
     pub background: u32,
-    /// Number of irradiance cache records by level. The cache is planned together with the preview. Empty
-    /// without a cache.
+    /// Number of irradiance cache records by level, planned with the preview. Empty without a cache.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cache_records: Vec<u32>,
     /// Cost of planning the cache. Absent without a cache.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache_plan: Option<PlanCount>,
-    /// The set of shining lights, as a number. Frames with the same set have the same number, since costs
-    /// depend on the lights.
+    /// Number of the set of shining lights. Costs depend on it.
     #[serde(default)]
     pub lights: u32,
     /// Number of shining lights, including the environment.
     #[serde(default)]
     pub shining: u32,
-    /// Number of triangles of the frame, visible or not. The acceleration structure contains all of them. 0
-    /// if unknown.
+    /// Number of triangles in the acceleration structure, visible or not. 0 if unknown.
     #[serde(default)]
     pub triangles: u64,
     /// The preview as an image.

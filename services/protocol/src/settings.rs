@@ -1,11 +1,11 @@
-//! How good a frame is to look.
+//! Quality settings of a render.
 
 use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Which materials the renderer honours.
+/// Which materials the renderer uses.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "snake_case")]
@@ -49,19 +49,19 @@ impl Integrator {
     }
 }
 
-/// Whether indirect light is interpolated between the records of an irradiance cache.
+/// Whether indirect light is interpolated from an irradiance cache.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "snake_case")]
 pub enum CacheMode {
-    /// Every point gathers its own.
+    /// Every point gathers its own light.
     #[default]
     Off,
-    /// It is gathered at few places and interpolated between them.
+    /// Light is gathered at few places and interpolated.
     On,
 }
 
-/// The quality settings of a job, complete. The same settings, bundle and frame give the same bits anywhere.
+/// Complete quality settings of a job. The same settings, bundle and frame give the same bits anywhere.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderSettings {
@@ -74,24 +74,24 @@ pub struct RenderSettings {
     /// How light is simulated.
     #[serde(default)]
     pub integrator: Integrator,
-    /// Diffuse interreflections followed: 0 is direct light only. With the integrator `path`, how often a path is spread
-    /// (diffuse, glossy, rough glass) after the first time.
+    /// Diffuse interreflections, 0 for direct light only. With `path`: scattering events (diffuse, glossy,
+    /// rough glass) after the first.
     pub ambient_bounces: u32,
-    /// Hemisphere rays of one ambient gather, without a cache.
+    /// Hemisphere rays per gather, without a cache.
     pub ambient_divisions: u32,
     /// Longest path through mirrors and glass, in surfaces.
     pub max_depth: u32,
     /// Whether indirect light is interpolated.
     #[serde(default)]
     pub cache: CacheMode,
-    /// Error that interpolation may make, in thousandths: a record serves up to this share of the mean distance to its
-    /// surroundings.
+    /// Allowed error of interpolation in thousandths: a record serves up to this share of the mean distance
+    /// to its surroundings.
     #[serde(default = "default_cache_accuracy")]
     pub cache_accuracy: u32,
-    /// Hemisphere rays of one record of the cache; those of each further bounce have about a quarter of them, at least 48.
+    /// Hemisphere rays per cache record. Each further bounce has a quarter of them, at least 48.
     #[serde(default = "default_cache_rays")]
     pub cache_rays: u32,
-    /// Which materials are honoured.
+    /// Which materials the renderer uses.
     pub materials: MaterialMode,
     /// Seed of all random numbers.
     pub seed: u64,
@@ -105,12 +105,12 @@ const fn default_cache_rays() -> u32 {
     768
 }
 
-/// A setting that no frame can be rendered with.
+/// An invalid setting.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct BadSetting {
     /// Name of the setting, as in JSON.
     pub name: &'static str,
-    /// What is wrong, without the name.
+    /// The reason, without the name.
     pub reason: String,
 }
 
@@ -123,7 +123,7 @@ impl std::fmt::Display for BadSetting {
 impl std::error::Error for BadSetting {}
 
 impl RenderSettings {
-    /// What differs from other settings, by its names in JSON, such as `spp: 4 and 16`, these first.
+    /// Differences from other settings by their JSON names, such as `spp: 4 and 16`.
     pub fn differences(&self, other: &Self) -> Vec<String> {
         let fields = |settings: &Self| match serde_json::to_value(settings) {
             Ok(serde_json::Value::Object(fields)) => fields,
@@ -134,20 +134,19 @@ impl RenderSettings {
         differ.map(|((name, here), there)| format!("{name}: {here} and {there}")).collect()
     }
 
-    /// Most ambient bounces.
+    /// Most diffuse bounces.
     pub const MOST_BOUNCES: u32 = 8;
-    /// The same for the integrator `path`: as good as no limit.
+    /// Most bounces with the integrator `path`: in effect no limit.
     pub const MOST_BOUNCES_OF_A_PATH: u32 = 65_536;
-    /// The same with a cache: deeper levels would be planned from ever fewer places.
+    /// Most bounces with a cache. Deeper levels would be planned from ever fewer places.
     pub const MOST_BOUNCES_WITH_A_CACHE: u32 = 2;
 
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     pub fn pixels(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
     }
 
-    /// What jobs are compared within when past ones say how sure a quote can be: the way in which light is simulated, for that decides where
-    /// costs come from and how unevenly they fall. One word.
+    /// Class of jobs whose quotes are comparable: how light is simulated. One word.
     pub fn feature_class(&self) -> &'static str {
         match (self.integrator, self.cache, self.ambient_bounces) {
             (Integrator::Path, ..) => "path",
@@ -157,15 +156,15 @@ impl RenderSettings {
         }
     }
 
-    /// Checks every range, and what does not go together: exactly what the renderer takes passes.
-    ///
-    /// # Errors
-    /// The first setting that is wrong.
+    /// Checks every range and combination. The error is the first wrong setting.
     pub fn check(&self) -> Result<(), BadSetting> {
         let wrong = |name: &'static str, reason: String| Err(BadSetting { name, reason });
         let cached = self.cache == CacheMode::On;
         if cached && self.integrator == Integrator::Path {
-            return wrong("cache", "the integrator `path` reads no cache; use it with `ambient`".to_owned());
+            return wrong(
+                "cache",
+                "the integrator `path` uses no cache; set `ambient` or no cache".to_owned(),
+            );
         }
         let bounces = match self.integrator {
             Integrator::Ambient => Self::MOST_BOUNCES,
@@ -199,61 +198,60 @@ impl RenderSettings {
     }
 }
 
-/// The quality settings as a client gives them; what is left out takes the default named at each field.
+/// Quality settings of a request. Absent ones take their defaults.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RenderSettingsRequest {
-    /// Image width in pixels, 1 to 65536; default: the scene's camera.
+    /// Image width in pixels, 1 to 65536. Default: the scene's camera.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 65536)]
     pub width: Option<u32>,
-    /// Image height in pixels, 1 to 65536; default: the scene's camera.
+    /// Image height in pixels, 1 to 65536. Default: the scene's camera.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 65536)]
     pub height: Option<u32>,
-    /// Camera paths per pixel, 1 to 65536; default 16.
+    /// Camera paths per pixel, 1 to 65536. Default: 16.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 65536)]
     pub spp: Option<u32>,
-    /// How light is simulated; default `ambient`.
+    /// How light is simulated. Default: `ambient`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub integrator: Option<Integrator>,
-    /// Diffuse interreflections, 0 to 8, with a cache 0 to 2; with the integrator `path` 0 to 65536, where the greatest is as good
-    /// as no limit. Default 2.
+    /// Diffuse interreflections: 0 to 8, with a cache 0 to 2, with `path` 0 to 65536 (in effect no limit).
+    /// Default: 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(maximum = 65536)]
     pub ambient_bounces: Option<u32>,
-    /// Hemisphere rays of one ambient gather, without a cache, 1 to 65536; default 16.
+    /// Hemisphere rays per gather, without a cache, 1 to 65536. Default: 16.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 65536)]
     pub ambient_divisions: Option<u32>,
-    /// Longest path through mirrors and glass, 1 to 64; default 12.
+    /// Longest path through mirrors and glass, 1 to 64. Default: 12.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 64)]
     pub max_depth: Option<u32>,
-    /// Whether indirect light is interpolated between the records of an irradiance cache, for the integrator `ambient`; default
-    /// `off`.
+    /// Whether indirect light is interpolated from an irradiance cache. Needs `ambient`. Default: `off`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cache: Option<CacheMode>,
-    /// Error that interpolation may make, in thousandths, 10 to 1000: a record serves up to this share of the mean distance to
-    /// its surroundings. Less takes more records. Default 200.
+    /// Allowed error of interpolation in thousandths, 10 to 1000: a record serves up to this share of the
+    /// mean distance to its surroundings. Lower values take more records. Default: 200.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 10, maximum = 1000)]
     pub cache_accuracy: Option<u32>,
-    /// Hemisphere rays of one record of the cache, 48 to 65536; the nearest of 48, 192, 432, 768, 1200, … is taken. Default 768.
+    /// Hemisphere rays per cache record, 48 to 65536, rounded to 48, 192, 432, 768, 1200, … Default: 768.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 48, maximum = 65536)]
     pub cache_rays: Option<u32>,
-    /// Which materials are honoured; default `full`.
+    /// Which materials the renderer uses. Default: `full`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub materials: Option<MaterialMode>,
-    /// Seed of all random numbers; default 0.
+    /// Seed of all random numbers. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
 }
 
 impl RenderSettingsRequest {
-    /// The complete settings; `camera` is the scene's image size (width, height), in pixels.
+    /// Fills in the defaults. `camera` is the scene's image size (width, height) in pixels.
     pub fn complete(&self, camera: (u32, u32)) -> RenderSettings {
         RenderSettings {
             width: self.width.unwrap_or(camera.0),

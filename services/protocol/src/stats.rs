@@ -68,12 +68,10 @@ pub struct CacheStats {
     pub uncovered: u64,
     /// Number of records taken over from profiling.
     pub reused_records: u64,
-    /// Number of records of the shared cache that are valid in this frame. Their cost is not part of the
-    /// frame.
+    /// Number of records of the shared cache that are valid here. Their cost is not part of the frame.
     #[serde(default)]
     pub shared_records: u64,
-    /// Number of records of the shared cache that were dropped, because something moved and changes their
-    /// light.
+    /// Number of records of the shared cache that were dropped, because something moved.
     #[serde(default)]
     pub dropped_records: u64,
     /// Number of records that the frame made itself: those missing in the shared cache, or all without one.
@@ -81,11 +79,9 @@ pub struct CacheStats {
     pub own_records: u64,
 }
 
-/// The actual cost of a rendered frame, as written by `forelight render --stats`.
-///
-/// All totals are for the whole frame, and do not depend on whether profiled pixels were taken over. The
-/// `reused_…` fields are the part that this run did not have to trace again. Totals include the cost of an
-/// irradiance cache.
+/// Actual cost of a rendered frame, as written by `forelight render --stats`. Totals do not depend on reuse
+/// of profiled pixels; `reused_…` is the part that this run did not trace. Totals include an irradiance
+/// cache.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderStats {
@@ -115,14 +111,11 @@ pub struct RenderStats {
     pub cache: Option<CacheStats>,
     /// Deterministic count of operations.
     pub work: u64,
-    /// `work` by class, as far as this run traced it. Work that was taken over is divided in the same
-    /// proportions.
+    /// `work` by class. Reused work is divided in the proportions of this run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_class: Option<ByClass>,
-    /// `work` by the category of the ray that caused it, including what is done where the ray ends.
-    /// Everything that gathered rays cause counts as ambient, as does the irradiance cache: it is the work
-    /// that indirect light causes. Work that belongs to no ray, such as loading and building the acceleration
-    /// structure, is not included.
+    /// `work` by the category of the ray that caused it. Gathered rays and the irradiance cache count as
+    /// ambient. Loading and building are not included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_ray: Option<Rays>,
     /// CPU time over all threads, in seconds. On the farm it includes encoding the pictures and the preview.
@@ -158,8 +151,7 @@ pub struct AllottedStats {
     pub most: u32,
     /// Mean camera samples per pixel.
     pub mean: f64,
-    /// Error of the image, estimated from its own pixels. It does not include the error of an irradiance
-    /// cache.
+    /// Error of the image, estimated from its own pixels, without that of an irradiance cache.
     pub error: ImageError,
     /// Forecast for these camera samples. Absent if no pixels were profiled for them.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -13,8 +13,8 @@ pub struct StratumName {
     pub material: String,
 }
 
-/// A stratum. Its identity is the pair of `object` and `material`. The names are for display, and may occur
-/// more than once in a scene. All tasks of a job number objects and materials alike.
+/// A stratum, identified by `object` and `material`. Names are for display and may repeat. All tasks of a job
+/// number objects and materials alike.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stratum {
@@ -24,9 +24,8 @@ pub struct Stratum {
     pub object: u32,
     /// Number of the material in the scene, below 2³² − 1. Small strata of one material are sampled together.
     pub material: u32,
-    /// Expected cost of one pixel before anything is measured, relative to a plain diffuse pixel (1): above
-    /// 0, up to 1,000,000. It also decides which small strata are joined, so sampling and estimation must use
-    /// the same value.
+    /// Expected cost of a pixel before measurement, relative to a plain diffuse one (1): above 0, up to
+    /// 1,000,000. It also decides which small strata are joined.
     #[schema(exclusive_minimum = 0, maximum = 1_000_000)]
     pub prior_cost: f64,
 }

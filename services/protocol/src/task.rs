@@ -179,8 +179,7 @@ pub struct PreviewSpec {
     pub settings: RenderSettings,
 }
 
-/// Task: profile one frame. About `samples` pixels are chosen over the frame's strata, traced completely with
-/// the job's settings, and measured one by one.
+/// Task: profile one frame. About `samples` pixels, chosen over the strata, are traced and measured.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ProfileSpec {
     /// The job.
@@ -200,8 +199,8 @@ pub struct ProfileSpec {
     /// Whether to measure ladders of other qualities around the settings as well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ladders: bool,
-    /// The planned irradiance cache that all frames could share. The pixels are also measured with it. Absent
-    /// if there is none, and while the task waits for it.
+    /// Planned irradiance cache that all frames could share; pixels are also measured with it. Absent without
+    /// one, and while waiting.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
 }
@@ -219,14 +218,13 @@ pub struct RenderSpec {
     pub frame: u32,
     /// The job's settings.
     pub settings: RenderSettings,
-    /// Largest work of the frame: count of operations. Every pixel gets one camera sample, and the others go
-    /// where they reduce the image's error most. If absent, every pixel gets the samples of the settings.
+    /// Largest work of the frame. Every pixel gets one camera sample; others go where they reduce the error
+    /// most. If absent, the settings' samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work: Option<u64>,
     /// Finished pixels of this frame's profile, to take over. Absent if the frame was not profiled.
     pub profile: Option<ArtifactHash>,
-    /// The complete shared irradiance cache. Absent if the frame makes its own, and while the task waits for
-    /// it.
+    /// The complete shared irradiance cache. Absent without one, and while the task waits for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
 }

@@ -7,11 +7,9 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use utoipa::ToSchema;
 
-/// An instant: whole microseconds since 1970-01-01T00:00:00Z, negative before.
-///
-/// In JSON it is an RFC 3339 string in UTC with six fractional digits (`2026-03-01T18:00:00.000000Z`). So
-/// equal instants are equal strings, and strings sort like instants. In requests, any UTC offset is accepted.
-/// Digits beyond the microsecond are rounded down.
+/// An instant: whole microseconds since 1970-01-01T00:00:00Z, negative before. In JSON an RFC 3339 string in
+/// UTC with six fractional digits, so strings sort like instants. Requests may use any UTC offset; further
+/// digits are dropped.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default, ToSchema)]
 #[schema(value_type = String, format = DateTime, example = "2026-03-01T18:00:00.000000Z")]
 pub struct Timestamp(i64);

@@ -65,8 +65,8 @@ pub struct TrackRecordRow {
     pub cpu_actual: f64,
 }
 
-/// Positions of calibrated quantiles: distance from the logarithm of the forecast's mean, in units of the
-/// forecast's own standard deviation of the logarithm.
+/// Calibrated quantiles: distances from the logarithm of the forecast's mean, in its standard deviations (of
+/// the logarithm).
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CalibratedQuantiles {
@@ -132,8 +132,7 @@ pub struct TrackRecord {
     pub work_bias: Option<f64>,
     /// Sum of forecast means / sum of actual values − 1, of the CPU time. Absent without frames.
     pub cpu_bias: Option<f64>,
-    /// The same by kind, separately for calibrated quotes and others. Sorted by renderer, feature class and
-    /// calibration.
+    /// The same by kind and calibration. Sorted by renderer, feature class and calibration.
     #[serde(default)]
     pub kinds: Vec<TrackRecordKind>,
     /// The frames.

@@ -1,17 +1,14 @@
-//! Animation curves: keyframes and the interpolation between them.
+//! Animation curves: keyframes and the interpolation between them. Time is in frames; the value is constant
+//! outside the keys.
 //!
-//! Time is measured in frames. The value is constant before the first key and after the last one.
-//!
-//! *Catmull–Rom* is a cubic Hermite spline. Its tangent at key *i* is the slope between the neighbouring
-//! keys, mᵢ = (pᵢ₊₁ − pᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁), which allows keys at any spacing. At both ends it is the slope
-//! of the only segment. With s = (t − tᵢ)/Δ and Δ = tᵢ₊₁ − tᵢ:
+//! *Catmull–Rom* is a cubic Hermite spline with the tangent mᵢ = (pᵢ₊₁ − pᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁), at both ends
+//! the slope of the segment. With s = (t − tᵢ)/Δ and Δ = tᵢ₊₁ − tᵢ:
 //!
 //! ```text
 //! p(t) = (2s³−3s²+1)·pᵢ + (s³−2s²+s)·Δ·mᵢ + (3s²−2s³)·pᵢ₊₁ + (s³−s²)·Δ·mᵢ₊₁
 //! ```
 //!
-//! Rotations are interpolated by component and then normalised. Neighbouring quaternions are first brought to
-//! the same hemisphere.
+//! Rotations are interpolated by component in the same hemisphere, then normalised.
 
 use glam::{DQuat, DVec3, DVec4};
 
@@ -25,8 +22,7 @@ pub(crate) trait Keyed: Copy + PartialEq {
     fn slope(a: Self, b: Self, scale: f64) -> Self;
     /// A tangent converted to another unit of time.
     fn scaled(self, factor: f64) -> Self;
-    /// The representation of `next` that is nearest to `previous`. It differs for quaternions only: q and −q
-    /// are the same rotation.
+    /// The representation of `next` nearest to `previous`: for quaternions, q and −q are the same rotation.
     fn aligned(_previous: Self, next: Self) -> Self {
         next
     }
@@ -63,8 +59,7 @@ impl Keyed for DVec3 {
 }
 
 impl Keyed for DQuat {
-    /// Spherical linear interpolation along the shortest arc. It uses `libm`, so that all machines give the
-    /// same bits.
+    /// Spherical linear interpolation along the shortest arc, by `libm` for the same bits everywhere.
     fn linear(a: Self, b: Self, s: f64) -> Self {
         let b = Self::aligned(a, b);
         let cosine = a.dot(b).min(1.0);
@@ -118,8 +113,7 @@ enum Between<T> {
 }
 
 impl<T: Keyed> Curve<T> {
-    /// A curve through keys at ascending times. `None` if there are no keys, or unequal numbers of times and
-    /// values.
+    /// A curve through keys at ascending times. `None` without keys, or with unequal numbers.
     pub(crate) fn new(times: Vec<f64>, mut values: Vec<T>, interpolation: Interpolation) -> Option<Self> {
         if times.is_empty() || times.len() != values.len() {
             return None;

@@ -1,5 +1,4 @@
-//! A scene under construction. The readers of geometry files fill it with objects, materials, textures,
-//! lights and cameras.
+//! A scene under construction, filled by the readers of geometry files.
 
 use crate::bundle::Bundle;
 use crate::camera_source::NodeCamera;
@@ -66,8 +65,7 @@ impl<'a> Assembly<'a> {
         self.materials.len() as u32 - 1
     }
 
-    /// Checks the number of materials with a priority against [`MOST_NESTED`]. Call it after each added
-    /// material.
+    /// Checks the number of materials with a priority against [`MOST_NESTED`], after each added material.
     pub(crate) fn check_priorities(&self, file: &str) -> Result<(), SceneError> {
         let is_nested = |material: &&Material| material.surface.priority().is_some();
         // Count only if the last material has a priority, because a file may hold very many materials.

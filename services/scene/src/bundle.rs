@@ -1,8 +1,7 @@
 //! Reads the folder or archive that holds a scene.
 //!
-//! Two hazards are guarded against. A path in a bundle could lead outside it, so every path is checked,
-//! including symbolic links. An archive could expand to more than the machine can hold, so every read is
-//! checked against [`Limits`].
+//! Hazards: a path, or a symbolic link, could lead out of the bundle, and an archive could expand beyond
+//! memory. So every path is checked, and every read against [`Limits`].
 
 use crate::error::SceneError;
 use crate::limits::{Limits, RATIO_MATTERS_FROM};
@@ -13,9 +12,8 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
-/// A readable bundle: a folder or a `.zip` file. Paths in it are relative and use `/`.
-///
-/// A `.zip` may hold the scene at its root, or inside one folder that holds everything.
+/// A readable bundle: a folder or a `.zip` file, with relative paths that use `/`. A `.zip` may have one
+/// folder around everything.
 pub struct Bundle {
     name: String,
     store: Store,
@@ -41,11 +39,8 @@ struct Usage {
 }
 
 impl Bundle {
-    /// Opens a folder or a `.zip` file.
-    ///
-    /// # Errors
-    /// If `path` is neither a folder nor a readable archive. If an archive is damaged, too large or
-    /// encrypted. If it holds a symbolic link, an absolute path, or a path that leaves the archive.
+    /// Opens a folder or a `.zip` file. Fails if `path` is neither, or if an archive is damaged, too large or
+    /// encrypted, holds a symbolic link, or has a path that leaves it.
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
         let shown = path.display().to_string();
         let io = |source| SceneError::Io { file: shown.clone(), source };
@@ -79,10 +74,7 @@ impl Bundle {
         }
     }
 
-    /// Names of the files at the top level, sorted.
-    ///
-    /// # Errors
-    /// If the folder cannot be listed.
+    /// Names of the files at the top level, sorted. Fails if the folder cannot be listed.
     pub fn top_level(&self) -> Result<Vec<String>, SceneError> {
         let mut names = Vec::new();
         match &self.store {
@@ -101,10 +93,8 @@ impl Bundle {
         Ok(names)
     }
 
-    /// Reads a whole file.
-    ///
-    /// # Errors
-    /// If the path leaves the bundle (also through a symbolic link), is not a file, or exceeds a limit.
+    /// Reads a whole file. Fails if the path leaves the bundle (also through a symbolic link), is not a file,
+    /// or exceeds a limit.
     pub fn read(&self, path: &str) -> Result<Vec<u8>, SceneError> {
         if !is_inside(path) {
             return Err(SceneError::file(path, "the path is outside the bundle"));
@@ -126,8 +116,7 @@ impl Bundle {
         Ok(bytes)
     }
 
-    /// BLAKE3 hash of the paths and contents of all files read so far. It is the same for a folder and its
-    /// archive.
+    /// BLAKE3 hash of paths and contents of all files read so far, the same for a folder and its archive.
     pub fn digest(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();
         for (path, hash) in &self.usage.lock().files {
@@ -257,8 +246,7 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
     Ok(Store::Archive { archive: Mutex::new(archive), index: without_common_folder(index) })
 }
 
-/// Removes the folder that holds everything, if there is one. Zipping a folder often puts the folder itself
-/// into the archive.
+/// Removes the folder around everything, if there is one, as zipping a folder often adds it.
 fn without_common_folder(index: BTreeMap<String, usize>) -> BTreeMap<String, usize> {
     let common =
         index.keys().next().and_then(|first| first.split_once('/')).map(|(folder, _)| format!("{folder}/"));
@@ -275,11 +263,8 @@ fn is_inside(path: &str) -> bool {
     !path.contains(['\\', ':', '\0']) && path.split('/').all(|part| !matches!(part, "" | "." | ".."))
 }
 
-/// Resolves `reference`, as used in the file `from`, to a path in the bundle. It is relative to the folder of
-/// `from`; `.` and `..` are resolved.
-///
-/// # Errors
-/// A reason, if the reference is empty or absolute, uses `\`, a drive or a scheme, or leaves the bundle.
+/// Resolves `reference`, used in the file `from`, to a path in the bundle, relative to that file's folder.
+/// Fails if the reference is empty or absolute, uses `\`, a drive or a scheme, or leaves the bundle.
 pub(crate) fn resolve(from: &str, reference: &str) -> Result<String, String> {
     if reference.is_empty() {
         return Err("the path is empty".into());

@@ -28,17 +28,15 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Direction through an image point. It is not normalised; its component along `forward` is 1.
-    ///
-    /// `pixel` is in pixels from the top-left corner. The centre of the first pixel is (0.5, 0.5).
+    /// Direction through an image point, with the component 1 along `forward`. `pixel` is in pixels from the
+    /// top-left corner; the first centre is (0.5, 0.5).
     pub fn direction(&self, pixel: Vec2) -> Vec3 {
         let x = (2.0 * pixel.x / self.width as f32 - 1.0) * self.tan_half_x;
         let y = (1.0 - 2.0 * pixel.y / self.height as f32) * self.tan_half_y;
         self.forward + x * self.right + y * self.up
     }
 
-    /// The pixel (column, row) that shows a point through a pinhole. `None` if the point is behind the camera
-    /// or outside the image.
+    /// The pixel (column, row) of a point through a pinhole. `None` behind the camera or outside the image.
     pub fn pixel_of(&self, point: Vec3) -> Option<(u32, u32)> {
         let offset = point - self.origin;
         let depth = offset.dot(self.forward);

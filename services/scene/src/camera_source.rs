@@ -32,10 +32,7 @@ pub(crate) struct LookAt {
 }
 
 impl LookAt {
-    /// The camera at a frame, in coordinates relative to `scene_origin`.
-    ///
-    /// # Errors
-    /// The reason why the description gives no valid camera at this frame.
+    /// The camera at a frame, in coordinates relative to `scene_origin`, or the reason why there is none.
     pub(crate) fn at(&self, frame: f64, scene_origin: DVec3) -> Result<Camera, String> {
         let (origin, target) = (self.origin.at(frame), self.target.at(frame));
         let view = target - origin;
@@ -86,10 +83,7 @@ pub(crate) struct NodeCamera {
 }
 
 impl NodeCamera {
-    /// The camera for the node's world matrix.
-    ///
-    /// # Errors
-    /// The reason why the matrix gives no valid camera.
+    /// The camera for the node's world matrix, or the reason why there is none.
     pub(crate) fn at(&self, world: &DMat4) -> Result<Camera, String> {
         let forward = (-world.z_axis.truncate()).try_normalize();
         let right = forward.and_then(|f| f.cross(world.y_axis.truncate()).try_normalize());
@@ -117,10 +111,8 @@ pub(crate) const DEFAULT_HEIGHT: u32 = 720;
 /// Aspect ratio of a camera that does not specify it.
 pub(crate) const DEFAULT_ASPECT: f64 = 16.0 / 9.0;
 
-/// The default view of a scene without a camera: 1280 × 720 pixels, 40° high, from the front right and above.
-///
-/// `lowest` and `highest` span the scene's bounding box. At the chosen distance, the sphere around the box
-/// fills the height of the image.
+/// The default view, 1280 × 720 pixels, 40° high, from the front right and above. The sphere around the
+/// bounding box from `lowest` to `highest` fills the height of the image.
 pub(crate) fn default_view(lowest: DVec3, highest: DVec3) -> LookAt {
     const FOV_DEG: f64 = 40.0;
     let (centre, radius) = ((lowest + highest) / 2.0, ((highest - lowest).length() / 2.0).max(1e-3));

@@ -1,6 +1,4 @@
-//! Checks the values of `scene.json`.
-//!
-//! Every check names the JSON pointer of the value in its error.
+//! Checks the values of `scene.json`. Every error names the JSON pointer of the value.
 
 use crate::error::SceneError;
 use crate::limits::LARGEST_COORDINATE;

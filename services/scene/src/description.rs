@@ -1,7 +1,5 @@
-//! Reads and checks `scene.json`, version 1.
-//!
-//! Serde first converts the text to the raw types below, and rejects unknown keys and wrong types. Then the
-//! value of every key is checked. Errors of both steps give the JSON pointer of the wrong value.
+//! Reads and checks `scene.json`, version 1. Serde rejects unknown keys and wrong types, then every value is
+//! checked. All errors give the JSON pointer.
 
 use crate::animation::Animated;
 use crate::camera_source::{FovAxis, LookAt};
@@ -93,10 +91,8 @@ fn up() -> [f64; 3] {
     [0.0, 1.0, 0.0]
 }
 
-/// All keys of all kinds of environment.
-///
-/// Whether a key belongs to the given `type` is checked later. An internally tagged enum would lose the JSON
-/// pointer of an error.
+/// All keys of all kinds of environment. Which belong to `type` is checked later, because an internally
+/// tagged enum would lose the JSON pointer of an error.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawEnvironment {

@@ -82,8 +82,7 @@ impl SceneError {
         Self::Malformed { file: file.into(), place: Place::Whole, reason: reason.into() }
     }
 
-    /// Makes this error the reason of an error in another file, at `place`. [`Self::Limit`] is returned
-    /// unchanged.
+    /// Makes this error the reason of one in another file, at `place`. [`Self::Limit`] stays unchanged.
     pub(crate) fn within(self, file: &str, place: Place, context: &str) -> Self {
         match self {
             Self::Limit { .. } => self,

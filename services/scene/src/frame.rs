@@ -27,10 +27,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Whether each light emits at this instant, in the same order for every frame of a shot.
-    ///
-    /// The order is: materials by index, points, suns, environment. A material does not emit if its emission
-    /// is zero or if no triangle of this frame has it.
+    /// Whether each light emits at this instant: materials by index, points, suns, environment. A material
+    /// emits only if it has emission and a triangle in this frame.
     pub fn shining(&self) -> Vec<bool> {
         let mut present = vec![false; self.geometry.strata.pairs.len()];
         self.geometry.triangle_stratum.iter().for_each(|&stratum| present[stratum as usize] = true);
@@ -70,8 +68,7 @@ pub struct Geometry {
     pub strata: Strata,
 }
 
-/// The table of strata. A stratum is an (object, material) pair; its index is its id in every preview and
-/// forecast.
+/// The table of strata, (object, material) pairs. The index is the id in every preview and forecast.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Strata {
     /// Object names by object id.

@@ -64,8 +64,7 @@ impl<'a> TextureLibrary<'a> {
         if format == ImageFormat::Jpeg && is_cut_short(bytes) {
             return Err(SceneError::file(name, "is not a readable image: the JPEG file is truncated"));
         }
-        // The image's size is known and allowed by now. Allow 16 bytes per pixel, and 64 MiB for the decoder
-        // and for other data in the file.
+        // The image's size is allowed by now: 16 bytes per pixel, and 64 MiB for decoder and other data.
         let mut limits = image::Limits::default();
         limits.max_alloc = Some(u64::from(width) * u64::from(height) * 16 + (64 << 20));
         reader.limits(limits);
@@ -91,8 +90,7 @@ impl<'a> TextureLibrary<'a> {
         self.by_name.get(name).copied()
     }
 
-    /// Rejects an image with values above 1. As the colour of a surface, it would reflect more light than
-    /// arrives.
+    /// Rejects a surface colour above 1, which would reflect more light than arrives.
     pub(crate) fn check_reflectance(&self, id: TextureId) -> Result<(), SceneError> {
         let Texture { name, width, texels, .. } = &self.textures[id.0 as usize];
         let Texels::Linear(texels) = texels else { return Ok(()) };
@@ -115,10 +113,8 @@ impl<'a> TextureLibrary<'a> {
     }
 }
 
-/// Returns `true` if a JPEG file ends before its image does. Decoders would fill the rest with grey.
-///
-/// After the last start-of-scan marker, the next end-of-image marker is genuine: within a scan, a 0xFF byte
-/// is always followed by another byte (ITU-T T.81, B.1.1.2).
+/// Whether a JPEG file ends before its image does; decoders would fill the rest with grey. After the last
+/// start-of-scan marker, the next end-of-image marker is genuine (ITU-T T.81, B.1.1.2).
 fn is_cut_short(jpeg: &[u8]) -> bool {
     let last = |marker: u8| jpeg.windows(2).rposition(|pair| pair == [0xFF, marker]);
     let (start_of_scan, end_of_image) = (last(0xDA), last(0xD9));

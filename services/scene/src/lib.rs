@@ -1,10 +1,8 @@
 //! Scenes: bundles, geometry, materials, lights and animation.
 //!
-//! A [`Bundle`] is the folder or zip file that a user submits. A [`Scene`] is its content for the whole shot.
-//! A [`Frame`] is the world at one instant. The preview and the tracer read frames only.
-//!
-//! Units are metres, seconds and linear Rec. 709 RGB radiance (W·sr⁻¹·m⁻² per channel). Coordinates are
-//! right-handed.
+//! A [`Bundle`] is the folder or zip file that a user submits, a [`Scene`] its content for the whole shot, a
+//! [`Frame`] the world at one instant. Units are metres, seconds and linear Rec. 709 RGB radiance (W·sr⁻¹·m⁻²
+//! per channel). Coordinates are right-handed.
 
 mod animation;
 mod assembly;

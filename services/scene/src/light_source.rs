@@ -3,9 +3,7 @@
 use crate::animation::Animated;
 use glam::DVec3;
 
-/// A light from `scene.json`.
-///
-/// Positions and edges are in metres, `radiance` in W/(m² sr), `intensity` in W/sr, and `irradiance` in W/m².
+/// A light from `scene.json`. Metres; `radiance` in W/(m² sr), `intensity` in W/sr, `irradiance` in W/m².
 #[derive(Debug)]
 pub(crate) enum LightSource {
     Quad { corner: DVec3, edge_u: DVec3, edge_v: DVec3, radiance: Animated<DVec3> },

@@ -1,7 +1,6 @@
 //! Limits on the resources that a bundle may use.
 
-/// Limits on the cost of loading a bundle. The defaults suit a machine with 16 GiB of memory and untrusted
-/// bundles.
+/// Limits on loading an untrusted bundle. Defaults suit a machine with 16 GiB of memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Number of entries of an archive, or of files read from a folder. Default 65,536.
@@ -10,9 +9,8 @@ pub struct Limits {
     pub total_bytes: u64,
     /// Bytes of one file, after expansion. Default 2 GiB.
     pub file_bytes: u64,
-    /// Expanded bytes per compressed byte, for files that expand to more than 1 MiB. Default 200.
-    ///
-    /// Geometry as text shrinks to between a third and a tenth. Deflate can reach 1,032.
+    /// Expanded bytes per compressed byte, for files that expand to more than 1 MiB. Default 200. Text
+    /// geometry shrinks to a third to a tenth; Deflate can reach 1,032.
     pub compression_ratio: u64,
     /// Texels of all textures together. Default 2²⁸, which is 1 GiB as 8-bit images.
     pub texture_pixels: u64,
@@ -42,6 +40,5 @@ impl Default for Limits {
 /// Files that expand to fewer bytes are exempt from the compression ratio.
 pub(crate) const RATIO_MATTERS_FROM: u64 = 1 << 20;
 
-/// Largest absolute coordinate of a vertex or a camera, metres. Products of four such lengths still fit an
-/// `f32`, so no intersection test overflows.
+/// Largest absolute coordinate, metres. Products of four such lengths still fit an `f32`.
 pub(crate) const LARGEST_COORDINATE: f64 = 1e9;

@@ -53,15 +53,14 @@ pub enum Surface {
     },
     /// Boundary of a solid dielectric. The geometric normal points to the outside.
     Glass {
-        /// Index of refraction of the inside. With a priority, it is relative to vacuum. Without one, it is
-        /// relative to whatever is outside.
+        /// Index of refraction of the inside: relative to vacuum with a priority, else to the outside.
         ior: f32,
         /// Fraction of light transmitted at the interface, per channel.
         transmittance: Color,
         /// GGX alpha. 0 is smooth.
         alpha: f32,
-        /// Rank among overlapping or touching solids. The solid with the highest priority fills the shared
-        /// space. Faces of the other solids inside it are ignored.
+        /// Rank among overlapping or touching solids. The highest fills the space; others' faces in it are
+        /// ignored.
         priority: Option<NonZeroU8>,
     },
 }
@@ -110,8 +109,7 @@ pub struct Material {
     pub emission: Color,
     /// Whether the back side emits too (glTF `doubleSided`).
     pub emits_both_sides: bool,
-    /// Constant opacity in [0, 1]: the fraction of light that the surface stops. Below 1 the surface is a
-    /// cut-out.
+    /// Constant opacity in [0, 1]: the fraction of light that the surface stops. Below 1 it is a cut-out.
     pub opacity: f32,
     /// Texture cut-out.
     pub mask: Option<AlphaMask>,

@@ -1,8 +1,5 @@
-//! Reads the materials of OBJ files.
-//!
-//! [`check`] reads a file line by line before `tobj` does. `tobj` gives no line numbers in its errors, and
-//! panics on a colour of two numbers. The text that [`check`] returns has only lines that `tobj` reads
-//! correctly.
+//! Reads the materials of OBJ files. [`check`] runs before `tobj`, which gives no line numbers and panics on
+//! a colour of two numbers.
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
@@ -18,8 +15,7 @@ const DEFAULT_IOR: f32 = 1.5;
 /// The supported values of `illum`.
 const MODELS: [u8; 6] = [0, 1, 2, 3, 4, 7];
 
-/// Checks a `.mtl` file. Returns its supported keys in canonical form, and the number of times that each
-/// other key occurs.
+/// Checks a `.mtl` file. Returns supported keys in canonical form, and counts of the others.
 pub(crate) fn check(file: &str, bytes: &[u8]) -> Result<(String, BTreeMap<String, usize>), SceneError> {
     let text = text(file, bytes)?;
     let (mut canonical, mut ignored) = (String::new(), BTreeMap::new());

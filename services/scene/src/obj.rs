@@ -1,15 +1,8 @@
 //! Reads OBJ geometry, with `tobj`.
 //!
-//! [`check`] goes through the text first, because `tobj` has these faults:
-//!
-//! - Its errors have no line numbers.
-//! - It accepts NaN.
-//! - It does not report missing materials.
-//! - It triangulates non-convex faces as fans.
-//! - It mixes up attributes if only some faces of an object have normals or texture coordinates.
-//!
-//! In the text that [`check`] returns, non-convex faces are already triangulated. Where the attributes of an
-//! object change, it starts a new model with the same name.
+//! `tobj` gives no line numbers, accepts NaN, does not report missing materials, fans non-convex faces, and
+//! mixes up attributes that only some faces have. So [`check`] goes through the text first: non-convex faces
+//! are triangulated, and a new model starts where attributes change.
 
 use crate::assembly::{Assembly, plain_material};
 use crate::error::{Place, SceneError};
@@ -24,8 +17,7 @@ use std::sync::Arc;
 /// The name that `tobj` gives to faces before the first `o` or `g`.
 const UNNAMED: &str = "unnamed_object";
 
-/// Limit on the sum of the squared corner counts of all non-convex faces. The time of ear clipping is
-/// proportional to this sum; at the limit it is half a minute at worst.
+/// Limit on the sum of squared corner counts of non-convex faces, half a minute of ear clipping.
 const MOST_CUTTING: u64 = 1_000_000_000;
 
 /// A checked OBJ file.
@@ -342,8 +334,7 @@ impl<'a> Check<'a> {
         Ok(polygon::ears(&corners))
     }
 
-    /// Parses an index: from 1, or negative and counted back from the last element so far. Returns it counted
-    /// from 0.
+    /// Parses an index, from 1 or negative from the last element. Returns it counted from 0.
     fn index(&self, kind: usize, text: &str) -> Result<usize, String> {
         let count = [self.positions.len(), self.counts[0], self.counts[1]][kind];
         let index: i64 = text.parse().map_err(|_| format!("`f`: `{text}` is not an index"))?;
@@ -357,8 +348,7 @@ impl<'a> Check<'a> {
     }
 }
 
-/// Parses at least `least` and at most `N` finite numbers. Returns their count, and the numbers followed by
-/// zeros.
+/// Parses `least` to `N` finite numbers. Returns their count, and the numbers followed by zeros.
 fn numbers<const N: usize>(key: &str, text: &str, least: usize) -> Result<(usize, [f32; N]), String> {
     let mut count = 0;
     let mut found = [0.0; N];

@@ -3,10 +3,7 @@
 use crate::error::SceneError;
 use std::borrow::Cow;
 
-/// The text of a file, with continued lines joined.
-///
-/// # Errors
-/// If the file is not UTF-8, with the line of the first wrong byte.
+/// The text of a file, with continued lines joined. If it is not UTF-8, the error has the line.
 pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<Cow<'a, str>, SceneError> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     let text = std::str::from_utf8(bytes).map_err(|e| {
@@ -17,8 +14,7 @@ pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<Cow<'a, str>, Scen
     Ok(if goes_on { Cow::Owned(joined(text)) } else { Cow::Borrowed(text) })
 }
 
-/// Joins each line that ends in `\` with the next one. Empty lines are added after it, so that later lines
-/// keep their numbers.
+/// Joins each line that ends in `\` with the next one. Empty lines keep the numbers of later lines.
 fn joined(text: &str) -> String {
     let mut joined = String::with_capacity(text.len());
     let (mut owed, mut is_comment) = (0, false);

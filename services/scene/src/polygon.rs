@@ -1,19 +1,14 @@
-//! Triangulates polygons.
-//!
-//! A convex polygon becomes a triangle fan about its first corner. A fan of a non-convex polygon would have
-//! triangles outside it. Such a polygon is triangulated by ear clipping (Meisters 1975, as implemented by
-//! `earcut`), in the plane of its Newell normal.
+//! Triangulates polygons: convex ones as a fan about the first corner, others by ear clipping (Meisters 1975,
+//! as implemented by `earcut`) in the plane of the Newell normal.
 
 use earcut::Earcut;
 use earcut::utils3d::project3d_to_2d;
 use glam::DVec3;
 
-/// Tolerance relative to the coordinates. A corner this close to the line between its neighbours may be off
-/// that line only because it was rounded to `f32`.
+/// Relative tolerance: a corner this close to the line of its neighbours may be off by rounding to `f32`.
 const ROUNDING: f64 = 4.0 * f32::EPSILON as f64;
 
-/// Returns `true` if a fan about the first corner is a valid triangulation: the polygon is convex or has no
-/// area.
+/// Whether a fan about the first corner is valid: the polygon is convex or has no area.
 pub(crate) fn is_fan(corners: &[DVec3]) -> bool {
     let Some(normal) = normal(corners) else { return true };
     let at = |corner: usize| corners[corner % corners.len()];
@@ -25,10 +20,8 @@ pub(crate) fn is_fan(corners: &[DVec3]) -> bool {
     })
 }
 
-/// Triangulates a polygon by ear clipping. The triangles are corner indices with the winding of the polygon.
-///
-/// Returns `None` if no triangle can be cut. The time is at worst proportional to the square of the number of
-/// corners.
+/// Triangulates a polygon by ear clipping, as corner indices with its winding. `None` if no triangle can be
+/// cut. At worst quadratic time.
 pub(crate) fn ears(corners: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     let normal = normal(corners)?;
     let points: Vec<[f64; 3]> = corners.iter().map(|&corner| (corner - corners[0]).to_array()).collect();
@@ -46,10 +39,8 @@ pub(crate) fn ears(corners: &[DVec3]) -> Option<Vec<[usize; 3]>> {
     Some(triangles.iter().map(triangle).collect()).filter(|found: &Vec<_>| !found.is_empty())
 }
 
-/// Newell's normal, the sum of the cross products of neighbouring corners.
-///
-/// It is computed relative to the first corner. Far from the origin, products of positions would lose most of
-/// their digits.
+/// Newell's normal, the sum of the cross products of neighbouring corners, relative to the first corner to
+/// keep digits.
 fn normal(corners: &[DVec3]) -> Option<DVec3> {
     let (&first, others) = corners.split_first()?;
     others.windows(2).map(|pair| (pair[0] - first).cross(pair[1] - first)).sum::<DVec3>().try_normalize()

@@ -1,8 +1,5 @@
-//! A scene for a whole shot, and its frames.
-//!
-//! A [`Scene`] holds nodes, meshes, curves and materials. [`Scene::frame`] evaluates them at one time and
-//! transforms the meshes to world space. Geometry that does not move is transformed once and shared between
-//! frames.
+//! A scene for a whole shot, and its frames. [`Scene::frame`] evaluates nodes and curves at one time and
+//! transforms meshes to world space. Geometry that does not move is shared between frames.
 
 mod loading;
 
@@ -18,10 +15,8 @@ use glam::{DMat4, DVec3, Vec3};
 use parking_lot::Mutex;
 use std::sync::Arc;
 
-/// The content of a bundle, from which frames are made.
-///
-/// Several threads can make frames at the same time. As long as nothing moves, all frames share the same
-/// [`Geometry`].
+/// The content of a bundle, from which several threads can make frames. As long as nothing moves, all share
+/// the same [`Geometry`].
 #[derive(Debug)]
 pub struct Scene {
     name: String,
@@ -80,10 +75,8 @@ impl Scene {
         self.digest
     }
 
-    /// Returns `true` if any geometry moves during the shot. Cameras and lights are not considered.
-    ///
-    /// Compares the positions of nodes, frame by frame, until one differs from frame 0. No geometry is
-    /// computed.
+    /// Whether any geometry moves during the shot; cameras and lights do not count. Compares the positions of
+    /// nodes frame by frame.
     pub fn geometry_moves(&self) -> bool {
         let moved = |frame| !self.same_places(&self.shot.world(self.time(frame)), &self.still_world);
         !self.movers.is_empty() && (1..self.frames).any(moved)
@@ -94,10 +87,7 @@ impl Scene {
         &self.shot.strata
     }
 
-    /// The camera at a frame.
-    ///
-    /// # Errors
-    /// If the frame is outside the shot, or the camera is not valid at that frame.
+    /// The camera at a frame. Fails if the frame is outside the shot, or the camera is not valid there.
     pub fn camera(&self, frame: u32) -> Result<Camera, SceneError> {
         self.check_number(frame)?;
         match &self.camera {
@@ -106,19 +96,14 @@ impl Scene {
         }
     }
 
-    /// The world at a frame.
-    ///
-    /// # Errors
-    /// If the frame is outside the shot, the camera is not valid at that frame, or something is too far from
-    /// the origin.
+    /// The world at a frame. Fails if the frame is outside the shot, the camera is not valid there, or
+    /// something is too far from the origin.
     pub fn frame(&self, number: u32) -> Result<Frame, SceneError> {
         self.frame_with(number, None)
     }
 
-    /// The world at a frame, with another image size (width, height); see [`Camera::resized`].
-    ///
-    /// # Errors
-    /// As for [`Scene::frame`], and if the size is zero.
+    /// The world at a frame, with another image size (width, height); see [`Camera::resized`]. Errors as for
+    /// [`Scene::frame`], and if the size is zero.
     pub fn frame_with(&self, number: u32, size: Option<(u32, u32)>) -> Result<Frame, SceneError> {
         self.check_number(number)?;
         let time = self.time(number);
@@ -171,8 +156,7 @@ impl Scene {
         if self.same_places(&world, &self.still_world) {
             return Ok(self.still.geometry.clone());
         }
-        // The lock is not held while vertices are computed, so threads that make frames do not wait for each
-        // other.
+        // The lock is not held while vertices are computed, so threads do not wait for each other.
         let recent = || self.recent.lock();
         if let Some((_, geometry)) = recent().as_ref().filter(|(known, _)| self.same_places(known, &world)) {
             return Ok(geometry.clone());
@@ -240,10 +224,8 @@ impl Scene {
         Ok((points, suns))
     }
 
-    /// Checks the camera and lights, so that errors appear now and not in the middle of a job.
-    ///
-    /// A look-at camera is checked at every frame. Cameras and lights on nodes are checked at the first frame
-    /// only, because each check of a node walks over all nodes.
+    /// Checks the camera and lights, so that errors appear now and not during a job. Those on nodes are
+    /// checked at the first frame only, because each check walks all nodes.
     fn check_views(&self) -> Result<(), SceneError> {
         self.lights_at(self.time(0), &self.still_world)?;
         let frames = if let CameraSource::LookAt(_) = self.camera { self.frames } else { 1 };

@@ -1,7 +1,5 @@
-//! The parts of a scene and their motion, before they are transformed to world space for one frame.
-//!
-//! Nodes form a hierarchy and carry parts. A part is a mesh of one stratum. "Baking" computes the world-space
-//! geometry of a frame; parts that do not move are copied from an earlier result.
+//! The parts of a scene and their motion, before one frame is "baked": transformed to world space. Nodes form
+//! a hierarchy and carry parts, meshes of one stratum.
 
 use crate::animation::Curve;
 use crate::error::SceneError;
@@ -24,8 +22,7 @@ pub(crate) struct Mesh {
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
-/// The unit vector along `v`, or zero if `v` is zero. It is computed in `f64`, because squares of small
-/// numbers underflow in `f32`.
+/// The unit vector along `v`, or zero. In `f64`, because squares of small numbers underflow in `f32`.
 pub(crate) fn unit_or_zero(v: Vec3) -> Vec3 {
     v.as_dvec3().normalize_or_zero().as_vec3()
 }
@@ -141,13 +138,11 @@ pub(crate) struct Baked {
 }
 
 impl Shot {
-    /// Adds an object. A name that is taken gets a number, as in `name (2)`.
-    ///
-    /// Returns the object's id, and whether it was renamed.
+    /// Adds an object. A taken name gets a number, as in `name (2)`. Returns the id, and whether it was
+    /// renamed.
     pub(crate) fn add_object(&mut self, name: &str) -> (u32, bool) {
         let mut unique = name.to_owned();
-        // Start at the last number in use. Starting at 2 each time would take quadratic time for many equal
-        // names.
+        // Start at the last number in use: from 2 on would take quadratic time.
         let mut copies = self.object_names.get(name).copied().unwrap_or(0);
         while self.object_names.contains_key(&unique) {
             copies += 1;
@@ -297,8 +292,7 @@ impl Shot {
     }
 }
 
-/// Adds a part's triangles that have an area. The winding of a mirrored part is reversed, which preserves its
-/// front.
+/// Adds a part's triangles that have an area. The winding of a mirrored part is reversed.
 fn push_triangles(geometry: &mut Geometry, part: &Part, first: u32, mirrored: bool) -> Range<usize> {
     let start = geometry.triangles.len();
     for &[a, b, c] in &part.mesh.triangles {
@@ -316,8 +310,8 @@ fn push_triangles(geometry: &mut Geometry, part: &Part, first: u32, mirrored: bo
 /// A node's world matrix, prepared for points and normals.
 struct ToWorld {
     matrix: DMat4,
-    /// The inverse transpose up to a positive factor: the cofactor matrix times the sign of the determinant.
-    /// Unlike the inverse, it always exists.
+    /// The inverse transpose up to a positive factor, which always exists: cofactors times the determinant's
+    /// sign.
     normals: DMat3,
     mirrored: bool,
     identity: bool,

@@ -6,8 +6,7 @@ use glam::{Vec2, Vec3};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TextureId(pub u32);
 
-/// Stored texels. 8-bit images stay 8-bit, which takes about a third of the memory. HDR images are linear
-/// floats.
+/// Stored texels. 8-bit images stay 8-bit to save memory. HDR images are linear floats.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Texels {
     /// sRGB-encoded colour with linear alpha.
@@ -30,14 +29,12 @@ pub struct Texture {
 }
 
 impl Texture {
-    /// Linear colour at texture coordinates `uv`, bilinear and repeating. v points up: v = 0 is the bottom
-    /// edge.
+    /// Linear colour at texture coordinates `uv`, bilinear and repeating. v = 0 is the bottom edge.
     pub fn color(&self, uv: Vec2) -> Vec3 {
         self.bilinear(uv, |texel| self.texel_color(texel))
     }
 
-    /// Linear colour of a latitude-longitude image. Its top and bottom rows are the poles, so v does not
-    /// repeat.
+    /// Linear colour of a latitude-longitude image. v does not repeat, because its ends are the poles.
     pub fn sky(&self, uv: Vec2) -> Vec3 {
         // Stay half a texel away from the edges, where the opposite row would be mixed in.
         let half = 0.5 / self.height as f32;

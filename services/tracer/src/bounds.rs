@@ -63,13 +63,12 @@ impl Bounds {
         (0..8).map(move |i| Vec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z))
     }
 
-    /// Returns `true` if the half-line `origin` + t · `direction`, t ≥ 0, may meet the box. `inverse` is 1 /
-    /// `direction`; all its components must be finite.
+    /// Whether the half-line `origin` + t · `direction`, t ≥ 0, may meet the box. `inverse` = 1 / `direction`
+    /// is finite.
     pub fn is_ahead(&self, origin: DVec3, inverse: DVec3) -> bool {
         let (a, b) = ((self.low.as_dvec3() - origin) * inverse, (self.high.as_dvec3() - origin) * inverse);
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());
-        // Much larger than the rounding errors in f64. Reporting a box in vain costs one test; missing one
-        // gives a wrong result.
+        // Much larger than rounding in f64: reporting in vain costs one test, missing a box is wrong.
         let slack = 1e-9 * (near.abs() + far.abs());
         far >= -slack && near <= far + slack
     }

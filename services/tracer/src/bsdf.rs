@@ -1,18 +1,16 @@
 //! Bidirectional scattering distribution functions (BSDFs): how a surface scatters light at one point.
 //!
-//! Directions are unit vectors that point away from the surface. They are given in a local frame whose +z is
-//! the shading normal on the viewer's side. `wi` points to the viewer (z > 0). `wo` points to where light
-//! comes from: z > 0 for reflected light, z < 0 for transmitted light. With ρ for the BSDF and θₒ for the
-//! angle of `wo`:
+//! Directions are unit vectors away from the surface, in a frame whose +z is the shading normal on the
+//! viewer's side. `wi` points to the viewer (z > 0), `wo` to where light comes from: z > 0 reflected, z < 0
+//! transmitted. With ρ for the BSDF and θₒ for the angle of `wo`:
 //! * [`Bsdf::evaluate`] is ρ(wi, wo) |cos θₒ|, per channel.
 //! * [`Bsdf::density`] is the density per steradian with which [`Bsdf::sample`] chooses `wo`.
 //! * [`Bsdf::sample`] chooses `wo`. It returns the lobe and the weight ρ |cos θₒ| / density.
 //!
-//! Evaluation and density leave out perfect mirrors and smooth or straight transmission (delta functions).
+//! Evaluation and density leave out delta functions: perfect mirrors and smooth or straight transmission.
 //!
 //! Radiance that enters a medium of relative index η is divided by η², and multiplied by η² on the way out.
-//! The BSDF of an interface is thus the one for radiance, for which ρ(wi, wo) η² is symmetric when the sides
-//! are exchanged.
+//! So ρ(wi, wo) η² of an interface is symmetric when the sides are exchanged.
 
 use crate::geometry;
 use glam::{Vec2, Vec3};
@@ -28,8 +26,7 @@ const CONTRAST: f32 = 1e-3;
 /// The BSDF of a material at a point.
 #[derive(Debug, Clone, Copy)]
 pub enum Bsdf {
-    /// Lambertian base, bare or coated, with an optional glossy lobe. A coat without a glossy lobe is smooth:
-    /// a perfect mirror.
+    /// Lambertian base, bare or coated, with an optional glossy lobe. A coat without one is a perfect mirror.
     Opaque(Response),
     /// Smooth conductor with this reflectance at normal incidence.
     Mirror(Vec3),
@@ -71,11 +68,9 @@ pub enum Lobe {
 pub struct Scattering {
     /// Direction towards the incoming light, local.
     pub direction: Vec3,
-    /// ρ |cos θₒ| / density. For perfect mirrors and smooth transmission: the fraction of light divided by
-    /// the probability of the choice.
+    /// ρ |cos θₒ| / density. For delta functions: the fraction of light over the probability of the choice.
     pub weight: Vec3,
-    /// [`Bsdf::density`] of the direction. `None` for perfect mirrors and smooth transmission, which no other
-    /// sampling technique can find.
+    /// [`Bsdf::density`] of the direction. `None` for delta functions, which no other technique can find.
     pub density: Option<f32>,
     /// The sampled lobe.
     pub lobe: Lobe,
@@ -112,14 +107,12 @@ impl Bsdf {
         Self::Pane { ior, transmittance }
     }
 
-    /// Interface of a solid dielectric. `eta` is the index beyond the interface, relative to the viewer's
-    /// side.
+    /// Interface of a solid dielectric. `eta` is the index beyond it, relative to the viewer's side.
     pub fn glass(eta: f32, transmittance: Vec3, alpha: f32) -> Self {
         Self::Glass { eta, transmittance, alpha }
     }
 
-    /// Returns `true` if the BSDF has anything besides delta functions (perfect mirrors, smooth
-    /// transmission).
+    /// Whether the BSDF has anything besides delta functions.
     #[inline]
     pub fn spreads(&self) -> bool {
         match self {
@@ -147,8 +140,7 @@ impl Bsdf {
         self.light(wi, wo).0
     }
 
-    /// Density per steradian with which [`Self::sample`] chooses `wo`, without perfect mirrors and smooth
-    /// transmission.
+    /// Density per steradian with which [`Self::sample`] chooses `wo`, without delta functions.
     pub fn density(&self, wi: Vec3, wo: Vec3) -> f32 {
         self.light(wi, wo).1
     }
@@ -174,10 +166,8 @@ impl Bsdf {
         }
     }
 
-    /// Samples a direction. `u` and `choice` are uniform random numbers in [0, 1).
-    ///
-    /// Returns `None` if the light is lost: the reflectance is zero, or a microfacet sends the light below
-    /// the surface. Only single scattering is modelled.
+    /// Samples a direction. `u` and `choice` are uniform random numbers in [0, 1). `None` if the light is
+    /// lost: no reflectance, or a microfacet sends it below the surface (single scattering only).
     #[inline]
     pub fn sample(&self, wi: Vec3, u: Vec2, choice: f32) -> Option<Scattering> {
         match self {
@@ -304,13 +294,11 @@ fn glossy_share(response: &Response, wi: Vec3) -> f32 {
         return 1.0;
     }
     let share = reflectance / (reflectance + base * (1.0 - reflectance));
-    // Microfacets of a rough lobe reflect at other angles than the mean surface, so neither lobe may get too
-    // few samples.
+    // Microfacets reflect at other angles than the mean surface, so neither lobe may get too few samples.
     if response.glossy.is_some() { share.clamp(0.1, 0.9) } else { share }
 }
 
-/// Value times cosine, and density, of a rough interface with visible normals (Walter et al. 2007, equations
-/// 20, 21 and 17).
+/// Value times cosine, and density, of a rough interface (Walter et al. 2007, equations 20, 21 and 17).
 fn rough_glass(wi: Vec3, wo: Vec3, eta: f32, transmittance: Vec3, alpha: f32) -> (Vec3, f32) {
     let nothing = (Vec3::ZERO, 0.0);
     if wo.z == 0.0 || wi.z <= 0.0 {

@@ -1,21 +1,20 @@
 //! The irradiance cache: plan, fill, read.
 //!
-//! Indirect diffuse light changes slowly over a surface. So it is gathered at few places only, the *records*,
-//! and interpolated between them (Ward, Rubinstein and Clear 1988). The classic cache creates a record when a
-//! sample happens to need one, so the number of records and their cost depend on the order of pixels and
-//! threads. This cache works in three phases instead:
+//! Indirect diffuse light is gathered at few places, the *records*, and interpolated (Ward, Rubinstein and
+//! Clear 1988). In the classic cache, the number of records depends on the order of pixels and threads. This
+//! cache has three phases instead:
 //!
 //! 1. **Plan** (`plan`): the insertion rule runs over the first diffuse hits of all pixels, also behind
 //!    mirrors and glass, in a fixed coarse-to-fine order. A record's radius comes from 48 stratified rays
-//!    that only measure distances. After this phase the number of records is known.
+//!    that only measure distances.
 //! 2. **Fill** (`gather`): the hemisphere above every planned record is gathered, on any thread or machine
-//!    and in any order. The plan's rays are strata of the gather and are not traced again. Records that agree
-//!    are then averaged (`smooth`), which reduces their noise.
-//! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, as
-//!    without a cache, and is counted.
+//!    and in any order. The plan's rays are strata of the gather. Records that agree are then averaged
+//!    (`smooth`).
+//! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, and is
+//!    counted.
 //!
-//! Further diffuse bounces have levels of their own. The second level is planned from the hits of the first
-//! level's rays, and filled before it.
+//! Further diffuse bounces have their own levels. The second is planned from the hits of the first, and
+//! filled before it.
 //!
 //! | file | subject |
 //! | --- | --- |
@@ -74,8 +73,7 @@ pub struct Level {
     strata: Strata,
     planned: Vec<Planned>,
     records: Vec<OnceLock<Record>>,
-    /// The smoothed value of each planned record, if it is already known: from a file, or from before more
-    /// records were planned.
+    /// Smoothed value of each planned record, if known from a file or from before more were planned.
     known: Vec<Option<Value>>,
     /// The values that are read, available once all records are filled.
     smoothed: OnceLock<Smoothed>,
@@ -107,8 +105,7 @@ pub struct Cache {
     plan_rays: Rays,
     /// CPU time of reading the cache from a file, nanoseconds.
     reading: u64,
-    /// Set if only the first level was filled, for some pixels. Deeper levels are then followed by rays, not
-    /// read.
+    /// Set if only the first level was filled, for some pixels. Rays then follow deeper levels.
     partial: OnceLock<()>,
 }
 

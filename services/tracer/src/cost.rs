@@ -1,8 +1,5 @@
-//! The cost of tracing: rays by category, deterministic work, and CPU time.
-//!
-//! Work is a weighted count of operations. It is the same in every run and on every machine, and close to
-//! proportional to time. [`Counters`] counts the operations of one pixel and attributes the work to ray
-//! categories.
+//! The cost of tracing: rays by category, work and CPU time. Work is a weighted count of operations, the same
+//! in every run and close to proportional to time. [`Counters`] counts one pixel.
 
 use forelight_bvh::Traversal;
 use std::ops::{Add, AddAssign};
@@ -28,10 +25,9 @@ pub enum Category {
 /// Number of rays by category, in the order of [`RAY_NAMES`].
 pub type Rays = [u64; 7];
 
-/// Work by the category of the ray that caused it, in the order of [`RAY_NAMES`].
-///
-/// It includes the ray's traversal and everything done at its end. All work that follows from a gathered ray
-/// is ambient, and so is reading the irradiance cache: without indirect light, none of it would be done.
+/// Work by the category of the ray that caused it, in the order of [`RAY_NAMES`]: its traversal and
+/// everything at its end. All work that follows from a gathered ray, and reading the irradiance cache, is
+/// ambient.
 pub type WorkByRay = [u64; 7];
 
 /// Adds rays to a sum, category by category.
@@ -94,9 +90,8 @@ impl Counters {
         self.rays[category as usize] += 1;
     }
 
-    /// Attributes work to rays of this category from now on. Work of gathered rays stays ambient.
-    ///
-    /// Returns the previous category, to be restored with [`Self::back_to`].
+    /// Attributes work to rays of this category from now on; work of gathered rays stays ambient. Returns the
+    /// previous category for [`Self::back_to`].
     pub fn caused_by(&mut self, category: Category) -> Category {
         let before = self.account.cause;
         if before != Category::Ambient {
@@ -161,24 +156,20 @@ impl Tally {
     }
 }
 
-/// Work of reading the cache at a point, in the units of [`work`]: finding the records around it, and
-/// interpolating between the four or five that cover it.
+/// Work of reading the cache at a point: finding the records, and interpolating between four or five.
 const READ_WORK: u64 = 300;
 
 /// Work of considering one cache record.
 const RECORD_WORK: u64 = 4;
 
-/// Work of averaging a cache record with its neighbours, about 280 of them. It is the same for every record,
-/// so that a record's cost is known as soon as it is gathered.
+/// Work of averaging a record with about 280 neighbours. Constant, so that a record's cost is known at once.
 pub const SMOOTHING_WORK: u64 = 3400;
 
 /// [`SMOOTHING_WORK`] by class.
 pub const SMOOTHING: WorkByClass = [0, 0, 0, 0, SMOOTHING_WORK];
 
-/// Work: operations weighted by their time on a present-day core, in units of about a nanosecond.
-///
-/// Work is close to proportional to time, but does not depend on a clock. The weights come from a regression
-/// of time on counts over the test scenes. A node's calibration converts work to seconds.
+/// Work: operations weighted by their time on a present-day core, in units of about a nanosecond. The weights
+/// come from a regression of time on counts over the test scenes.
 pub fn work(rays: u64, nodes: u64, triangles: u64, shadings: u64, texels: u64) -> u64 {
     60 * rays + 14 * nodes + 5 * triangles + 120 * shadings + 40 * texels
 }
@@ -188,9 +179,8 @@ pub fn build_work(triangles: usize, nodes: usize) -> u64 {
     2000 * triangles as u64 + 500 * nodes as u64
 }
 
-/// Runs `work`. Returns its result, and the CPU time of this thread in nanoseconds.
-///
-/// `work` must not wait for a thread pool, because a waiting thread does other work.
+/// Runs `work`. Returns its result and this thread's CPU time in nanoseconds. `work` must not wait for a
+/// thread pool, because a waiting thread does other work.
 pub fn clocked<T>(work: impl FnOnce() -> T) -> (T, u64) {
     let now = || nanos(rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime));
     let start = now();
@@ -198,12 +188,9 @@ pub fn clocked<T>(work: impl FnOnce() -> T) -> (T, u64) {
     (given, now() - start)
 }
 
-/// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time.
-///
-/// `trace` returns each pixel's time before, and a reference to its time now. Wall-clock time is cheap to
-/// read, but includes time spent in other processes. The thread's CPU clock is exact, but too slow to read
-/// twice per pixel. So each pixel gets its share of the batch's CPU time, in proportion to its wall-clock
-/// time.
+/// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time. `trace` returns each
+/// pixel's time before, and a reference to its time now. Wall-clock time includes other processes; the CPU
+/// clock is too slow to read per pixel. So each pixel gets its share of the batch's CPU time.
 pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>) {
     let (pixels, cpu) = clocked(trace);
     let wall: u64 = pixels.iter().map(|(before, now)| **now - before).sum();

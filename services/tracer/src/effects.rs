@@ -1,8 +1,5 @@
-//! The effects that a frame needs.
-//!
-//! The set is derived from the frame's materials, lights, camera and settings. The kernel that traces the
-//! frame is composed from it (see `kernel`). An effect that is not in the set costs nothing: no code in the
-//! path, no rays, no memory.
+//! The effects that a frame needs, from its materials, lights, camera and settings. The kernel is composed
+//! from them (see `kernel`). Other effects cost nothing: no code, no rays, no memory.
 
 use crate::Settings;
 use crate::environment::Sky;
@@ -80,8 +77,7 @@ impl Effects {
     /// Solid glass with priorities. Rays keep track of the solids that they are inside of.
     pub const NESTED_MEDIA: u32 = 1 << 18;
 
-    /// This set plus all effects that a scene can contain. Effects of the method (integrator, bounces, choice
-    /// of lights) stay unchanged.
+    /// This set plus all effects that a scene can contain, without those of the method.
     pub fn with_all(self) -> Self {
         let how = Self::AMBIENT | Self::SECOND_BOUNCE | Self::CACHE | Self::LIGHT_CHOICE;
         let all = NAMES.iter().fold(0, |set, (bit, _)| set | bit);

@@ -24,8 +24,7 @@ pub struct SkyImage {
     scale: f32,
     /// Cosine and sine of the rotation about +y.
     rotation: (f32, f32),
-    /// Cumulative distribution of light over the rows, and over the texels of each row. The last entries are
-    /// 1.
+    /// Cumulative distribution of light over rows, and over the texels of each. The last entries are 1.
     rows: Vec<f32>,
     columns: Vec<Vec<f32>>,
     /// Upper bound of the mean radiance over all directions, in the strongest channel, W/(m² sr).
@@ -66,9 +65,8 @@ impl SkyImage {
         let (mut rows, mut columns) = (Vec::with_capacity(height), Vec::with_capacity(height));
         let mut total = 0.0f64;
         for y in 0..height {
-            // A texel's weight is its largest channel times the solid angle of its row. Bilinear lookup
-            // spreads light to the neighbouring texels, so each texel counts the largest of its
-            // neighbourhood. No direction with light then has density zero.
+            // A texel's weight is the largest channel of its neighbourhood times the solid angle of its row.
+            // Bilinear lookup spreads light to neighbours, and no direction with light may have density zero.
             let sin = libm::sin((y as f64 + 0.5) / height as f64 * std::f64::consts::PI);
             let mut sum = 0.0f64;
             let row: Vec<f64> = (0..width)
@@ -144,8 +142,7 @@ impl SkyImage {
     }
 }
 
-/// Inverts a cumulative distribution at `u`: the entry, the position within it in [0, 1), and its
-/// probability.
+/// Inverts a cumulative distribution at `u`: entry, position within it in [0, 1), probability.
 fn invert(cumulative: &[f32], u: f64) -> (usize, f32, f32) {
     let index = cumulative.partition_point(|&c| f64::from(c) <= u).min(cumulative.len() - 1);
     let below = if index == 0 { 0.0 } else { cumulative[index - 1] };

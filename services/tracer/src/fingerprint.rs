@@ -4,8 +4,7 @@ use crate::{Reach, SampleCounts, Settings};
 use blake3::Hasher;
 use forelight_scene::{Frame, Texels};
 
-/// Increase this when a change to the tracer changes images or counters. Pixels of another version are not
-/// reused.
+/// Increase this when images or counters change. Pixels of another version are not reused.
 const TRACER_VERSION: u32 = 12;
 
 /// BLAKE3 hash of frame, settings and tracer version. `content` is [`of_content`] of the frame.
@@ -24,9 +23,7 @@ pub fn fingerprint(
 }
 
 /// Fingerprint of the light: like [`fingerprint`], but without camera, frame number, image size and samples.
-///
-/// It includes which lights can reach anything visible. Two frames that differ in this have different
-/// fingerprints.
+/// It includes which lights can reach anything visible.
 pub fn light_fingerprint(content: &Hasher, settings: &Settings, reach: &Reach) -> [u8; 32] {
     let mut hasher = content.clone();
     let Settings { integrator, ambient_bounces, max_depth, materials, cache, seed, .. } = settings;
@@ -38,8 +35,8 @@ pub fn light_fingerprint(content: &Hasher, settings: &Settings, reach: &Reach) -
     *hasher.finalize().as_bytes()
 }
 
-/// Hash state of everything that does not depend on the view: geometry, textures, materials, lights, and the
-/// tracer's version.
+/// Hash of everything that does not depend on the view: geometry, textures, materials, lights, tracer
+/// version.
 pub fn of_content(frame: &Frame) -> Hasher {
     let mut hasher = Hasher::new();
     let geometry = &frame.geometry;

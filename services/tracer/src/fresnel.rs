@@ -11,10 +11,8 @@ pub struct Interface {
     pub cos_t: f32,
 }
 
-/// Fresnel equations of a dielectric.
-///
-/// `cos_i` ≥ 0 is the cosine of the angle of incidence. `eta` is the index of refraction on the other side
-/// divided by that on this side. 1 − cos² is computed as (1 − c)(1 + c), which keeps its precision near
+/// Fresnel equations of a dielectric. `cos_i` ≥ 0 is the cosine of the angle of incidence, `eta` the index of
+/// refraction on the other side over that on this side. 1 − cos² is (1 − c)(1 + c), which is precise near
 /// normal incidence.
 pub fn dielectric(cos_i: f32, eta: f32) -> Interface {
     let cos_i = cos_i.clamp(0.0, 1.0);
@@ -47,10 +45,8 @@ pub fn pane(cos_i: f32, ior: f32) -> f32 {
 }
 
 /// Internal diffuse reflectance of a dielectric: the fraction of diffuse light inside that its surface
-/// reflects back.
-///
-/// It is 1 − (1 − F̄) / η². F̄ = 2 ∫ F(c) c dc is the mean reflectance from outside, integrated by the
-/// midpoint rule in c².
+/// reflects back, 1 − (1 − F̄) / η². The mean reflectance from outside, F̄ = 2 ∫ F(c) c dc, is integrated by
+/// the midpoint rule in c².
 pub fn internal_diffuse(ior: f32) -> f32 {
     const STEPS: u32 = 512;
     let mean: f64 = (0..STEPS)

@@ -33,8 +33,7 @@ impl Basis {
     }
 }
 
-/// Maps the unit square to the unit disc, preserving area (Shirley and Chiu 1997, concentric map). Strata of
-/// the square stay compact.
+/// Maps the unit square to the unit disc, preserving area (Shirley and Chiu 1997, concentric map).
 pub fn disc(u: Vec2) -> Vec2 {
     let p = 2.0 * u - 1.0;
     if p == Vec2::ZERO {
@@ -64,8 +63,7 @@ pub fn cap(u: Vec2, height: f32) -> Vec3 {
     (p * (height * (2.0 - r2 * height)).max(0.0).sqrt()).extend(z)
 }
 
-/// Barycentric weights (second, third corner) of a uniform point in a triangle (Heitz 2019, "A Low-Distortion
-/// Map Between Triangle and Square").
+/// Barycentric weights of a uniform point (Heitz 2019, "A Low-Distortion Map Between Triangle and Square").
 pub fn triangle(u: Vec2) -> (f32, f32) {
     if u.y > u.x {
         let b = u.x * 0.5;
@@ -76,8 +74,7 @@ pub fn triangle(u: Vec2) -> (f32, f32) {
     }
 }
 
-/// Converts a direction to coordinates of a latitude-longitude image. The centre of the image looks along −z,
-/// the top row is +y, and u grows to the right.
+/// Coordinates in a latitude-longitude image: centre −z, top row +y, u grows to the right.
 pub fn direction_to_lat_long(d: Vec3) -> Vec2 {
     let u = libm::atan2f(d.x, -d.z) / (2.0 * PI) + 0.5;
     let v = libm::acosf(d.y.clamp(-1.0, 1.0)) / PI;

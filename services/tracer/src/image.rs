@@ -94,14 +94,9 @@ impl Image {
         Totals::of(self.pixels.iter().zip(&self.reused).filter(|p| *p.1).map(|p| p.0))
     }
 
-    /// Writes an OpenEXR file.
-    ///
-    /// Its channels are R, G, B (linear Rec. 709), `object.id` and `material.id` (1 + index, 0 where nothing
-    /// was hit), `cost.work`, `cost.cpu_nanos`, and `rays.NAME`. Identity and ray channels are u32, the
-    /// others f32.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
+    /// Writes an OpenEXR file with the channels R, G, B (linear Rec. 709), `object.id` and `material.id` (1 +
+    /// index, 0 where nothing was hit), `cost.work`, `cost.cpu_nanos`, and `rays.NAME`. Identity and ray
+    /// channels are u32, the others f32. Fails if the file cannot be written.
     pub fn write_exr(&self, path: &Path, frame: &Frame) -> Result<(), ImageError> {
         use exr::{
             AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer, LayerAttributes,
@@ -138,10 +133,7 @@ impl Image {
     }
 
     /// Work per pixel in the false colours of Gillibrand et al. 2006 (figures 4 and 6), from cyan (cheap)
-    /// over blue to red (expensive).
-    ///
-    /// The scale is linear up to the 99.5th percentile, so that a single expensive pixel does not turn all
-    /// others cyan.
+    /// over blue to red (expensive). Linear up to the 99.5th percentile.
     pub fn cost_map(&self) -> image::RgbImage {
         let mut sorted: Vec<u64> = self.pixels.iter().map(|p| p.work).collect();
         sorted.sort_unstable();
@@ -158,8 +150,7 @@ impl Image {
     }
 }
 
-/// A filmic curve with a soft shoulder above 0.6, the same for every channel, followed by the sRGB transfer
-/// function.
+/// A filmic curve with a soft shoulder above 0.6 per channel, then the sRGB transfer function.
 fn tone_map(color: Vec3) -> [u8; 3] {
     const KNEE: f32 = 0.6;
     color.to_array().map(|c| {

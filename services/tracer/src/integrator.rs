@@ -55,10 +55,8 @@ pub struct Point {
     distance: f32,
 }
 
-/// The last surface that a ray has passed straight through.
-///
-/// The ray continues as the same ray, not as a new one slightly further on. It therefore meets every face
-/// exactly once, in the order of distance and triangle index, however close the faces are.
+/// The last surface that a ray has passed straight through. The ray continues as the same ray, so it meets
+/// every face exactly once, in the order of distance and triangle index.
 #[derive(Debug, Clone, Copy)]
 pub struct Passed {
     t: f32,
@@ -244,10 +242,8 @@ fn off_surface(position: Vec3, normal: Vec3, size: f32, direction: Vec3) -> Vec3
     offset_origin(position, if normal.dot(direction) < 0.0 { -normal } else { normal }, size)
 }
 
-/// A sun's radiance times its solid angle, W/m².
-///
-/// A disc of radiance L with angular radius θ has the solid angle 2π (1 − cos θ). Its irradiance on a surface
-/// that faces its centre is π L sin² θ; suns are specified by this irradiance.
+/// A sun's radiance times its solid angle, W/m². A disc of radiance L with angular radius θ has the solid
+/// angle 2π (1 − cos θ). Suns are specified by the irradiance π L sin² θ on a surface that faces them.
 fn fluence(sun: &Sun) -> Vec3 {
     sun.irradiance * (2.0 / (2.0 - cap_height(sun.angle_deg)))
 }

@@ -1,11 +1,8 @@
 //! Kernels: the code that traces a frame, composed once from the effects that the frame needs.
 //!
-//! Decisions in the innermost loops (ray intersection, lobes, texture lookups) are a const parameter. Each of
-//! its 32 values is compiled separately. Functions that are called at most once per path vertex (camera,
-//! kinds of light, indirect light, integrator) are function pointers, which are set or left out.
-//!
-//! A frame therefore pays only for the effects that it needs. A kernel with more effects than needed computes
-//! the same bits, because the additional effects find no data to work on.
+//! Decisions in the innermost loops (ray intersection, lobes, texture lookups) are a const parameter with 32
+//! values, each compiled separately. Functions called at most once per path vertex are function pointers. A
+//! kernel with more effects than needed computes the same bits.
 
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
 use crate::cost::{Counters, add_rays};

@@ -1,11 +1,9 @@
 //! Light transport: traces a frame, and counts the cost of doing so.
 //!
-//! A [`Tracer`] holds everything that one frame needs: tree, lights and materials. [`Tracer::pixel`] computes
-//! one finished [`Pixel`]: its colour, rays by category, deterministic `work`, and CPU time.
-//!
-//! A pixel depends only on the frame, the [`Settings`] and its own index. An image therefore has the same
-//! bits whatever the number of threads, the tiles and their order, and whether some pixels came from a
-//! [`Profile`].
+//! A [`Tracer`] holds the tree, lights and materials of one frame. [`Tracer::pixel`] computes one finished
+//! [`Pixel`]: its colour, rays by category, deterministic `work`, and CPU time. A pixel depends only on the
+//! frame, the [`Settings`] and its own index. So an image has the same bits whatever the threads, tiles and
+//! reused pixels of a [`Profile`].
 //!
 //! | file | subject |
 //! | --- | --- |

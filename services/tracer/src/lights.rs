@@ -26,11 +26,9 @@ use forelight_scene::Geometry;
 use glam::{Vec2, Vec3};
 
 /// Largest number of lights with a position (emissive objects and points) that a point seen by the camera
-/// samples.
-///
-/// The error for a given time is smallest at √(b v / (c w)) light samples. Here b is the time of a camera
-/// sample without light samples, c that of a light sample, v the variance of a light sample, and w that of a
-/// camera sample with known light. This is 2 to 8 in most rooms, and the minimum is flat.
+/// samples. The best number is √(b v / (c w)). Here b and c are the times of a camera sample without lights
+/// and of a light sample. The variance of a light sample is v, that of a camera sample with known light w.
+/// This is 2 to 8 in most rooms, and the minimum is flat.
 const SEEN: u32 = 4;
 
 /// Largest number of light samples at any point.
@@ -84,8 +82,7 @@ pub struct LightPoint {
     pub hit: Hit,
 }
 
-/// Chooses a part of a light from cumulative shares, for `u` in [0, 1). Returns the part and the position in
-/// it, in [0, 1].
+/// Chooses a part of a light from cumulative shares, for `u` in [0, 1), and the position in it in [0, 1].
 fn part(cumulative: &[f32], u: f32) -> (usize, f32) {
     let i = cumulative.partition_point(|&c| c <= u).min(cumulative.len() - 1);
     let below = if i == 0 { 0.0 } else { cumulative[i - 1] };
@@ -102,10 +99,8 @@ fn cumulative(areas: impl Iterator<Item = f64> + Clone) -> impl Iterator<Item = 
     })
 }
 
-/// Returns `true` if a point is closer to a light's box than the light is wide.
-///
-/// There, points sampled by area miss the few that matter, because their weight grows like 1/distance².
-/// Directions sampled from the surface have to help.
+/// Whether a point is closer to a light's box than the light is wide. There, sampling by area misses the few
+/// points that matter, and directions from the surface have to help.
 fn is_near(light: &Bounds, area: f32, point: Vec3) -> bool {
     let outside = (light.low - point).max(point - light.high).max(Vec3::ZERO);
     outside.length_squared() < area

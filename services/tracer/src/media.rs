@@ -1,9 +1,8 @@
 //! Overlapping solid dielectrics: which solids contain a point, and which of them fills it.
 //!
-//! Where solids with a priority overlap, the one with the highest priority fills the space. The others' faces
-//! inside it are ignored (Schmidt and Budge 2002, "Simple Nested Dielectrics in Ray Traced Images"). Among
-//! equal priorities, the material that is listed first wins, whichever solid was entered first. Light
-//! therefore behaves the same in both directions.
+//! The solid with the highest priority fills the space; the others' faces inside it are ignored (Schmidt and
+//! Budge 2002, "Simple Nested Dielectrics in Ray Traced Images"). Ties go to the material that is listed
+//! first, so light behaves the same in both directions.
 
 use forelight_scene::{MOST_NESTED, Material, Surface};
 
@@ -13,8 +12,7 @@ const BITS: u32 = 4;
 const MOST: u128 = (1 << BITS) - 1;
 const _: () = assert!(MOST_NESTED as u32 * BITS == u128::BITS);
 
-/// The media that contain a point. For each medium, by rank, it counts the solids that were entered and not
-/// left.
+/// The media at a point: per rank, how many solids were entered and not left.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Media(u128);
 

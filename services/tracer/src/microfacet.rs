@@ -3,13 +3,11 @@
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
-/// Below this alpha, the lobe is narrower than f32 directions can resolve. The surface is then treated as a
-/// mirror.
+/// Below this alpha, the lobe is narrower than f32 directions can resolve: a mirror.
 pub const SMOOTH: f32 = 1e-3;
 
-/// GGX normal distribution D(h), per steradian (Walter et al. 2007, equation 33).
-///
-/// It uses |h × z|² = x² + y² instead of 1 − z², which would suffer from cancellation.
+/// GGX normal distribution D(h), per steradian (Walter et al. 2007, equation 33), with |h × z|² = x² + y²
+/// against cancellation.
 pub fn distribution(h: Vec3, alpha: f32) -> f32 {
     let a2 = alpha * alpha;
     let d = h.x * h.x + h.y * h.y + a2 * h.z * h.z;
@@ -30,15 +28,13 @@ pub fn masking(w: Vec3, alpha: f32) -> f32 {
     1.0 / (1.0 + lambda(w, alpha))
 }
 
-/// Height-correlated masking and shadowing G₂: the fraction visible from both directions (Heitz 2014,
-/// equation 99).
+/// Height-correlated masking and shadowing G₂: fraction visible from both (Heitz 2014, equation 99).
 pub fn masking_shadowing(wi: Vec3, wo: Vec3, alpha: f32) -> f32 {
     1.0 / (1.0 + lambda(wi, alpha) + lambda(wo, alpha))
 }
 
-/// Samples a microfacet normal among those visible from `wi` (z > 0) (Dupuy and Benyoub 2023).
-///
-/// A uniform point of a spherical cap is chosen in the space where the microfacets form a hemisphere.
+/// Samples a microfacet normal visible from `wi` (z > 0), by a uniform point of a spherical cap (Dupuy and
+/// Benyoub 2023).
 pub fn sample_visible(wi: Vec3, alpha: f32, u: Vec2) -> Vec3 {
     let standard = Vec3::new(wi.x * alpha, wi.y * alpha, wi.z).normalize();
     let phi = 2.0 * PI * u.x;
@@ -48,8 +44,7 @@ pub fn sample_visible(wi: Vec3, alpha: f32, u: Vec2) -> Vec3 {
     Vec3::new(half.x * alpha, half.y * alpha, half.z.max(0.0)).normalize_or(Vec3::Z)
 }
 
-/// Density per steradian of the reflection of `wi` about a normal from [`sample_visible`]: G₁(wi) D(h) / (4
-/// wi.z).
+/// Density per steradian of reflecting `wi` about a normal of [`sample_visible`]: G₁(wi) D(h) / (4 wi.z).
 pub fn reflected_density(wi: Vec3, h: Vec3, alpha: f32) -> f32 {
     masking(wi, alpha) * distribution(h, alpha) / (4.0 * wi.z)
 }
@@ -59,8 +54,8 @@ pub fn reflect(w: Vec3, n: Vec3) -> Vec3 {
     2.0 * w.dot(n) * n - w
 }
 
-/// Direction of refraction at an interface with relative index `eta`. The normal `n` is on the side of `w`;
-/// `cos_t` is the cosine of the angle of refraction.
+/// Refraction at relative index `eta`. `n` is on the side of `w`; `cos_t` is the cosine of the refracted
+/// angle.
 pub fn refract(w: Vec3, n: Vec3, eta: f32, cos_t: f32) -> Vec3 {
     let cos_i = w.dot(n);
     ((cos_i / eta - cos_t) * n - w / eta).normalize()

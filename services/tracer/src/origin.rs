@@ -1,6 +1,4 @@
-//! The origin of a file: the frame and the settings that it was made for.
-//!
-//! When a profile or cache does not fit an image, the error lists which settings differ.
+//! The origin of a file: the frame and the settings that it was made for. Errors list which settings differ.
 
 use crate::Settings;
 use crate::fingerprint::tracer_version;
@@ -16,9 +14,7 @@ const VIEW: [&str; 4] = ["width", "height", "spp", "ambient_divisions"];
 const LIGHT: [&str; 7] =
     ["integrator", "ambient_bounces", "max_depth", "materials", "cache", "cache_accuracy", "cache_rays"];
 
-/// The frame and settings that a profile or cache was made for.
-///
-/// It is used for error messages only. Fingerprints decide whether a file fits, because they cover more.
+/// The frame and settings that a profile or cache was made for. For error messages only; fingerprints decide.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable)]
 pub struct Origin {

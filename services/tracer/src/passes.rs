@@ -1,13 +1,9 @@
-//! Images refined in passes: each pass adds camera samples to pixels, starting where the previous pass
-//! stopped.
+//! Images refined in passes: each pass adds camera samples to pixels where the previous pass stopped.
 //!
-//! No sample is traced twice, and the result does not depend on where one pass ends and the next begins. A
-//! pixel's samples are summed in f64 in the order of their indices, and its random sequences continue. A
-//! pixel that got 3 samples and later 5 therefore has the same bits as one that got 8 at once.
-//!
-//! For this, each pixel keeps how far its random sequences were drawn (8 bytes per sequence), and its sum at
-//! earlier sample counts, which shows how it converges. That is about 150 bytes per pixel for the `ambient`
-//! integrator and several hundred for `path`.
+//! The result does not depend on where one pass ends: samples are summed in f64 in the order of their
+//! indices, and random sequences continue. For this, each pixel keeps the position of its random sequences (8
+//! bytes each), and its sum at earlier sample counts. That is about 150 bytes per pixel for `ambient` and
+//! several hundred for `path`.
 
 use crate::cost::share_cpu_time;
 use crate::image::{Image, Totals};
@@ -51,8 +47,7 @@ pub struct SoFar {
     pub variance: Option<f64>,
     /// Work of the samples.
     pub work: u64,
-    /// Change of the mean by the later half of the samples, or slightly more than half. `None` for fewer than
-    /// two samples.
+    /// Change of the mean by the later half of the samples (rounded up). `None` with fewer than two.
     pub grown: Option<Grown>,
 }
 
@@ -65,8 +60,7 @@ pub struct Grown {
     pub square: f64,
 }
 
-/// An image in progress. All calls need the tracer that it was started with, and that tracer's cache must be
-/// filled.
+/// An image in progress. All calls need the same tracer, whose cache must be filled.
 #[derive(Debug)]
 pub struct Passes {
     width: u32,
@@ -97,15 +91,10 @@ impl Passes {
         Self { width, height, tiles, totals: Totals::default() }
     }
 
-    /// Adds samples until every pixel has the number given in `wanted`, on the current thread pool. Returns
-    /// the cost.
-    ///
-    /// Pixels that already have enough samples stay unchanged. `stop` is called before each pixel and every
-    /// few samples; once it returns `true`, all remaining pixels stay unchanged. `progress` receives the
-    /// number of pixels done.
-    ///
-    /// # Errors
-    /// If `wanted` does not have one number per pixel of this image.
+    /// Adds samples until every pixel has the number in `wanted`, on the current thread pool. Returns the
+    /// cost. `stop` is called before each pixel and every few samples; once `true`, all remaining pixels stay
+    /// unchanged. `progress` receives the number of pixels done. Fails if `wanted` does not have one number
+    /// per pixel.
     pub fn go_on(
         &mut self,
         tracer: &Tracer,
@@ -158,10 +147,7 @@ impl Passes {
         self.tiles.len()
     }
 
-    /// Number of samples of each pixel.
-    ///
-    /// # Errors
-    /// If a pixel has no samples.
+    /// Number of samples of each pixel. Fails if a pixel has none.
     pub fn counts(&self) -> Result<SampleCounts, SampleCountsError> {
         let mut counts = vec![0; (self.width * self.height) as usize];
         for (index, pixel) in self.pixels() {

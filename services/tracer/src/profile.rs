@@ -8,9 +8,8 @@ const HEADER: usize = 8 + Origin::BYTES + 32 + 4 + 8;
 const PIXEL: usize = 4 + 12 + 28 + 8 + 56 + 8 + 8 + 4 + 4;
 const CHECKSUM: usize = 32;
 
-/// Finished pixels of one frame, or its irradiance cache.
-///
-/// A frame with a cache has no finished pixels, because their colours are unknown until the cache is filled.
+/// Finished pixels of one frame, or its irradiance cache, since colours are unknown until the cache is
+/// filled.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Profile {
     /// The frame and settings that it was made for.
@@ -43,11 +42,9 @@ pub enum ProfileError {
 }
 
 impl Profile {
-    /// Serialises the profile, in little-endian byte order.
-    ///
-    /// The parts are: magic, origin, fingerprint, number of pixels, size of the cache (0 without one),
-    /// pixels, cache, and the BLAKE3 hash of everything before. Each pixel is: index, colour, rays, work,
-    /// work by ray, extra work, CPU nanoseconds, uncovered, stratum.
+    /// Serialises the profile, little-endian: magic, origin, fingerprint, number of pixels, size of the cache
+    /// (0 without one), pixels, cache, BLAKE3 hash of everything before. A pixel is: index, colour, rays,
+    /// work, work by ray, extra work, CPU nanoseconds, uncovered, stratum.
     pub fn to_bytes(&self) -> Vec<u8> {
         let cache = self.cache.as_deref().unwrap_or_default();
         let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + cache.len() + CHECKSUM);
@@ -73,10 +70,8 @@ impl Profile {
         out
     }
 
-    /// Parses the output of [`Self::to_bytes`].
-    ///
-    /// # Errors
-    /// If the bytes are not a profile of this version, have the wrong length, or are damaged.
+    /// Parses the output of [`Self::to_bytes`]. Fails if the bytes are not a profile of this version, have
+    /// the wrong length, or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, ProfileError> {
         if bytes.len() < 8 || &bytes[..8] != MAGIC {
             return Err(ProfileError::Foreign);

@@ -1,10 +1,9 @@
 //! Counter-based random numbers and scrambled (0,2)-sequences.
 //!
-//! Every number is a hash of (seed, frame, pixel, dimension, index). There is no stream, and no state that
-//! threads could share. Within a pixel and a dimension, successive points form a Sobol' (0,2)-sequence with
-//! nested uniform scrambling (Owen 1995), computed by hashing (Laine and Karras 2011). The order of the
-//! points is scrambled in the same way (Burley 2020, "Practical Hash-based Owen Scrambling"), so that
-//! dimensions are uncorrelated.
+//! Every number is a hash of (seed, frame, pixel, dimension, index), without shared state. Within a pixel and
+//! a dimension, successive points form a Sobol' (0,2)-sequence with nested uniform scrambling (Owen 1995),
+//! computed by hashing (Laine and Karras 2011). Their order is scrambled alike (Burley 2020, "Practical
+//! Hash-based Owen Scrambling"), so dimensions are uncorrelated.
 
 pub use forelight_random::hash;
 use glam::Vec2;
@@ -99,8 +98,7 @@ impl Sampler {
         self.point(dimension, index)
     }
 
-    /// Draws the next index for this purpose, to be passed to [`Sampler::related`] for several related
-    /// points.
+    /// Draws the next index for this purpose, for [`Sampler::related`] points.
     pub fn draw(&mut self, purpose: Purpose, vertex: u32) -> (u64, u32) {
         let dimension = (vertex as usize).min(VERTICES - 1) * PURPOSES + purpose as usize;
         let index = self.drawn[dimension];
@@ -116,8 +114,7 @@ impl Sampler {
     fn point(&self, dimension: u64, index: u32) -> Vec2 {
         let key = hash(self.key ^ dimension.wrapping_mul(0xd6e8_feb8_6659_fd93));
         let index = reversed_scramble(index.reverse_bits(), hash(key) as u32).reverse_bits();
-        // First dimension: van der Corput, which is the bit reversal. Second: Sobol' with the primitive
-        // polynomial x + 1.
+        // First dimension: van der Corput (bit reversal). Second: Sobol' with the primitive polynomial x + 1.
         let x = reversed_scramble(index, key as u32).reverse_bits();
         let y = reversed_scramble(sobol_second_reversed(index), (key >> 32) as u32).reverse_bits();
         Vec2::new(unit(x), unit(y))
@@ -129,12 +126,9 @@ fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / (1 << 24) as f32)
 }
 
-/// Second dimension of the Sobol' sequence, with reversed bits.
-///
-/// The columns of its matrix are the rows of Pascal's triangle modulo 2. The binomial coefficient "k over j"
-/// is odd if every set bit of j is set in k (Lucas 1878). Bit j of the result is therefore the sum of all
-/// index bits k whose number has the bits of j. This sum over supersets takes one step for each of the five
-/// bits of a bit number.
+/// Second dimension of the Sobol' sequence, with reversed bits. The columns of its matrix are the rows of
+/// Pascal's triangle modulo 2: "k over j" is odd if every set bit of j is set in k (Lucas 1878). So bit j of
+/// the result is the sum of all index bits k whose number contains the bits of j, taken in five steps.
 fn sobol_second_reversed(index: u32) -> u32 {
     /// Masks of the bits whose number does not contain 1, 2, 4, 8 or 16.
     const WITHOUT: [u32; 5] = [0x5555_5555, 0x3333_3333, 0x0f0f_0f0f, 0x00ff_00ff, 0x0000_ffff];
@@ -145,10 +139,8 @@ fn sobol_second_reversed(index: u32) -> u32 {
     sum
 }
 
-/// Nested uniform scrambling of a number whose bits are reversed: each bit is flipped by a hash of the bits
-/// below it.
-///
-/// All steps carry upwards only, which makes the permutation nested. The constants are by Vegdahl 2021.
+/// Nested uniform scrambling of a number with reversed bits: a hash of the bits below flips each bit. All
+/// steps carry upwards only. Constants by Vegdahl 2021.
 fn reversed_scramble(mut x: u32, seed: u32) -> u32 {
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);

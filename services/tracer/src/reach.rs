@@ -12,39 +12,33 @@
 //!
 //! **Lemma.** A light path that starts on one side of a shell never meets anything on the other side.
 //!
-//! *Proof.* A segment from one side to the other crosses the shell an odd number of times, hence at least
-//! once. The triangle test is watertight, because edges are decided by sign in the same way for all triangles
-//! that share them. The segment therefore hits the shell at or before the crossing. The hit is opaque, so the
-//! path continues with a new ray from there, on the side from which it came. By induction over its vertices,
-//! the path stays on its side. Shadow rays are segments too. ∎
+//! *Proof.* A segment from one side to the other crosses the shell at least once. The triangle test is
+//! watertight, because edges are decided by sign in the same way for all triangles that share them. So the
+//! segment hits the shell at or before the crossing. The hit is opaque, so the path continues from there with
+//! a new ray, on the side from which it came. By induction, the path stays on its side. ∎
 //!
-//! Consider everything wholly inside a shell that does not contain the camera. It is neither visible nor does
-//! it light anything visible. The same holds for everything wholly outside a shell that contains the camera,
-//! including suns and environment. A connected piece of geometry is *wholly* on one side under two
-//! conditions. First, one of its corners is there: three rays in f64 agree, and none is close to an edge.
-//! Second, none of its triangles comes within a margin of the shell. Every shell is examined separately, so
-//! nested shells need no special treatment.
+//! Everything wholly inside a shell that does not contain the camera is invisible and lights nothing visible.
+//! So is everything wholly outside a shell that contains the camera, including suns and environment. A
+//! connected piece of geometry is *wholly* on one side under two conditions. One of its corners is there:
+//! three rays in f64 agree, and none is close to an edge. None of its triangles comes within a margin of the
+//! shell. Every shell is examined separately.
 //!
-//! The proof assumes that a path continues "on the side from which it came". But rays start slightly off the
+//! The proof assumes that a path stays "on the side from which it came". But rays start slightly off the
 //! surface, along the geometric normal, and their directions are chosen about the shading normal. So a shell
 //! is only used if:
-//! * It is shaded by its geometric normals. With an interpolated normal, a ray could leave through the
-//!   surface.
+//! * It is shaded by its geometric normals. With an interpolated normal, a ray could leave through it.
 //! * It does not meet itself at an acute angle on the camera's side, where that offset would lead across it.
-//! * Nothing that touches it allows the offset to lead across it. Touching triangles must be perpendicular to
-//!   the shell, or opaque and flush with it. A glass on the floor of a room, a ball that lies on it, or a
-//!   stool with splayed legs therefore invalidates the room.
+//! * Touching triangles are perpendicular to it, or opaque and flush with it. A glass on the floor of a room,
+//!   or a stool with splayed legs, therefore invalidates the room.
 //! * The camera's lens is farther from it than the margin.
 //!
-//! What remains is the rounding of positions in f32: a ray may start beyond a wall if it leaves a point
-//! within an ulp of a seam. Such a ray is a light leak. Leaving out what is beyond does not make it worse.
+//! What remains is rounding in f32: a ray that leaves a point within an ulp of a seam may start beyond a
+//! wall. Leaving out what is beyond does not make such a light leak worse.
 //!
 //! # Lights
 //!
-//! A light is also left out in these cases:
-//! * It emits nothing, or has no area.
-//! * Everything else is behind all of its one-sided triangles.
-//! * Its cone contains nothing.
+//! A light is also left out if it emits nothing or has no area, if everything else is behind all of its
+//! one-sided triangles, or if its cone contains nothing.
 //!
 //! When in doubt, nothing is left out. The time is linear in the size of the scene, except for shells that
 //! may contain something; these have a budget.
@@ -126,10 +120,8 @@ pub enum Reason {
     OutsideRoom(String),
 }
 
-/// Finds what can affect the image of a frame. The image without the rest is the same; see the module's
-/// documentation for the proof.
-///
-/// `materials` are those that the frame is rendered with, by the frame's material indices.
+/// Finds what can affect the image of a frame; the module's documentation has the proof. `materials` are
+/// those that the frame is rendered with, by the frame's material indices.
 pub fn reachable(frame: &Frame, materials: &[Material]) -> Reach {
     Survey { frame, materials, separation: Separation::new(frame, materials) }.reach()
 }
@@ -191,8 +183,7 @@ impl Reach {
         materials.iter().zip(met).filter(|(_, met)| *met).map(|(material, _)| material).collect()
     }
 
-    /// Everything that cannot affect the image: area lights, point lights, suns, environment, then objects by
-    /// id.
+    /// Everything that cannot affect the image: area lights, points, suns, environment, objects by id.
     pub fn left_out(&self) -> &[LeftOut] {
         &self.left_out
     }
@@ -302,12 +293,10 @@ impl Survey<'_> {
         away.then_some(Reason::FacesAway)
     }
 
-    /// Returns `true` if the camera and everything else visible are behind the planes of all triangles of a
-    /// light.
+    /// Whether camera and everything else visible are behind the planes of all triangles of a light.
     fn faces_away(&self, stratum: u32, triangles: &[u32], boxes: &[Bounds]) -> bool {
         let (geometry, camera) = (&*self.frame.geometry, &self.frame.camera);
-        // Anything that is not behind the light's plane by at least `least` may be lit. The light may also
-        // light itself, unless it is black and flat.
+        // Anything not behind the plane by `least` may be lit, also the light itself unless black and flat.
         let black = match self.materials[geometry.strata.pairs[stratum as usize].1 as usize].surface {
             Surface::Lambert { albedo } => albedo.factor == Vec3::ZERO,
             _ => false,
@@ -383,9 +372,8 @@ impl Survey<'_> {
     }
 }
 
-/// Returns `true` if part of a box may be in a cone. It tests the bounding sphere of the box.
-///
-/// `axis` is a unit vector; `outer` is the cosine of the cone's half-angle.
+/// Whether part of a box may be in a cone, by its bounding sphere. `axis` is a unit vector; `outer` is the
+/// cosine of the half-angle.
 fn in_cone(bounds: &Bounds, apex: Vec3, axis: Vec3, outer: f32) -> bool {
     let (low, high) = (bounds.low.as_dvec3(), bounds.high.as_dvec3());
     let to: DVec3 = 0.5 * (low + high) - apex.as_dvec3();

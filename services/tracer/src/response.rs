@@ -5,8 +5,8 @@ use crate::microfacet as ggx;
 use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
-/// The part of a surface's reflection that light sampling can find. Directions are local, with +z on the
-/// viewer's side.
+/// The part of a surface's reflection that light sampling can find. Local directions, +z on the viewer's
+/// side.
 #[derive(Debug, Clone, Copy)]
 pub struct Response {
     /// Lambertian reflectance.
@@ -62,18 +62,16 @@ impl Tint {
 }
 
 impl Response {
-    /// The diffuse lobe times π, for light from `wo`. It is the weight of a cosine-weighted sample.
-    ///
-    /// Under a coat, light enters with 1 − F(wo) and leaves with 1 − F(wi). The factor 1/η² accounts for the
-    /// larger solid angle outside. Light that the coat reflects back inside (the fraction `internal`) is
-    /// scattered again. The material's colour is thus the reflectance seen from outside, not that of the bare
-    /// base.
+    /// The diffuse lobe times π, for light from `wo`: the weight of a cosine-weighted sample. Under a coat,
+    /// light enters with 1 − F(wo) and leaves with 1 − F(wi); 1/η² accounts for the larger solid angle
+    /// outside. Light that the coat reflects back (the fraction `internal`) is scattered again. So the
+    /// material's colour is the reflectance seen from outside.
     pub fn diffuse(&self, wi: Vec3, wo: Vec3) -> Vec3 {
         self.outgoing(wi) * self.coat.map_or(1.0, |coat| coat.passes(wo.z))
     }
 
-    /// The part of [`Self::diffuse`] that does not depend on `wo`: the response towards `wi` to light that
-    /// has passed the coat.
+    /// The part of [`Self::diffuse`] independent of `wo`: response towards `wi` to light that passed the
+    /// coat.
     pub fn outgoing(&self, wi: Vec3) -> Vec3 {
         match self.coat {
             None => self.diffuse,
@@ -84,10 +82,8 @@ impl Response {
         }
     }
 
-    /// Diffuse lobe, glossy lobe and density for light from `wo` (z > 0).
-    ///
-    /// Both lobes include the factor cos θₒ. The density per steradian is that of [`Glossy::sample`] for
-    /// `wo`.
+    /// Diffuse lobe and glossy lobe for light from `wo` (z > 0), both with the factor cos θₒ, and the density
+    /// per steradian of [`Glossy::sample`].
     pub fn evaluate(&self, wi: Vec3, wo: Vec3) -> (Vec3, Vec3, f32) {
         let diffuse = self.diffuse(wi, wo) * (FRAC_1_PI * wo.z);
         let Some(glossy) = self.glossy else { return (diffuse, Vec3::ZERO, 0.0) };
@@ -98,18 +94,15 @@ impl Response {
         (diffuse, value, ggx::reflected_density(wi, h, glossy.alpha))
     }
 
-    /// Returns `true` if there is diffuse reflection, for which lights are sampled and the hemisphere is
-    /// gathered.
+    /// Whether there is diffuse reflection, for which lights are sampled and the hemisphere gathered.
     pub fn has_diffuse(&self) -> bool {
         self.diffuse.max_element() > 0.0
     }
 }
 
 impl Glossy {
-    /// Samples a direction of reflection. Returns it with its weight f cos / density and the density per
-    /// steradian.
-    ///
-    /// `None` if the direction is below the surface; only single scattering is modelled.
+    /// Samples a direction of reflection, with its weight f cos / density and the density per steradian.
+    /// `None` if it is below the surface (single scattering only).
     pub fn sample(&self, wi: Vec3, u: Vec2) -> Option<(Vec3, Vec3, f32)> {
         let h = ggx::sample_visible(wi, self.alpha, u);
         let wo = ggx::reflect(wi, h);

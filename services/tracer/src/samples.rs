@@ -26,10 +26,7 @@ pub enum SampleCountsError {
 }
 
 impl SampleCounts {
-    /// Sample counts for all pixels.
-    ///
-    /// # Errors
-    /// If one of them is 0.
+    /// Sample counts for all pixels. Fails if one is 0.
     pub fn new(counts: Vec<u16>) -> Result<Self, SampleCountsError> {
         match counts.iter().position(|&count| count == 0) {
             Some(pixel) => Err(SampleCountsError::None(pixel)),

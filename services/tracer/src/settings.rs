@@ -14,13 +14,12 @@ pub struct Settings {
     pub spp: u32,
     /// The light transport algorithm.
     pub integrator: Integrator,
-    /// Number of indirect diffuse bounces. 0 gives direct light, mirrors and glass only.
-    ///
-    /// For [`Integrator::Path`], it limits how often light is spread (diffuse, glossy, rough glass) after the
-    /// first time. Its largest value has the effect of no limit.
+    /// Number of indirect diffuse bounces; 0 for direct light, mirrors and glass only. For
+    /// [`Integrator::Path`], it limits how often light is spread (diffuse, glossy, rough glass) after the
+    /// first time; its largest value means no limit.
     pub ambient_bounces: u32,
-    /// Rays of a hemisphere gather at the first diffuse hit with full weight. Hits with lower weight get
-    /// proportionally fewer. Each further bounce gets an eighth.
+    /// Rays of a gather at the first diffuse hit with full weight, proportionally fewer with less. Each
+    /// further bounce gets an eighth.
     pub ambient_divisions: u32,
     /// Longest chain of mirror, glass and glossy hits.
     pub max_depth: u32,
@@ -36,13 +35,11 @@ pub struct Settings {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CacheSettings {
     /// Allowed interpolation error in thousandths, by the split-sphere bound of Ward, Rubinstein and Clear
-    /// 1988.
-    ///
-    /// A record is used up to this fraction of the harmonic mean distance to its surroundings. Above 0.3, the
-    /// densest records also lie farther apart. Above 0.4, only they do.
+    /// 1988: a record is used up to this fraction of the harmonic mean distance to its surroundings. Above
+    /// 0.3, the densest records also lie farther apart. Above 0.4, only they do.
     pub accuracy: u32,
-    /// Rays per record, rounded to the nearest of 48, 192, 432, 768, 1200, … Each further bounce uses about a
-    /// quarter, but at least 48.
+    /// Rays per record: nearest of 48, 192, 432, 768, 1200, … Each further bounce uses a quarter, at least
+    /// 48.
     pub rays: u32,
 }
 
@@ -63,13 +60,10 @@ impl UncoveredGathers {
 }
 
 impl CacheSettings {
-    /// Number of rays at uncovered points.
-    ///
-    /// The first sample uses a quarter of a record's rays at accuracy 200. Finer accuracies leave more points
-    /// uncovered and use proportionally more, up to the rays of a record. In an image with few samples, these
-    /// points would otherwise cause most of the error in indirect light. With many samples, each sample
-    /// shares its pixel with others that are noisy for other reasons. Images with 16 to 64 samples have the
-    /// smallest error for their work with 2 to 8 rays.
+    /// Number of rays at uncovered points. The first sample uses a quarter of a record's rays at accuracy
+    /// 200, and proportionally more at finer accuracies, up to the rays of a record. With few samples, these
+    /// points would otherwise cause most of the error. Images with 16 to 64 samples have the smallest error
+    /// for their work with 2 to 8 rays.
     pub fn uncovered(self) -> UncoveredGathers {
         let part = u64::from(self.rays) * 50 / u64::from(self.accuracy.max(1));
         UncoveredGathers { first: (part.min(u64::from(self.rays)) as u32).max(24), least: 4 }
@@ -138,10 +132,7 @@ impl From<&Settings> for RenderSettings {
 }
 
 impl Settings {
-    /// Checks every setting: see [`RenderSettings::check`].
-    ///
-    /// # Errors
-    /// The first setting outside its range.
+    /// Checks every setting (see [`RenderSettings::check`]) and returns the first wrong one.
     pub fn validate(&self) -> Result<(), BadSetting> {
         RenderSettings::from(self).check()
     }

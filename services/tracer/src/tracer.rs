@@ -1,7 +1,5 @@
-//! A frame, ready to be traced.
-//!
-//! [`Tracer::new`] builds the tree, collects the lights and composes the kernel. Pixels can then be traced
-//! one by one, as a profile, or as a whole image. Tracers can be shared between threads.
+//! A frame, ready to be traced. [`Tracer::new`] builds the tree, collects the lights and composes the kernel.
+//! Tracers can be shared between threads.
 
 mod prepare;
 
@@ -31,12 +29,10 @@ use std::sync::{Arc, OnceLock};
 
 /// The kernel of a frame: traces its pixels, and the rays that plan and fill its irradiance cache.
 pub trait Trace: Send + Sync {
-    /// Traces one pixel, given by its row-major index. `each` receives the radiance of every camera sample,
-    /// in order.
+    /// Traces one pixel by row-major index. `each` receives the radiance of every camera sample in order.
     fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
 
-    /// Adds camera samples to a pixel until it has `samples` of them. `each` receives the radiance of each
-    /// new one.
+    /// Adds camera samples to a pixel until it has `samples`. `each` receives the radiance of each new one.
     fn go_on(
         &self,
         tracer: &Tracer,
@@ -46,8 +42,7 @@ pub trait Trace: Send + Sync {
         each: &mut dyn FnMut([f32; 3]),
     );
 
-    /// Finds the sites at which the first `samples` camera samples of a pixel read the first level of the
-    /// cache.
+    /// Sites at which the first `samples` camera samples of a pixel read the first level of the cache.
     fn sites(
         &self,
         tracer: &Tracer,
@@ -125,13 +120,9 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// Sets the number of camera samples of each pixel, in place of [`Settings::spp`]. It can be called once.
-    ///
-    /// A pixel's first samples are the same whatever their number. A cache that is already planned or filled
-    /// stays unchanged.
-    ///
-    /// # Errors
-    /// If there is not one number per pixel of this image, or if sample counts were set before.
+    /// Sets the number of camera samples of each pixel, in place of [`Settings::spp`]. A pixel's first
+    /// samples and an existing cache do not depend on it. Fails on a second call, or if there is not one
+    /// number per pixel.
     pub fn allot(&self, samples: SampleCounts) -> Result<(), SampleCountsError> {
         samples.for_pixels(self.frame.camera.pixels())?;
         self.samples.set(samples).map_err(|_| SampleCountsError::Late)
@@ -153,23 +144,16 @@ impl Tracer {
         }
     }
 
-    /// Sets a cache from which planning starts. Call it before [`Self::plan`].
-    ///
-    /// The cache may be planned or filled, for this image or for others with the same scene and light.
-    /// Records that this image also needs are then planned in addition.
-    ///
-    /// # Errors
-    /// If the cache belongs to another scene, other light or other settings.
+    /// Sets a cache from which planning starts, before [`Self::plan`]. It may be planned or filled, for any
+    /// image with the same scene and light. Fails if scene, light or settings differ.
     pub fn take_cache(&self, cache: Cache) -> Result<(), CacheError> {
         cache.check(self)?;
         *self.given.lock() = Some(cache);
         Ok(())
     }
 
-    /// Uses a cache as it is, without planning more records for this image. It serves to fill the cache.
-    ///
-    /// # Errors
-    /// If the cache belongs to another scene, other light or other settings.
+    /// Uses a cache as it is, without planning more records; serves to fill it. Fails if scene, light or
+    /// settings differ.
     pub fn hold_cache(&self, cache: Cache) -> Result<&Cache, CacheError> {
         cache.check(self)?;
         Ok(self.cache.get_or_init(|| cache))
@@ -195,10 +179,8 @@ impl Tracer {
         self.cache.get().expect("the cache is planned before a kernel reads it")
     }
 
-    /// Gathers the missing records of the cache on the current thread pool. Plans the cache first if
-    /// necessary.
-    ///
-    /// `progress` receives the number of records done and the total. Returns `false` if `cancel` was set.
+    /// Plans the cache if necessary, and gathers its missing records on the current thread pool. `progress`
+    /// receives the number of records done and the total. Returns `false` if `cancel` was set.
     pub fn fill(&self, progress: &(dyn Fn(u64, u64) + Sync), cancel: &AtomicBool) -> bool {
         self.plan();
         let Some(cache) = self.cache.get() else { return true };
@@ -215,10 +197,8 @@ impl Tracer {
         true
     }
 
-    /// Gathers a few records to measure their cost: `each` records of every level, or all if there are fewer.
-    ///
-    /// The records are spread evenly over space, and every record has the same probability. `seed` selects
-    /// the start. Records of the deepest level depend on no other record, so they are kept.
+    /// Gathers `each` records of every level, or all, to measure their cost. They are spread evenly over
+    /// space, with equal probability; `seed` selects the start. Records of the deepest level are kept.
     pub fn sample_records(&self, each: usize, seed: u64) -> Vec<RecordCost> {
         self.plan();
         self.cache.get().map_or_else(Vec::new, |cache| cache.sample(self, each, seed))
@@ -229,9 +209,8 @@ impl Tracer {
         &self.bvh
     }
 
-    /// Lights and objects that cannot affect the image, with the reason for each.
-    ///
-    /// They cost no rays, memory or time, unless the tracer is [`Self::complete`].
+    /// Lights and objects that cannot affect the image, with reasons. They cost nothing, unless the tracer is
+    /// [`Self::complete`].
     pub fn left_out(&self) -> &[LeftOut] {
         self.reach.left_out()
     }
@@ -275,19 +254,15 @@ impl Tracer {
         self.effects
     }
 
-    /// Traces one pixel, given by its row-major index.
-    ///
-    /// Its colour, rays and work depend only on frame, settings and index. If there is a cache that is not
-    /// filled, its colour is not valid.
+    /// Traces one pixel, by row-major index. Colour, rays and work depend only on frame, settings and index.
+    /// With a cache that is not filled, the colour is not valid.
     pub fn pixel(&self, index: u32) -> Pixel {
         self.plan();
         self.kernel.pixel(self, index, &mut |_| ())
     }
 
-    /// Like [`Self::profile`], and reports each camera sample.
-    ///
-    /// `each` receives the position of the pixel in `pixels` and the radiance, in the order of the samples.
-    /// `stop` is called before each pixel; if it returns `true`, the result is `None`.
+    /// Like [`Self::profile`], and passes each camera sample to `each`: the position in `pixels` and the
+    /// radiance, in order. `stop` is called before each pixel; if it returns `true`, the result is `None`.
     pub fn profile_samples(
         &self,
         pixels: &[u32],
@@ -303,30 +278,22 @@ impl Tracer {
     }
 
     /// Gathers the records of the first level that these pixels read, on the current thread pool. Returns the
-    /// cost.
-    ///
-    /// The pixels' colours are then close to those of the image. They are slightly noisier, because fewer
-    /// records are averaged, and deeper levels are followed by single rays. Call it once, and only for these
-    /// pixels; the tracer can no longer render an image. Without a cache the cost is zero. Returns `None` if
-    /// `stop` returned `true`.
+    /// cost, zero without a cache, or `None` if `stop` returned `true`. Colours are then slightly noisier
+    /// than in the image. Call it once; the tracer can then only trace these pixels.
     pub fn fill_for(&self, pixels: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Option<Cost> {
         self.plan();
         self.cache.get().map_or(Some(Cost::default()), |cache| cache.fill_for(self, pixels, stop))
     }
 
-    /// Traces pixels, given by their row-major indices, in the given order. See [`Self::pixel`] for their
-    /// colours.
-    ///
-    /// With a cache, call [`Self::plan`] before calling this from several threads of a pool.
+    /// Traces pixels by row-major indices, in the given order; see [`Self::pixel`]. With a cache, call
+    /// [`Self::plan`] before calling this from several threads of a pool.
     pub fn profile(&self, pixels: &[u32]) -> Vec<Pixel> {
         self.plan();
         timed(|| pixels.iter().map(|&i| self.kernel.pixel(self, i, &mut |_| ())).collect())
     }
 
-    /// Renders the whole image on the current thread pool. Pixels in `reuse` are taken over, the others are
-    /// traced.
-    ///
-    /// `progress` receives the number of pixels done. Returns `None` if `cancel` was set.
+    /// Renders the whole image on the current thread pool, except for pixels in `reuse`. `progress` receives
+    /// the number of pixels done. `None` if `cancel` was set.
     ///
     /// # Panics
     /// If `reuse` was made for another image. Compare fingerprints first.
@@ -339,13 +306,8 @@ impl Tracer {
         self.render_watched(reuse, progress, &|_| (), cancel)
     }
 
-    /// Like [`Self::render`], and reports finished pixels.
-    ///
-    /// `finished` receives the pixels of each tile as soon as they are traced, including those of an
-    /// interrupted tile.
-    ///
-    /// # Panics
-    /// Like [`Self::render`].
+    /// Like [`Self::render`], and passes the pixels of each tile to `finished` once traced, including those
+    /// of an interrupted tile. Panics like it.
     pub fn render_watched(
         &self,
         reuse: Option<&Profile>,

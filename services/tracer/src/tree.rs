@@ -4,8 +4,7 @@ use crate::Reach;
 use forelight_bvh::{Bvh, Hit, Ray, Traversal};
 use forelight_scene::Geometry;
 
-/// A BVH over a frame's triangles, or over those that light paths from the camera can meet. Hits refer to
-/// triangles by their index in the frame.
+/// A BVH over a frame's triangles, or those that light paths can meet. Hits use the frame's indices.
 pub struct Tree {
     bvh: Bvh,
     /// The triangles in the tree, ascending. `None` means all triangles.
@@ -26,8 +25,7 @@ impl Tree {
         Self { bvh, held }
     }
 
-    /// Returns `true` if this tree holds exactly the triangles that can be met. It must be built for the same
-    /// geometry.
+    /// Whether this tree, built for the same geometry, holds exactly the triangles that can be met.
     pub(crate) fn is_over(&self, geometry: &Geometry, reach: &Reach) -> bool {
         self.held == Self::to_hold(geometry, reach)
     }
@@ -52,8 +50,7 @@ impl Tree {
         self.bvh.bytes() + self.held.as_ref().map_or(0, |held| size_of_val(&**held))
     }
 
-    /// See [`Bvh::closest`]. Ties go to the lowest index in the frame here too, because the held triangles
-    /// are ascending.
+    /// See [`Bvh::closest`]. Ties go to the lowest index, because the held triangles are ascending.
     #[inline(always)]
     pub(crate) fn closest(
         &self,

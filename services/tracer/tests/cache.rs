@@ -1,5 +1,4 @@
-//! The irradiance cache: the same bits whoever plans, fills and reads it; right where the answer is known;
-//! refused where it is not what it says.
+//! The irradiance cache: same bits whoever makes it, right where the answer is known, bad files refused.
 
 mod support;
 

@@ -42,8 +42,7 @@ fn a_white_lambert_sphere_in_a_furnace_disappears() {
 
 #[test]
 fn a_perfect_mirror_in_a_furnace_disappears() {
-    // A flat one: on a tessellated sphere with smooth normals a few rays at the silhouette are mirrored into
-    // it.
+    // A flat light: on a tessellated smooth sphere, a few rays at the silhouette are mirrored into it.
     let mirror = Surface::Metal { f0: Color::plain(Vec3::ONE), alpha: 0.0 };
     let frame = Builder::default()
         .cuboid(Vec3::splat(-1.0), Vec3::ONE, false, material("mirror", mirror, 0.0))
@@ -69,9 +68,9 @@ fn a_pane_in_a_furnace_disappears() {
 
 #[test]
 fn rough_metal_in_a_furnace_loses_only_what_single_scattering_loses() {
-    // White conductor, alpha 0.5: 0.7004 ± 0.001 of the light on a sphere by Monte Carlo quadrature of D G₂ /
-    // (4 μᵢ μₒ) over all pairs of directions, in another program. The sphere's silhouette of radius 1/√8
-    // covers π/8 of the image of side 1.
+    // White conductor, alpha 0.5: it reflects 0.7004 ± 0.001 of the light on a sphere, by Monte Carlo
+    // quadrature of D G₂ / (4 μᵢ μₒ) in another program. The sphere's silhouette of radius 1/√8 covers π/8 of
+    // the image of side 1.
     let value = furnace(Surface::Metal { f0: Color::plain(Vec3::ONE), alpha: 0.5 }, 4);
     let on_sphere = 1.0 - (1.0 - value) / (std::f64::consts::PI / 8.0);
     assert!((on_sphere - 0.7004).abs() < 0.01, "{on_sphere}");
@@ -173,8 +172,7 @@ fn point_light_and_sun_follow_their_definitions() {
         frame.suns.push(Sun { direction, irradiance: Vec3::splat(3.0), angle_deg });
         let expected = 0.5 / std::f64::consts::PI * 3.0 * 0.8;
         let value = mean(&render(&frame, &settings(64, 0)));
-        // Irradiance is a vector: of a disc that is above the horizon as a whole, the surface gets the
-        // cosine's share, however wide it is.
+        // Irradiance is a vector: a disc wholly above the horizon counts by its centre's cosine.
         assert!((value / expected - 1.0).abs() < 2e-3, "{angle_deg}°: {value} against {expected}");
     }
 }

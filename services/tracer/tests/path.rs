@@ -50,8 +50,7 @@ fn blocks(frame: &Frame, settings: &Settings, renders: u32) -> Vec<(f64, f64)> {
     sums.into_iter().map(moments).collect()
 }
 
-/// Compares two images block by block. With 16 renders each, Student's t with about 30 degrees of freedom
-/// passes 5 in one of 40,000 comparisons.
+/// Compares two images by blocks: 16 renders each, so Student's t passes 5 in one of 40,000 comparisons.
 #[track_caller]
 fn agree(a: &[(f64, f64)], b: &[(f64, f64)]) {
     for (i, (a, b)) in a.iter().zip(b).enumerate() {
@@ -160,8 +159,8 @@ fn light_through_panes_and_veils_is_counted_once() {
     let mut materials = frame.materials.to_vec();
     materials.last_mut().expect("the veil").opacity = 0.4;
     frame.materials = materials.into();
-    // The pane mirrors the lamp onto the ceiling: a caustic, which the other integrator leaves out. It looks
-    // at the floor alone.
+    // The pane mirrors the lamp onto the ceiling, a caustic that `ambient` leaves out. Only the floor is
+    // compared.
     frame.camera.forward = Vec3::new(0.0, -0.8, -0.6);
     frame.camera.up = Vec3::new(0.0, 0.6, -0.8);
     frame.camera.origin = Vec3::new(0.0, 0.5, 1.5);
@@ -273,8 +272,8 @@ fn a_closed_emitting_room_sums_the_series_truncated_or_not() {
 
 #[test]
 fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
-    // A caustic: lamp, mirror, diffuse floor. The mirror image of the lamp, seen through a hole of the
-    // mirror's size, is the same.
+    // A caustic (lamp, mirror, diffuse floor) equals the lamp's mirror image behind a hole of the mirror's
+    // size.
     let floor = || {
         let (u, v) = (4.0 * Vec3::X, -4.0 * Vec3::Z);
         Builder::default().quad(Vec3::new(-2.0, 0.0, 2.0), u, v, material("floor", lambert(0.5), 0.0))
@@ -286,13 +285,11 @@ fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
     let shade = || material("shade", lambert(0.0), 0.0);
     let look =
         |s: Builder| s.frame(Vec3::new(-0.5, 2.5, 3.5), Vec3::new(-0.8, 0.0, 0.0), SIZE, Environment::Black);
-    // The plane x = 1: mirror below the lamp's height and to both sides of it, as large as the hole in the
-    // shade.
+    // The plane x = 1: a mirror below and beside the lamp, as large as the hole in the shade.
     let mirror = Surface::Metal { f0: Color::plain(Vec3::ONE), alpha: 0.0 };
     let (corner, u, v) = (Vec3::new(1.0, 0.0, -1.5), 1.5 * Vec3::Y, 3.0 * Vec3::Z);
     let with_mirror = look(lamp(floor(), 0.0).quad(corner, u, v, material("mirror", mirror, 0.0)));
-    // Behind the hole: the image of the lamp at x = 2; the floor beyond x = 1 has to stay out of the
-    // comparison.
+    // Behind the hole: the lamp's image at x = 2. The floor beyond x = 1 is not compared.
     let frame_of_hole = |s: Builder| {
         s.quad(Vec3::new(1.0, 1.5, -3.0), 2.0 * Vec3::Y, 6.0 * Vec3::Z, shade())
             .quad(Vec3::new(1.0, 0.0, -4.5), 1.5 * Vec3::Y, 3.0 * Vec3::Z, shade())
@@ -314,8 +311,7 @@ fn a_mirror_lights_the_floor_as_a_second_lamp_behind_it_would() {
 
 #[test]
 fn an_emitter_that_is_partly_there_shines_in_part() {
-    // Opacity 0.25 of a light that is black otherwise: a quarter of the light, seen directly and by what it
-    // lights.
+    // Opacity 0.25 on an otherwise black light: a quarter of its light, seen directly and indirectly.
     let part = view(lamp(room(), 1, 12.0));
     let mut materials = part.materials.to_vec();
     let lamp_material = materials.last_mut().expect("the lamp");
@@ -345,8 +341,7 @@ fn extreme_lights_and_lights_without_area_leave_no_trace_of_infinity() {
         let relative = mean(&image) / f64::from(radiance);
         assert!((0.05..5.0).contains(&relative), "radiance {radiance}: {relative} times as much");
     }
-    // Slivers, points and denormal specks that emit: as if they were not there, but for light of the order of
-    // their size.
+    // Emitting slivers, points and denormal specks contribute only light of the order of their size.
     let speck = |s: Builder, u: Vec3, v: Vec3| {
         s.quad(Vec3::new(0.2, 0.1, 0.3), u, v, material("speck", lambert(0.5), 1e12))
     };

@@ -23,8 +23,7 @@ fn viewers() -> impl Iterator<Item = Vec3> {
     [0.98f32, 0.7, 0.3, 0.05].into_iter().map(|z| Vec3::new((1.0 - z * z).sqrt(), 0.0, z))
 }
 
-/// Points of the unit cube, evenly spread (Roberts 2018: the plastic number's generalisation to three
-/// dimensions).
+/// Evenly spread points of the unit cube (Roberts 2018, plastic number in three dimensions).
 fn cube(count: u32) -> impl Iterator<Item = (Vec2, f32)> {
     let g = 1.220_744_084_605_759_5_f64;
     let at = move |i: u32, power: i32| ((f64::from(i) + 0.5) / g.powi(power)).fract() as f32;

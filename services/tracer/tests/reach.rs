@@ -28,8 +28,8 @@ fn left_out(frame: &Frame) -> Vec<String> {
     reach(frame).left_out().iter().map(ToString::to_string).collect()
 }
 
-/// A room of 4 × 3 × 4 m with a table on its floor and a lamp, the camera inside; another one beside it; sun,
-/// sky and a street lamp. The room's walls are triangles 0 … 11.
+/// A room of 4 × 3 × 4 m with table, lamp and camera; another room; sun, sky, street lamp. The room's walls
+/// are triangles 0 … 11.
 fn rooms() -> Builder {
     Builder::default()
         .cuboid(
@@ -302,8 +302,7 @@ fn a_camera_close_to_a_wall_leaves_everything_in() {
 
 #[test]
 fn an_acute_corner_on_the_cameras_side_undoes_the_proof() {
-    // A roof whose eaves meet the floor at 27 degrees: a ray that leaves the floor there may start beyond the
-    // roof.
+    // A roof whose eaves meet the floor at 27 degrees: a ray from there may start beyond the roof.
     let tent = |camera: Vec3| {
         let mut frame = Builder::default()
             .cuboid(Vec3::ZERO, Vec3::new(4.0, 1.0, 4.0), true, material("tent", lambert(0.5), 0.0))

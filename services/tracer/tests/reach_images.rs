@@ -1,5 +1,4 @@
-//! Images have the same bits with and without what cannot matter to them, and it costs nothing when it is
-//! left out.
+//! Images have the same bits with and without what is left out, which costs nothing.
 
 mod support;
 
@@ -147,8 +146,7 @@ fn a_tree_is_shared_by_frames_that_see_the_same_of_the_scene_and_by_no_others() 
 
 #[test]
 fn lights_that_cannot_reach_are_not_among_those_chosen_of_many() {
-    // Hundreds of lamps beyond the wall, one in the room: without them the picture is as if they were not
-    // there.
+    // Hundreds of lamps beyond the wall do not change the picture of a room with one lamp.
     let scene = |lamps: i32| {
         let mut builder = Builder::default()
             .cuboid(

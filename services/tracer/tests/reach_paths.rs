@@ -34,12 +34,11 @@ impl Numbers {
     }
 }
 
-/// A scene about one random shell of radius between 1 and 2, made of a cube whose sides are divided and
-/// pushed in and out.
+/// A scene about one random shell with radii 1 to 2: a cube with divided sides, pushed in and out.
 struct Case {
     frame: Frame,
-    /// For each small object: its name, and whether it is by construction on the other side of the shell than
-    /// the camera (`Some`), or crosses it or comes close (`None`).
+    /// Each small object's name, and whether it is beyond the shell from the camera (`None`: it crosses or is
+    /// close).
     small: Vec<(String, Option<bool>)>,
 }
 
@@ -56,8 +55,7 @@ fn case(seed: u32) -> Case {
     builder = builder.cuboid(Vec3::splat(-1.0), Vec3::ONE, false, material("shell", lambert(0.5), 0.0));
     let mut shapes: Vec<(Vec3, Quat)> = Vec::new();
     for i in 0..12 {
-        // Of one size, so that none holds another. Inside the shell's inner sphere, outside its outer one,
-        // and a few anywhere between.
+        // Equal sizes, so none holds another: inside the inner sphere, outside the outer, a few in between.
         let (distance, beyond) = match i % 6 {
             0 | 2 | 4 => (0.4 + 0.4 * n.next(), Some(!inside)),
             1 | 3 => (OUTER + 0.2 + 0.4 * n.next(), Some(inside)),
@@ -77,8 +75,7 @@ fn case(seed: u32) -> Case {
             *p = place + centre + rotation * (0.1 * *p);
         }
     }
-    // The shell: each side of the cube divided, every corner pushed to a radius that depends on its position
-    // alone.
+    // The shell: a divided cube, every corner at a radius that depends only on its position.
     let cube: Vec<[Vec3; 3]> = (0..12).map(|t| geometry.corners(t)).collect();
     let mut pieces = Vec::new();
     for corners in cube {

@@ -1,5 +1,4 @@
-//! Work is put down to the rays that brought it about: all of it, and each part to what would not be there
-//! without it.
+//! All work is attributed to the rays that caused it.
 
 mod support;
 
@@ -43,8 +42,8 @@ fn ambient_is_what_would_not_be_there_without_indirect_light() {
     for settings in [settings(1), settings(2), Settings { cache, ..settings(2) }] {
         let by_ray = totals(&frame, &settings).work_by_ray;
         assert_eq!(by_ray[PRIMARY], direct[PRIMARY], "{settings:?}");
-        // Points in mirrors share their random sequences with gathered ones, so they look at other points of
-        // the same lights.
+        // Points in mirrors share random sequences with gathered ones, so they see other points of the
+        // lights.
         for kind in (0..7).filter(|&kind| kind != AMBIENT) {
             let times = by_ray[kind] as f64 / direct[kind] as f64;
             assert!((times - 1.0).abs() < 0.02, "{times} times {} with {settings:?}", RAY_NAMES[kind]);

@@ -1,9 +1,8 @@
-//! Everything that a forecast of nights rests on.
+//! Input of a forecast of nights.
 
 use forelight_protocol::{Budget, LedgerLine, Night, Node, Timestamp};
 use forelight_store::OpenJob;
 
-/// Everything that the forecast rests on.
 pub(super) struct Basis {
     pub now: Timestamp,
     pub zone: String,
@@ -15,7 +14,6 @@ pub(super) struct Basis {
 }
 
 impl Basis {
-    /// Until when a period is looked at.
     pub(super) fn horizon(&self, until: Timestamp) -> Timestamp {
         self.nights.last().map_or(until, |last| last.until.min(until))
     }

@@ -1,12 +1,12 @@
-//! Why a forecast of nights is not made.
+//! Errors of a forecast of nights.
 
 use forelight_planner as planner;
 use forelight_store::StoreError;
 
-/// Why a forecast cannot be had.
+/// Why a forecast cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BudgetForecastError {
-    /// A field of the request that cannot be.
+    /// A field of the request is invalid.
     #[error("{reason}")]
     Invalid {
         /// JSON pointer to it.
@@ -14,13 +14,13 @@ pub enum BudgetForecastError {
         /// What is wrong with it.
         reason: String,
     },
-    /// The database.
+    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The planner.
-    #[error("what is booked cannot be carried out: {0}")]
+    /// The planner rejected its input.
+    #[error("the bookings cannot be carried out: {0}")]
     Bookings(#[from] planner::InputError),
-    /// The computation panicked, or the service ends.
+    /// The computation panicked, or the service is stopping.
     #[error("the computation was not finished: {0}")]
     Unfinished(#[from] tokio::task::JoinError),
 }

@@ -2,7 +2,7 @@
 
 use forelight_protocol::{Money, MoneyForecast, Timestamp};
 
-/// Paid time to come.
+/// A node's time to be paid for.
 pub(super) struct Paid {
     pub price: Money,
     pub from: Timestamp,
@@ -10,14 +10,14 @@ pub(super) struct Paid {
 }
 
 impl Paid {
-    /// What the part of it between two instants costs.
+    /// Cost of its part between two instants.
     pub(super) fn within(&self, from: Timestamp, until: Timestamp) -> i64 {
         let time = self.until.min(until).micros_since(self.from.max(from));
         self.price.for_micros_at_hourly_rate(time.max(0)).0
     }
 }
 
-/// Adds to a scenario's sum; sums are there once there is something to add.
+/// Adds to a scenario's sum. `sums` is allocated on the first addition.
 pub(super) fn add(sums: &mut Vec<i64>, scenarios: usize, scenario: usize, cost: i64) {
     sums.resize(scenarios, 0);
     sums[scenario] = sums[scenario].saturating_add(cost);
@@ -27,7 +27,7 @@ pub(super) fn sum(amounts: impl Iterator<Item = Money>) -> Money {
     Money(amounts.fold(0i64, |sum, amount| sum.saturating_add(amount.0)))
 }
 
-/// The least of the sorted values that so many per cent do not exceed.
+/// The smallest of the sorted values that this percentage does not exceed.
 pub(super) fn at(sorted: &[i64], per_cent: usize) -> Option<i64> {
     sorted.get((sorted.len() * per_cent).div_ceil(100).saturating_sub(1)).copied()
 }

@@ -1,14 +1,13 @@
-//! Budgets' periods, and what they will have cost.
+//! Periods of budgets, and their expected cost.
 
 use forelight_protocol::{Budget, BudgetOutlook, Money, Timestamp};
 
 use super::basis::Basis;
 use super::money::{quantiles, sum};
 
-/// A budget or deadline is threatened if it is missed more often than this.
+/// A budget or deadline is threatened if the probability of missing it exceeds this.
 pub(super) const THREATENED: f64 = 0.2;
 
-/// A period of a budget that the nights touch.
 pub(super) struct Period<'a> {
     pub budget: &'a Budget,
     pub from: Timestamp,
@@ -17,7 +16,6 @@ pub(super) struct Period<'a> {
     pub to_come: Vec<i64>,
 }
 
-/// Each budget's periods from the first night's begin to the last one's end.
 pub(super) fn periods(basis: &Basis, scenarios: usize) -> Vec<Period<'_>> {
     let Some(last) = basis.nights.last() else { return Vec::new() };
     let mut periods = Vec::new();
@@ -35,7 +33,6 @@ pub(super) fn periods(basis: &Basis, scenarios: usize) -> Vec<Period<'_>> {
     periods
 }
 
-/// A budget's period against what it will have cost by the end of the nights.
 pub(super) fn outlook(period: Period) -> BudgetOutlook {
     let Period { budget, from, until, spent, mut to_come } = period;
     to_come.sort_unstable();

@@ -1,5 +1,4 @@
-//! What is booked, as the scenarios carry it out: with the nodes' calendars, the speeds that they have for each job's class of work, what finished
-//! frames have taught about their jobs, and the parts of shared caches before the frames that wait for them.
+//! The open bookings as planner input.
 
 use std::collections::BTreeMap;
 
@@ -8,8 +7,8 @@ use forelight_protocol::{JobId, NodeId};
 
 use crate::conductor::farm::{Farm, Snapshot};
 
-/// The farm and the bookings that are still to be done of jobs that are not held back. In it a node is known by its place in the snapshot, and a job by its
-/// place in `jobs`.
+/// The farm and the open bookings of jobs not held back. Nodes are numbered by their place in the snapshot,
+/// jobs in `jobs`.
 pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::Input, planner::Plan) {
     let farm = Farm::new(snapshot);
     let nodes: BTreeMap<NodeId, u64> = snapshot.nodes.iter().map(|node| node.id).zip(0..).collect();
@@ -24,20 +23,20 @@ pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::In
     bookings.extend(cache_parts(snapshot, &nodes, &places, false).filter(|booking| !held(booking.job)));
     bookings.extend(farm.standing.iter().filter(|booking| !held(booking.job)).cloned());
     bookings.sort_unstable();
-    // The caller's jobs are more: those that are not booked yet have nothing to be carried out.
+    // The caller's list of jobs is longer: jobs without bookings have nothing to carry out.
     let own: BTreeMap<JobId, u64> = jobs.iter().copied().zip(0..).collect();
     let renamed: Vec<Option<u64>> = farm.jobs.iter().map(|asked| own.get(&asked.job.id).copied()).collect();
     let name = |job: u64| renamed.get(job as usize).copied().flatten();
     bookings.retain_mut(|booking| name(booking.job).map(|own| booking.job = own).is_some());
     input.jobs.retain_mut(|job| name(job.id).map(|own| job.id = own).is_some());
     for job in &mut input.jobs {
-        // The parts of its cache are bookings here, and say in each scenario anew when its frames can begin.
+        // The parts of its cache are bookings here. In each scenario they decide when its frames can begin.
         job.release = now;
     }
     (input, planner::Plan { bookings, ..planner::Plan::default() })
 }
 
-/// What is with workers: frames, and parts of caches. A frame that another node has than the one where it is booked takes as long as that one needs for it.
+/// Frames and cache parts that workers hold. On another node than booked, a frame takes that node's time.
 fn under_way(
     farm: &Farm,
     snapshot: &Snapshot,
@@ -60,7 +59,6 @@ fn under_way(
     frames.chain(cache_parts(snapshot, nodes, places, true)).collect()
 }
 
-/// Parts of caches that a worker has, or has not.
 fn cache_parts<'a>(
     snapshot: &'a Snapshot,
     nodes: &'a BTreeMap<NodeId, u64>,
@@ -71,7 +69,7 @@ fn cache_parts<'a>(
     let parts = snapshot.projected.cache_parts.iter();
     parts.filter(move |part| part.under_way == under_way).filter_map(move |part| {
         let (&node, &job) = nodes.get(&part.node_id).zip(places.get(&part.booking.job_id))?;
-        // That there are others does not matter here.
+        // The number of parts does not matter here.
         let task = planner::Task::SharedCachePart {
             part: part.booking.part,
             parts: part.booking.part.saturating_add(1),
@@ -86,7 +84,7 @@ fn cache_parts<'a>(
     })
 }
 
-/// What a worker has it goes on with, though its node's window be closed: for as long as is expected, and as long again should it take longer.
+/// Keeps a running task's node open past its window, for twice the expected time.
 fn stay_open(node: &mut planner::Node, now: i64, end: i64) {
     let end = end.saturating_add(end.saturating_sub(now));
     node.calendar.push(Interval { start: now, end: Some(end) });

@@ -1,4 +1,4 @@
-//! Carrying out what is booked in many scenarios, and adding up what that costs.
+//! Carries out the bookings in many scenarios and adds up their cost.
 
 use forelight_planner as planner;
 use forelight_protocol::{BudgetForecast, BudgetOutlook, JobId, Night, NightRecord, NotReady, Timestamp};
@@ -12,11 +12,10 @@ use super::planner_input::planner_input;
 use super::sums::Sums;
 use crate::conductor::farm::Snapshot;
 
-/// Scenarios, fewer on farms with so many bookings that it would take long.
 const SCENARIOS: usize = 2000;
 const MOST_DRAWS: usize = 4_000_000;
 
-/// Seed of the scenarios: constant, so that forecasts differ only if the farm does.
+/// Seed of the random numbers. It is constant, so forecasts differ only if the farm does.
 const SEED: u64 = 0x6e69_6768_7473;
 
 pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForecast, BudgetForecastError> {

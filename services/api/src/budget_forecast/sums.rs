@@ -1,5 +1,3 @@
-//! Sums of money by night and by what it is spent on.
-
 use std::collections::BTreeMap;
 
 use forelight_protocol::{CostLine, JobId, LedgerLine, Money, NightForecast, Node, NodeId};
@@ -8,7 +6,6 @@ use forelight_store::OpenJob;
 use super::basis::Basis;
 use super::money::quantiles;
 
-/// What costs are added up by.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
 enum Group {
     Farm,
@@ -17,21 +14,17 @@ enum Group {
     Class(String),
 }
 
-/// Sums by night and group: of what was spent, and of what is to come, scenario by scenario.
+/// Money spent, and future money by scenario, for each night and group.
 pub(super) struct Sums {
     groups: Vec<Group>,
-    /// Groups of each open job and of each node, by their places.
     pub of_jobs: Vec<[usize; 2]>,
     pub of_nodes: Vec<usize>,
-    /// By night and group.
     pub spent: Vec<Vec<i64>>,
     pub to_come: Vec<Vec<Vec<i64>>>,
-    /// All nights together.
     pub all: Vec<i64>,
 }
 
 impl Sums {
-    /// All groups that there are, and what they spent.
     pub(super) fn new(basis: &Basis, scenarios: usize) -> Self {
         let nodes: BTreeMap<NodeId, &Node> = basis.nodes.iter().map(|node| (node.id, node)).collect();
         let of_line = |line: &LedgerLine| {
@@ -50,7 +43,6 @@ impl Sums {
         groups.extend(basis.ledger.iter().flat_map(of_line));
         groups.sort_unstable();
         groups.dedup();
-        // Every group is in the list; the farm is the first.
         let place = |group: Group| groups.binary_search(&group).unwrap_or(0);
         let mut spent = vec![vec![0i64; groups.len()]; basis.nights.len()];
         for line in &basis.ledger {
@@ -98,7 +90,7 @@ impl Sums {
                 Group::Project(name) => projects.push(line(name.clone(), None, place)),
                 Group::Job(id) => {
                     let open = basis.jobs.iter().find(|open| open.job.id == *id);
-                    // Of jobs that are done, only the cost is left.
+                    // Of finished jobs only the cost is known here.
                     let name = open.map_or_else(|| id.to_string(), |open| open.job.name.clone());
                     jobs.push(line(name, Some(*id), place));
                 }
@@ -119,7 +111,6 @@ impl Sums {
     }
 }
 
-/// Nodes of the same cores, speed and price are a class.
 fn class(node: &Node) -> String {
     format!("{} cores of speed {} at {} an hour", node.cores, node.speed, node.price_per_hour)
 }

@@ -1,4 +1,4 @@
-//! Nights whose cost can be worked out by hand: what is forecast has no spread, so every quantile is the sum itself.
+//! Nights whose cost can be worked out by hand. Forecasts have no spread, so every quantile equals the sum.
 
 use forelight_protocol::{
     Booking, BookingId, ByClass, ForecastTotals, FrameSet, Job, JobId, NodeId, PlanId, Quantiles,
@@ -15,7 +15,6 @@ use crate::conductor::farm::Snapshot;
 const SECOND: i64 = 1_000_000;
 const UNIT: i64 = 1_000_000;
 
-/// Six in the evening, and so many seconds.
 fn at(seconds: i64) -> Timestamp {
     let evening: Timestamp = "2026-03-01T18:00:00Z".parse().unwrap();
     evening.plus_micros(seconds * SECOND)
@@ -29,7 +28,7 @@ fn job_id() -> JobId {
     JobId(Uuid::from_u128(9))
 }
 
-/// A node of one core that takes so many picoseconds for an operation that waits for memory, and a nanosecond for any other.
+/// A node of one core. A memory operation takes this many picoseconds, any other a nanosecond.
 fn node(
     number: u128,
     price: i64,
@@ -70,7 +69,7 @@ fn job(frames: &str) -> Job {
     .unwrap()
 }
 
-/// An hour of a core of speed 1 for each frame, all of it waiting for memory.
+/// CPU seconds of a frame on a core of speed 1: one hour, all of it memory work.
 const FRAME: f64 = 3600.0;
 
 fn forecast(frames: usize) -> JobForecast {
@@ -95,7 +94,6 @@ fn booking(frame: u32, node: u128, start: i64, end: i64) -> Booking {
     }
 }
 
-/// What two nights cost, to the micro-unit.
 fn forecast_of(
     nodes: Vec<forelight_protocol::Node>,
     bookings: &[OpenBooking],
@@ -158,18 +156,18 @@ fn waiting(booking: Booking) -> OpenBooking {
     OpenBooking { booking, holder: None }
 }
 
-/// From eight to ten past nine in the evening: two half hours, and not three.
+/// Awake from 20:00 to 21:10: two half hours, not three.
 fn an_hour_a_day() -> serde_json::Value {
     json!({"zone": "UTC", "windows": [{"from": "20:00", "until": "21:10"}]})
 }
 
 #[test]
 fn frames_are_paid_for_when_the_node_is_awake_and_for_what_their_class_of_work_takes_there() {
-    // Twice as fast as its speed says: half an hour for a frame. Two fit into the evening's window, the third into that of the next night.
+    // Half an hour per frame. Two frames fit into the evening's window, the third into the next night's.
     let nodes = vec![node(1, 3_600 * 1000, 500, an_hour_a_day())];
     let bookings: Vec<_> =
         (0..3).map(|i| waiting(booking(i, 1, 1800 * i64::from(i), 1800 * i64::from(i + 1)))).collect();
-    // A thousandth of a unit a second.
+    // A thousandth of a unit per second.
     assert_eq!(costs(&forecast_of(nodes, &bookings, &[])), [36 * UNIT / 10, 18 * UNIT / 10]);
 }
 
@@ -193,10 +191,10 @@ fn parts_of_a_shared_cache_cost_and_the_frames_come_after_them() {
         done,
         holder: None,
     };
-    // Ten minutes for two thousandths a second; in time for the evening.
+    // Ten minutes at two thousandths per second; done before the evening.
     let early = forecast_of(nodes.clone(), &bookings, &[part(0, 0, 600, 0.0)]);
     assert_eq!(costs(&early), [12 * UNIT / 10 + 36 * UNIT / 10, 0]);
-    // Two hours and a half for the half of the part that is left, until half past eight: only one frame fits into what is left of the window.
+    // Half of the part is left: two and a half hours, until 20:30. Only one frame then fits into the window.
     let late = forecast_of(nodes, &bookings, &[part(0, 0, 18_000, 0.5)]);
     assert_eq!(costs(&late), [18 * UNIT + 18 * UNIT / 10, 18 * UNIT / 10]);
 }
@@ -209,7 +207,7 @@ fn a_frame_that_another_node_has_costs_what_it_takes_there_even_while_that_one_s
     ];
     let holder = Holder { node_id: node_id(2), started: at(-100), progress: 0.5 };
     let half_done = OpenBooking { booking: booking(0, 1, 0, 1800), holder: Some(holder) };
-    // Half of an hour of work at two thousandths a second; it is booked where it would take a quarter of an hour more.
+    // Half an hour of work at two thousandths per second.
     let forecast = forecast_of(nodes, &[half_done], &[]);
     assert_eq!(costs(&forecast), [36 * UNIT / 10, 0]);
     assert_eq!(forecast.nights[0].node_classes.len(), 1);

@@ -1,8 +1,8 @@
-//! What people ask about a job's plan.
+//! Answers to questions about a job's plan.
 //!
-//! Questions about the job alone are answered around what is booked, which stands. Questions whose answer may move others plan the farm whole
-//! where it is small enough to be done soon, and otherwise around what is booked, too. Pure but for the clock that says when to stop: what
-//! was not asked by then is named.
+//! Questions about the job alone keep the bookings of all others. Questions that may move others plan the
+//! whole farm if it is small. Pure except for the clock that limits the time; questions not reached by then
+//! are listed.
 
 use std::time::{Duration, Instant};
 
@@ -20,29 +20,24 @@ use super::farm::{Farm, own_confidence};
 use super::qualities::qualities;
 use super::settle::end;
 
-/// Offers on a price curve.
 const POINTS: u32 = 13;
 
-/// An hour, in microseconds.
 const HOUR: i64 = 3_600_000_000;
 
-/// Kinds of nodes of which one more is asked about.
+/// Number of node kinds for which "one more" is tried.
 const KINDS: usize = 3;
 
-/// What is asked about a job.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Question {
-    /// By when; the job's own deadline if absent.
+    /// Deadline to ask about. If absent, the job's own.
     pub deadline: Option<Timestamp>,
-    /// For how much; what is left of the job's own budget if absent.
+    /// Budget to ask about. If absent, what is left of the job's own.
     pub budget: Option<Money>,
-    /// Other qualities of the job.
     pub rungs: Vec<AccuracyRung>,
-    /// How long the answers may take; a question that was begun is answered.
+    /// Time limit for the answers. A question already begun is finished.
     pub patience: Duration,
 }
 
-/// Answers everything that is asked about a job.
 pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<AnswersDoc, AdvanceError> {
     let begun = Instant::now();
     let mut farm = farm.clone();
@@ -89,7 +84,7 @@ pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<An
     }
     if asked.held {
         let project = &asked.job.project;
-        document.why_not.insert(0, format!("the budget of project {project} is used up: nothing goes on before it is raised, or its next period begins"));
+        document.why_not.insert(0, format!("the budget of project {project} is used up: work continues when it is raised or its next period begins"));
     }
     let mut ask = |name: &str, answer: &mut dyn FnMut() -> Result<(), AdvanceError>| {
         if begun.elapsed() < question.patience {
@@ -180,7 +175,6 @@ fn own_offer(farm: &Farm, job: usize, offer: &planner::Offer) -> PriceOffer {
     }
 }
 
-/// Why it cannot be done by then, or for that.
 fn why_not(
     farm: &Farm,
     around: &planner::Input,
@@ -196,16 +190,16 @@ fn why_not(
         (None, _) => reasons.push(if farm.nodes.is_empty() {
             "there is no node that takes work".to_owned()
         } else {
-            "some of its frames fit into no free time of any node".to_owned()
+            "some of its frames do not fit into any node's free time".to_owned()
         }),
         (Some(finish), Some(deadline)) if finish > deadline => {
             reasons.push(format!(
-                "around what is booked it ends {} after the deadline",
+                "around the existing bookings it ends {} after the deadline",
                 duration(finish - deadline)
             ));
             match entry.and_then(|entry| asked.finish(entry.bound.earliest_finish())) {
                 Some(bound) if bound > deadline => reasons.push(format!(
-                    "with all {} nodes to itself, but for what is booked, it ends at {} at the earliest",
+                    "with all free time of {} nodes it ends at {} at the earliest",
                     farm.nodes.len(),
                     Timestamp::from_micros(bound)
                 )),
@@ -243,10 +237,8 @@ fn why_not(
         && entry.cost > budget.micro_units()
     {
         let above = entry.cost.saturating_sub(budget.micro_units());
-        reasons.push(format!(
-            "the cheapest plan that was found costs {} more than is left of the budget",
-            amount(above)
-        ));
+        reasons
+            .push(format!("the cheapest plan found costs {} more than the budget has left", amount(above)));
     }
     reasons
 }
@@ -255,14 +247,13 @@ fn amount(micro_units: i64) -> String {
     Money(micro_units).to_string()
 }
 
-/// Jobs that end later because this one is there.
 fn pushed_back(farm: &Farm, job: usize) -> Result<Vec<MovedJob>, AdvanceError> {
     let own = job as u64;
     let whole = farm.asked_whole(job, &farm.standing);
     if whole.jobs.len() < 2 {
         return Ok(Vec::new());
     }
-    // Without it the others may close up, so nothing of theirs is held where it is.
+    // Without the job the others may close up, so their bookings are not fixed.
     let mut without = planner::Input { movable: Vec::new(), ..whole };
     without.jobs.retain(|other| other.id != own);
     let Some(itself) = farm.input.jobs.get(job) else { return Ok(Vec::new()) };
@@ -271,7 +262,7 @@ fn pushed_back(farm: &Farm, job: usize) -> Result<Vec<MovedJob>, AdvanceError> {
     Ok(farm.moved(&effect, own).into_iter().filter(later).collect())
 }
 
-/// What one more node, an hour more and a node's death would do.
+/// Effects of one more node, one more hour and the loss of a node.
 fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
     let own = job as u64;
     let whole = farm.asked_whole(job, &farm.standing);
@@ -289,7 +280,7 @@ fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
     let mut found = Vec::new();
     for change in &changes {
         let input = planner::changed(&whole, change)?;
-        // More room is no use to those who stay where they are.
+        // More nodes do not help jobs whose bookings stay fixed.
         let more = matches!(change, Change::MoreNodes { .. });
         let after = planner::plan(&planner::Input {
             movable: if more { Vec::new() } else { input.movable.clone() },
@@ -308,7 +299,7 @@ fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
     Ok(found)
 }
 
-/// The node that has most of a job's booked time; of equals the one with the least id.
+/// The node with most of a job's booked time. Ties go to the smaller id.
 fn busiest(farm: &Farm, job: u64) -> Option<u64> {
     let time = |node: u64| {
         let own = farm.standing.iter().filter(|booking| booking.job == job && booking.node == node);
@@ -318,7 +309,6 @@ fn busiest(farm: &Farm, job: u64) -> Option<u64> {
     nodes.max_by_key(|&node| (time(node), std::cmp::Reverse(node))).filter(|&node| time(node) > 0)
 }
 
-/// The price curve as a picture.
 pub(crate) fn curve_svg(document: &AnswersDoc) -> Result<String, PlotError> {
     let offer = |offer: &PriceOffer| plots::Offer {
         deadline: offer.deadline.micros(),

@@ -15,7 +15,7 @@ use super::settle::{Settled, Unsettled, settle};
 use super::{AdvanceError, Conductor, compute};
 
 impl Conductor {
-    /// Plans the farm with the job, has the plan verified, and keeps forecast, plan and bookings. `rungs` are other qualities of the job.
+    /// Plans the farm with the job, verifies and keeps the plan. `rungs` are other qualities of the job.
     pub(super) async fn book(
         &self,
         job: &Job,
@@ -36,7 +36,7 @@ impl Conductor {
             let farm = Farm::new(&snapshot);
             let place = farm
                 .place(id)
-                .ok_or_else(|| AdvanceError::Hopeless("the plan says nothing of the job".to_owned()))?;
+                .ok_or_else(|| AdvanceError::Hopeless("the plan has no verdict on the job".to_owned()))?;
             Ok(settle(&farm, Some(place)).and_then(|mut settled| {
                 add_qualities(&mut settled, &farm, place, &rungs)?;
                 Ok(settled)
@@ -67,12 +67,11 @@ impl Conductor {
         Ok(())
     }
 
-    /// Nodes that may be booked now.
     pub(super) async fn nodes_for_plans(&self, now: Timestamp) -> Result<Vec<Node>, AdvanceError> {
         Ok(bookable(self.store.nodes(None, MOST_NODES).await?, now, self.started))
     }
 
-    /// A plan that the verifier passed, or why there is none.
+    /// The plan if the verifier accepts it, else why there is none.
     pub(super) fn passed(&self, settled: Result<Settled, Unsettled>) -> Result<Settled, AdvanceError> {
         settled.map_err(|unsettled| match unsettled {
             Unsettled::Refused(violations) => {
@@ -84,7 +83,7 @@ impl Conductor {
     }
 }
 
-/// A job that gets its first plan, as the farm has those that have one.
+/// A job that gets its first plan, in the form of the jobs that have one.
 fn fresh(job: &Job, kept: &JobForecast, forecast: &Quote, spent: Money) -> FarmJob {
     FarmJob {
         job: job.clone(),
@@ -106,7 +105,7 @@ fn fresh(job: &Job, kept: &JobForecast, forecast: &Quote, spent: Money) -> FarmJ
     }
 }
 
-/// A job that cannot be had as asked for can be had at another quality, perhaps: the best that fits is one of its ways out.
+/// Adds the best quality that fits as a way out, for a job that does not fit as requested.
 fn add_qualities(
     settled: &mut Settled,
     farm: &Farm,
@@ -130,7 +129,7 @@ fn add_qualities(
     Ok(())
 }
 
-/// Why a plan that the verifier does not pass is not kept, in one line that becomes the job's error.
+/// Why the verifier rejects a plan, in one line. It becomes the job's error.
 fn refused(violations: &[planner::Violation]) -> AdvanceError {
     const SHOWN: usize = 3;
     let mut broken: Vec<String> = violations.iter().take(SHOWN).map(ToString::to_string).collect();
@@ -143,7 +142,7 @@ fn refused(violations: &[planner::Violation]) -> AdvanceError {
     ))
 }
 
-/// CPU seconds of the job on calibrated nodes, each name once and the first ones by name.
+/// CPU seconds of the job on calibrated nodes: each name once, the first ones by name.
 fn on_calibrated(forecast: &JobForecast, nodes: &[Node]) -> Vec<NodeSeconds> {
     let work = forecast.work_by_class.as_ref();
     let speeds = nodes.iter().filter_map(|node| Some((&node.name, node.corrected_speed(work)?)));
@@ -165,12 +164,12 @@ fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewPartBooking
             start: Timestamp::from_micros(booking.start),
             end: Timestamp::from_micros(booking.end),
         }),
-        None => Err(AdvanceError::Hopeless("the plan books a part on a node that there is not".to_owned())),
+        None => Err(AdvanceError::Hopeless("the plan books a cache part on an unknown node".to_owned())),
     }
 }
 
-/// Fills in what depends on the farm: into how many parts a shared cache is split, and everything in money, at the mean price that the nodes ask
-/// for a second of a core of speed 1.
+/// Fills in the parts of a shared cache and all amounts of money, at the nodes' mean price for a CPU second
+/// at speed 1.
 fn price(kept: &mut JobForecast, forecast: &Quote, nodes: &[Node]) {
     let mean_price = mean_price(nodes, kept.work_by_class.as_ref());
     let cost = |cpu_seconds: &Quantiles| mean_price.map(|price| cpu_seconds.in_money(price));
@@ -191,7 +190,6 @@ mod tests {
     use super::*;
     use forelight_planner::Interval;
 
-    /// One node, and a job of six frames.
     fn input() -> planner::Input {
         let frame = |number| planner::Frame { number, work: 1_000_000, ..planner::Frame::default() };
         planner::Input {

@@ -1,4 +1,4 @@
-//! What changes would do, from the planner's numbers to names and words.
+//! Effects of changes: turns the planner's numbers into names and words.
 
 use forelight_planner as planner;
 use forelight_planner::{Change, Effect};
@@ -7,9 +7,8 @@ use forelight_protocol::{Money, MovedJob, PlanChange, PlanEffect, Timestamp};
 use super::AdvanceError;
 use super::farm::{Farm, own_confidence};
 
-/// Frames that wait, on a farm that is small enough to be planned whole for a question.
+/// Most waiting frames of a farm that is small enough to be planned whole for a question.
 const SMALL: usize = 600;
-/// Jobs on such a farm.
 const FEW: usize = 40;
 
 impl From<planner::InputError> for AdvanceError {
@@ -19,7 +18,7 @@ impl From<planner::InputError> for AdvanceError {
 }
 
 impl Farm {
-    /// What is asked when the answer may move others: everything, or on a large farm the job around what is booked, which then stays.
+    /// Planner input for a question that may move others. On a large farm only the job is planned.
     pub fn asked_whole(&self, job: usize, standing: &[planner::Booking]) -> planner::Input {
         if standing.len() <= SMALL && self.jobs.len() <= FEW {
             self.with_standing(standing)
@@ -28,8 +27,7 @@ impl Farm {
         }
     }
 
-    /// The three cheapest ways to keep the job's deadline, or to stay within its budget, if it does not. `standing` is the plan in which it
-    /// does not.
+    /// The three cheapest ways to keep the job's deadline or budget that `standing` misses.
     pub fn ways_out(
         &self,
         job: usize,
@@ -49,7 +47,6 @@ impl Farm {
         Ok(found)
     }
 
-    /// Ways to stay within the budget: a deadline that it pays for, less confidence.
     fn cheaper(&self, job: usize, standing: &[planner::Booking]) -> Result<Vec<PlanEffect>, AdvanceError> {
         let around = self.around(job, standing);
         let own = job as u64;
@@ -89,7 +86,6 @@ impl Farm {
         Ok(found)
     }
 
-    /// An effect that the planner worked out. None of changes that this farm does not know.
     pub fn effect(&self, effect: &Effect, job: usize) -> Option<PlanEffect> {
         let own = job as u64;
         let finish = self.jobs[job].finish(effect.end(own));
@@ -97,7 +93,6 @@ impl Farm {
         self.told(&effect.change, effect.added_cost, finish, in_time, &self.moved(effect, own), job)
     }
 
-    /// The other jobs that end at another time, or miss their deadlines.
     pub fn moved(&self, effect: &Effect, own: u64) -> Vec<MovedJob> {
         let moved = effect.moved().into_iter().filter(|&(other, _)| other != own);
         moved
@@ -113,7 +108,6 @@ impl Farm {
             .collect()
     }
 
-    /// A change and its effect on a job, in words as well.
     pub fn told(
         &self,
         change: &Change,
@@ -142,7 +136,6 @@ impl Farm {
         })
     }
 
-    /// A change with our names.
     fn named(&self, change: &Change, job: usize) -> Option<(PlanChange, String)> {
         let node = |id: u64| self.nodes.get(usize::try_from(id).ok()?);
         let other = |id: u64| Some(&self.jobs.get(usize::try_from(id).ok()?)?.job);
@@ -184,7 +177,7 @@ impl Farm {
     }
 }
 
-/// `+1.20` or `-0.35`, in units of the currency, or `at no extra cost`.
+/// `+1.20` or `-0.35` in units of the currency, or `at no extra cost`.
 pub(crate) fn priced(micro_units: i64) -> String {
     match micro_units {
         0 => "at no extra cost".to_owned(),
@@ -193,7 +186,7 @@ pub(crate) fn priced(micro_units: i64) -> String {
     }
 }
 
-/// A length of time for people, from microseconds.
+/// A duration for people, from microseconds.
 pub(crate) fn duration(micros: i64) -> String {
     let seconds = micros / 1_000_000;
     match (seconds / 3600, seconds / 60 % 60, seconds % 60) {

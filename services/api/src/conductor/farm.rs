@@ -1,5 +1,4 @@
-//! The farm as the planner wants it: nodes with their prices, calendars and speeds, what is under way, what is booked, and the jobs with
-//! what is left of them. Nodes, jobs and projects are numbers there, ours by their place in a list.
+//! The farm as planner input. Nodes, jobs and projects are numbered by their place in a list.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,20 +13,20 @@ use forelight_store::{
     free_time_of, opening, project, silence,
 };
 
-/// Nodes that a plan looks at.
 pub(super) const MOST_NODES: u32 = 10_000;
 
-/// The planner counts work in whole units, of which a node does so many a second; ours are nanoseconds of a core of speed 1.
+/// The planner counts whole units of work: here nanoseconds of a core of speed 1.
 const PER_SECOND: f64 = 1e9;
 
-/// Calendars are told to the planner this far beyond the last deadline: eight weeks, in microseconds.
+/// Calendars reach this far beyond the last deadline: eight weeks, in microseconds.
 const BEYOND: i64 = 56 * 86_400_000_000;
 
-/// Of a deadline that is further away than this no calendar is told: a year, in microseconds. One far job makes no plan slow.
+/// Deadlines further away than a year (in microseconds) do not extend the calendars, since that would slow
+/// every plan.
 const FURTHEST: i64 = 366 * 86_400_000_000;
 
-/// What a plan rests on. The newest plan and what happened since are read before everything else: should either change meanwhile, the
-/// store refuses the plan, or has another one made after it.
+/// Input of a plan. The newest plan and the events since are read first, so the store notices if either
+/// changes.
 #[derive(Clone, Debug)]
 pub(crate) struct Snapshot {
     pub now: Timestamp,
@@ -36,19 +35,17 @@ pub(crate) struct Snapshot {
     pub nodes: Vec<Node>,
     pub jobs: Vec<FarmJob>,
     pub projects: Vec<ProjectUse>,
-    /// What is expected of what is booked, and is not done.
+    /// Expected course of all bookings that are not done.
     pub projected: Projection,
 }
 
 impl Snapshot {
-    /// The farm at `now`; the service runs since `started`.
     pub async fn read(store: &Store, now: Timestamp, started: Timestamp) -> Result<Self, StoreError> {
         let snapshot = Self::with_all_nodes(store, now).await?;
         let nodes = bookable(snapshot.nodes, now, started);
         Ok(Self { nodes, ..snapshot })
     }
 
-    /// The same with the nodes that may not be booked.
     pub async fn with_all_nodes(store: &Store, now: Timestamp) -> Result<Self, StoreError> {
         let wanted = store.wanted_plan().await?;
         let parent = store.newest_plan().await?;
@@ -60,45 +57,40 @@ impl Snapshot {
     }
 }
 
-/// The nodes that may be booked: those that take tasks and are not lost. Nobody can be heard of while the service is down, so for a while
-/// after its start silence is counted up to when the last of them was heard of.
+/// The nodes that may be booked: they take tasks and are not lost. No node is heard of while the service is
+/// down. So for a while after its start, silence counts only up to the latest sign of any node.
 pub(crate) fn bookable(nodes: Vec<Node>, now: Timestamp, started: Timestamp) -> Vec<Node> {
     let last_heard = nodes.iter().map(|node| node.last_seen_at).max().unwrap_or(now);
     let until = if now.micros_since(started) <= LOST { last_heard.min(now) } else { now };
     nodes.into_iter().filter(|node| node.takes_tasks() && silence(node, until) <= LOST).collect()
 }
 
-/// The planner's view.
 #[derive(Clone, Debug)]
 pub(crate) struct Farm {
-    /// Without what stands.
     pub input: planner::Input,
-    /// Where waiting frames are booked as things stand: in the order of their bookings, none before its own, each as long as it now takes.
+    /// Expected bookings of waiting frames: same order, none before its booking, each as long as now
+    /// expected.
     pub standing: Vec<planner::Booking>,
-    /// The same as the plans so far have them.
+    /// The same bookings as in the plans so far.
     pub booked: Vec<planner::Booking>,
     pub nodes: Vec<Node>,
     pub jobs: Vec<Asked>,
 }
 
-/// A job beside what the planner knows of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Asked {
     pub job: Job,
-    /// What its forecast is multiplied by, and what it was multiplied by in the plan before.
+    /// Factor on its forecast, now and in the plan before.
     pub factor: f64,
     pub factor_before: f64,
-    /// When the last of its frames that are with a worker should be done.
     pub under_way: Option<i64>,
-    /// What it has cost and what of it is under way will, see [`FarmJob::spent`]; micro-units.
+    /// Its cost so far, with the expected cost of running tasks, in micro-units; see [`FarmJob::spent`].
     pub spent: i64,
     pub held: bool,
-    /// Its frames that are done or with a worker.
     pub begun: BTreeSet<u32>,
 }
 
 impl Asked {
-    /// Whether a plan said that it keeps the job's deadline.
     pub fn is_promised(&self) -> bool {
         let on_time = self
             .job
@@ -108,12 +100,12 @@ impl Asked {
         self.job.deadline.is_some() && (self.job.promise.is_some() || on_time)
     }
 
-    /// The end of the job, if a plan ends what waits of it at `planned`.
+    /// End of the job, if a plan ends its waiting frames at `planned`.
     pub fn finish(&self, planned: Option<i64>) -> Option<i64> {
         planned.map(|planned| self.under_way.map_or(planned, |end| end.max(planned)))
     }
 
-    /// Whether that keeps its deadline; without one, whether there is an end.
+    /// Whether that end keeps the deadline. Without a deadline, whether there is an end.
     pub fn is_kept(&self, finish: Option<i64>) -> bool {
         finish.is_some_and(|finish| self.job.deadline.is_none_or(|deadline| finish <= deadline.micros()))
     }
@@ -167,12 +159,11 @@ impl Farm {
         Self { input, standing, booked, nodes: snapshot.nodes.clone(), jobs: asked }
     }
 
-    /// Place of a job.
     pub fn place(&self, job: JobId) -> Option<usize> {
         self.jobs.iter().position(|asked| asked.job.id == job)
     }
 
-    /// Everything, with what is booked as what stands and may move only to keep a deadline.
+    /// The whole farm. Standing bookings move only to keep a deadline.
     pub fn with_standing(&self, standing: &[planner::Booking]) -> planner::Input {
         planner::Input { movable: standing.to_vec(), ..self.input.clone() }
     }
@@ -194,7 +185,6 @@ impl Farm {
     }
 }
 
-/// Beside what the planner knows of a job.
 fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
     let under_way =
         projected.iter().filter(|frame| frame.under_way && frame.booking.job_id == farm_job.job.id);
@@ -210,7 +200,7 @@ fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
     }
 }
 
-/// What a job's forecast is multiplied by: what its living estimate says of the rest, if that is news, and otherwise what it was.
+/// Factor on a job's forecast. It is that of the estimate if that has changed enough, else the previous one.
 fn learned(farm_job: &FarmJob) -> f64 {
     let found = farm_job.job.live.as_ref().map_or(1.0, |live| live.cpu_seconds.factor);
     if is_news(found, farm_job.factor) { found } else { farm_job.factor }
@@ -226,7 +216,7 @@ fn planner_job(
 ) -> planner::Job {
     let job = &farm_job.job;
     let factor = asked.factor;
-    // What a job that is booked shares is booked too, and stands; of one that is not, it is planned with the frames.
+    // The shared cache of a booked job stands. That of a new job is planned with its frames.
     let is_new = job.plan_id.is_none();
     planner::Job {
         id,
@@ -266,7 +256,7 @@ fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare:
         available_from: now.micros(),
         ..planner::Node::default()
     };
-    // Nothing is handed out that might not be done when the window ends, so it is planned as if it ended that much earlier.
+    // Tasks that might outlast the window are not handed out, so the plan ends the window earlier.
     let spare = found.duration(spare, 0).unwrap_or(0);
     found.calendar = free_time_of(node, now, horizon)
         .into_iter()
@@ -278,7 +268,7 @@ fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare:
     found
 }
 
-/// By how much a waiting frame's work may exceed what is bought for it, in one case of twenty, at most.
+/// Largest excess of a waiting frame's P95 over its booking.
 fn spare_work(snapshot: &Snapshot, jobs: &[planner::Job]) -> u64 {
     let asked = snapshot.jobs.iter().filter(|job| job.forecast.is_some());
     let mut most = 0;
@@ -294,7 +284,6 @@ fn spare_work(snapshot: &Snapshot, jobs: &[planner::Job]) -> u64 {
     most
 }
 
-/// A project in the planner's words.
 pub(crate) fn planner_project(project: &ProjectUse, id: u64) -> planner::Project {
     planner::Project {
         id,
@@ -304,13 +293,11 @@ pub(crate) fn planner_project(project: &ProjectUse, id: u64) -> planner::Project
     }
 }
 
-/// The planner's class of work like a job's.
 fn class(job: u64) -> u32 {
-    // Zero is that of nodes as such.
+    // Class 0 is the node's general speed.
     u32::try_from(job).map_or(u32::MAX, |job| job.saturating_add(1))
 }
 
-/// What a node does a second of work like each job's, where it is calibrated for its classes.
 fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
     let known = jobs.iter().filter_map(|job| job.forecast.as_ref());
     let speed = |(forecast, id): (&JobForecast, u64)| {
@@ -320,14 +307,12 @@ fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
     known.zip(0..).filter_map(speed).collect()
 }
 
-/// The irradiance cache that the frames share and wait for, as the planner's work.
 fn shared_cache(cache: &CacheQuote, job: u64) -> Option<planner::SharedCache> {
     let shared = cache.shared_cache.as_ref()?;
     let work = units(shared.cpu_seconds.p50).max(1);
     Some(planner::SharedCache { class: class(job), work, parts: shared.parts })
 }
 
-/// What is not planned again: frames that are with a worker, and parts of shared caches.
 fn under_way(
     snapshot: &Snapshot,
     nodes: &BTreeMap<NodeId, u64>,
@@ -354,8 +339,8 @@ fn under_way(
         .collect()
 }
 
-/// Where waiting frames are booked as things stand. Their order on each node stays; each starts no earlier than it is booked and no earlier than
-/// the one before it is done, and lasts as long as its node now takes for what is now bought for it.
+/// Expected bookings of waiting frames. Each starts no earlier than booked and than the previous one's end,
+/// in the same order, and lasts as long as its node now needs.
 fn standing(
     input: &planner::Input,
     projected: &[Projected],
@@ -369,7 +354,6 @@ fn standing(
         *free = (*free).max(fixed.end);
     }
     let mut standing = Vec::new();
-    // In the order of their starts.
     for frame in projected.iter().filter(|frame| !frame.under_way) {
         let Some((&node, &job)) = nodes.get(&frame.node_id).zip(jobs.get(&frame.booking.job_id)) else {
             continue;
@@ -388,7 +372,6 @@ fn standing(
     standing
 }
 
-/// The bookings of waiting frames as they are kept.
 fn booked(
     projected: &[Projected],
     nodes: &BTreeMap<NodeId, u64>,
@@ -405,7 +388,6 @@ fn booked(
         .collect()
 }
 
-/// A confidence in the planner's words.
 pub(crate) fn confidence(confidence: Confidence) -> planner::Confidence {
     match confidence {
         Confidence::P50 => planner::Confidence::P50,
@@ -414,7 +396,6 @@ pub(crate) fn confidence(confidence: Confidence) -> planner::Confidence {
     }
 }
 
-/// A confidence in the words of the API.
 pub(crate) fn own_confidence(confidence: planner::Confidence) -> Confidence {
     match confidence {
         planner::Confidence::P50 => Confidence::P50,
@@ -423,37 +404,33 @@ pub(crate) fn own_confidence(confidence: planner::Confidence) -> Confidence {
     }
 }
 
-/// So many times as much.
 pub(crate) fn times(quantiles: &Quantiles, factor: f64) -> Quantiles {
     let Quantiles { mean, p50, p80, p95 } = *quantiles;
     Quantiles { mean: mean * factor, p50: p50 * factor, p80: p80 * factor, p95: p95 * factor }
 }
 
-/// CPU seconds of all frames as the planner's work.
 pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
     let Quantiles { p50, p80, p95, .. } = *cpu_seconds;
-    // At least one unit, so that no booking is empty however little a frame takes.
+    // At least one unit, so that no booking is empty.
     let [p50, p80, p95] = [p50, p80, p95].map(|seconds| units(seconds).max(1));
-    // Rounding must not make a quantile fall below a lower one.
+    // Rounding must not reverse quantiles.
     planner::WorkTotal { p50, p80: p80.max(p50), p95: p95.max(p80).max(p50) }
 }
 
-/// CPU seconds of a frame, median and P80, as the planner's work.
 pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
     planner::Frame { number: i64::from(number), work: units(p50).max(1), work_p80: units(p80).max(1) }
 }
 
-/// What a node does a second, in the planner's unit of work.
 pub(crate) fn speed(node: &Node) -> u64 {
     units(node.speed * f64::from(node.cores)).max(1)
 }
 
-/// Seconds in the planner's unit of work; saturates at the ends of the range, as float to integer does.
+/// Seconds in the planner's unit of work, saturating.
 fn units(seconds: f64) -> u64 {
     (seconds * PER_SECOND).round() as u64
 }
 
-/// Micro-units, and what is spent already.
+/// Micro-units, including what is already spent.
 pub(crate) fn with_spent(cost: i64, asked: &Asked) -> Money {
     Money(cost.saturating_add(asked.spent))
 }

@@ -1,4 +1,4 @@
-//! What workers measured of a job, and the questions about its cost that follow from it alone.
+//! Measurements of a job, and the answers about its cost that need nothing else.
 
 use forelight_protocol::{AccuracyDoc, Explanation, Job, PreviewResult, RenderSettings};
 use forelight_quote::{Measured, MeasuredProfile, with_samples};
@@ -6,19 +6,18 @@ use forelight_store::{PlannedCache, Store, StoreError};
 
 use super::{AdvanceError, compute};
 
-/// A profiled job.
 #[derive(Clone, Debug)]
 pub(crate) struct JobProfile {
     preview: PreviewResult,
-    /// With the camera samples that the job is rendered with. A job with a limit is profiled with others.
+    /// Profiles at the camera samples of the job's settings. A job with a limit is profiled at others.
     profiles: Vec<MeasuredProfile>,
-    /// The plan of the irradiance cache that its frames share, if they do.
+    /// Plan of the shared irradiance cache. Empty if frames share none.
     shared: PlannedCache,
     settings: RenderSettings,
 }
 
 impl JobProfile {
-    /// Reads it; `None` until the job is profiled.
+    /// Reads the profile. `None` until the job is profiled.
     pub async fn read(store: &Store, job: &Job) -> Result<Option<Self>, StoreError> {
         let Some(preview) = store.preview_result(job.id).await? else { return Ok(None) };
         let profiles = store.profile_results(job.id).await?.filter(|profiles| !profiles.is_empty());
@@ -34,12 +33,10 @@ impl JobProfile {
         Measured::new(&self.preview, &self.profiles).with_cache(self.shared.plan())
     }
 
-    /// What other qualities of the job cost.
     pub async fn qualities(self) -> Result<AccuracyDoc, AdvanceError> {
         compute(move || Ok(self.measured().qualities(&self.settings)?)).await
     }
 
-    /// What the work of the job goes into, or of one of its frames.
     pub async fn explanation(self, frame: Option<u32>) -> Result<Explanation, AdvanceError> {
         compute(move || Ok(self.measured().explain(&self.settings, frame)?)).await
     }

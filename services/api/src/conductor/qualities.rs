@@ -1,4 +1,4 @@
-//! A job at other qualities than it asks for, each planned around what is booked.
+//! Other qualities of a job, each planned around the bookings.
 
 use forelight_planner as planner;
 use forelight_planner::Booking;
@@ -12,20 +12,18 @@ use super::effects::priced;
 use super::farm::{Farm, times, total};
 use super::settle::end;
 
-/// A quality, and what the job is without it.
 pub(crate) struct Offered {
     pub offer: QualityOffer,
     words: String,
 }
 
 impl Offered {
-    /// As a way out for a job that cannot be had as asked for, if it is one.
     pub fn way_out(&self, verdict: &JobVerdict) -> Option<PlanEffect> {
         let cost = verdict.cost.unwrap_or_default();
         (verdict.verdict != Verdict::OnTime).then(|| self.way(cost.micro_units())).flatten()
     }
 
-    /// As a change of a job that costs so much as it is asked for; none if it does not fit, or is that.
+    /// The quality as a change of a job with this cost. `None` if it does not fit or changes nothing.
     pub fn way(&self, cost: i64) -> Option<PlanEffect> {
         let QualityOffer { settings, asked_for, finish, cost: less, fits, .. } = &self.offer;
         if *asked_for || !fits {
@@ -48,8 +46,8 @@ impl Offered {
     }
 }
 
-/// The job at other qualities around what is booked, the best first: by the error of their images, of unknown ones the dearer. What is done of the
-/// job stays as it is done. Each is planned when it is its turn.
+/// Other qualities of the job around the bookings: smallest error first, then those of unknown error, dearer
+/// first. Finished frames stay. Each quality is planned when the iterator reaches it.
 pub(crate) fn qualities<'a>(
     farm: &'a Farm,
     job: usize,
@@ -59,7 +57,7 @@ pub(crate) fn qualities<'a>(
     let own = rungs.iter().find(|rung| rung.asked_for).filter(|rung| rung.cpu_seconds.p50 > 0.0);
     let mut best_first: Vec<&AccuracyRung> = Vec::new();
     for rung in rungs.iter().filter(|_| own.is_some()) {
-        // What is on several ladders is offered once.
+        // A quality on several ladders is offered once.
         if best_first.iter().all(|other| other.settings != rung.settings) {
             best_first.push(rung);
         }
@@ -74,7 +72,6 @@ pub(crate) fn qualities<'a>(
     offered.map(move |(rung, own)| offer(farm, job, &around, own, rung))
 }
 
-/// The job at the quality of a rung beside its own.
 fn offer(
     farm: &Farm,
     job: usize,
@@ -107,7 +104,6 @@ fn offer(
     })
 }
 
-/// What one quality has that another has not.
 fn in_words(other: &RenderSettings, own: &RenderSettings) -> String {
     let cached = |settings: &RenderSettings| settings.cache == CacheMode::On;
     let accuracy = |settings: &RenderSettings| f64::from(settings.cache_accuracy) / 1000.0;
@@ -140,7 +136,6 @@ fn in_words(other: &RenderSettings, own: &RenderSettings) -> String {
     words.join(", ")
 }
 
-/// The job as if each of its frames took so many times as much as the rung does beside its own.
 fn at_quality(job: &mut planner::Job, own: &AccuracyRung, rung: &AccuracyRung, factor: f64) {
     let by = rung.cpu_seconds.p50 / own.cpu_seconds.p50;
     let scaled = |work: u64| ((work as f64 * by).round() as u64).max(1);
@@ -150,7 +145,7 @@ fn at_quality(job: &mut planner::Job, own: &AccuracyRung, rung: &AccuracyRung, f
     }
     job.total = total(&times(&rung.cpu_seconds, factor));
     if rung.settings.cache == CacheMode::Off {
-        // It neither pays nor waits for a cache that the frames share.
+        // It neither pays nor waits for a shared cache.
         job.shared_cache = None;
     }
 }

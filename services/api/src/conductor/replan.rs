@@ -1,8 +1,6 @@
-//! New plans when something happened.
-//!
-//! What calls for one is counted in the database, in the transaction in which it happens (`forelight_store::Wanted`). What nobody writes down, because
-//! it is that nothing happens, is looked for here: a node that is not heard of any more or again, a promise that will not be kept though every frame
-//! takes what it should.
+//! New plans after events, which the database counts (`forelight_store::Wanted`). Two cases write no event
+//! and are watched for here: a node that falls silent or returns, and a job that will miss its promise
+//! although its frames are on forecast.
 
 use std::collections::BTreeSet;
 
@@ -14,25 +12,24 @@ use super::settle::{Settled, settle};
 use super::{ATTEMPTS, AdvanceError, Conductor, compute};
 
 impl Conductor {
-    /// Plans the farm anew if something happened that the newest plan does not know of. Says whether a plan was made, or found to be good still.
+    /// Plans the farm anew if the newest plan is outdated. Returns whether a plan was made or confirmed.
     pub async fn replan_if_due(&self) -> bool {
         for _ in 0..ATTEMPTS {
             match self.store.wanted_plan().await {
                 Ok(wanted) if !wanted.due => return false,
                 Ok(_) => {}
                 Err(error) => {
-                    tracing::warn!(%error, "whether a plan is due could not be read");
+                    tracing::warn!(%error, "it could not be read whether a plan is due");
                     return false;
                 }
             }
             match self.replan().await {
                 Ok(()) => return true,
-                // Overtaken: look again.
                 Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
                     tracing::info!(reason, "the plan is made again");
                 }
                 Err(error) => {
-                    tracing::warn!(%error, "the farm could not be planned anew; the next round tries again");
+                    tracing::warn!(%error, "no new plan could be made; the next round tries again");
                     return true;
                 }
             }
@@ -63,10 +60,9 @@ impl Conductor {
         Ok(())
     }
 
-    /// Looks for what calls for a new plan without anyone saying so.
     pub async fn watch(&self) {
         if let Err(error) = self.try_watch().await {
-            tracing::warn!(%error, "the plan could not be held against the farm; the next round tries again");
+            tracing::warn!(%error, "the plan could not be checked against the farm; the next round tries again");
         }
     }
 
@@ -81,7 +77,7 @@ impl Conductor {
         };
         let name = |node: &NodeId| all.iter().find(|other| other.id == *node).map_or("", |node| &node.name);
         for node in before.iter().flat_map(|before| nodes.difference(before)) {
-            self.store.want_plan(&format!("node {} is there again", name(node))).await?;
+            self.store.want_plan(&format!("node {} is back", name(node))).await?;
         }
         let projected =
             project(&self.store.open_bookings().await?, &self.store.open_cache_parts().await?, now);
@@ -93,14 +89,14 @@ impl Conductor {
             .collect();
         lost.retain(|node| !nodes.contains(node));
         for node in &lost {
-            self.store.want_plan(&format!("node {} is not there", name(node))).await?;
+            self.store.want_plan(&format!("node {} is not responding", name(node))).await?;
         }
         for farm_job in self.store.farm_jobs(now).await? {
             let job = farm_job.job;
             let promised = job.promise.as_ref().is_some_and(|promise| promise.kept);
             let finish = projected.finish_of(job.id);
             if promised && finish.zip(job.deadline).is_some_and(|(finish, deadline)| finish > deadline) {
-                self.store.want_plan(&format!("job {} falls behind", job.name)).await?;
+                self.store.want_plan(&format!("job {} will miss its promise", job.name)).await?;
             }
         }
         Ok(())

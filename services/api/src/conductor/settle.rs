@@ -1,13 +1,11 @@
-//! A plan for the farm as it stands: moving as little as it can, breaking no promise that can be kept.
+//! Plans the farm with as few moves as possible, and breaks no promise that can be kept. Pure.
 //!
-//! 1. What is booked stays, as far as it is still right; what is new, or has lost its place, is placed around it at the least cost in time; failing
-//!    that, one other job makes way (`planner::mend`).
-//! 2. If a promise breaks all the same, or a new job cannot be in time, everything is planned from the beginning, which moves more, and taken if more
-//!    deadlines are kept.
-//! 3. Jobs without a deadline were promised nothing but their turn. When one comes in of a project that others have turns before, all of these are
-//!    dealt out anew, by what each project had for its share.
-//!
-//! Pure: the same snapshot gives the same plan.
+//! 1. Valid bookings stay. Other frames are placed around them at the least cost in time. Failing that, one
+//!    other job makes way (`planner::mend`).
+//! 2. If a promise still breaks, or a new job would be late, everything is planned from scratch. That plan is
+//!    taken if it keeps more deadlines.
+//! 3. Jobs without a deadline are promised only their turn. A new job of a disadvantaged project reorders all
+//!    of them, by what each project had for its share.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,32 +20,27 @@ use super::AdvanceError;
 use super::effects::duration;
 use super::farm::{Asked, Farm, with_spent};
 
-/// Waiting frames beyond which whole plans are made quickly.
+/// With more waiting frames than this, whole plans are made the quick way.
 const LARGE: usize = 5_000;
-/// Scenarios in which a plan is tried, fewer if there are so many bookings that it would take long.
 const SCENARIOS: usize = 400;
 const MOST_DRAWS: usize = 1_000_000;
-/// Seed of the scenarios: constant, so that probabilities differ only if the farm does.
+/// Seed of the random numbers. It is constant, so probabilities differ only if the farm does.
 const SEED: u64 = 0x0070_726f_6d69_7365;
-/// A frame on its node has not moved if it starts by no more than this from where it stood, or a quarter of its length: a minute, in
-/// microseconds.
+/// A frame has moved if its start shifts by more than this (one minute, in microseconds) and a quarter of its
+/// length.
 const STILL: i64 = 60_000_000;
-/// Jobs for which ways out are looked for with one plan.
+/// Most jobs for which one plan looks for ways out.
 const MOST_HELPED: usize = 3;
 
-/// A plan that was verified, and what it means.
 #[derive(Debug)]
 pub(crate) struct Settled {
     pub plan: planner::Plan,
-    /// The jobs that it books otherwise than they were, or of which it says something else.
     pub jobs: Vec<NewJobPlan>,
     pub outlooks: Vec<(JobId, JobOutlook)>,
 }
 
-/// Why a plan is not to be had.
 #[derive(Debug)]
 pub(crate) enum Unsettled {
-    /// The verifier does not pass it.
     Refused(Vec<planner::Violation>),
     Failed(AdvanceError),
 }
@@ -58,7 +51,7 @@ impl<E: Into<AdvanceError>> From<E> for Unsettled {
     }
 }
 
-/// Plans. `fresh` is a job that has no booking yet, by its place.
+/// Makes a plan. `fresh` is the place of a job without bookings.
 pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unsettled> {
     let standing = what_stays(farm, fresh);
     let (plan, at_risk) = least_moved(farm, &standing, fresh)?;
@@ -93,15 +86,15 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
         let of_frames = plan.bookings_of(job as u64).filter(|booking| !booking.task.is_shared_cache());
         let bookings = of_frames.map(|booking| own_booking(farm, booking)).collect::<Option<_>>();
         let bookings = bookings.ok_or_else(|| {
-            AdvanceError::Hopeless("the plan books a node or a frame that there is not".to_owned())
+            AdvanceError::Hopeless("the plan books a node or frame that does not exist".to_owned())
         })?;
         jobs.push(NewJobPlan { verdict: said, bookings, begun: asked.begun.clone(), factor: asked.factor });
     }
     Ok(Settled { plan, jobs, outlooks })
 }
 
-/// The bookings that are not to move without need: all of them, unless a job without a deadline comes in and others would go before it that have
-/// had their turn. Then everyone without a deadline, of its priority or a lower one, takes turns anew.
+/// Bookings that stay unless needed: normally all. If a new job without a deadline is due before others, then
+/// all such jobs of its priority or lower take turns anew.
 fn what_stays(farm: &Farm, fresh: Option<usize>) -> Vec<Booking> {
     let fresh = fresh.map(|fresh| &farm.input.jobs[fresh]).filter(|fresh| fresh.deadline.is_none());
     let Some(fresh) = fresh else { return farm.standing.clone() };
@@ -119,7 +112,7 @@ fn what_stays(farm: &Farm, fresh: Option<usize>) -> Vec<Booking> {
     farm.standing.iter().filter(|booking| !takes_turns(booking)).copied().collect()
 }
 
-/// The plan that moves least, unless one that moves more keeps more deadlines; and the promises that it cannot keep.
+/// The plan with fewest moves, unless another one keeps more deadlines. Also the promises that it breaks.
 fn least_moved(
     farm: &Farm,
     standing: &[Booking],
@@ -142,12 +135,11 @@ fn least_moved(
     if broken(&anew) >= found {
         return Ok((mended.plan, mended.at_risk));
     }
-    // What is left to be mended of it is mended, and what cannot be is at risk.
+    // Remaining broken promises are mended if possible, else reported at risk.
     let mended = planner::mend(&farm.input, &promises(farm, &anew.bookings))?;
     Ok((mended.plan, mended.at_risk))
 }
 
-/// What stands, as a plan that keeps what was promised.
 fn promises(farm: &Farm, standing: &[Booking]) -> planner::Plan {
     let promised = |job: usize| planner::JobPlan {
         job: job as u64,
@@ -164,7 +156,6 @@ fn promises(farm: &Farm, standing: &[Booking]) -> planner::Plan {
     planner::Plan { bookings: standing.to_vec(), jobs, ..planner::Plan::default() }
 }
 
-/// When a job ends in a plan, with what is under way.
 pub(crate) fn end(farm: &Farm, plan: &planner::Plan, job: usize) -> Option<i64> {
     farm.jobs[job].finish(plan.job(job as u64)?.verdict.finish())
 }
@@ -179,15 +170,16 @@ fn own_booking(farm: &Farm, booking: &Booking) -> Option<NewBooking> {
     })
 }
 
-/// The jobs that are booked anew: those of which there is news, and those that lie, as they are booked, where such a job is booked now.
-/// These have hardly moved (see [`stayed`]), but no two bookings of a node may lie on each other.
+/// The jobs to book anew: those with changes, and those whose old bookings overlap with new ones on a node.
+/// The latter have hardly moved (see [`stayed`]), but bookings of a node must not overlap.
 fn make_way(booked: &[Booking], planned: &[Booking], mut anew: Vec<bool>) -> Vec<bool> {
     loop {
         let mut taken: BTreeMap<(u64, i64), i64> = BTreeMap::new();
         for booking in planned.iter().filter(|booking| anew[booking.job as usize]) {
             taken.insert((booking.node, booking.start), booking.end);
         }
-        // Bookings of one plan do not lie on each other, so the last that starts before another's end is the one that may reach into it.
+        // Bookings of one plan do not overlap, so only the last that starts before this one's end can reach
+        // into it.
         let lies_on_one = |one: &Booking| {
             let before = taken.range((one.node, i64::MIN)..(one.node, one.end)).next_back();
             before.is_some_and(|(_, &end)| end > one.start)
@@ -204,7 +196,6 @@ fn make_way(booked: &[Booking], planned: &[Booking], mut anew: Vec<bool>) -> Vec
     }
 }
 
-/// Whether a job's waiting frames lie elsewhere than they stood.
 fn has_moved(farm: &Farm, plan: &planner::Plan, job: usize) -> bool {
     let of = |bookings: &[Booking]| -> BTreeMap<planner::Task, Booking> {
         let own = bookings.iter().filter(|booking| booking.job == job as u64);
@@ -215,13 +206,12 @@ fn has_moved(farm: &Farm, plan: &planner::Plan, job: usize) -> bool {
     before.len() != after.len() || !before.iter().all(|(task, booking)| still(task, booking))
 }
 
-/// Whether a task lies where it lay, as far as people care.
+/// Whether a task stayed in place, within the tolerance.
 pub(crate) fn stayed(before: &Booking, after: &Booking) -> bool {
     let by = after.start.saturating_sub(before.start).saturating_abs();
     after.node == before.node && by <= STILL.max(before.end.saturating_sub(before.start) / 4)
 }
 
-/// The plan's word on a job, in the words of the API.
 fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
     let asked = &farm.jobs[job];
     let entry = plan.job(job as u64);
@@ -279,13 +269,13 @@ fn unplaced(farm: &Farm, entry: Option<&planner::JobPlan>) -> String {
     match entry.map(|entry| &entry.verdict) {
         _ if farm.nodes.is_empty() => "there is no node that takes work".to_owned(),
         Some(planner::Verdict::Unplaced { frames, .. }) => {
-            format!("{} frames fit into no free time of any node", frames.len())
+            format!("{} frames do not fit into any node's free time", frames.len())
         }
-        _ => "it has no place".to_owned(),
+        _ => "the plan has no free node for it".to_owned(),
     }
 }
 
-/// Why a job is late that would not have to be if it were alone.
+/// Reason why a job is late that would be on time alone.
 fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> String {
     let before: BTreeSet<u64> = plan
         .bookings
@@ -306,7 +296,7 @@ fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> S
     }
 }
 
-/// By job, the share of scenarios in which it is ready by its deadline.
+/// By job, the share of scenarios in which it meets its deadline.
 fn probabilities(farm: &Farm, plan: &planner::Plan) -> Result<Vec<f64>, AdvanceError> {
     let count = (MOST_DRAWS / plan.bookings.len().max(1)).clamp(50, SCENARIOS) as u32;
     let simulation = planner::simulate(&farm.input, plan, count, SEED)?;
@@ -319,7 +309,7 @@ fn probabilities(farm: &Farm, plan: &planner::Plan) -> Result<Vec<f64>, AdvanceE
     Ok(farm.jobs.iter().enumerate().map(of_job).collect())
 }
 
-/// What is left of a job's promise; none if its deadline was never promised and is not kept.
+/// State of a job's promise. `None` if its deadline was never promised and is not kept.
 fn promise(
     farm: &Farm,
     plan: &planner::Plan,
@@ -329,7 +319,7 @@ fn promise(
 ) -> Result<Option<Promise>, AdvanceError> {
     let asked = &farm.jobs[job];
     let Some(deadline) = asked.job.deadline else { return Ok(None) };
-    // What a budget holds back has no end before somebody changes that.
+    // A job held back by a budget has no end until the budget changes.
     let (finish, probability) = if asked.held { (None, 0.0) } else { (end(farm, plan, job), probability) };
     let kept = asked.is_kept(finish);
     if !kept && !asked.is_promised() {
@@ -340,7 +330,7 @@ fn promise(
         None
     } else {
         let found = at_risk.iter().find(|risk| risk.job == job as u64).and_then(|risk| risk.rescue.clone());
-        // What is with a worker cannot be planned: only time helps.
+        // Running frames cannot be planned, so only a later deadline helps.
         let by_time = || {
             let by = finish?.saturating_sub(deadline.micros());
             Some((planner::Change::Later { job: job as u64, by }, 0))
@@ -364,7 +354,6 @@ fn promise(
     }))
 }
 
-/// When a job ends with the change that rescues it.
 fn rescued(
     farm: &Farm,
     plan: &planner::Plan,
@@ -376,7 +365,6 @@ fn rescued(
     Ok(end(farm, &after, job))
 }
 
-/// By job, why it has not begun, or does not go on.
 fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, AdvanceError> {
     let mut found = BTreeMap::new();
     let explained: BTreeMap<u64, Reason> = planner::explain(&farm.input, plan)?
@@ -394,7 +382,7 @@ fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, Ad
             |kind, because: String, behind| Waits { kind, because, until, behind, share: share.clone() };
         if asked.held {
             let because = format!("waits because the budget of project {} is used up", asked.job.project);
-            // It begins when somebody changes the budget.
+            // It begins when the budget changes.
             found.insert(job, Waits { until: None, ..waits(WaitKind::Budget, because, Vec::new()) });
         } else if let Some(reason) = explained.get(&(job as u64)) {
             let (kind, behind) = match reason {
@@ -441,13 +429,11 @@ fn behind_in_words(farm: &Farm, waiting: usize, jobs: &[(u64, Precedence)]) -> S
     format!("waits because its nodes are booked for {}", others.join("; for "))
 }
 
-/// What a job's project had of the farm.
 fn share(farm: &Farm, job: usize) -> Option<ProjectShare> {
     let project = farm.input.jobs.get(job)?.project?;
     farm.input.projects.iter().find(|entry| entry.id == project).map(|entry| share_of(entry, farm.input.now))
 }
 
-/// A project's share as it counts at an instant.
 pub(crate) fn share_of(project: &planner::Project, now: i64) -> ProjectShare {
     let used = planner::decayed_usage(project, now, HALF_LIFE);
     ProjectShare {
@@ -462,7 +448,6 @@ mod tests {
     use super::*;
     use forelight_planner::Task;
 
-    /// Bookings of (job, node, start, end).
     fn bookings<const N: usize>(all: [(u64, u64, i64, i64); N]) -> Vec<Booking> {
         let one =
             |(frame, (job, node, start, end))| Booking { start, node, job, task: Task::Frame(frame), end };
@@ -471,12 +456,11 @@ mod tests {
 
     #[test]
     fn who_lies_where_another_is_booked_now_is_booked_anew_and_so_on() {
-        // Job 3 is new at 0; job 0 makes way for it, job 1 for that; job 2 has a node of its own.
+        // Job 3 is new at 0. Job 0 makes way for it, and job 1 for job 0. Job 2 has its own node.
         let booked = bookings([(0, 0, 0, 10), (1, 0, 10, 20), (2, 1, 0, 20)]);
         let planned = bookings([(3, 0, 0, 10), (0, 0, 10, 20), (1, 0, 20, 30), (2, 1, 0, 20)]);
         let anew = make_way(&booked, &planned, vec![false, false, false, true]);
         assert_eq!(anew, [true, true, false, true]);
-        // Where there is room, nobody has to.
         let planned = bookings([(3, 0, 20, 30), (0, 0, 1, 11), (1, 0, 11, 20), (2, 1, 0, 20)]);
         assert_eq!(make_way(&booked, &planned, vec![false, false, false, true]), [false, false, false, true]);
     }

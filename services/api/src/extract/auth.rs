@@ -1,5 +1,5 @@
-//! Who is asking, and whether they may. A handler takes one of the types below as an argument; a request whose token
-//! does not have the role never reaches it.
+//! Authentication and authorisation. A handler takes one of these types; requests without the role never
+//! reach it.
 
 use axum::extract::FromRequestParts;
 use axum::http::header::AUTHORIZATION;
@@ -35,7 +35,7 @@ caller!(
     Anyone, Submitter | Worker | Operator | Viewer
 );
 caller!(
-    /// A token that may look at jobs, plans and the farm.
+    /// A token that may view jobs, plans and the farm.
     Reader, Submitter | Operator | Viewer
 );
 caller!(
@@ -43,7 +43,7 @@ caller!(
     Submitter, Submitter | Operator
 );
 caller!(
-    /// A token that may do the work.
+    /// A token that may do tasks.
     WorkerToken, Worker | Operator
 );
 caller!(
@@ -52,18 +52,18 @@ caller!(
 );
 
 impl WorkerToken {
-    /// The token of a node speaks for that node alone.
+    /// Checks that the token may act for this node. A node's token acts for that node alone.
     pub fn speaks_for(&self, node: NodeId) -> ApiResult<()> {
         match self.0.node {
             Some(own) if own != node => {
-                Err(ApiError::new(ProblemKind::Forbidden, "this token speaks for another node")
+                Err(ApiError::new(ProblemKind::Forbidden, "this token is for another node")
                     .authenticate(WRONG_ROLE))
             }
             _ => Ok(()),
         }
     }
 
-    /// So it does for the leases that the node was given.
+    /// The same for a lease: its node must match.
     pub async fn speaks_for_lease(&self, app: &App, lease: LeaseId) -> ApiResult<()> {
         match self.0.node {
             Some(_) => self.speaks_for(app.store.lease_holder(lease).await?),
@@ -72,7 +72,7 @@ impl WorkerToken {
     }
 }
 
-/// A bearer token that may be a one-time token: whether it is good is found out when it is burnt.
+/// A bearer token that may be a one-time token. It is checked when it is used up.
 pub(crate) struct OneTimeToken(pub String);
 
 impl FromRequestParts<App> for OneTimeToken {
@@ -83,7 +83,6 @@ impl FromRequestParts<App> for OneTimeToken {
     }
 }
 
-/// The bearer token of a request.
 fn bearer(parts: &Parts) -> ApiResult<&str> {
     let refused = |detail: &str| ApiError::new(ProblemKind::Unauthenticated, detail).authenticate(NO_TOKEN);
     let Some(header) = parts.headers.get(AUTHORIZATION) else {
@@ -93,13 +92,13 @@ fn bearer(parts: &Parts) -> ApiResult<&str> {
         let (scheme, token) = header.split_once(' ')?;
         scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
     });
-    token.ok_or_else(|| refused("only bearer tokens are taken: Authorization: Bearer …"))
+    token.ok_or_else(|| refused("only bearer tokens are accepted: Authorization: Bearer …"))
 }
 
 async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
     match tokens::find(&app.store, bearer(parts)?).await? {
         Some(principal) => Ok(principal),
-        None => Err(ApiError::new(ProblemKind::Unauthenticated, "this token is not known here")
+        None => Err(ApiError::new(ProblemKind::Unauthenticated, "the service does not know this token")
             .authenticate(BAD_TOKEN)),
     }
 }

@@ -1,5 +1,4 @@
-//! Bodies of at most so many bytes. What is refused for its length is read a little further all the same: a client that is still
-//! sending when the connection closes may never see the answer that says why.
+//! Bodies with a size limit. Part of an oversized body is still read, or the client may never see the answer.
 
 use std::time::Duration;
 
@@ -12,10 +11,10 @@ use futures::StreamExt;
 
 use crate::error::{ApiError, ApiResult};
 
-/// How much of a body that is refused for its length is read, bytes.
+/// Bytes of an oversized body that are read before closing.
 const DRAINED: usize = 1 << 20;
 
-/// The body, unless it says of itself that it is too long.
+/// The body, unless its announced length is too large.
 pub(crate) async fn within_announced_length(headers: &HeaderMap, body: Body, limit: u64) -> ApiResult<Body> {
     let announced = headers.get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
     if announced.is_none_or(|length| length <= limit) {
@@ -24,7 +23,7 @@ pub(crate) async fn within_announced_length(headers: &HeaderMap, body: Body, lim
     Err(too_large(body.into_data_stream(), limit).await)
 }
 
-/// All of a body, whether its length is announced or found out.
+/// The whole body. Its announced and its actual length are both checked.
 pub(crate) async fn whole(headers: &HeaderMap, body: Body, limit: usize) -> ApiResult<Bytes> {
     let mut stream = within_announced_length(headers, body, limit as u64).await?.into_data_stream();
     let mut bytes = BytesMut::new();
@@ -38,7 +37,7 @@ pub(crate) async fn whole(headers: &HeaderMap, body: Body, limit: usize) -> ApiR
     Ok(bytes.freeze())
 }
 
-/// What is answered to a body of which this is to come.
+/// Drains the rest of a body and returns the error.
 async fn too_large(mut rest: BodyDataStream, limit: u64) -> ApiError {
     let drain = async {
         let mut read = 0;
@@ -48,7 +47,6 @@ async fn too_large(mut rest: BodyDataStream, limit: u64) -> ApiError {
             read += chunk.len();
         }
     };
-    // Whether it ended in time or not, the answer is the same.
     let _ = tokio::time::timeout(Duration::from_secs(2), drain).await;
-    ApiError::new(ProblemKind::TooLarge, format!("at most {limit} bytes are taken here"))
+    ApiError::new(ProblemKind::TooLarge, format!("the body is larger than the limit of {limit} bytes"))
 }

@@ -11,11 +11,11 @@ use crate::state::App;
 
 const NAME: &str = "idempotency-key";
 
-/// The key that a client gave its request, if it did, and what the request asks for.
+/// The client's idempotency key, if any, and the request's target.
 #[derive(Clone, Debug)]
 pub(crate) struct KeyHeader {
     key: Option<String>,
-    /// Method and path: the same key for another address is another request.
+    /// Method and path. The same key for another address is another request.
     target: String,
 }
 
@@ -37,7 +37,7 @@ impl FromRequestParts<App> for KeyHeader {
 }
 
 impl KeyHeader {
-    /// The key as the store wants it; `body` is the hash of the request's body.
+    /// The key in the store's form. `body` is the hash of the request's body.
     pub fn of(self, principal: &Principal, body: &[u8; 32]) -> Option<IdempotencyKey> {
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.target.as_bytes()).update(&[0]).update(body);

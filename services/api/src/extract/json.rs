@@ -1,4 +1,4 @@
-//! JSON bodies, with the place of an error as a JSON pointer.
+//! JSON bodies. Errors give the place as a JSON pointer.
 
 use std::marker::PhantomData;
 
@@ -13,12 +13,11 @@ use super::body::whole;
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
-/// How long a body may be.
 pub(crate) trait BodyLimit {
     fn bytes(app: &App) -> usize;
 }
 
-/// Requests of people.
+/// Requests by people.
 pub(crate) struct Small;
 
 /// Results of tasks.
@@ -36,10 +35,9 @@ impl BodyLimit for Large {
     }
 }
 
-/// A JSON body and its hash.
 pub(crate) struct JsonBody<T, L = Small> {
     pub value: T,
-    /// BLAKE3 of the bytes, to tell a repeated request from another one.
+    /// BLAKE3 of the bytes. It distinguishes a repeated request from a different one.
     pub hash: [u8; 32],
     limit: PhantomData<L>,
 }
@@ -61,15 +59,14 @@ impl<T: DeserializeOwned, L: BodyLimit> FromRequest<App> for JsonBody<T, L> {
     }
 }
 
-/// What a request says that its body is, in small letters and without parameters; empty if it says nothing.
+/// Media type of a request's body in lower case, without parameters. Empty if not given.
 pub fn media_type(headers: &HeaderMap) -> String {
     let sent = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
     sent.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
-/// Parses a body. What is no JSON at all is malformed (400); JSON that is not what was asked for is invalid (422).
-///
-/// Every body here is an object. That is said first, because serde would take a list for the fields in their order.
+/// Parses a body. Invalid JSON is malformed (400); JSON of the wrong shape is invalid (422). serde would also
+/// accept a list of an object's fields, so anything but an object is refused first.
 fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
     if bytes.iter().find(|byte| !byte.is_ascii_whitespace()) != Some(&b'{') {
         return Err(match serde_json::from_slice::<serde::de::IgnoredAny>(bytes) {
@@ -84,8 +81,8 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
         let is_json = || serde_json::from_slice::<serde::de::IgnoredAny>(bytes).is_ok();
         match error.classify() {
             serde_json::error::Category::Data => ApiError::invalid(pointer, error.to_string()),
-            // A name is read letter by letter, so that anything else in its place is taken for bad JSON.
-            _ if is_json() => ApiError::invalid(pointer, "this is none of the values that are possible here"),
+            // serde reads a name letter by letter and reports any other value there as bad JSON.
+            _ if is_json() => ApiError::invalid(pointer, "this is none of the values allowed here"),
             _ => ApiError::new(ProblemKind::Malformed, format!("the body is not JSON: {error}")),
         }
     })?;
@@ -95,7 +92,6 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
     Ok(value)
 }
 
-/// The JSON pointer (RFC 6901) of a place.
 fn pointer(path: &Path) -> String {
     path.iter()
         .map(|segment| match segment {

@@ -10,10 +10,9 @@ use forelight_protocol::ProblemKind;
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
-/// The only variable part of the address. What cannot be an id names nothing: 404, not 400.
+/// The only variable part of the address. An invalid id is 404, not 400.
 pub(crate) struct Segment<T>(pub T);
 
-/// The two variable parts of the address.
 pub(crate) struct Segments<A, B>(pub A, pub B);
 
 impl<A> FromRequestParts<App> for Segment<A>
@@ -46,13 +45,12 @@ where
 
 fn read<T: FromStr>(segment: &str) -> ApiResult<T> {
     let refused = |_| {
-        let reason =
-            format!("this address names nothing: `{segment}` is not an id or number of anything here");
+        let reason = format!("this address does not exist: `{segment}` is not a valid id or number");
         ApiError::new(ProblemKind::NotFound, reason)
     };
     segment.parse().map_err(refused)
 }
 
 fn unreadable(error: &impl Display) -> ApiError {
-    ApiError::new(ProblemKind::NotFound, format!("this address names nothing: {error}"))
+    ApiError::new(ProblemKind::NotFound, format!("this address does not exist: {error}"))
 }

@@ -1,4 +1,4 @@
-//! Query parameters. What an address does not know is refused: a misspelt filter would show everything.
+//! Query parameters. Unknown ones are refused: a misspelt filter would show everything.
 
 use axum::extract::{FromRequestParts, Query};
 use axum::http::request::Parts;
@@ -9,7 +9,6 @@ use serde::{Deserialize, Deserializer};
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
-/// The query parameters.
 pub(crate) struct QueryParameters<T>(pub T);
 
 impl<T: DeserializeOwned> FromRequestParts<App> for QueryParameters<T> {
@@ -22,7 +21,7 @@ impl<T: DeserializeOwned> FromRequestParts<App> for QueryParameters<T> {
                 let text = rejection.body_text();
                 let reason =
                     text.strip_prefix("Failed to deserialize query string: ").unwrap_or(&text).to_owned();
-                // axum names the parameter in front of the reason.
+                // axum puts the parameter's name before the reason.
                 let name = reason.split_once(": ").map(|(name, _)| name.to_owned());
                 let error = ApiError::new(ProblemKind::Invalid, reason);
                 Err(match name {
@@ -34,7 +33,7 @@ impl<T: DeserializeOwned> FromRequestParts<App> for QueryParameters<T> {
     }
 }
 
-/// A whole number of this range, as a field's `deserialize_with`.
+/// A whole number in this range, for a field's `deserialize_with`.
 pub(crate) fn number<'de, D, T, const LEAST: i64, const MOST: i64>(deserializer: D) -> Result<T, D::Error>
 where
     D: Deserializer<'de>,
@@ -47,7 +46,7 @@ where
         .ok_or_else(|| D::Error::custom(format!("`{text}` is not a whole number from {LEAST} to {MOST}")))
 }
 
-/// The same, where there may be none.
+/// The same for an optional field.
 pub(crate) fn number_if_any<'de, D, T, const LEAST: i64, const MOST: i64>(
     deserializer: D,
 ) -> Result<Option<T>, D::Error>

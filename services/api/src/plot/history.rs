@@ -1,4 +1,4 @@
-//! How a job's estimate moved, as a picture.
+//! A job's estimate over time, as a picture.
 
 use forelight_plots::{Area, Drawn, PlotError, svg};
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobState, Timestamp};
@@ -16,7 +16,6 @@ pub(crate) fn forecast_history(history: &ForecastHistory) -> Result<String, Plot
     })
 }
 
-/// A line at one height, with its name.
 fn level(
     chart: &mut Chart<'_, '_>,
     (from, to): (f64, f64),
@@ -34,7 +33,7 @@ fn level(
 fn cost(area: &Area<'_>, history: &ForecastHistory) -> Drawn {
     let ForecastHistory { points, now, frames_total, state, .. } = history;
     let frames = f64::from(*frames_total).max(1.0);
-    // While frames are under way their finished pixels move the estimate: points of as many frames stand over each other.
+    // Finished pixels move the estimate while frames are running: points of the same number of frames.
     let at = |point: &HistoryPoint| f64::from(point.frames_done);
     let highest = points.iter().map(|point| point.cpu_seconds.p95).fold(now.booked.cpu_seconds, f64::max);
     let top = if highest > 0.0 { 1.08 * highest } else { 1.0 };

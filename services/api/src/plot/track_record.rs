@@ -8,12 +8,12 @@ use plotters::prelude::*;
 
 use super::chart::{CALIBRATED, FORMULAS, GREY, SIZE, legend};
 
-/// Errors beyond this are drawn at the edge.
+/// Larger errors are drawn at the edge.
 const LARGEST_ERROR: f64 = 1.0;
-/// The axis of errors reaches at least so far, so that good forecasts look like it.
+/// Smallest range of the error axis, so that good forecasts look good.
 const LEAST_RANGE: f64 = 0.1;
 
-/// The reliability diagram of all finished frames and jobs, and beside it the errors of `jobs`, the oldest first.
+/// The reliability diagram of all finished frames and jobs, and the errors of `jobs`, oldest first.
 pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result<String, PlotError> {
     svg(SIZE, |area| {
         let (left, right) = area.split_horizontally(SIZE.1 as i32);
@@ -22,7 +22,6 @@ pub(crate) fn track_record(record: &TrackRecord, jobs: &[FinishedJob]) -> Result
     })
 }
 
-/// Hits of all kinds together.
 #[derive(Default)]
 struct Hits {
     count: u64,
@@ -71,11 +70,10 @@ fn reliability(area: &Area<'_>, record: &TrackRecord) -> Drawn {
         for (place, (name, Hits { count, hits })) in
             series.iter().enumerate().filter(|(_, (_, h))| h.count > 0)
         {
-            // Frames share the errors of their job, so that the interval of a share of frames would be a promise too many.
+            // Frames share their job's error, so an interval for frames would be too narrow.
             let of_jobs = place < 2;
             let thin = colour.mix(if of_jobs { 1.0 } else { 0.45 });
             let shares = [0.50, 0.80, 0.95].into_iter().zip(hits).map(|(promised, &hits)| {
-                // Beside each other, so that all can be seen.
                 (promised + 0.006 * (place as f64 - 1.5), hits as f64 / *count as f64)
             });
             let shares: Vec<(f64, f64)> = shares.collect();

@@ -16,11 +16,11 @@ use crate::state::App;
 
 const MEDIA_TYPE: &str = "application/octet-stream";
 
-/// Stores bytes under their hash. Storing the same bytes again changes nothing; other bytes than named are refused.
+/// Stores bytes under their hash. Repeating the request changes nothing; bytes with another hash are refused.
 #[utoipa::path(put, path = "/v1/artifacts/{blake3}", operation_id = "artifact_put",
     tag = "work", params(("blake3" = ArtifactHash, Path)),
     request_body(content = inline(FileContent), content_type = "application/octet-stream", description = "By default at most 1 GiB"),
-    responses((status = 201, description = "Stored", body = ArtifactStored), (status = 200, description = "It was there already", body = ArtifactStored), Problems))]
+    responses((status = 201, description = "Stored", body = ArtifactStored), (status = 200, description = "It already existed", body = ArtifactStored), Problems))]
 pub(crate) async fn put(
     State(app): State<App>,
     _: WorkerToken,
@@ -50,10 +50,10 @@ pub(crate) async fn get(
     Ok(file(app.store.artifacts().get(hash).await?, MEDIA_TYPE, headers_of(hash)))
 }
 
-/// Whether an artefact is there, and how long it is.
+/// Checks that an artefact exists, and gives its length.
 #[utoipa::path(head, path = "/v1/artifacts/{blake3}", operation_id = "artifact_head",
     tag = "work", params(("blake3" = ArtifactHash, Path)),
-    responses((status = 200, description = "It is there"), Problems))]
+    responses((status = 200, description = "It exists"), Problems))]
 pub(crate) async fn head(
     State(app): State<App>,
     _: Anyone,

@@ -1,4 +1,4 @@
-//! Budgets, and what the nights to come will cost.
+//! Budgets, and the cost of the coming nights.
 
 use axum::Json;
 use axum::extract::State;
@@ -12,18 +12,17 @@ use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, Reader};
 use crate::state::App;
 
-/// Thresholds that a budget may have.
 const MOST_THRESHOLDS: usize = 10;
 
-/// All budgets and how they stand.
+/// All budgets with their current state.
 #[utoipa::path(get, path = "/v1/budgets", operation_id = "budget_list", tag = "farm",
     responses((status = 200, description = "The budgets", body = BudgetList), Problems))]
 pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<BudgetList>> {
     Ok(Json(BudgetList { items: app.store.budgets(app.now()).await? }))
 }
 
-/// Sets a project's budget for nights, for months or for good. Setting it again replaces it, and ends what it had in force: so repeating the
-/// request is harmless.
+/// Sets a project's budget. Setting it again replaces it and ends the actions in force, so repeating is
+/// harmless.
 #[utoipa::path(post, path = "/v1/budgets", operation_id = "budget_set",
     tag = "farm", request_body = BudgetRequest,
     responses((status = 200, description = "The budget, as it stands", body = Budget), Problems))]
@@ -37,15 +36,12 @@ pub(crate) async fn set(
         return Err(ApiError::invalid("/amount", format!("an amount is 0 to {} micro-units", HIGHEST_SUM.0)));
     }
     if Night::of(&request.zone, app.now()).is_none() {
-        return Err(ApiError::invalid(
-            "/zone",
-            "there is no such time zone; write for instance Europe/Berlin",
-        ));
+        return Err(ApiError::invalid("/zone", "unknown time zone; write for example Europe/Berlin"));
     }
     if request.thresholds.len() > MOST_THRESHOLDS {
         return Err(ApiError::invalid(
             "/thresholds",
-            format!("at most {MOST_THRESHOLDS} thresholds are taken"),
+            format!("a budget has at most {MOST_THRESHOLDS} thresholds"),
         ));
     }
     if let Some(wrong) =
@@ -59,8 +55,10 @@ pub(crate) async fn set(
     Ok(Json(app.store.set_budget(&request, app.now()).await?))
 }
 
-/// What tonight and the nights after it will cost, by project, job and class of nodes, against budgets; what will not be ready; what changed since the
-/// night before. It is kept as what was said of its first night, in one place however often it is asked for.
+/// Forecasts the cost of tonight and the following nights, by project, job and class of nodes.
+///
+/// Also: budgets at risk, jobs that will not be ready, changes since the night before. A repeated request
+/// replaces the forecast.
 #[utoipa::path(post, path = "/v1/budget-forecasts", operation_id = "budget_forecast",
     tag = "farm", request_body = BudgetForecastRequest,
     responses((status = 200, description = "The forecast", body = BudgetForecast), Problems))]

@@ -15,7 +15,8 @@ use crate::extract::{Anyone, KeyHeader, Segment, Submitter, media_type, within_a
 use crate::schema::{FileContent, IdempotencyKeyHeader};
 use crate::state::App;
 
-/// Uploads a bundle as a zip file. It is kept only if it is a scene; if not, the answer is the scene error.
+/// Uploads a bundle as a zip file. If it is not a valid scene, it is not kept, and the answer is the scene's
+/// error.
 #[utoipa::path(post, path = "/v1/bundles", operation_id = "bundle_upload", tag = "bundles",
     request_body(content = inline(FileContent), content_type = "application/zip", description = "The zip file; by default at most 256 MiB"),
     params(IdempotencyKeyHeader),

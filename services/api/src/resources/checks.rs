@@ -6,10 +6,10 @@ use forelight_protocol::Money;
 
 use crate::error::{ApiError, ApiResult};
 
-/// The highest sum of money that is taken: a million million units, with which no sum overflows.
+/// Largest accepted sum of money: 10¹² units. No sum of such amounts overflows.
 pub(crate) const HIGHEST_SUM: Money = Money(1_000_000_000_000_000_000);
 
-/// A name is something that people can tell apart on a screen.
+/// Checks a name: people must be able to read it on a screen.
 pub(crate) fn check_name(pointer: &str, name: &str, longest: usize) -> ApiResult<()> {
     let length = name.chars().count();
     if !(1..=longest).contains(&length) || name.trim().is_empty() {
@@ -21,7 +21,6 @@ pub(crate) fn check_name(pointer: &str, name: &str, longest: usize) -> ApiResult
     Ok(())
 }
 
-/// A number of this range.
 pub(crate) fn within(pointer: &str, value: i64, range: RangeInclusive<i64>) -> ApiResult<()> {
     if range.contains(&value) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! The one document that a farm dashboard needs.
+//! The document for a farm dashboard.
 
 use axum::Json;
 use axum::extract::State;

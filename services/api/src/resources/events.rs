@@ -1,7 +1,5 @@
-//! Server-sent events.
-//!
-//! Events are rows with a growing id, so a stream is nothing but a place in that table: a client that comes back with
-//! `Last-Event-ID` misses nothing and sees nothing twice, also after the service was restarted.
+//! Server-sent events. A stream is a place in the table of events. So a client that returns with
+//! `Last-Event-ID` misses nothing and sees nothing twice, even after a restart of the service.
 
 use std::convert::Infallible;
 use std::time::Duration;
@@ -22,10 +20,9 @@ use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::state::App;
 
-/// Events read at once.
 const BATCH: u32 = 200;
 
-/// How often a comment is sent on a quiet stream, so that proxies keep it open and dead clients are noticed.
+/// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 /// Where to start.
@@ -33,15 +30,15 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FromEvent {
-    /// The last event seen, for clients that cannot set the header `Last-Event-ID`; the header counts if both are there.
+    /// The last event seen, for clients that cannot set `Last-Event-ID`. The header takes precedence.
     pub last_event_id: Option<EventId>,
 }
 
-/// What stands on the stream for each event.
+/// Fields of each event on the stream.
 #[derive(ToSchema)]
 #[allow(dead_code, reason = "describes the lines that `axum` writes")]
 pub(crate) struct EventMessage {
-    /// The event's id: what to send back as `Last-Event-ID`.
+    /// The event's id. Send it back as `Last-Event-ID`.
     id: String,
     /// The event's kind.
     event: EventKind,
@@ -50,7 +47,7 @@ pub(crate) struct EventMessage {
     data: String,
 }
 
-/// Everything that happens on the farm, from the event after `Last-Event-ID` on; without it, from now on.
+/// All events of the farm after `Last-Event-ID`. Without it, from now on.
 #[utoipa::path(get, path = "/v1/events", operation_id = "event_list",
     tag = "farm", params(FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
@@ -67,12 +64,13 @@ pub(crate) async fn of_farm(
     Ok(respond(follow(&app, None, after, false)))
 }
 
-/// What happens to a job, from the event after `Last-Event-ID` on; without it, from its beginning. The stream ends when
-/// the job is done, failed or cancelled; asked for more after that, the answer is 204, which tells a browser to stop asking.
+/// All events of a job after `Last-Event-ID`. Without it, from its beginning.
+///
+/// The stream ends when the job is over. A request after that gets 204, which tells a browser to stop asking.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "job_events", tag = "jobs",
     params(("id" = JobId, Path), FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"),
-              (status = 204, description = "The job is over, and all of it was seen"), Problems))]
+              (status = 204, description = "The job is over and all its events were seen"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
     _: Reader,
@@ -101,7 +99,6 @@ fn respond(events: impl Stream<Item = Result<ServerEvent, Infallible>> + Send + 
     Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
 }
 
-/// A place in the order of events.
 struct Cursor {
     store: Store,
     job: Option<JobId>,
@@ -109,8 +106,8 @@ struct Cursor {
     batch: std::vec::IntoIter<Event>,
     changes: watch::Receiver<u64>,
     stopping: CancellationToken,
-    /// Whether the job is known to be over. Events may follow even then, such as the refusal of a worker that slept
-    /// through the end: those that are there are sent, none are waited for.
+    /// Whether the job is over. Existing later events, such as refusals of late workers, are still sent; none
+    /// are waited for.
     over: bool,
 }
 
@@ -136,7 +133,7 @@ fn follow(
 }
 
 impl Cursor {
-    /// The next event; `None` when the job is over, the service stops, or the database fails: the client comes back.
+    /// The next event. `None` when the job is over, the service stops, or the database fails.
     async fn next(&mut self) -> Option<Event> {
         loop {
             if let Some(event) = self.batch.next() {
@@ -144,7 +141,7 @@ impl Cursor {
                 self.over |= self.job.is_some() && event.job_state.is_some_and(|state| state.is_final());
                 return Some(event);
             }
-            // Marked as seen before reading: what is written after the reading wakes us again.
+            // Marked as seen before reading, so that anything written after the read wakes this stream again.
             self.changes.borrow_and_update();
             self.batch = match self.read().await {
                 Ok(batch) => batch.into_iter(),
@@ -173,6 +170,5 @@ impl Cursor {
 
 fn to_server_event(event: &Event) -> ServerEvent {
     let named = ServerEvent::default().id(event.id.to_string()).event(event.kind.name());
-    // An event is strings and numbers, which always have a JSON form.
     named.data(serde_json::to_string(event).unwrap_or_default())
 }

@@ -1,4 +1,4 @@
-//! Quotes, and how often they were right.
+//! Quotes and their track record.
 
 use axum::Json;
 use axum::extract::State;
@@ -22,7 +22,7 @@ use crate::resources::responses;
 use crate::schema::FileContent;
 use crate::state::App;
 
-/// A job's quote. 409 until it is there.
+/// A job's quote. 409 until it exists.
 #[utoipa::path(get, path = "/v1/jobs/{id}/forecast", operation_id = "job_forecast",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The quote", body = ForecastDoc), Problems))]
@@ -35,15 +35,15 @@ pub(crate) async fn of_job(
         Some(forecast) => Ok(Json(forecast)),
         None => {
             let state = app.store.job(job).await?.state;
-            Err(ApiError::new(ProblemKind::Conflict, format!("the job is {state} and has no forecast")))
+            Err(ApiError::new(ProblemKind::Conflict, format!("the job is {state} and has no quote")))
         }
     }
 }
 
-/// What accuracy costs in time: other qualities of the job, with what all its frames would take and how far their images would be from
-/// their converged selves. It rests on the job's own profile; of the other integrator, of a cache's accuracy and of the rays of a gather that says
-/// nothing, and these ladders are there if the job asked for `ladders: all`. An irradiance cache that the frames share is in no rung: it is a line of
-/// its own in the quote. 409 until the profile is there.
+/// Cost and error of the job at other qualities, from its own profile. 409 until that exists.
+///
+/// Request the job with `ladders: all` for the ladders of integrator, cache accuracy and divisions. A shared
+/// irradiance cache is in no rung; the quote lists it separately.
 #[utoipa::path(get, path = "/v1/jobs/{id}/accuracy", operation_id = "job_accuracy",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The ladders", body = AccuracyDoc), Problems))]
@@ -57,24 +57,27 @@ pub(crate) async fn accuracy_of_job(
     match measured.qualities().await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
-            Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
+            Err(ApiError::new(ProblemKind::Conflict, format!("the profile does not cover this: {reason}")))
         }
     }
 }
 
-/// What to explain.
+/// Which part of the job to explain.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ExplanationQuery {
-    /// This frame alone.
+    /// Only this frame. If absent, the whole job.
     #[serde(default, deserialize_with = "number_if_any::<_, _, 0, { u32::MAX as i64 }>")]
     pub frame: Option<u32>,
 }
 
-/// Why the job is dear, or one of its frames: what its work goes into, by parts, by what the pixels show and by kinds of rays; on how many profiled pixels that
-/// rests, what each camera sample of a pixel costs, and what would halve it. It is the quote taken apart, but for an irradiance cache that frames share: making that is
-/// a line of its own there. Nothing is traced for it. 409 until the profile is there.
+/// Where the work of a job, or of one of its frames, goes, and what would halve it. 409 until the profile
+/// exists.
+///
+/// Work is given by parts, by what the pixels show and by kinds of rays, with the number of profiled pixels.
+/// It adds up to the quote without a shared irradiance cache, which has its own line there. Nothing is
+/// traced.
 #[utoipa::path(get, path = "/v1/jobs/{id}/explanation", operation_id = "job_explanation",
     tag = "jobs", params(("id" = JobId, Path), ExplanationQuery),
     responses((status = 200, description = "The explanation", body = Explanation), Problems))]
@@ -92,20 +95,19 @@ pub(crate) async fn explanation_of_job(
     match measured.explanation(frame).await {
         Ok(document) => Ok(Json(document)),
         Err(reason) => {
-            Err(ApiError::new(ProblemKind::Conflict, format!("the profile says nothing: {reason}")))
+            Err(ApiError::new(ProblemKind::Conflict, format!("the profile does not cover this: {reason}")))
         }
     }
 }
 
-/// What is kept of the job's profile, or that it is not there yet.
 async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
     JobProfile::read(&app.store, job).await?.ok_or_else(|| {
-        let reason = format!("the job is {} and not profiled, so nothing is known of its pixels", job.state);
+        let reason = format!("the job is {} and not profiled yet", job.state);
         ApiError::new(ProblemKind::Conflict, reason)
     })
 }
 
-/// How the job's estimate moved, from the quote to the truth, with what is booked. 409 until it is booked.
+/// The job's estimate over time, from the quote to the actual cost, with the booking. 409 until it is booked.
 #[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history", operation_id = "job_forecast_history",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The history", body = ForecastHistory), Problems))]
@@ -117,7 +119,7 @@ pub(crate) async fn history_of_job(
     Ok(Json(history(&app, job).await?))
 }
 
-/// The same as a picture: what the job was expected to take as its frames were finished, and when it was expected to end, beside what is booked.
+/// The job's estimate over time as a picture: expected cost and end, next to the booking.
 #[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history.svg", operation_id = "job_forecast_history_svg",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
@@ -134,18 +136,17 @@ async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
         Some(history) => Ok(history),
         None => {
             let state = app.store.job(job).await?.state;
-            Err(ApiError::new(ProblemKind::Conflict, format!("the job is {state} and has no forecast")))
+            Err(ApiError::new(ProblemKind::Conflict, format!("the job is {state} and has no quote")))
         }
     }
 }
 
-/// A picture, or why it cannot be drawn.
 pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Response> {
     let svg = drawn.map_err(|error| ApiError::new(ProblemKind::Internal, error.to_string()))?;
     Ok(responses::svg(svg))
 }
 
-/// Forecast against actual over all finished frames, also by kind of quote, and the frames themselves, newest first.
+/// Forecasts against actual costs of all finished frames, also by kind of quote. Newest frames first.
 #[utoipa::path(get, path = "/v1/forecasts/track-record", operation_id = "track_record_get",
     tag = "farm", params(PageQuery),
     responses((status = 200, description = "The record", body = TrackRecord), Problems))]
@@ -162,11 +163,10 @@ pub(crate) async fn track_record(
     Ok(Json(record))
 }
 
-/// Finished jobs whose errors the picture of the record shows.
 const SHOWN_JOBS: u32 = 500;
 
-/// The same as a picture: how often truths stayed at or below the quantiles that were promised, of quotes that were calibrated on past jobs
-/// and of those that were not, and the errors of the newest 500 finished jobs in their order.
+/// The track record as a picture: how often quantiles held, with and without calibration, and the errors of
+/// the newest 500 jobs.
 #[utoipa::path(get, path = "/v1/forecasts/track-record.svg", operation_id = "track_record_svg", tag = "farm",
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
 pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiResult<Response> {
@@ -175,8 +175,8 @@ pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiRe
     svg(plot::track_record(&record, &jobs))
 }
 
-/// What the finished jobs teach of the next quote's quantiles, by renderer and class of features: what a quote that is made now would be
-/// calibrated with. `forelight forecast --calibration` takes it for quotes that are made offline.
+/// Calibration learned from finished jobs, by renderer and class of features. `forelight forecast
+/// --calibration` takes it.
 #[utoipa::path(get, path = "/v1/forecasts/calibration", operation_id = "calibration_get", tag = "farm",
     responses((status = 200, description = "The calibration", body = CalibrationDoc), Problems))]
 pub(crate) async fn calibration(State(app): State<App>, _: Reader) -> ApiResult<Json<CalibrationDoc>> {

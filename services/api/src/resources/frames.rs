@@ -60,19 +60,19 @@ macro_rules! picture {
 }
 
 picture!(
-    /// Object and material ids of a frame in colour.
+    /// Object and material ids of a frame, in colour.
     preview_png, "/v1/jobs/{id}/frames/{frame}/preview.png", "image/png", |artifacts| artifacts.preview_png
 );
 picture!(
-    /// Cost of each pixel of a frame in colour.
+    /// Cost of each pixel of a frame, in colour.
     cost_map_png, "/v1/jobs/{id}/frames/{frame}/cost-map.png", "image/png", |artifacts| artifacts.cost_map_png
 );
 picture!(
-    /// A frame, for looking at.
+    /// The image of a frame as PNG.
     image_png, "/v1/jobs/{id}/frames/{frame}/image.png", "image/png", |artifacts| artifacts.image_png
 );
 picture!(
-    /// A frame, linear.
+    /// The image of a frame as OpenEXR, linear.
     image_exr, "/v1/jobs/{id}/frames/{frame}/image.exr", "image/x-exr", |artifacts| artifacts.image_exr
 );
 
@@ -88,7 +88,7 @@ async fn picture(
     let Some(hash) = choose(&row.artifacts) else {
         return Err(ApiError::new(ProblemKind::NotFound, "the frame does not have this picture yet"));
     };
-    // The address of a picture is not its hash: the preview is replaced by a better one, so caches have to ask.
+    // A better preview can replace a picture at the same address, so caches have to revalidate.
     let etag = HeaderValue::from_str(&format!("\"{hash}\""))
         .map_err(|_| ApiError::new(ProblemKind::Internal, "the picture has no tag"))?;
     if headers.get(IF_NONE_MATCH) == Some(&etag) {

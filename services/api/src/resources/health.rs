@@ -1,4 +1,4 @@
-//! Whether the service lives, is ready, and what it counts. Open to everyone, except for the numbers.
+//! Health, readiness and metrics. All but the metrics are open to everyone.
 
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
@@ -9,13 +9,13 @@ use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::Reader;
 use crate::state::App;
 
-/// The process lives.
-#[utoipa::path(get, path = "/healthz", tag = "service", security(()), responses((status = 200, description = "It lives", body = String, content_type = "text/plain"), Problems))]
+/// The process is running.
+#[utoipa::path(get, path = "/healthz", tag = "service", security(()), responses((status = 200, description = "It is running", body = String, content_type = "text/plain"), Problems))]
 pub(crate) async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// The service can work: its database answers, there is room for what is to be kept, and it is not being stopped.
+/// The service can work: its database answers, there is enough disk space, and it is not stopping.
 #[utoipa::path(get, path = "/readyz", tag = "service", security(()), responses((status = 200, description = "It is ready", body = String, content_type = "text/plain"), Problems))]
 pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
     if app.stopping.is_cancelled() {
@@ -29,8 +29,8 @@ pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
     Ok("ready\n")
 }
 
-/// Numbers for monitoring, as Prometheus text.
-#[utoipa::path(get, path = "/metrics", tag = "service", responses((status = 200, description = "The numbers", body = String, content_type = "text/plain"), Problems))]
+/// Metrics in Prometheus text format.
+#[utoipa::path(get, path = "/metrics", tag = "service", responses((status = 200, description = "The metrics", body = String, content_type = "text/plain"), Problems))]
 pub(crate) async fn metrics(State(app): State<App>, _: Reader) -> ApiResult<Response> {
     let counts = app.store.counts(app.lease_ttl, app.now()).await?;
     let text = app.metrics.render(&counts, app.store.free_disk_space()?);

@@ -18,7 +18,7 @@ use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
-/// Submits a job. It is previewed, forecast, booked and rendered from here on.
+/// Submits a job. The farm then previews, forecasts, books and renders it.
 #[utoipa::path(post, path = "/v1/jobs", operation_id = "job_submit", tag = "jobs", request_body = JobRequest,
     params(IdempotencyKeyHeader),
     responses((status = 201, description = "The job", body = Job), Problems))]
@@ -39,10 +39,10 @@ pub(crate) async fn submit(
     Ok(created(StatusCode::CREATED, app.store.create_job(&new, key.as_ref(), app.now()).await?))
 }
 
-/// Everything that submitting this job would say; nothing is kept.
+/// Checks a job as submitting it would. Nothing is stored.
 #[utoipa::path(post, path = "/v1/jobs/check", operation_id = "job_check",
     tag = "jobs", request_body = JobRequest,
-    responses((status = 200, description = "It would be taken", body = JobCheck), Problems))]
+    responses((status = 200, description = "The job would be accepted", body = JobCheck), Problems))]
 pub(crate) async fn check(
     State(app): State<App>,
     _: Submitter,
@@ -53,7 +53,7 @@ pub(crate) async fn check(
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }
 
-/// Which jobs to list.
+/// Filter of the list of jobs.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
@@ -62,11 +62,11 @@ pub(crate) struct JobQuery {
     pub state: Option<JobState>,
     /// Only jobs of this project.
     pub project: Option<String>,
-    /// Only jobs of exactly this name.
+    /// Only jobs with exactly this name.
     pub name: Option<String>,
-    /// `next_page_token` of the page before.
+    /// `next_page_token` of the previous page.
     pub page_token: Option<String>,
-    /// Things on a page: 1 to 200, default 50.
+    /// Number of items on a page: 1 to 200, default 50.
     #[param(minimum = 1, maximum = 200, default = 50)]
     #[serde(default, deserialize_with = "number_if_any::<_, _, 1, LARGEST_PAGE>")]
     pub page_size: Option<u32>,
@@ -103,14 +103,14 @@ pub(crate) async fn get(
     expect(&app, std::slice::from_mut(&mut job)).await?;
     let spent = app.store.spent_on(job.id, app.now()).await?;
     job.spent = Some(spent).filter(|spent| spent.0 > 0);
-    // The estimate is from when something of the job was last finished; nodes are paid meanwhile.
+    // The estimate dates from the last finished piece of the job; its nodes have been paid since.
     if let Some(live) = &mut job.live {
         live.cost = live.cost.map(|cost| cost.at_least(spent));
     }
     Ok(Json(job))
 }
 
-/// Cancels a job. Its workers stop at their next renewal. Cancelling it again changes nothing.
+/// Cancels a job. Its workers stop at their next renewal. Repeating the request changes nothing.
 #[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "job_cancel",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The job", body = Job), Problems))]
@@ -122,7 +122,7 @@ pub(crate) async fn cancel(
     Ok(Json(app.store.cancel_job(job, app.now()).await?))
 }
 
-/// Fills in when the jobs are expected to be done, and what those wait for of which no plan says it: nobody quotes them, or there is no room.
+/// Fills in the expected end, and reasons to wait that no plan gives: no quote yet, or no disk space.
 async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
     if jobs.iter().any(|job| matches!(job.state, JobState::Previewing | JobState::Profiling)) {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
@@ -132,7 +132,7 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
         let projected = project(&bookings, &parts, app.now());
         jobs.iter_mut().for_each(|job| job.eta = projected.eta(job));
     }
-    // What is expected hangs on what the plan says of waiting.
+    // The expected end depends on the plan's reason to wait.
     app.tell_disk_full(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
     Ok(())
 }

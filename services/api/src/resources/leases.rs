@@ -1,4 +1,4 @@
-//! Leases: handing tasks to workers and taking results from them.
+//! Leases: hands tasks to workers and takes their results.
 
 pub(crate) mod checkpoint;
 mod claim;
@@ -22,15 +22,15 @@ use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
 use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
-/// Longest wait for a task, in milliseconds.
 const LONGEST_WAIT: u32 = 60_000;
 
-/// Hands out a task. If there is none, waits for one up to `wait_ms`; 204 if there still is none then. A node that sleeps by its calendar is answered 204 at
-/// once, with `Retry-After`: it is not to ask again before it wakes up.
+/// Hands out a task. If there is none, waits up to `wait_ms`, then answers 204.
+///
+/// A node that is asleep by its calendar gets 204 at once, with `Retry-After` until it wakes up.
 #[utoipa::path(post, path = "/v1/leases", operation_id = "lease_claim",
     tag = "work", request_body = ClaimRequest,
     params(IdempotencyKeyHeader),
-    responses((status = 200, description = "A task", body = Lease), (status = 204, description = "There is nothing to do; with `Retry-After`, not before so many seconds have passed"), Problems))]
+    responses((status = 200, description = "A task", body = Lease), (status = 204, description = "No task; with `Retry-After`, do not ask again before that"), Problems))]
 pub(crate) async fn claim(
     State(app): State<App>,
     worker: WorkerToken,
@@ -53,10 +53,10 @@ pub(crate) async fn claim(
     }
 }
 
-/// The heartbeat of a node that has a task: renews the lease, reports progress and what there is to say, and brings orders back.
+/// Heartbeat of a node with a task: renews the lease, reports progress and log lines, and brings orders back.
 #[utoipa::path(patch, path = "/v1/leases/{id}", operation_id = "lease_renew",
     tag = "work", params(("id" = LeaseId, Path)), request_body = RenewRequest,
-    responses((status = 200, description = "The lease goes on, or the task is to be dropped", body = Renewal), Problems))]
+    responses((status = 200, description = "The lease was renewed, or the task must be dropped", body = Renewal), Problems))]
 pub(crate) async fn renew(
     State(app): State<App>,
     worker: WorkerToken,
@@ -80,7 +80,7 @@ pub(crate) async fn renew(
     Ok(Json(counted(&app, renewal)?))
 }
 
-/// Gives a task back unfinished.
+/// Returns an unfinished task.
 #[utoipa::path(post, path = "/v1/leases/{id}/release", operation_id = "lease_release",
     tag = "work", params(("id" = LeaseId, Path)), request_body = ReleaseRequest,
     responses((status = 204, description = "The task is ready for another worker"), Problems))]
@@ -96,7 +96,8 @@ pub(crate) async fn release(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Ends a task with its result or an error. When this is answered, the result is on disk. Sending it again is harmless.
+/// Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
+/// harmless.
 #[utoipa::path(post, path = "/v1/leases/{id}/result", operation_id = "lease_result",
     tag = "work", params(("id" = LeaseId, Path)), request_body = ResultRequest,
     responses((status = 200, description = "Committed, now or before", body = ResultAnswer), Problems))]
@@ -125,7 +126,7 @@ pub(crate) async fn result(
                 app.metrics.results_committed.add(1);
             }
             if committed.kind != TaskKind::Render {
-                // If nobody listens the service is stopping; the next start asks for all jobs that wait.
+                // Sending fails only while the service is stopping. The next start advances all waiting jobs.
                 let _ = app.conductor.send(committed.job_id);
             }
             Ok(Json(ResultAnswer { duplicate: committed.duplicate, job_state: committed.job_state }))
@@ -145,18 +146,16 @@ pub(crate) async fn result(
 }
 
 fn check_log(log: &[LogLine]) -> ApiResult<()> {
-    /// Lines in one request.
     const MOST: usize = 100;
     if log.len() > MOST {
         return Err(ApiError::invalid("/log", format!("{} lines; a request has at most {MOST}", log.len())));
     }
     match log.iter().position(|line| line.text.is_empty()) {
-        Some(empty) => Err(ApiError::invalid(format!("/log/{empty}/text"), "a line says something")),
+        Some(empty) => Err(ApiError::invalid(format!("/log/{empty}/text"), "a log line is empty")),
         None => Ok(()),
     }
 }
 
-/// Counts refusals of workers that lost their lease.
 fn counted<T>(app: &App, outcome: Result<T, StoreError>) -> ApiResult<T> {
     if matches!(outcome, Err(StoreError::LeaseLost)) {
         app.metrics.leases_lost.add(1);

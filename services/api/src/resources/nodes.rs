@@ -23,7 +23,7 @@ use crate::page::{PageQuery, cut};
 use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
-/// A node announces itself; one of the same name is updated and keeps its id, and what was set by hand.
+/// Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator.
 #[utoipa::path(post, path = "/v1/nodes", operation_id = "node_register",
     tag = "work", request_body = NodeRegistration,
     params(IdempotencyKeyHeader),
@@ -45,15 +45,17 @@ pub(crate) async fn register(
         && app.store.node(node).await?.name != registration.name
     {
         return Err(
-            ApiError::new(ProblemKind::Forbidden, "this token speaks for a node of another name").at("/name")
+            ApiError::new(ProblemKind::Forbidden, "this token is for a node of another name").at("/name")
         );
     }
     let _guard = app.in_flight.enter(key.as_ref())?;
     Ok(created(StatusCode::CREATED, app.store.register_node(&registration, key.as_ref(), app.now()).await?))
 }
 
-/// A machine joins the farm: the bearer token is a one-time token, which is burnt. From now on the machine's own token, whose hash it
-/// sends along, speaks for this node and no other. Asking again with the same hash is answered as before; with another one, 409.
+/// Joins a machine to the farm, with a one-time token as bearer token, which is used up.
+///
+/// The request holds the hash of the machine's own token, which speaks for this node alone. Repeated with the
+/// same hash, the answer is the same; another hash gives 409.
 #[utoipa::path(post, path = "/v1/nodes/join", operation_id = "node_join",
     tag = "work", request_body = JoinRequest,
     responses((status = 201, description = "The node", body = Node), Problems))]
@@ -66,7 +68,7 @@ pub(crate) async fn join(
     Ok((StatusCode::CREATED, Json(app.store.join(&token, &request, app.now()).await?)))
 }
 
-/// Makes a one-time token, with which one machine can join the farm. It is said once; a request that is repeated makes another one.
+/// Makes a one-time token, with which one machine can join the farm. Repeating the request makes another one.
 #[utoipa::path(post, path = "/v1/join-tokens", operation_id = "join_token_create",
     tag = "work", request_body = JoinTokenRequest,
     responses((status = 201, description = "The one-time token", body = JoinToken), Problems))]
@@ -111,9 +113,10 @@ pub(crate) async fn get(
     Ok(Json(as_it_is(app.store.node(node).await?, app.lease_ttl, app.now())))
 }
 
-/// Gives a node orders (drain, pause and resume, take its task away, set it aside or bring it back), or sets its speed, price, calendar or terms by hand.
+/// Gives a node orders, or sets its speed, price, calendar or terms.
 ///
-/// Its worker hears of an order at the next renewal of its lease, and the node's `state` says how far it has obeyed. A speed or price that is set holds when the node registers again; `null` gives it up.
+/// The worker gets an order at the next renewal of its lease; the node's `state` shows whether it has obeyed.
+/// A speed or price set here survives a new registration; `null` removes it.
 #[utoipa::path(patch, path = "/v1/nodes/{id}", operation_id = "node_change",
     tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
     responses((status = 200, description = "The node", body = Node), Problems))]
@@ -125,8 +128,9 @@ pub(crate) async fn change(
 ) -> ApiResult<Json<Node>> {
     worker.speaks_for(node)?;
     if worker.0.node.is_some() && change.set_aside == Some(false) {
-        return Err(ApiError::new(ProblemKind::Forbidden, "an operator brings a node back, not the node")
-            .at("/set_aside"));
+        return Err(
+            ApiError::new(ProblemKind::Forbidden, "only an operator can bring a node back").at("/set_aside")
+        );
     }
     check_change(&change)?;
     let now = app.now();

@@ -10,7 +10,7 @@ use crate::page::{PageQuery, cut};
 use crate::plan_difference::difference;
 use crate::state::App;
 
-/// The plans, newest first. Each holds the jobs that it books; all others are booked as the plans before it say.
+/// The plans, newest first. Each holds the jobs that it books; all other bookings come from earlier plans.
 #[utoipa::path(get, path = "/v1/plans", operation_id = "plan_list", tag = "farm", params(PageQuery),
     responses((status = 200, description = "A page of plans", body = PlanPage), Problems))]
 pub(crate) async fn list(
@@ -24,7 +24,7 @@ pub(crate) async fn list(
     Ok(Json(PlanPage { items, next_page_token }))
 }
 
-/// A plan: what it books, and its word on the job.
+/// One plan: its bookings, and its verdict on each job.
 #[utoipa::path(get, path = "/v1/plans/{id}", operation_id = "plan_get",
     tag = "farm", params(("id" = PlanId, Path)),
     responses((status = 200, description = "The plan", body = Plan), Problems))]
@@ -36,7 +36,7 @@ pub(crate) async fn get(
     Ok(Json(app.store.plan(plan).await?))
 }
 
-/// What a plan changed of what was booked before it: in words, by job, and by frame.
+/// Changes of a plan to the bookings before it: in words, by job, and by frame.
 #[utoipa::path(get, path = "/v1/plans/{id}/difference", operation_id = "plan_difference",
     tag = "farm", params(("id" = PlanId, Path)),
     responses((status = 200, description = "The difference", body = PlanDifference), Problems))]

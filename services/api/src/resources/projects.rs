@@ -13,17 +13,17 @@ use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, Reader};
 use crate::state::App;
 
-/// The largest share.
 const HIGHEST: u32 = 1_000_000;
 
-/// The shares of all projects, and what each had of the farm: who had least for its share goes first among jobs without a deadline.
+/// The shares of all projects, and what each has used. Without deadlines, the project with least for its
+/// share goes first.
 #[utoipa::path(get, path = "/v1/projects", operation_id = "project_list", tag = "farm",
     responses((status = 200, description = "The projects", body = ProjectList), Problems))]
 pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<ProjectList>> {
     shares(&app).await.map(Json)
 }
 
-/// Sets a project's share. Setting it again replaces it, so repeating the request is harmless. The farm is planned anew.
+/// Sets a project's share and plans the farm anew. Setting it again replaces it, so repeating is harmless.
 #[utoipa::path(post, path = "/v1/projects", operation_id = "project_set",
     tag = "farm", request_body = ProjectRequest,
     responses((status = 200, description = "The project", body = ProjectShare), Problems))]

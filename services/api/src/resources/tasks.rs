@@ -1,4 +1,4 @@
-//! Tasks: what their workers had to say.
+//! Tasks and their logs.
 
 use axum::Json;
 use axum::extract::State;
@@ -8,8 +8,8 @@ use crate::error::{ApiResult, Problems};
 use crate::extract::{Reader, Segment};
 use crate::state::App;
 
-/// The log of a task: what its workers said, all attempts, oldest first. While a task is being done it grows with every renewal of its
-/// lease. Kept for thirty days, at most 400 lines an attempt.
+/// The log of a task: lines of all attempts, oldest first. Kept for thirty days, at most 400 lines per
+/// attempt.
 #[utoipa::path(get, path = "/v1/tasks/{id}/log", operation_id = "task_log",
     tag = "work", params(("id" = TaskId, Path)),
     responses((status = 200, description = "The log", body = TaskLog), Problems))]

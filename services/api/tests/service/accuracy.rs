@@ -1,4 +1,4 @@
-//! What accuracy costs in time, of a job.
+//! Cost and error of a job at other qualities.
 
 use crate::support::made_up::made_up_times;
 use crate::support::{Answer, Farm};
@@ -53,7 +53,7 @@ async fn rungs_cost_in_proportion_and_err_by_the_profiled_variance() {
     let of = |kind| document.rungs.iter().filter(move |rung| rung.ladder == kind);
     let samples: Vec<u32> = of(LadderKind::Ambient).map(|rung| rung.settings.spp).collect();
     assert_eq!(samples, [1, 4, 16, 64, 256]);
-    // 5 of a frame's work are fixed, whatever its samples; of its time 5 ms at speed 2.
+    // Fixed per frame, whatever its samples: 5 units of work, and 5 ms at speed 2.
     let fixed = (5.0 * 5.0, 5.0 * 5e-3 * 2.0);
     let pixels = (quote.total.work.mean - fixed.0, quote.total.cpu_seconds.mean - fixed.1);
     for rung in of(LadderKind::Ambient) {
@@ -126,7 +126,8 @@ async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
     assert!(document.missing.iter().any(|missing| missing.reason.contains("before the irradiance cache")));
 }
 
-/// The tasks of a job that asks for all ladders, up to its booking, its profiles changed; the frames that were profiled for ladders.
+/// Works off a job with all ladders up to its booking, with changed profiles. Returns the frames profiled for
+/// ladders.
 async fn booked_after(farm: &Farm, node: &Node, job: &Job, change: impl Fn(&mut ProfileResult)) -> Vec<u32> {
     let mut laid_out = Vec::new();
     while !farm.job(job).await.state.is_final() {
@@ -165,7 +166,8 @@ async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_i
     let quote: ForecastDoc =
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
     assert!(quote.profiled.frames.contains(&laid_out[0]) && quote.profiled.frames[0] < laid_out[0]);
-    // Ladders of their own are as they were; the others have a ratio to what was asked for, of price and of error.
+    // The job's own ladders are unchanged. The others are given as ratios to the request, for price and
+    // error.
     let asked = document.rungs.iter().find(|rung| rung.asked_for).unwrap();
     assert_eq!(asked.work, quote.total.work);
     for kind in LadderKind::ALL {
@@ -186,7 +188,7 @@ async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_i
     }
     assert_eq!(document.missing.len(), 1);
     assert_eq!(document.missing[0].reason, "too dear");
-    // What they took is part of what the quote did: three profiles of 1000 and a preview of 100.
+    // Their cost is part of the quote's: three profiles of 1000 and a preview of 100.
     assert_eq!(document.spent.work, 3100);
     assert_eq!(document.profiled.pixels, quote.profiled.pixels + 99, "those of the ladders count as well");
 }
@@ -199,7 +201,7 @@ async fn other_resolutions_of_a_job_of_one_sample_err_as_what_was_asked_for_does
     request["ladders"] = json!("all");
     request["settings"] = json!({"ambient_bounces": 1, "spp": 1, "width": 8, "height": 8});
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
-    // One sample a pixel says nothing of its variance.
+    // One sample per pixel shows no variance.
     booked_after(&farm, &node, &job, |result| result.noise.clear()).await;
     let document = document(&farm, &job).await;
     let asked = document.rungs.iter().find(|rung| rung.asked_for).unwrap();
@@ -239,7 +241,7 @@ async fn a_job_that_is_late_is_offered_other_settings_that_would_be_in_time() {
     let mut request = farm.job_request("0-4");
     request["ladders"] = json!("all");
     request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
-    // As asked for it takes four minutes.
+    // As requested it takes four minutes.
     request["deadline"] = json!(Timestamp::from_micros(Timestamp::now().micros() + 120_000_000));
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     booked_with_ladders(&farm, &node, &job).await;
@@ -251,7 +253,7 @@ async fn a_job_that_is_late_is_offered_other_settings_that_would_be_in_time() {
     assert!(of(&|settings| settings.integrator == Integrator::Path) >= 5, "{:?}", answers.qualities);
     assert!(of(&|settings| settings.cache == CacheMode::On) >= 5);
     assert_eq!(of(&|settings| *settings == job.settings), 1, "each quality is offered once");
-    // The best that is in time.
+    // The best quality that is on time.
     let verdict = farm.job(&job).await.verdict.unwrap();
     let way = verdict.ways_out.iter().find_map(|way| match &way.change {
         PlanChange::Quality { settings: Some(settings), .. } => Some((settings, &way.words)),
@@ -302,7 +304,7 @@ async fn ladders_that_make_no_sense_are_refused_with_the_place() {
         let problem = answer.problem(ProblemKind::Invalid).await;
         assert_eq!(problem.pointer.as_deref(), Some(&*pointer), "{}", problem.detail);
     }
-    // An older worker does not know of them: the job has those of its own.
+    // An older worker sends no other ladders, so the job has only its own.
     let mut without = good;
     without.ladders = None;
     farm.report(&profile, TaskResult::Profile(without))

@@ -12,7 +12,7 @@ use forelight_protocol::{
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 
-/// A farm whose clock stands at six in the evening.
+/// A farm whose clock stands at 18:00.
 async fn farm() -> (Farm, Arc<ManualClock>) {
     farm_with_leases_of(Duration::from_secs(120)).await
 }
@@ -59,7 +59,7 @@ async fn renew(farm: &Farm, lease: &Lease) -> Renewal {
     request.send().await.unwrap().parsed(StatusCode::OK).await
 }
 
-/// The farm's only budget, after it was looked after: with this action in force.
+/// Runs a sweep; returns the farm's only budget, which must have this action in force.
 async fn in_force(farm: &Farm, clock: &ManualClock, action: Option<BudgetAction>) -> Budget {
     farm.service.store().enforce_budgets(clock.now()).await.unwrap();
     let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
@@ -67,7 +67,7 @@ async fn in_force(farm: &Farm, clock: &ManualClock, action: Option<BudgetAction>
     list.items[0].clone()
 }
 
-/// The same, by the service's own doing.
+/// The same, waiting for the service's own sweep.
 async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
     for _ in 0..200 {
         let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
@@ -79,7 +79,7 @@ async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
     panic!("{action:?} does not come into force");
 }
 
-/// The job, as soon as it says why it waits.
+/// The job, once it says why it waits.
 async fn soon_waits(farm: &Farm, job: &Job) -> Job {
     for _ in 0..200 {
         let job = farm.job(job).await;
@@ -104,11 +104,11 @@ async fn a_night_is_forecast_by_project_job_and_class_and_asking_again_changes_n
     assert_eq!((night.jobs.len(), night.node_classes.len()), (2, 1));
     let cost = night.cost;
     assert!(cost.p50 < cost.p80 && cost.p80 < cost.p95, "{cost:?}");
-    // Sums of quantiles are more than quantiles of sums: errors of different jobs are not alike.
+    // Errors of different jobs are independent, so summed quantiles exceed the quantile of the sum.
     assert!(cost.p95.0 < night.projects.iter().map(|line| line.cost.p95.0).sum::<i64>());
     assert_eq!(night.node_classes[0].cost, cost);
     assert_eq!((first.nights[1].cost.p95, first.cost), (Money(0), cost));
-    // Two jobs of ten frames, each about 50 CPU seconds of this node's two cores, and a thousandth of a unit a second.
+    // Two jobs of ten frames: about 50 CPU seconds each on two cores, at a thousandth of a unit per second.
     assert!((480_000..530_000).contains(&cost.p50.0), "{cost:?}");
     let late = first.not_ready.iter().find(|late| late.job_id == film.id).expect("120 seconds of work in 30");
     assert!(late.probability == Some(1.0) && late.finish[0] <= late.finish[2], "{late:?}");
@@ -122,7 +122,7 @@ async fn a_night_is_forecast_by_project_job_and_class_and_asking_again_changes_n
     set(&farm, &budget("film", cost.p95.0, json!([]))).await;
     let third = forecast(&farm, &json!({})).await;
     assert!(!third.threatened && third.budgets[0].probability_over < 0.05, "{:?}", third.budgets);
-    // One night, however often.
+    // Stored once per night, however often it is requested.
     let kept = farm.service.store().budget_forecasts_before("UTC", Timestamp::from_micros(i64::MAX), 10);
     let kept = kept.await.unwrap();
     assert_eq!(kept.len(), 1);
@@ -144,7 +144,7 @@ async fn drain_finishes_what_runs_and_the_next_night_begins_anew() {
     )
     .await;
     let running = farm.next_task(&node).await;
-    // What the frame that runs will still cost counts as well as what it cost.
+    // The expected cost of the running frame counts too.
     let drained = in_force(&farm, &clock, Some(BudgetAction::Drain)).await;
     assert!(drained.spent.0 + drained.committed.0 >= 1_000, "{drained:?}");
     assert_eq!(farm.claim(&node).await, None);
@@ -153,14 +153,14 @@ async fn drain_finishes_what_runs_and_the_next_night_begins_anew() {
     renew(&farm, &running).await;
     farm.finish(&running).await;
     assert_eq!(farm.claim(&node).await, None);
-    // Quotes of the project are held, too.
+    // Quotes of the project are held back too.
     let held: Job = {
         let mut request = farm.job_request("0-1");
         request["project"] = json!("film");
         farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await
     };
     assert_eq!(farm.claim(&node).await, None);
-    // Others are not.
+    // Other projects are not affected.
     let other = farm.submit("0-1").await;
     assert_eq!(farm.claim(&node).await.map(|lease| lease.job_id), Some(other.id));
 
@@ -184,7 +184,7 @@ async fn stop_takes_back_what_runs_until_the_budget_is_set_again() {
     assert_eq!(in_force(&farm, &clock, Some(BudgetAction::Stop)).await.committed, Money(0));
     assert_eq!(renew(&farm, &running).await.order, LeaseOrder::Stop);
     assert_eq!(farm.claim(&node).await, None);
-    // It stays so, although nothing is committed any more.
+    // It stays in force although nothing more is committed.
     clock.advance_micros(5_000_000);
     in_force(&farm, &clock, Some(BudgetAction::Stop)).await;
     assert_eq!(farm.claim(&node).await, None);

@@ -1,10 +1,10 @@
-//! What finished jobs teach later quotes: of the same renderer, and of no other.
+//! Finished jobs calibrate later quotes of the same renderer, and of no other.
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{CalibrationDoc, ForecastDoc, Job, JobState, Node, TaskResult, TrackRecord};
 use reqwest::StatusCode;
 
-/// Runs a job of two frames whose profiled pixels differ by up to a tenth, and whose renders take `factor` times what the profile says.
+/// Runs a job of two frames. Profiled pixels differ by up to 10 %; renders cost `factor` times the profile.
 async fn run(farm: &Farm, node: &Node, renderer: &str, factor: f64) -> ForecastDoc {
     let job: Job = farm.submit("0-1").await;
     loop {
@@ -41,7 +41,7 @@ async fn run(farm: &Farm, node: &Node, renderer: &str, factor: f64) -> ForecastD
 async fn after_nineteen_jobs_quantiles_hold_and_another_version_starts_anew() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
-    // Every job takes a fifth to three fifths more than the formulas say: no interval of theirs would hold.
+    // Every job costs 20 % to 60 % more than forecast, so no uncalibrated interval would hold.
     let factor = |job: u32| 1.2 + 0.4 * f64::from(job * 7 % 19) / 18.0;
     for job in 0..19 {
         let quote = run(&farm, &node, "r 1", factor(job)).await;
@@ -52,7 +52,7 @@ async fn after_nineteen_jobs_quantiles_hold_and_another_version_starts_anew() {
     assert!(quote.calibrated);
     let at = |quantile: f64| quantile / quote.total.work.mean;
     let work = quote.total.work;
-    // The actual is a little below the mean times the factor: the profile's pixels were made dearer, not the renders.
+    // A little below the mean times the factor, since the profile's pixels were made dearer, not the renders.
     assert!((at(work.p50) - 1.33).abs() < 0.05 && (at(work.p80) - 1.47).abs() < 0.05, "{work:?}");
     assert!((at(work.p95) - 1.53).abs() < 0.05, "{work:?}");
     for frame in &quote.frames {

@@ -1,4 +1,4 @@
-//! Jobs that are given a time or an amount of money in place of a quality.
+//! Jobs with a limit on time or money in place of a number of samples.
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
@@ -38,7 +38,7 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     assert!(spp >= 4 * plain.settings.spp && spp <= 6 * plain.settings.spp, "{spp}");
     assert!(quoted.total.cpu_seconds.p95 <= given, "{:?} in {given}", quoted.total.cpu_seconds);
     assert!(quoted.total.cpu_seconds.p95 > 0.9 * given, "{:?} in {given}", quoted.total.cpu_seconds);
-    // What is worked out from the profile later speaks of the images that are rendered.
+    // Later answers from the profile are about the rendered images.
     let path = format!("/v1/jobs/{}/accuracy", job.id);
     let ladders: AccuracyDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     let own = ladders.rungs.iter().find(|rung| rung.asked_for).unwrap();
@@ -48,7 +48,7 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     assert_eq!((spec.settings.spp, spec.profile), (spp, None), "profiled pixels have other samples");
     let of_frame = quoted.frames.iter().find(|each| each.frame == spec.frame).unwrap();
     assert_eq!(spec.work, Some(of_frame.work.mean.round() as u64), "it may take what so many samples take");
-    // It says how it spent that; what cannot be is refused.
+    // The result says how it spent the work; impossible values are refused.
     let TaskResult::Render(made) = farm.made_up_result(&lease).await else { panic!() };
     let spent = *made.stats.allotted.clone().unwrap();
     let with = |allotted: Option<AllottedStats>| {
@@ -68,7 +68,7 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
 async fn money_buys_samples_for_each_frame() {
     let farm = Farm::new().await;
     let node = farm.node("n").await;
-    // At speed 2, two cores and 3.6 units an hour a CPU second of speed 1 costs 250 micro-units.
+    // Speed 2, two cores and 3.6 units per hour: a CPU second of speed 1 costs 250 micro-units.
     let job = submit(&farm, json!({"money": 250 * 400, "per": "frame"})).await;
     let job = farm.until_booked(&node, &job).await;
     let quoted = quote(&farm, &job).await;
@@ -88,7 +88,7 @@ async fn too_little_fails_with_what_would_do_and_nonsense_is_refused() {
         error.contains("one camera sample") && error.contains("the limit is 0.000005 CPU seconds"),
         "{error}"
     );
-    // What it names does fit.
+    // The limit named in the error does fit.
     let words: Vec<&str> = error.split(' ').collect();
     let least: f64 = words[words.iter().position(|word| *word == "takes").unwrap() + 1].parse().unwrap();
     let least = (least * 1e6).round() as i64;

@@ -1,4 +1,4 @@
-//! The OpenAPI document against the running service.
+//! Compares the OpenAPI document with the running service.
 
 use crate::support::Farm;
 use reqwest::{Method, StatusCode};

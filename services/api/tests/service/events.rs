@@ -6,10 +6,9 @@ use forelight_protocol::{EventKind, JobState};
 use reqwest::{Method, StatusCode};
 use std::time::Duration;
 
-/// How long a stream may be silent.
+/// Longest silence of a stream.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A stream that has events to come.
 async fn open(http: &Http, path: &str, last: Option<i64>) -> Events {
     Events::open(http, path, last).await.expect("events to come")
 }
@@ -65,7 +64,7 @@ async fn a_stream_ends_with_its_job_even_if_a_worker_speaks_up_afterwards() {
     assert_eq!(cancelled.status(), StatusCode::OK);
     let late = farm.made_up_result(&lease).await;
     farm.report(&lease, late).await.problem(forelight_protocol::ProblemKind::LeaseLost).await;
-    // From its beginning, and by a client that saw all but the last event.
+    // From the beginning, and with all but the last event seen.
     let events = open(&farm.viewer, &format!("{path}/events"), None).await.rest(PATIENCE).await;
     let [.., end, last] = &events[..] else { panic!("{events:?}") };
     assert_eq!((end.job_state, last.kind), (Some(JobState::Cancelled), EventKind::LeaseLost));

@@ -1,4 +1,4 @@
-//! The life of a job, from its submission to its last picture, and what survives a service that dies.
+//! A job from its submission to its last picture, also through crashes of the service.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use forelight_protocol::{
 use reqwest::StatusCode;
 use serde_json::json;
 
-/// The job's quote is near what its frames will cost, and rests on these frames.
+/// Asserts that the quote is near the actual cost and rests on these frames.
 async fn assert_quoted(farm: &Farm, job: &Job, profiled: &[u32]) {
     let forecast: ForecastDoc =
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
@@ -26,7 +26,7 @@ async fn assert_quoted(farm: &Farm, job: &Job, profiled: &[u32]) {
     assert!(forecast.cost.unwrap().p95 >= forecast.cost.unwrap().p50);
 }
 
-/// Pictures are served with a tag, and one whose file is gone is reported as lost.
+/// Asserts that pictures have a tag, and that one with a missing file is reported as lost.
 async fn assert_pictures(farm: &Farm, job: &Job) {
     let image = farm.viewer.get(&format!("/v1/jobs/{}/frames/7/image.exr", job.id)).await;
     assert_eq!(image.headers()["content-type"], "image/x-exr");
@@ -128,7 +128,7 @@ async fn the_second_job_is_booked_around_the_first() {
     let page: BookingPage = farm.viewer.get("/v1/bookings").await.parsed(StatusCode::OK).await;
     let of = |job| page.items.iter().filter(|booking| booking.job_id == job).count();
     assert_eq!((of(first.id), of(second.id)), (5, 5), "{:?}", page.items);
-    // By start, and all on the one node. Frames of the first that a worker had while the second was quoted, and gave back, are where they were.
+    // By start, all on the one node. Frames returned while the second job was quoted keep their places.
     let frames: FramePage =
         farm.viewer.get(&format!("/v1/jobs/{}/frames", first.id)).await.parsed(StatusCode::OK).await;
     let came_back =
@@ -173,7 +173,7 @@ async fn a_service_that_dies_at_any_point_goes_on_where_it_was() {
         let lease = farm.next_task(&node).await;
         kinds.push(lease.spec.kind());
         let result = farm.made_up_result(&lease).await;
-        // Dies while the worker works, and again right after it acknowledged the result.
+        // Dies while the worker works, and again right after acknowledging the result.
         farm = farm.killed_and_restarted().await;
         let answer: forelight_protocol::ResultAnswer =
             farm.report(&lease, result.clone()).await.parsed(StatusCode::OK).await;
@@ -194,7 +194,7 @@ async fn a_crash_between_result_and_advance_is_made_up_for_at_the_start() {
     let node = farm.node("a").await;
     let job = farm.submit("0-3").await;
     let lease = farm.next_task(&node).await;
-    // Committed behind the service's back: nobody tells the conductor.
+    // Committed directly in the store: the conductor is not told.
     let result = farm.made_up_result(&lease).await;
     let now = forelight_protocol::Timestamp::now();
     farm.service.store().commit_result(lease.lease_id, lease.fence, &result, now).await.unwrap();
@@ -209,7 +209,7 @@ async fn a_lost_worker_costs_one_lease_time_and_its_late_result_nothing() {
     let (lost, other) = (farm.node("lost").await, farm.node("other").await);
     farm.submit("0-3").await;
     let stale = farm.next_task(&lost).await;
-    // Nobody announces that the lease ran out: the one who waits finds out.
+    // No event announces the expired lease; the waiting claim finds it.
     let current = farm.claim_waiting(&other, 5000).await.unwrap();
     assert_eq!(current.task_id, stale.task_id);
     assert!(current.fence > stale.fence);
@@ -222,7 +222,7 @@ async fn a_lost_worker_costs_one_lease_time_and_its_late_result_nothing() {
     assert!(metrics.contains("forelight_leases_lost_total 1\n"), "{metrics}");
 }
 
-/// Of claims that wait for a minute: what ends them earlier was no timeout.
+/// Claims here wait for a minute. An answer before this time was no timeout.
 const HALF_OF_THE_WAIT: Duration = Duration::from_secs(30);
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,4 +1,4 @@
-//! The living estimate and the explanation of a quote, over HTTP.
+//! The estimate of a running job and the explanation of a quote.
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
@@ -9,7 +9,7 @@ use reqwest::StatusCode;
 use serde_json::json;
 use std::collections::BTreeSet;
 
-/// Renders the next frame so many times as dear as the profile had it.
+/// Renders the next frame at this multiple of the profiled cost.
 async fn render(farm: &Farm, node: &Node, times: f64) -> Lease {
     let lease = farm.next_task(node).await;
     let TaskResult::Render(mut render) = farm.made_up_result(&lease).await else { panic!("{lease:?}") };
@@ -52,7 +52,7 @@ async fn a_dearer_job_is_seen_as_such_told_of_and_drawn_and_its_quote_stays() {
     let under_way = farm.job(&job).await.live.unwrap();
     assert!(under_way.work.factor > 1.3 && under_way.work.factor < 1.55, "{under_way:?}");
     assert!(under_way.work.whole.p50 > quote.total.work.p95, "{under_way:?}");
-    // It has left what is booked, unless the new plan that this calls for is there already.
+    // The estimate differs from the booking, unless the resulting new plan is already made.
     let is_booked_anew = under_way.booked.cpu_seconds > begin.booked.cpu_seconds;
     assert!(under_way.cost_is_off || is_booked_anew, "{under_way:?}");
     assert!(under_way.cpu_seconds.whole.p50 > quote.total.cpu_seconds.p95, "{under_way:?}");
@@ -61,7 +61,7 @@ async fn a_dearer_job_is_seen_as_such_told_of_and_drawn_and_its_quote_stays() {
     }
     let history = history(&farm, &job).await;
     let last = history.points.last().unwrap();
-    // A new plan, for the job takes longer than was booked, may be a point as well.
+    // The new plan, made because the job takes longer, may be a point as well.
     let frames: BTreeSet<u32> = history.points.iter().map(|point| point.frames_done).collect();
     assert_eq!((frames.len(), last.frames_done, history.frames_total), (11, 10, 10));
     let truth: f64 = (0..10).map(|frame| (f64::from(48 * (1000 + 10 * frame) + 165) * 1.5).floor()).sum();
@@ -101,7 +101,7 @@ async fn a_quote_explains_itself_as_a_whole_and_frame_by_frame() {
     assert!((shares - 1.0).abs() < 1e-9, "{whole:?}");
     let quad = &whole.objects[0];
     assert_eq!((quad.name().as_str(), quad.pixels), ("quad, paint", 480));
-    // Two profiled frames with 16 pixels each, three quarters of them of the quad.
+    // Two profiled frames with 16 pixels each; three quarters show the quad.
     assert_eq!(quad.samples, 24);
     assert!((quad.share_per_sample.unwrap() * 24.0 - quad.share).abs() < 1e-12);
     assert!(quad.share > 0.99 && quad.times_mean_pixel > 1.3, "{quad:?}");

@@ -1,4 +1,4 @@
-//! The service over HTTP, on a data folder of its own, with workers whose results are made up.
+//! The service over HTTP, with its own data folder and workers with made-up results.
 
 mod accuracy;
 mod budgets;

@@ -1,11 +1,11 @@
-//! Nodes: their names, the numbers that they register and that operators set, their calibration by class of work.
+//! Nodes: names, registered numbers, numbers set by operators, and calibration by class of work.
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{ForecastDoc, Node, NodeSeconds, ProblemKind};
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
-/// A node that takes a nanosecond for an operation, and so many for one that waits for memory.
+/// A node that takes a nanosecond per operation, and this many per memory operation.
 fn registration(name: &str, memory: u64) -> Value {
     let picos = json!({"rays": 1000, "traversal": 1000, "memory": 1000 * memory, "shading": 1000, "texture": 1000, "records": 1000});
     let capabilities = json!({"calibration": {"picos_per_work": picos}});
@@ -26,7 +26,7 @@ async fn a_quote_says_what_it_takes_on_each_calibrated_node() {
     let job = farm.until_booked(&quick, &job).await;
     let quote: ForecastDoc =
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
-    // A fifth of the work waits for memory (see the results that are made up).
+    // A fifth of the made-up work waits for memory.
     let [NodeSeconds { node: first, speed: 1.0, cpu_seconds }, starved] = &quote.cpu_seconds_on[..] else {
         panic!("{:?}", quote.cpu_seconds_on)
     };

@@ -1,4 +1,4 @@
-//! Plans that are mended, what is said of promises and of waiting, answers, and nodes that sleep.
+//! Mended plans, promises, reasons to wait, answers, and sleeping nodes.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,7 +32,7 @@ impl Farm {
         self.viewer.get(&format!("/v1/jobs/{}/answers{query}", job.id)).await.parsed(StatusCode::OK).await
     }
 
-    /// Waits until the job looks as it should.
+    /// Waits until the condition holds for the job.
     async fn until(&self, job: &Job, what: &str, condition: impl Fn(&Job) -> bool) -> Job {
         for _ in 0..1000 {
             let job = self.job(job).await;
@@ -62,7 +62,7 @@ async fn a_drained_nodes_frames_move_to_another_node_and_no_others() {
     let job = farm.until_booked(&a, &job).await;
     let before = farm.plan(&job).await;
     assert!(job.promise.as_ref().unwrap().kept && job.promise.as_ref().unwrap().probability > 0.7);
-    // Both are needed for the earliest end, not for the cheapest plan in time: one of them may have all.
+    // Both are needed for the earliest end, but the cheapest plan on time may use only one.
     let used = before.bookings[0].node_id;
     let (gone, stays) = if used == a.id { (&a, &b) } else { (&b, &a) };
     farm.order(gone, json!({"drain": true})).await;
@@ -76,7 +76,7 @@ async fn a_drained_nodes_frames_move_to_another_node_and_no_others() {
     );
     assert!(after.bookings.len() == 8 && after.bookings.iter().all(|booking| booking.node_id == stays.id));
     assert!(moved.promise.as_ref().unwrap().kept, "an hour is enough for one node");
-    // Where they were right already, they stayed.
+    // Valid bookings stayed.
     for old in before.bookings.iter().filter(|old| old.node_id == stays.id) {
         let new = after.bookings.iter().find(|new| new.frame == old.frame).unwrap();
         assert!(new.start.micros_since(old.start).abs() <= 60 * SECOND, "{old:?} {new:?}");
@@ -110,7 +110,7 @@ async fn a_drained_nodes_frames_move_to_another_node_and_no_others() {
 async fn a_promise_that_breaks_is_an_event_with_a_rescue_and_so_is_its_mending() {
     let farm = Farm::new().await;
     let (a, b) = (farm.node("a").await, farm.node("b").await);
-    // Eight frames of a good 25 seconds: in time on two nodes, and not on one.
+    // Eight frames of just over 25 seconds: on time on two nodes, late on one.
     let deadline = Timestamp::now().plus_micros(150 * SECOND);
     let job = farm.asked(|request| request["deadline"] = json!(deadline), "0-7").await;
     let job = farm.until_booked(&a, &job).await;
@@ -147,7 +147,7 @@ async fn a_plan_that_was_due_when_the_service_died_is_made_after_its_start() {
     let job = farm.until_booked(&a, &job).await;
     let used = farm.plan(&job).await.bookings[0].node_id;
     let (gone, stays) = if used == a.id { (&a, &b) } else { (&b, &a) };
-    // The service dies the moment that the order is on disk.
+    // The service dies as soon as the order is stored.
     let drain = forelight_protocol::NodeChange { drain: Some(true), ..Default::default() };
     farm.service.store().change_node(gone.id, &drain, Timestamp::now()).await.unwrap();
     let farm = farm.killed_and_restarted().await;
@@ -185,9 +185,9 @@ async fn frames_that_take_much_longer_than_forecast_stretch_what_is_left_of_the_
     assert!(plan.causes.iter().any(|cause| cause.contains("longer than was forecast")), "{:?}", plan.causes);
     let (done, waits) = (before.bookings[0].frame, before.bookings[7].frame);
     let stretched = length(&plan, waits) as f64 / length(&before, waits) as f64;
-    // Two frames of twice the forecast, which was not that sure of single frames, are no proof of a factor of two.
+    // Single frames had a wide spread, so two frames at twice the forecast do not prove a factor of two.
     assert!((1.2..1.9).contains(&stretched), "{stretched}");
-    // What is done stands as it was booked.
+    // Finished frames keep their bookings.
     assert_eq!(length(&plan, done), length(&before, done));
     let verdict = farm.job(&job).await.verdict.unwrap();
     assert!(verdict.reasons.iter().any(|reason| reason.contains("longer than was forecast")), "{verdict:?}");
@@ -210,7 +210,7 @@ async fn a_job_is_answered_by_when_for_how_much_and_what_would_change_it() {
     assert!(found.outlook.iter().all(|line| line.in_time == Some(true) && line.cost >= line.cost_at_least));
     assert!(found.outlook.windows(2).all(|pair| pair[0].cost <= pair[1].cost), "{:?}", found.outlook);
     let cheapest = found.cheapest.clone().unwrap();
-    // Ten frames of 97 to 106 CPU seconds on the cheap node alone: 100 micro-units a second.
+    // Ten frames of 97 to 106 CPU seconds on the cheap node, at 100 micro-units per second.
     assert!((90_000..130_000).contains(&cheapest.cost.0), "{cheapest:?}");
     assert!(found.curve.len() > 5 && found.curve.windows(2).all(|pair| pair[0].cost >= pair[1].cost));
     assert!(found.curve[0].cost > cheapest.cost, "sooner is dearer: {:?}", found.curve);
@@ -238,7 +238,7 @@ async fn a_job_is_answered_by_when_for_how_much_and_what_would_change_it() {
     );
     let sorted = late.ways_out.windows(2).all(|pair| pair[0].added_cost <= pair[1].added_cost);
     assert!(sorted, "{:?}", late.ways_out);
-    // Nothing of the questions is kept.
+    // Questions leave no trace.
     assert_eq!((farm.job(&job).await.deadline, farm.job(&job).await.plan_id), (job.deadline, job.plan_id));
     let svg = farm.viewer.get(&format!("/v1/jobs/{}/price-curve.svg", job.id)).await;
     assert_eq!(svg.headers()["content-type"], "image/svg+xml");
@@ -282,7 +282,7 @@ async fn projects_take_turns_by_their_shares_and_who_waits_is_told_why() {
     let of = |project: &'static str| move |request: &mut Value| request["project"] = json!(project);
     let advert = farm.asked(of("advert"), "0-11").await;
     let film = farm.asked(of("film"), "0-11").await;
-    // Two previews, then the profiles of the older job, then those of the other: no frame is begun.
+    // Two previews, the older job's profiles, then the other's. No frame is begun.
     let profiled = |job: &Job| job.state == JobState::Profiling;
     let previews = [farm.next_task(&node).await, farm.next_task(&node).await];
     for preview in &previews {
@@ -302,14 +302,14 @@ async fn projects_take_turns_by_their_shares_and_who_waits_is_told_why() {
     assert_eq!(advert.plan_id, film.plan_id, "one plan books both");
     let mut both = farm.plan(&film).await.bookings;
     both.sort_by_key(|booking| booking.start);
-    // Three of four frames at the front are the film's.
+    // Three of the first four frames are the film's.
     let of_film = both[..12].iter().filter(|booking| booking.job_id == film.id).count();
     assert!((8..=10).contains(&of_film), "{of_film} of the first 12");
     let waiting = if both[0].job_id == film.id { &advert } else { &film };
     let waits = waiting.waits.as_ref().expect("the second waits");
     assert_eq!(waits.kind, WaitKind::Others);
     assert!(waits.because.starts_with("waits because") && waits.behind.len() == 1, "{waits:?}");
-    // Which of them is first hangs on how long a preview took.
+    // Which is first depends on how long a preview took.
     assert!(waits.because.contains(" for a share of 3"), "{waits:?}");
     assert!(waits.share.is_some() && waits.until.is_some());
     let dashboard: Dashboard = farm.viewer.get("/v1/dashboard").await.parsed(StatusCode::OK).await;
@@ -347,12 +347,12 @@ async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
     let awake: Node = farm.viewer.get(&format!("/v1/nodes/{}", node.id)).await.parsed(StatusCode::OK).await;
     let power = awake.power.unwrap();
     assert_eq!((power.state, power.until), (PowerState::Awake, Some(monday(31, 0, 0))));
-    // A frame takes 25 seconds: ten before the window's end none is handed out.
+    // A frame takes 25 seconds, so none is handed out ten seconds before the window ends.
     clock.advance_micros(11 * HOUR - 10 * SECOND);
     let late = farm.worker.post("/v1/leases", &json!({"node_id": node.id})).await;
     assert_eq!(late.status(), StatusCode::NO_CONTENT);
     assert!(late.headers().get("retry-after").is_none(), "it is awake still");
-    // By hand, the window is an hour longer; what its worker says does not count any more.
+    // An operator makes the window an hour longer; the worker's schedule no longer counts.
     let longer = json!({"schedule": {"zone": "UTC", "windows": [{"from": "20:00", "until": "08:00"}]}, "terms": {"window_end": "stop"}});
     let node = farm.order(&node, longer).await;
     assert!(node.schedule_set);
@@ -383,7 +383,7 @@ async fn at_the_end_of_a_window_tasks_are_finished_or_stopped_as_the_nodes_terms
         farm.until_booked(&node, &job).await;
         leases.push(farm.next_task(&node).await);
     }
-    // Leases are renewed all the time; the service's clock lets none run out meanwhile.
+    // Leases are renewed all the time, so none expires meanwhile.
     for _ in 0..13 {
         clock.advance_micros(10 * SECOND);
         for lease in &leases {

@@ -1,4 +1,4 @@
-//! What the service says to requests that it does not like, to repeated ones, and to those of the wrong people.
+//! Invalid, repeated and forbidden requests.
 
 use std::time::Duration;
 
@@ -8,8 +8,8 @@ use reqwest::header::CONTENT_TYPE;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
-/// Variants of a good job request, with the field that is wrong in each and what is said of it; no text where the variant is
-/// good too.
+/// Variants of a good job request, with the wrong field and a part of the error. An empty text means that the
+/// variant is good.
 fn job_requests(good: &Value) -> Vec<(Value, &'static str, &'static str)> {
     let with = |pointer: &str, value: Value| {
         let mut request = good.clone();
@@ -87,7 +87,7 @@ async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() 
         for path in ["/v1/jobs/check", "/v1/jobs"] {
             let response = farm.submitter.post(path, &request).await;
             if text.is_empty() {
-                // 65,536 × 8 is not too many pixels: a few cases of the table are all right, so that it can fail.
+                // 65,536 × 8 pixels are allowed: some good variants prove that the table can fail.
                 assert!(response.status().is_success());
                 continue;
             }
@@ -121,7 +121,7 @@ async fn bodies_that_are_not_what_they_should_be_are_refused_by_kind() {
         eprintln!("{content_type} {shown}");
         send(content_type, body).await.unwrap().problem(kind).await;
     }
-    // Without an announced length it is found out while reading.
+    // Without an announced length, the limit is found while reading.
     let pieces = futures::stream::iter((0..4).map(|_| Ok::<_, std::io::Error>(vec![b' '; 1000])));
     let streamed = farm.submitter.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, json);
     streamed
@@ -181,7 +181,7 @@ async fn addresses_methods_and_parameters_that_lead_nowhere_are_problems_too() {
         ("/v1/jobs?page_size=many".to_owned(), "page_size: `many` is not a whole number from 1 to 200"),
         (
             format!("/v1/jobs/{}/frames/one/image.png", job.id),
-            "this address names nothing: `one` is not an id or number of anything here",
+            "this address does not exist: `one` is not a valid id or number",
         ),
     ] {
         assert_eq!(reason(path).await, said);
@@ -195,7 +195,8 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
     let node = farm.node("a").await;
     let id = job.id;
     let nothing = "0197a8a5-0000-7000-8000-000000000000";
-    // Bodies are empty objects: who may not is told so before anything is looked at, who may hears that the body is wrong.
+    // All bodies are empty objects. Forbidden callers are refused before the body is read; others learn that
+    // it is invalid.
     let table: [(Method, String, &str); 26] = [
         (Method::POST, "/v1/bundles".into(), "s-o-"),
         (Method::GET, format!("/v1/bundles/{nothing}"), "swov"),
@@ -273,7 +274,7 @@ async fn a_repeated_submission_is_one_job_and_a_reused_key_is_refused() {
     assert_ne!(other.id, first.id, "keys of different tokens have nothing to do with each other");
     let problem = submit(&farm.submitter, &"k".repeat(256), farm.job_request("0")).await.unwrap();
     problem.problem(ProblemKind::Malformed).await;
-    // A refused request leaves no trace: the same key may be used once the mistake is mended.
+    // A refused request leaves no trace: its key can be used again with a corrected request.
     submit(&farm.submitter, "m", farm.job_request("0-99")).await.unwrap().problem(ProblemKind::Invalid).await;
     submit(&farm.submitter, "m", farm.job_request("0-9"))
         .await

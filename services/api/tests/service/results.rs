@@ -3,7 +3,7 @@
 use crate::support::{Answer, Farm};
 use forelight_protocol::{ArtifactHash, CacheSample, PreviewResult, ProblemKind, ProfileResult, TaskResult};
 
-/// Previews that are each wrong in one place, and that place.
+/// Previews with one error each, and its place.
 fn bad_previews(preview: &PreviewResult) -> Vec<(PreviewResult, &'static str)> {
     let mut cases = Vec::new();
     let mut few = preview.clone();
@@ -41,7 +41,7 @@ fn bad_previews(preview: &PreviewResult) -> Vec<(PreviewResult, &'static str)> {
     cases
 }
 
-/// Profiles that are each wrong in one place, and that place.
+/// Profiles with one error each, and its place.
 fn bad_profiles(good: ProfileResult) -> [(ProfileResult, &'static str); 5] {
     let mut stray = good.clone();
     stray.samples[5].pixel = 64;

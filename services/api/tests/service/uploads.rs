@@ -1,4 +1,4 @@
-//! Bundles and artefacts: what is kept of an upload, and what is refused.
+//! Bundles and artefacts: accepted and refused uploads.
 
 use crate::support::{self, Answer, Farm, scene_zip};
 use forelight_protocol::{Job, ProblemKind};

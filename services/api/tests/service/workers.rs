@@ -1,4 +1,4 @@
-//! Workers that join, take orders and say what they do.
+//! Workers: joining, orders, logs, checkpoints.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -41,12 +41,12 @@ async fn of_two_workers_of_one_name_the_later_has_the_node_and_the_earlier_is_to
         farm.worker.post("/v1/leases", &json!({"node_id": node.id, "worker": worker})).await
     };
     let lease: Lease = claim(Some(first)).await.parsed(StatusCode::OK).await;
-    // It registers again, as when the service forgot it, and so does a process of a moment: nothing changes.
+    // Nothing changes if it registers again, or if a process without a worker number registers.
     for worker in [Some(first), None] {
         assert_eq!(register(worker).await.task_id, Some(lease.task_id));
     }
     assert_eq!(claim(Some(first)).await.status(), StatusCode::NO_CONTENT);
-    // The other one takes the task over at once.
+    // A second worker takes the node over at once.
     assert_eq!((register(Some(second)).await.id, register(None).await.task_id), (node.id, None));
     let again: Lease = claim(Some(second)).await.parsed(StatusCode::OK).await;
     assert_eq!((again.task_id, again.fence), (lease.task_id, lease.fence + 1));
@@ -65,7 +65,7 @@ async fn a_machine_joins_with_a_one_time_token_and_then_speaks_for_itself_alone(
     let joining = Http::new(&address(&farm.service), Some(made.token.clone()));
     let own = tokens::random();
     let request = json!({"node": node("rack-7"), "token_hash": token_hash(&own)});
-    // A one-time token is good for nothing else.
+    // A one-time token allows nothing else.
     joining.get("/v1/nodes").await.problem(ProblemKind::Unauthenticated).await;
     let joined: Node = joining.post("/v1/nodes/join", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!((joined.capabilities.memory_bytes, joined.state), (Some(1 << 30), NodeState::Idle));
@@ -149,10 +149,10 @@ async fn without_room_no_task_is_handed_out_and_every_job_says_so() {
     let node = farm.node("a").await;
     let claim = farm.worker.post("/v1/leases", &json!({"node_id": node.id, "wait_ms": 0})).await;
     let lack = claim.problem(ProblemKind::StorageFull).await.detail;
-    assert!(lack.contains("MiB of room are left"), "{lack}");
+    assert!(lack.contains("MiB of free disk space"), "{lack}");
     assert_eq!(farm.nobody.get("/readyz").await.problem(ProblemKind::StorageFull).await.detail, lack);
     let told = farm.job(&job).await.waits.expect("a reason");
-    assert_eq!((told.kind, told.because.contains("MiB of room are left")), (WaitKind::Room, true));
+    assert_eq!((told.kind, told.because.contains("MiB of free disk space")), (WaitKind::Room, true));
     let listed: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
     assert_eq!(listed.items[0].waits.as_ref().map(|waits| waits.kind), Some(WaitKind::Room));
     let shown: Dashboard = farm.viewer.get("/v1/dashboard").await.parsed(StatusCode::OK).await;
@@ -210,7 +210,7 @@ async fn finished_tiles_outlive_their_worker_and_go_with_the_task() {
         assert_eq!(put(&lease, lease.fence, tiles).await.status(), StatusCode::NO_CONTENT);
     }
     put(&lease, lease.fence + 1, b"a stranger's").await.problem(ProblemKind::LeaseLost).await;
-    // Its worker is lost.
+    // Its lease expires.
     let taken = farm.claim_waiting(&other, 5000).await.unwrap();
     assert_eq!((taken.task_id, taken.fence), (lease.task_id, lease.fence + 1));
     put(&lease, lease.fence, b"too late").await.problem(ProblemKind::LeaseLost).await;
@@ -285,7 +285,7 @@ async fn a_dear_node_leaves_booked_frames_to_the_cheap_one_says_why_and_helps_wh
     assert_eq!(reason, said);
     assert_eq!(farm.claim(&cheap).await.map(|lease| lease.job_id), Some(job.id));
     assert_eq!(seen(&cheap).await.idle_reason, None);
-    // Nothing was weighed against the money of this one.
+    // This job has no deadline, so its cost is not weighed.
     let free = farm.submit("0-1").await;
     let free = farm.until_booked(&cheap, &free).await;
     assert_eq!(farm.claim(&dear).await.map(|lease| lease.job_id), Some(free.id));

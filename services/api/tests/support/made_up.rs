@@ -1,4 +1,4 @@
-//! Results that are made up: of a quad that covers 48 of 64 pixels, one of which costs 1000 in frame 0 and 1 % more in each
+//! Made-up results. A quad covers 48 of 64 pixels. A pixel of it costs 1000 in frame 0, and 1 % more in each
 //! later frame.
 
 use super::Farm;
@@ -131,7 +131,7 @@ fn preview(spec: &PreviewSpec) -> PreviewResult {
     }
 }
 
-/// The quad's pixels have a mean of 2 and a variance of 1 / n at n samples, those of nothing are 1 exactly.
+/// Mean 2 and variance 1 / n at n samples for the quad's pixels, exactly 1 for the background's.
 fn made_up_noise(spp: u32) -> Vec<NoiseCell> {
     let doublings = spp.ilog2() as i32;
     let drops = |variance: f32| (1..=doublings).map(|k| variance * 0.5f32.powi(k)).collect();
@@ -142,7 +142,7 @@ fn made_up_noise(spp: u32) -> Vec<NoiseCell> {
     vec![cell(48, 2.0, 1.0), cell(16, 1.0, 0.0)]
 }
 
-/// How many times what was asked for a made-up rung takes, and errs: those with a cache a tenth of their place on the ladder, others more than once.
+/// Factor on cost and error of a made-up rung. With a cache a tenth of its place on the ladder, else above 1.
 pub fn made_up_times(kind: LadderKind, place: u32) -> f64 {
     match kind {
         LadderKind::CachedSamples => f64::from(place) / 10.0,

@@ -1,4 +1,4 @@
-//! A service in a temporary folder, callers of every role, and a worker whose results are made up.
+//! A service in a temporary folder, callers of every role, and a worker with made-up results.
 
 #![allow(dead_code, reason = "each test program uses a part of this")]
 
@@ -72,7 +72,7 @@ pub fn config(folder: &Path) -> Config {
     config
 }
 
-/// The lock goes with the last connection of the service before.
+/// Retries while the previous service still holds the lock, which ends with its last connection.
 pub async fn start(config: &Config) -> Service {
     for _ in 0..500 {
         match Service::start(config.clone()).await {
@@ -85,7 +85,6 @@ pub async fn start(config: &Config) -> Service {
     panic!("the data folder stays locked");
 }
 
-/// Where a service can be reached.
 pub fn address(service: &Service) -> String {
     format!("http://{}", service.local_addr())
 }
@@ -111,7 +110,7 @@ impl Farm {
         Self { folder, service, operator, submitter, worker, viewer, nobody }
     }
 
-    /// The service dies without a word and is started again.
+    /// Kills the service and starts it again.
     pub async fn killed_and_restarted(self) -> Self {
         let Self { folder, service, operator, submitter, worker, viewer, nobody } = self;
         drop(service);
@@ -167,7 +166,7 @@ impl Farm {
         Some(response.parsed(StatusCode::OK).await)
     }
 
-    /// Claims, waiting for the conductor to have made the task.
+    /// Claims a task, waiting for the conductor to make it.
     pub async fn next_task(&self, node: &Node) -> Lease {
         self.claim_waiting(node, 10_000).await.expect("a task within ten seconds")
     }
@@ -202,7 +201,7 @@ impl Farm {
         }
     }
 
-    /// Takes a job to where its first frame could be claimed.
+    /// Takes a job to where its first frame can be claimed.
     pub async fn until_booked(&self, node: &Node, job: &Job) -> Job {
         for _ in 0..500 {
             let job = self.job(job).await;
@@ -214,7 +213,7 @@ impl Farm {
                     self.finish(&lease).await;
                 }
                 claimed => {
-                    // A frame of another job: not what is wanted here.
+                    // A frame of another job.
                     if let Some(Lease { lease_id, fence, .. }) = claimed {
                         let path = format!("/v1/leases/{lease_id}/release");
                         let released = self.worker.post(&path, &json!({"fence": fence})).await;

@@ -1,22 +1,19 @@
-//! How many camera samples each part of an image gets: the least error for a budget, or the least cost for an
-//! error.
+//! Allots camera samples to the parts of an image: least error for a budget, or least cost for an error.
 //!
-//! Let zone *h* have N_h pixels. Each has the variance v_h(n) = a_h n^−1.5 + b_h n^−1 at n samples (see
-//! [`super::ImageNoise`]) and costs c_h per sample. The mean square error Σ N_h v_h(n_h) under a budget Σ N_h
-//! c_h n_h is least where one more unit of cost lowers the error equally in all zones:
+//! Let zone *h* have N_h pixels, each with variance v_h(n) = a_h n^−1.5 + b_h n^−1 at n samples (see
+//! [`super::ImageNoise`]) and cost c_h per sample. The error Σ N_h v_h(n_h) under
+//! a budget Σ N_h c_h n_h is least where
 //!
 //! ```text
 //! −v_h'(n_h) = λ c_h ,   n_h ≥ 1 .
 //! ```
 //!
-//! This is the optimum allocation of Neyman (1934) and of Cochran, *Sampling Techniques*, 3rd edition 1977,
-//! section 5.5, for variances that fall faster than 1 / n.
+//! This extends the optimum allocation of Neyman (1934) (Cochran, *Sampling Techniques*, 3rd edition 1977,
+//! section 5.5) to variances that fall faster than 1 / n.
 //!
-//! Numbers of samples need not be whole. In a zone with 2.5 samples per pixel, every second pixel gets 3 and
-//! the others 2. But not every whole number is equally good: the samples of a pixel are evenly spread if
-//! their number is a power of two or one and a half times a power of two. A pixel with 40 samples has a
-//! larger error than a mixture of pixels with 32 and 48. The error at 46 samples is 6 % smaller than at 40,
-//! and at 48 it is 16 % smaller. So [`whole`] mixes only such numbers.
+//! In a zone with 2.5 samples per pixel, every second pixel gets 3 and the others 2. Samples of a pixel
+//! spread evenly only if their number is a power of two, or one and a half times one. The error at 46 samples
+//! is 6 % smaller than at 40, and at 48 it is 16 % smaller. So [`whole`] mixes only such numbers.
 
 use super::variance_curve::{EXPONENTS, powers};
 use crate::error::ForecastError;
@@ -33,19 +30,16 @@ const IMAGE_WEIGHT: f64 = 2.0;
 pub struct Zone {
     /// Number of pixels.
     pub pixels: f64,
-    /// Coefficients `[a, b]` of the variance a / n^1.5 + b / n of a pixel at n samples, in brightness
-    /// squared.
+    /// Coefficients `[a, b]` of a pixel's variance a / n^1.5 + b / n at n samples, in brightness squared.
     pub variance: [f64; 2],
     /// Cost of one camera sample of one pixel, in any unit that all zones share.
     pub cost: f64,
 }
 
 impl Zone {
-    /// Builds a zone from its sampled pixels.
-    ///
-    /// Each entry of `samples` holds the variance curve of a pixel (see [`super::ImageNoise::curve_of`]) and
-    /// what the pixel cost at `spp` camera samples. The curve is shrunk towards that of the whole image,
-    /// `of_image`, so that a zone with few samples is mostly like the image.
+    /// Builds a zone from its sampled pixels. `samples` holds variance curves
+    /// ([`super::ImageNoise::curve_of`]) and costs at `spp` camera samples. The curve is shrunk towards
+    /// `of_image`, that of the whole image.
     ///
     /// # Errors
     /// [`ForecastError::NoSamples`] if `samples` is empty.
@@ -92,9 +86,8 @@ impl Zone {
         if self.gain(MOST_SAMPLES) >= price {
             return MOST_SAMPLES;
         }
-        // Multiplied by n^2.5, the equation gain = price is a polynomial in s = √n: price s⁵ − linear s −
-        // constant = 0. It has one positive root, and is convex beyond it. Newton's method started above the
-        // root descends to it, and stops when rounding ends the descent.
+        // Times n^2.5, gain = price is a polynomial in s = √n: price s⁵ − linear s − constant = 0. It has one
+        // positive root and is convex beyond it, so Newton's method started above descends to it.
         let [constant, linear] = [0, 1].map(|k| EXPONENTS[k] * self.variance[k]);
         let price = price * self.cost();
         // The root is above 1. Hence s⁴ is at most twice the larger coefficient over the price.
@@ -111,10 +104,8 @@ impl Zone {
     }
 }
 
-/// Samples per pixel of each zone that give the least error for the total cost `budget`.
-///
-/// Zone *h* gets at least `has[h]` samples per pixel, which must be 1 or more. `None` if these alone cost
-/// more than the budget.
+/// Samples per pixel of each zone with the least error for the total cost `budget`. Zone *h* gets at least
+/// `has[h]` ≥ 1 samples per pixel. `None` if these alone cost more.
 pub(super) fn samples_for_budget(zones: &[Zone], has: &[f64], budget: f64) -> Option<Vec<f64>> {
     let with =
         |samples: &[f64]| -> Vec<f64> { samples.iter().zip(has).map(|(n, has)| n.max(*has)).collect() };
@@ -122,9 +113,7 @@ pub(super) fn samples_for_budget(zones: &[Zone], has: &[f64], budget: f64) -> Op
     (cost(zones, has) <= budget).then(|| with(&by_price(zones, left)))
 }
 
-/// Samples per pixel of each zone that reach the mean pixel variance `variance` at the least cost.
-///
-/// Every zone gets [`MOST_SAMPLES`] if even these are not enough.
+/// Samples per pixel for the mean pixel variance `variance` at the least cost, at most [`MOST_SAMPLES`].
 pub fn samples_for_variance(zones: &[Zone], variance: f64) -> Vec<f64> {
     by_price(zones, |samples| libm::log(mean_variance(zones, samples) / variance))
 }
@@ -132,11 +121,8 @@ pub fn samples_for_variance(zones: &[Zone], variance: f64) -> Vec<f64> {
 /// Tolerance on logarithms: values this close to zero count as zero.
 const NEAR_ZERO: f64 = 1e-10;
 
-/// The samples at the lowest price for which `slack` is not negative, or at the highest price if there is
-/// none.
-///
-/// `slack` grows as samples get fewer. It is the logarithm of a quantity that is roughly a power of the
-/// price.
+/// The samples at the lowest price with `slack` ≥ 0, else at the highest price. `slack` grows as samples get
+/// fewer. It is the logarithm of roughly a power of the price.
 fn by_price(zones: &[Zone], slack: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let at = |price: f64| -> Vec<f64> { zones.iter().map(|zone| zone.samples_at(price)).collect() };
     // Within this range of prices, all zones go from the most samples to one.
@@ -150,9 +136,8 @@ fn by_price(zones: &[Zone], slack: impl Fn(&[f64]) -> f64) -> Vec<f64> {
         return most;
     }
     let mut ends = [(libm::log(low), least), (libm::log(high), left)];
-    // The Illinois method (regula falsi): the next price is where a line between the ends crosses zero. An
-    // end that is kept twice in a row counts half. Every fourth step bisects instead, because slack is not
-    // linear where zones reach one sample or the most.
+    // The Illinois method (regula falsi): an end that is kept twice in a row counts half. Every fourth step
+    // bisects, because slack is not linear where zones reach a limit.
     let mut moved = None;
     for step in 1..100 {
         let [below, above] = ends;
@@ -187,10 +172,8 @@ pub(super) fn mean_variance(zones: &[Zone], samples: &[f64]) -> f64 {
     sum(zones.iter().zip(samples).map(|(zone, n)| zone.error(*n))) / pixels.max(1.0)
 }
 
-/// Whole numbers of samples for the pixels of a zone, in their order.
-///
-/// Each pixel gets one of the two [`even_numbers`] next to `samples`. The two are mixed so that their mean is
-/// `samples`. If `samples` grows, no pixel gets fewer.
+/// Whole numbers of samples for the pixels of a zone, in order: a mixture of the two [`even_numbers`] with
+/// the mean `samples`. If `samples` grows, no pixel gets fewer.
 pub fn whole(samples: f64, pixels: usize) -> impl Iterator<Item = u32> {
     let step = coprime_to(pixels);
     let [below, above] = even_numbers(samples);
@@ -203,10 +186,8 @@ pub fn whole(samples: f64, pixels: usize) -> impl Iterator<Item = u32> {
     })
 }
 
-/// The numbers of samples next to `samples` that spread evenly over a pixel: the largest that is not above
-/// it, and the next larger one.
-///
-/// These numbers are the powers of two, and one and a half times the powers of two.
+/// The largest evenly spreading number of samples not above `samples`, and the next larger one: powers of
+/// two, and one and a half times these.
 pub fn even_numbers(samples: f64) -> [u32; 2] {
     // The conversion turns NaN into 0, and `max` into 1.
     let samples = (samples.clamp(1.0, MOST_SAMPLES) as u32).max(1);
@@ -282,8 +263,8 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// For any zones, with any samples taken before: a budget is never exceeded. It is spent unless all
-        /// zones have the most samples.
+        /// Whatever the zones, a budget is never exceeded, and is spent unless all zones have the most
+        /// samples.
         #[test]
         fn any_budget_is_spent_and_never_exceeded(
             zones in proptest::collection::vec((1.0..1e6f64, -12.0..12.0f64, -12.0..12.0f64, 0.01..100.0f64, 1.0..50.0f64), 1..40),

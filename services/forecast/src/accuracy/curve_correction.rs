@@ -1,11 +1,9 @@
-//! Corrects the variance curve that a profile suggests by what the unfinished image shows.
+//! Corrects the variance curve of a profile by the unfinished image.
 //!
-//! The profile says how the variance of a pixel falls with its samples. But it is a guess: it rests on few
-//! pixels, with fewer samples than the image has by now. When a pixel goes from n to m samples, its mean
-//! moves by V(n) − V(m) in the mean square, because the later mean contains the earlier samples. So all
-//! pixels together show how far the guess is off at the present number of samples. Tiles that were given many
-//! samples show edges of lamps and glossy things, and differ from those with few. So tiles are grouped by
-//! their number of samples, and each group is corrected by its own pixels.
+//! The profile's curve rests on few pixels with few samples. When a pixel goes from n to m samples, its mean
+//! moves by V(n) − V(m) in the mean square. So all pixels together show the curve's error at the present
+//! number of samples. Tiles with many samples show edges of lamps and glossy things. So tiles are grouped by
+//! number of samples, and each group corrects itself.
 
 use super::allot::Zone;
 use super::sampled_pixel::SampledPixel;
@@ -46,8 +44,7 @@ struct Movement {
 }
 
 impl CurveCorrection {
-    /// Builds the corrections for `tiles`, whose guessed variances are those of `zones`. `samples` are the
-    /// mean numbers of samples per pixel of each tile.
+    /// Builds the corrections for `tiles` from the guesses `zones` and the tiles' mean samples per pixel.
     pub fn new(tiles: &[Vec<SampledPixel>], zones: &[Zone], samples: &[f64]) -> Self {
         let of_tiles: Vec<usize> = samples.iter().map(|n| (n.max(1.0) as u32).ilog2() as usize).collect();
         let moved: Vec<Movement> =
@@ -110,8 +107,7 @@ impl Movement {
 }
 
 impl Octave {
-    /// The correction from all these tiles: a ratio of sums, with the variance of a ratio estimator
-    /// (Cochran 1977, section 6.4) relative to its square.
+    /// A ratio of sums with the relative variance of a ratio estimator (Cochran 1977, section 6.4).
     fn from_tiles(tiles: &[Movement]) -> Self {
         let [observed, guessed] =
             [sum(tiles.iter().map(|tile| tile.observed)), sum(tiles.iter().map(|tile| tile.guessed))];
@@ -128,8 +124,7 @@ impl Octave {
         Self { factor: factor.clamp(1.0 / MAX_FACTOR, MAX_FACTOR), uncertainty }
     }
 
-    /// The correction of some of the tiles that `self` covers, shrunk towards `self` if they are few. `None`
-    /// if they show nothing.
+    /// The correction of some of the tiles, shrunk towards `self`. `None` if they show nothing.
     fn shrunk(&self, some: &[Movement]) -> Option<Self> {
         let own = Self::from_tiles(some);
         if own.uncertainty == CERTAIN {
@@ -147,8 +142,8 @@ impl Octave {
 mod tests {
     use super::*;
 
-    /// A tile of 64 pixels that went from two samples to four. Their means moved by `factor` times the guess,
-    /// in the mean square.
+    /// A tile of 64 pixels after two and four samples. Means moved by `factor` times the guess in the mean
+    /// square.
     fn tile(factor: f64) -> Vec<SampledPixel> {
         let guess = 3.0 * (1.0 / 8f64.sqrt() - 1.0 / 8.0) + (1.0 / 2.0 - 1.0 / 4.0);
         let pixel = |i: usize| SampledPixel {

@@ -18,9 +18,7 @@ pub struct Step {
     pub next: Option<usize>,
 }
 
-/// [`front`] of rungs given as (cost, error). A rung that is `None` is unknown and never on the front.
-///
-/// Returns pairs of a rung's index and the index of the next better rung.
+/// [`front`] of rungs given as (cost, error), where known. Returns indices of a rung and the next better one.
 pub fn front_of_known(points: &[Option<(f64, f64)>]) -> Vec<(usize, Option<usize>)> {
     let far = Point { cost: f64::INFINITY, error: f64::INFINITY };
     let points: Vec<Point> =
@@ -28,10 +26,7 @@ pub fn front_of_known(points: &[Option<(f64, f64)>]) -> Vec<(usize, Option<usize
     front(&points).into_iter().map(|step| (step.rung, step.next)).collect()
 }
 
-/// The Pareto front, by rising cost: the rungs for which no other rung has less cost at no more error, or
-/// less error at no more cost.
-///
-/// Of rungs that are equal in both, the first is taken. Rungs with a number that is not finite are left out.
+/// The Pareto front, by rising cost. The first of equal rungs is taken. Non-finite numbers are left out.
 pub fn front(points: &[Point]) -> Vec<Step> {
     let mut order: Vec<usize> =
         (0..points.len()).filter(|&i| points[i].cost.is_finite() && points[i].error.is_finite()).collect();

@@ -1,7 +1,5 @@
-//! From the noise of some pixels to the error of the whole image.
-//!
-//! The profiled pixels stand for the pixels of their stratum. Their variances are averaged over the image,
-//! and extrapolated to other numbers of camera samples by the curve A / n^1.5 + B / n.
+//! The error of the whole image from the noise of some pixels. Their variances are averaged by stratum and
+//! extrapolated to other numbers of camera samples by A / n^1.5 + B / n.
 
 use serde::{Deserialize, Serialize};
 
@@ -62,10 +60,7 @@ impl MeanSquare {
         Self { value: self.value + other.value, variance, degrees_of_freedom }
     }
 
-    /// The mean of the mean square errors of several images, each with the same weight. `None` without
-    /// images.
-    ///
-    /// The images' samples are taken to be independent.
+    /// Mean of the mean square errors of several independent images. `None` without images.
     pub fn mean(images: &[Self]) -> Option<Self> {
         let count = images.len() as f64;
         let all = images.iter().copied().reduce(Self::plus)?;
@@ -90,10 +85,8 @@ impl MeanSquare {
     }
 }
 
-/// The least share of B / n in the variance at the last sampled number of samples.
-///
-/// A few drops of a few pixels may well suggest that there is no such part. On the test scenes that was never
-/// true, and it halved the error forecast for sixteen times as many samples.
+/// Least share of B / n in the variance at the last sampled number of samples. Few pixels may suggest none,
+/// which halved the error forecast for sixteen times as many samples on the test scenes.
 const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
 
 /// The most doublings of the number of samples that are considered, since that number has 32 bits.
@@ -117,14 +110,13 @@ pub struct ImageNoise {
 struct Fit {
     /// Weight of each drop in A and in B.
     weights: [Vec<f64>; 2],
-    /// Weights for the largest plausible B: all of the variance falls as B / n. Only set where the fit gave B
-    /// a smaller share than [`MIN_INDEPENDENT_SHARE`].
+    /// Weights for the largest plausible B (all B / n). Only set where B was below [`MIN_INDEPENDENT_SHARE`].
     at_most: Option<Vec<f64>>,
 }
 
 impl ImageNoise {
-    /// Builds the error curve of an image made of these cells. All sampled pixels were traced with the same
-    /// number of camera samples. Cells without pixels are ignored.
+    /// Builds the error curve of an image of these cells, all sampled with the same number of camera samples.
+    /// Cells without pixels are ignored.
     ///
     /// # Errors
     /// [`ForecastError::NoSamples`] if a cell has no sampled pixel, or a pixel has only one camera sample.
@@ -149,8 +141,7 @@ impl ImageNoise {
         self.mean
     }
 
-    /// Drops of the image's variance (see [`PixelNoise::drops`]): means over its pixels, in brightness
-    /// squared.
+    /// Mean drops of the image's variance (see [`PixelNoise::drops`]), in brightness squared.
     pub fn drops(&self) -> Vec<f64> {
         (0..self.levels).map(|k| self.stratified(|pixel| pixel.drops[k]).0).collect()
     }
@@ -165,8 +156,7 @@ impl ImageNoise {
         [0, 1].map(|which| weighted(&self.fit.weights[which], pixel))
     }
 
-    /// Mean square error of the image at `spp` camera samples per pixel, at least 1. Includes the squared
-    /// bias.
+    /// Mean square error of the image at `spp` ≥ 1 camera samples per pixel, with the squared bias.
     pub fn at(&self, spp: u32) -> MeanSquare {
         self.noise_at(spp).plus(self.bias_square())
     }
@@ -176,14 +166,12 @@ impl ImageNoise {
         self.mean_square(|pixel| pixel.bias_square)
     }
 
-    /// The noise: the part of the mean square error that falls with samples, at `spp` camera samples per
-    /// pixel.
+    /// The noise at `spp` camera samples per pixel: the part of the mean square error that falls with
+    /// samples.
     ///
-    /// At a sampled power of two it is the sum of all further drops, plus the variance left after the last
-    /// drop. The latter follows the curve A / n^1.5 + B / n, as do numbers beyond it. Between powers of two,
-    /// see `variance_curve::between`. The variance of the result has two parts: that of the estimate, and
-    /// that of the error of a single image. A few pixels of an image may by chance be very good or bad. Each
-    /// adds 2 V², as for a normally distributed number.
+    /// At a sampled power of two it is the sum of all further drops, plus the rest, which follows A / n^1.5 +
+    /// B / n. Between powers of two, see `variance_curve::between`. Its variance is that of the estimate plus
+    /// that of a single image's error, 2 V² each, as for a normally distributed number.
     pub fn noise_at(&self, spp: u32) -> MeanSquare {
         let spp = spp.max(1);
         let below = spp.ilog2() as usize;
@@ -226,10 +214,8 @@ impl ImageNoise {
         square
     }
 
-    /// The mean of `value` over the image's pixels, relative to the square of the image's mean.
-    ///
-    /// A square that is estimated as a product may come out negative. It is then set to 0, and keeps its
-    /// variance.
+    /// Mean of `value` over the image's pixels, relative to the square of the image's mean. A negative
+    /// estimate is set to 0 and keeps its variance.
     fn mean_square(&self, value: impl Fn(&PixelNoise) -> f64) -> MeanSquare {
         let (mean, part) = self.stratified(value);
         if self.mean <= 0.0 {
@@ -243,11 +229,9 @@ impl ImageNoise {
         MeanSquare { value, variance, degrees_of_freedom: part.degrees_of_freedom }
     }
 
-    /// The stratified mean over the image, Σ N_g ȳ_g / N, of a value of the sampled pixels, with its variance
-    /// (see [`crate::estimate()`]).
-    ///
-    /// The variance includes a tail allowance: the squared change of the mean if one more pixel were as
-    /// extreme as the most extreme sample.
+    /// The stratified mean Σ N_g ȳ_g / N of a value of the sampled pixels, with its variance (see
+    /// [`crate::estimate()`]). The tail allowance is the squared change of the mean if one more pixel were
+    /// like the most extreme sample.
     fn stratified(&self, value: impl Fn(&PixelNoise) -> f64) -> (f64, Part) {
         let all = self.cells.iter().map(|cell| cell.pixels).sum::<u64>() as f64;
         let mut means = Vec::with_capacity(self.cells.len());
@@ -275,8 +259,7 @@ impl ImageNoise {
 }
 
 impl Fit {
-    /// Weighted least squares over the image's drops, with errors relative to each drop. A and B are not
-    /// negative.
+    /// Weighted least squares over the image's relative drops. A and B are not negative.
     fn of(drops: &[f64]) -> Self {
         // Drop k of 1 / n^1.5 and of 1 / n.
         let shape = |which: usize, k: usize| {
@@ -345,11 +328,9 @@ pub struct NoiseGroup {
     pub samples: Vec<usize>,
 }
 
-/// Groups the strata of an image so that every group has at least two samples where possible.
-///
-/// `counts[h]` is the number of pixels of stratum h. A stratum with two or more samples is a group of its
-/// own. Others are joined by material. Materials that still have fewer than two samples form one last group.
-/// If that group has fewer than two samples as well, it uses the samples of the whole image.
+/// Groups the strata of an image so that every group has at least two samples where possible. `counts[h]` is
+/// the number of pixels of stratum h. Strata with fewer samples are joined by material, then into one last
+/// group, which may use all samples.
 ///
 /// # Errors
 /// If the lengths of `strata` and `counts` differ, a sample names an unknown stratum, or there is no sample.
@@ -395,10 +376,7 @@ pub fn noise_groups(
     Ok(groups)
 }
 
-/// The groups of [`noise_groups`], as cells with their pixel counts and samples.
-///
-/// # Errors
-/// As for [`noise_groups`].
+/// The groups of [`noise_groups`] as cells with pixel counts and samples. Errors as there.
 pub fn noise_cells(
     strata: &[Stratum],
     counts: &[u32],

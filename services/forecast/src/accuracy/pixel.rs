@@ -1,18 +1,15 @@
 //! The variance of one pixel at any number of camera samples, estimated from a single render of it.
 //!
-//! Let V(n) be the variance of the mean of n samples. Take two neighbouring blocks of n samples each, with
-//! means a and b. Blocks of a scrambled sequence that are aligned to powers of two are exchangeable (Owen
-//! 1995), so a and b have the same distribution. The mean of all 2 n samples is (a + b) / 2. Since a = (a +
-//! b)/2 + (a − b)/2, and sum and difference of exchangeable numbers are uncorrelated,
+//! Let V(n) be the variance of the mean of n samples, and a and b the means of two neighbouring blocks of n.
+//! Blocks of a scrambled sequence that are aligned to powers of two are exchangeable (Owen 1995). So a and b
+//! have the same distribution, a + b and a − b are uncorrelated, and
 //!
 //! ```text
 //! V(n) = V(2 n) + E[(a − b)² / 4] ,
 //! ```
 //!
-//! whatever the correlation of a and b. So the squared half-differences of blocks are unbiased estimates of
-//! how much each doubling lowers the variance. These are the *drops* V(1) − V(2), V(2) − V(4), …. One render
-//! yields all of them up to its number of samples. Only the variance left after the last drop remains
-//! unknown.
+//! whatever the correlation of a and b. So squared half-differences of blocks are unbiased estimates of the
+//! *drops* V(1) − V(2), V(2) − V(4), …. Only the variance after the last drop remains unknown.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,8 +18,7 @@ use serde::{Deserialize, Serialize};
 pub struct PixelNoise {
     /// Mean of the samples, over the three channels.
     pub brightness: f64,
-    /// Estimates of V(2ᵏ) − V(2ᵏ⁺¹) for k = 0, 1, …: means over the channels, in brightness squared. There
-    /// are ⌊log₂ n⌋ of them for n samples.
+    /// Estimates of V(2ᵏ) − V(2ᵏ⁺¹): means over the channels, in brightness squared; ⌊log₂ n⌋ for n samples.
     pub drops: Vec<f64>,
     /// Estimate of the squared bias, mean over the channels: the part of the error that no number of samples
     /// removes, for example that of interpolation. It may be negative, because it is estimated as a product.

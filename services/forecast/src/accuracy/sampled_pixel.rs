@@ -13,8 +13,7 @@ pub struct SampledPixel {
     pub cost: f64,
     /// The profile's variance curve of pixels like this one: `[A, B]` of A / n^1.5 + B / n.
     pub profiled: [f64; 2],
-    /// The effect of the later samples, which are half to three quarters of all. First the number of samples
-    /// before them; then the squared change of the mean that they brought, mean over the channels. `None` for
-    /// a pixel with a single sample.
+    /// Number of samples before the later ones, which are half to three quarters of all, and the squared
+    /// change of the mean that those brought, mean over channels. `None` with a single sample.
     pub grown: Option<(u32, f64)>,
 }

@@ -1,10 +1,9 @@
 //! Where further samples reduce the error of an unfinished image most.
 //!
-//! A profile of some pixels knows how much a material varies. It does not know the bright spot on the wall
-//! beside a lamp. Once every pixel has some samples, the image itself shows it. Each tile becomes a zone (see
-//! [`super::allot`]) whose variance is the mean of the sample variances of its pixels. How that variance
-//! falls with samples is taken from the profile of the same materials, because the few samples of a pixel do
-//! not show it. `curve_correction` then corrects that guess by the later half of all pixels' samples.
+//! A profile of some pixels misses, for example, the bright spot beside a lamp, but the image shows it. Each
+//! tile becomes a zone ([`super::allot`]) with the mean sample variance of its pixels. Its fall with samples
+//! comes from the profile of the same materials. `curve_correction` corrects that by the later half of all
+//! pixels' samples.
 
 use super::allot::{Zone, samples_for_budget, samples_for_variance};
 use super::curve_correction::CurveCorrection;
@@ -33,7 +32,7 @@ pub struct Survey {
 }
 
 impl Survey {
-    /// Builds the survey of an image made of these tiles.
+    /// Builds the survey of an image of these tiles.
     ///
     /// # Errors
     /// [`ForecastError::NoSamples`] if a tile has no pixels, or a pixel no samples.
@@ -75,10 +74,8 @@ impl Survey {
         &self.samples
     }
 
-    /// Like [`Self::samples_for_error`], but the fall of the variance is taken as certain.
-    ///
-    /// For an intermediate pass: its samples will show how the variance falls, so it needs no reserve for
-    /// that.
+    /// Like [`Self::samples_for_error`], but without a reserve for the fall of the variance. For an
+    /// intermediate pass, whose samples will show it.
     pub fn samples_to_see(
         &self,
         wanted: f64,
@@ -101,8 +98,7 @@ impl Survey {
         quantile: impl Fn(&ErrorQuantiles) -> f64,
         calibration: Calibration,
     ) -> Vec<f64> {
-        // The ratio of quantile to mean depends on the allocation of samples, and the allocation on the
-        // ratio. Two rounds are close enough.
+        // The ratio of quantile to mean and the allocation depend on each other. Two rounds are close enough.
         let mut samples = self.samples.clone();
         for _ in 0..2 {
             let is = self.mean_square(&samples);
@@ -141,8 +137,7 @@ impl Survey {
     }
 }
 
-/// The mean variance of a tile's pixels at their own numbers of samples, over their variance if all had the
-/// mean number.
+/// Mean variance of a tile's pixels, over that with the mean number of samples everywhere.
 fn unevenness(tile: &[SampledPixel], zone: &Zone, samples: f64) -> f64 {
     let variance = |powers: [f64; 2]| sum((0..2).map(|k| zone.variance[k] * powers[k]));
     let are = sum(tile.iter().map(|pixel| variance(powers_of_pixel(pixel.samples)))) / tile.len() as f64;
@@ -166,8 +161,7 @@ fn zone_of_tile(tile: &[SampledPixel]) -> (Zone, Part) {
     };
     let mut known: Vec<f64> = tile.iter().filter_map(unbiased).collect();
     if known.is_empty() {
-        // No pixel shows how much of the differences is noise. The differences within the tile stand in for
-        // it, so that a tile with contrast gets a second look.
+        // The differences within the tile stand in for its noise, so tiles with contrast get a second look.
         known.extend(spread(tile));
     }
     let count = known.len() as f64;
@@ -217,8 +211,8 @@ mod tests {
         let [calm, wild, unknown, spot] = survey.zones() else { panic!() };
         let total = |zone: &Zone| zone.variance[0] + zone.variance[1];
         assert!(total(calm) < 0.02 && total(calm) > 1e-4, "{calm:?}");
-        // The expected spread of four samples is 1 − 0.75 / 8 − 0.25 / 4 of the variance. The sample variance
-        // adds a factor of 4 / 3.
+        // Four samples: expected spread 1 − 0.75 / 8 − 0.25 / 4 of the variance; the sample variance adds 4 /
+        // 3.
         let variance = 2.0 * 0.75 / (1.0 - 0.75 / 8.0 - 0.25 / 4.0);
         assert!((total(wild) - (variance + 0.1 * 4.0) / 2.1).abs() < 1e-12);
         assert!(total(spot) > 4000.0, "{spot:?}");

@@ -1,8 +1,7 @@
-//! How the variance of a pixel falls with its number of samples n: as A / n^1.5 + B / n.
+//! The variance of a pixel with n samples: A / n^1.5 + B / n.
 //!
-//! The first term is what scrambled nets achieve for an edge that crosses the pixel (Mitchell 1996; Owen
-//! 1997). It dominates while a pixel has few samples. The second term is that of random samples, and
-//! dominates in the end.
+//! The first term is that of scrambled nets for an edge across the pixel (Mitchell 1996; Owen 1997). It
+//! dominates at few samples. The second is that of random samples.
 
 /// The exponents of the two terms.
 pub(super) const EXPONENTS: [f64; 2] = [1.5, 1.0];
@@ -13,8 +12,7 @@ pub(super) fn powers(samples: f64) -> [f64; 2] {
     [1.0 / (samples * libm::sqrt(samples)), 1.0 / samples]
 }
 
-/// The same for a pixel with a whole number of samples, 1 or more. Exact at powers of two, and interpolated
-/// by [`between`] elsewhere.
+/// The same for a pixel with a whole number of samples; interpolated by [`between`] between powers of two.
 pub(super) fn powers_of_pixel(samples: u32) -> [f64; 2] {
     let below = f64::from(1u32 << samples.max(1).ilog2());
     let [at_below, at_above] = [below, 2.0 * below].map(powers);
@@ -22,12 +20,11 @@ pub(super) fn powers_of_pixel(samples: u32) -> [f64; 2] {
     [0, 1].map(|k| at_above[k] + below * (at_below[k] - at_above[k]))
 }
 
-/// Weight of the variance at the power of two below, when interpolating to `samples`: 1 at a power of two.
-/// The power of two above has the rest.
+/// Weight of the variance at the power of two below, when interpolating to `samples`; that above has the
+/// rest.
 ///
-/// The samples of a pixel are evenly spread if their number is a power of two. Further samples lie at random
-/// until that number has doubled, so the variance falls linearly in 1 / n. Measured weights (corridor,
-/// ambient integrator, 8 seeds):
+/// Samples beyond a power of two lie at random until their number has doubled, so the variance falls linearly
+/// in 1 / n. Measured weights (corridor, ambient integrator, 8 seeds):
 ///
 /// | samples | measured | this function |
 /// | --- | --- | --- |

@@ -1,5 +1,5 @@
-//! The state-space model of the residuals: how the state moves from frame to frame, and how an observed frame
-//! updates it (Kalman filter).
+//! State-space model of the residuals: transition from frame to frame, update by a finished one (Kalman
+//! filter).
 
 /// Variances of the parts of the residuals.
 pub(super) struct Model {
@@ -28,8 +28,7 @@ pub(super) struct Evidence {
 /// Number of sets of lights that are distinguished. All further sets count as the last one.
 pub(super) const SETS: usize = 4;
 
-/// Indices of the state's components: the common factor, the process, its slope, the factors of the sets of
-/// lights, and the sum over the remaining pieces.
+/// Indices of the state: common factor, process, slope, factors of lights, sum over the remaining pieces.
 pub(super) const COMMON: usize = 0;
 pub(super) const SMOOTH: usize = 1;
 pub(super) const SLOPE: usize = 2;
@@ -47,9 +46,7 @@ pub(super) struct Transition {
 
 impl Model {
     /// Transition over a step Δ of the clock: exp(F Δ) = e^(−λΔ) [1 + λΔ, Δ; −λ²Δ, 1 − λΔ], with the noise P∞
-    /// − A P∞ Aᵀ and P∞ = σ² diag(1, λ²).
-    ///
-    /// The slope is in units of λ, so that the components have the same size for shots of any length.
+    /// − A P∞ Aᵀ and P∞ = σ² diag(1, λ²). The slope is in units of λ.
     pub fn transition(&self, step: f64) -> Transition {
         let x = self.decay * step;
         let fall = libm::exp(-x);

@@ -1,8 +1,5 @@
-//! Divides a job into finished and unfinished pieces, and predicts the unfinished ones.
-//!
-//! A piece is a frame, or the finished or unfinished part of one. Several models of the residuals, with
-//! different lengths, nuggets and common variances, are filtered over the pieces and averaged by their
-//! marginal likelihood.
+//! Divides a job into finished and unfinished pieces (frames or parts of them) and predicts the unfinished
+//! ones. Several models of the residuals are filtered over the pieces and averaged by marginal likelihood.
 
 use super::band::{Band, log_ratio, positive};
 use super::frame::{Known, LiveFrame};
@@ -21,20 +18,17 @@ pub(super) const MIN_FINISHED: usize = 5;
 /// Candidate lengths of the process, as shares of the shot. The first is used while few frames are finished.
 const LENGTHS: [f64; 3] = [1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0];
 
-/// Candidate shares of the nugget in the variance that frames do not share. The first is used while few
-/// frames are finished.
+/// Candidate shares of the nugget in the unshared variance. The first holds while few frames are finished.
 const NUGGETS: [f64; 3] = [0.5, 0.1, 0.9];
 
 /// Candidate additions to the variance that all frames share, as multiples of a frame's variance. The quote
 /// may underestimate it, so these are compared from the first finished frame on.
 const EXTRA_COMMON: [f64; 3] = [0.0, 1.0, 3.0];
 
-/// Share of the common variance that belongs to the sets of lights, if there are several. A half makes both
-/// explanations equally likely.
+/// Share of the common variance that goes to several sets of lights. A half makes both equally likely.
 const LIGHTS_SHARE: f64 = 0.5;
 
-/// The variance that frames share is at least this share of a frame's variance. So is the variance that they
-/// do not share. No quote knows either of them to be zero.
+/// Least share of the shared, and of the unshared, variance in a frame's. No quote knows either to be zero.
 const LEAST_SHARE: f64 = 0.1;
 
 /// Models with less than this weight, relative to the best, are left out.
@@ -143,8 +137,8 @@ impl Pieces {
         sum(self.list.iter().filter(|piece| piece.seen.is_none()).map(|piece| piece.quoted))
     }
 
-    /// The average of all models' predictions of the remainder. `of_job` is the standard deviation of the
-    /// logarithm of the quoted total.
+    /// Average of all models' predictions of the remainder. `of_job` is the log deviation of the quoted
+    /// total.
     pub fn posterior(&self, of_job: f64) -> Posterior {
         let seen = self.list.iter().filter(|piece| piece.seen.is_some()).count();
         let few = seen < MIN_FINISHED;
@@ -190,11 +184,9 @@ impl Pieces {
         Posterior { log_median, deviations: libm::sqrt(variance.max(0.0)), freedom }
     }
 
-    /// The model whose variances match the spreads of the quote.
-    ///
-    /// A frame has the variance `self.variance`, and the job `of_job`². `averaged` is the share of the
-    /// process's variance that is left when it is averaged over the job. `more` is added to the common
-    /// variance, as a multiple of a frame's variance.
+    /// The model with the spreads of the quote: `self.variance` per frame and `of_job`² for the job.
+    /// `averaged` is the share of the process's variance left after averaging over the job. `more` is added
+    /// to the common variance, in multiples of a frame's.
     fn model(&self, decay: f64, averaged: f64, nugget: f64, of_job: f64, more: f64) -> Model {
         let squares = sum(self.list.iter().map(|piece| {
             let weight = piece.quoted / self.quoted;

@@ -6,8 +6,7 @@ use crate::random::{below, hash};
 /// Largest aspect ratio of a cell.
 const LONGEST: f64 = 2.0;
 
-/// Columns and rows of cells: as many cells as possible, at most `samples`, with an aspect ratio of at most
-/// two if possible. Among equal numbers, the most square cells.
+/// Columns and rows of at most `samples` cells: as many as possible, then as square as possible.
 fn grid(image: Image, samples: u32) -> (u32, u32) {
     let candidates = (1..=image.width.min(samples)).map(|columns| {
         let rows = (samples / columns).min(image.height);
@@ -34,10 +33,8 @@ fn along(length: u32, cells: u32, cell: u32, within: u64) -> u32 {
     ((fraction * u128::from(length) / u128::from(cells)) >> 32) as u32
 }
 
-/// The paper's strategy 1: the centre of every cell.
-///
-/// `shift` moves all points alike, modulo their cells, in units of 2⁻³² of a cell. (0, 0) leaves them at the
-/// centres.
+/// The paper's strategy 1: the centre of every cell. `shift` moves all points modulo their cells, in units of
+/// 2⁻³² of a cell.
 pub(super) fn regular(image: Image, samples: u32, shift: [u32; 2]) -> Vec<u32> {
     const CENTRE: u32 = 1 << 31;
     let (columns, rows) = grid(image, samples);

@@ -1,5 +1,4 @@
-//! Strategies of profiling a frame: the seven that the paper compares (Gillibrand et al. 2006, section 4),
-//! and two of our own, behind one interface.
+//! Strategies of profiling a frame: the seven of the paper (Gillibrand et al. 2006, section 4), and two more.
 //!
 //! A strategy decides which pixels of a frame are profiled, and how their costs are expanded to all pixels:
 //!
@@ -15,25 +14,12 @@
 //! | `Systematic` | every k-th of an order | by expected cost | neighbours in the order |
 //! | `Snapshot` | those of [`FrameDesign`] | by groups of strata | by group, with a tail |
 //!
-//! The strategies are the variants of [`Strategy`]. Variances by neighbours use differences of successive
-//! observations. Snapshot's variance includes a tail allowance.
+//! The first six are *blind*: they do not use the preview. Variances by neighbours use differences of
+//! successive observations. Where the variance is not known, that of a simple random sample takes its place,
+//! which is too large.
 //!
-//! The first six are *blind*: they do not use the preview, and treat a frame as one stratum. Where the
-//! variance is not known, that of a simple random sample of the same size takes its place. It is too large
-//! for points that are spread evenly.
-//!
-//! Grid, Halton and Hammersley points are deterministic. With seed 0 they are the paper's. Other seeds shift
-//! all points by a random vector, modulo the cell or the image. So the part of an error that is due to chance
-//! can be measured.
-//!
-//! | file | strategies |
-//! | --- | --- |
-//! | `classes` | what a strategy tells apart |
-//! | `cells` | grid, jittered |
-//! | `sequence` | Halton, Hammersley |
-//! | `uniform` | random |
-//! | `paper_snapshot` | the paper's Snapshot |
-//! | `systematic` | every k-th pixel of an order |
+//! Grid, Halton and Hammersley points are deterministic: with seed 0 they are the paper's, other seeds shift
+//! all points by a random vector. This measures the part of an error that is due to chance.
 
 mod cells;
 mod classes;
@@ -77,8 +63,7 @@ pub enum Strategy {
     /// The paper's strategy 7, as the paper states it.
     #[serde(rename = "snapshot-paper")]
     PaperSnapshot,
-    /// Uses the preview, in one phase and without strata of single objects: a systematic sample along one
-    /// order of all pixels.
+    /// A systematic sample along one order of all pixels: one phase, no strata of single objects.
     #[serde(rename = "snapshot-systematic")]
     Systematic,
     /// Our own, as described in the documentation of this crate.
@@ -160,11 +145,8 @@ impl Strategy {
         !matches!(self, Strategy::Halton | Strategy::Hammersley | Strategy::RandomArea)
     }
 
-    /// The design for one frame: `samples` pixels at most. A grid may have a few less. The arguments are
-    /// those of [`FrameDesign::new`].
-    ///
-    /// # Errors
-    /// As for [`FrameDesign::new`].
+    /// The design for one frame: at most `samples` pixels; a grid may have a few less. Arguments and errors
+    /// as for [`FrameDesign::new`].
     pub fn design(
         self,
         strata: &[Stratum],
@@ -229,9 +211,7 @@ impl Strategy {
     }
 }
 
-/// The pixels of a frame that a [`Strategy`] profiles, and how it expands them.
-///
-/// Observations must be in the order of the picks, those of the first phase first.
+/// Pixels that a [`Strategy`] profiles, and their expansion. Observations must be in the order of the picks.
 #[derive(Clone, Debug)]
 pub struct Design {
     strata: Vec<Stratum>,
@@ -270,10 +250,7 @@ impl Design {
         }
     }
 
-    /// The remaining pixels, given the costs of the first ones. Empty for most strategies.
-    ///
-    /// # Errors
-    /// If an observation names an unknown stratum.
+    /// The remaining pixels, given the costs of the first. Fails if an observation names an unknown stratum.
     pub fn second_phase(&self, first: &[Observation]) -> Result<Vec<Pick>, ForecastError> {
         match &self.picks {
             Picks::Known(_) => Ok(Vec::new()),
@@ -281,10 +258,8 @@ impl Design {
         }
     }
 
-    /// Runs both phases on a frame whose pixel costs are known. Returns the picks and their observations.
-    ///
-    /// # Errors
-    /// As for [`Self::second_phase`].
+    /// Runs both phases on a frame with known pixel costs. Returns the picks and their observations. Errors
+    /// as for [`Self::second_phase`].
     pub fn profile(
         &self,
         cost: impl Fn(u32) -> Cost,
@@ -298,10 +273,7 @@ impl Design {
         Ok((picks, observations))
     }
 
-    /// The estimate of the frame from the observations of both phases.
-    ///
-    /// # Errors
-    /// As for [`crate::estimate()`], and if the observations are not those of all picks.
+    /// Estimates the frame. Errors as for [`crate::estimate()`], and if observations are missing.
     pub fn estimate(
         &self,
         observations: &[Observation],

@@ -4,11 +4,9 @@ use super::uniform::choose;
 use crate::allocate::{Cell, allocate};
 use crate::frame_design::Pick;
 
-/// The picks of the paper's strategy 7.
-///
-/// The paper wants "as many different object and material pairs as possible" to have a profiled pixel, and
-/// says no more. So every pair gets one pixel, or the largest pairs do if there are more pairs than samples.
-/// The rest is divided by size. Within a pair, every pixel has the same probability.
+/// The picks of the paper's strategy 7. The paper wants "as many different object and material pairs as
+/// possible" to have a profiled pixel, and says no more. So every pair gets one pixel, largest first, and the
+/// rest is divided by size.
 pub(super) fn picks(counts: &[u32], stratum_ids: &[u32], samples: u32, [seed, frame]: [u64; 2]) -> Vec<Pick> {
     let cells: Vec<Cell> =
         counts.iter().map(|&size| Cell { size: size.into(), spread: 1.0, floor: 1 }).collect();

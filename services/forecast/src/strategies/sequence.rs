@@ -1,5 +1,4 @@
-//! Quasi-random point sets: Halton and Hammersley, constructed as in Wong, Luk and Heng 1997, "Sampling with
-//! Hammersley and Halton points" (the paper's reference 22).
+//! Halton and Hammersley points after Wong, Luk and Heng 1997, "Sampling with Hammersley and Halton points".
 
 use super::image::Image;
 
@@ -25,10 +24,8 @@ pub(super) fn hammersley(image: Image, samples: u32, shift: [f64; 2]) -> Vec<u32
     place(image, points, shift)
 }
 
-/// The pixels that contain these points of the unit square, all shifted by `shift` modulo 1 (Cranley,
-/// Patterson 1976).
-///
-/// If a pixel is already taken, the next free pixel in row order is used, wrapping around at the end.
+/// The pixels that contain these points of the unit square, shifted by `shift` modulo 1 (Cranley, Patterson
+/// 1976). A pixel that is taken is replaced by the next free one in row order.
 fn place(image: Image, points: impl Iterator<Item = [f64; 2]>, shift: [f64; 2]) -> Vec<u32> {
     let pixels = image.pixels();
     let mut free = NextFree { next: (0..pixels).collect() };
@@ -42,8 +39,7 @@ fn place(image: Image, points: impl Iterator<Item = [f64; 2]>, shift: [f64; 2]) 
         .collect()
 }
 
-/// Finds the next free place, wrapping around: a forest whose roots are free places (union-find with path
-/// halving, Tarjan and van Leeuwen 1984).
+/// The next free place: a forest whose roots are free (path halving, Tarjan and van Leeuwen 1984).
 struct NextFree {
     next: Vec<u32>,
 }

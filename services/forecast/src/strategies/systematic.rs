@@ -1,10 +1,8 @@
 //! A systematic sample: every k-th pixel along one order of all pixels.
 //!
-//! Strata of single objects need two samples each. Then either half of all samples go to small objects, or
-//! strata must be joined. An order avoids both. Successive pixels in it have the same material, the same
-//! object, or are neighbours along a curve, so they cost alike. A systematic sample gives every stretch of
-//! the order its share to within one pixel (implicit stratification: Cochran 1977, chapter 8). The only
-//! strata are the few classes of expected cost, which set the density of the sample.
+//! Successive pixels have the same material, the same object, or are neighbours along a curve, so they cost
+//! alike. Every stretch of the order gets its share to within one pixel (implicit stratification: Cochran
+//! 1977, chapter 8). The only strata are a few classes of expected cost, which set the density.
 
 use super::image::Image;
 use crate::allocate::{Cell, allocate};
@@ -35,10 +33,8 @@ type Place = (u32, u32, u32, u64, u32);
 /// Least number of samples in each class. Two are needed for a variance.
 const FLOOR: u64 = 2;
 
-/// The picks, class by class in its order, evenly spaced from a random start.
-///
-/// Samples are allocated in proportion to pixels times expected cost: Neyman allocation, if the standard
-/// deviation is proportional to the cost.
+/// The picks, class by class in its order, evenly spaced from a random start. Samples are allocated by pixels
+/// times expected cost.
 pub(super) fn picks(
     strata: &[Stratum],
     counts: &[u32],

@@ -2,10 +2,8 @@
 
 use crate::random::{below, hash};
 
-/// Draws `samples` entries of `list` without replacement. Every subset has the same probability.
-///
-/// If there are no more than `samples` entries, all are drawn. The method is the first steps of a shuffle
-/// (Fisher, Yates 1938; Durstenfeld 1964). `counters` are the counters of the random numbers.
+/// Draws `samples` entries of `list`, or all, without replacement, by the first steps of a shuffle (Fisher,
+/// Yates 1938; Durstenfeld 1964). `counters` are those of the random numbers.
 pub(super) fn choose(mut list: Vec<u32>, samples: usize, counters: [u64; 3]) -> Vec<u32> {
     let samples = samples.min(list.len());
     let [seed, frame, group] = counters;

@@ -1,8 +1,5 @@
-//! Synthetic images with a known cost in every pixel.
-//!
-//! A picture is cut into convex cells (objects) of very uneven size. Within an object the cost of a pixel is
-//! smooth light falloff, times a shadow edge, times independent noise, times a rare tail where the material
-//! has one.
+//! Synthetic images with a known cost in every pixel: convex cells (objects) of very uneven size. Costs are
+//! smooth falloff, times a shadow edge, times noise, times a rare tail for some materials.
 
 #![allow(dead_code, reason = "every test file uses its own part of this module")]
 

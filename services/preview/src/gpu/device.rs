@@ -6,8 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-/// Time limit for one submission. A software driver on a busy machine takes seconds for the largest tiles. A
-/// device that does not answer within this time hangs.
+/// Time limit for one submission. A software driver on a busy machine takes seconds for large tiles.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// An open device with its queue, and the first failure that it reported asynchronously.
@@ -22,8 +21,7 @@ pub(crate) struct Device {
 }
 
 impl Device {
-    /// Opens the best usable adapter: discrete GPUs first, then integrated, then virtual ones, and software
-    /// renderers last.
+    /// Opens the best usable adapter: discrete, integrated, then virtual GPUs, software renderers last.
     pub fn open() -> Result<Self, PreviewError> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
             backends: wgpu::Backends::VULKAN,
@@ -55,8 +53,8 @@ impl Device {
         if !adapter.features().contains(wgpu::Features::PRIMITIVE_INDEX) {
             return Err("it does not support PRIMITIVE_INDEX".into());
         }
-        // The defaults, which every device supports, suffice for all but the buffers of the scene. These may
-        // be as large as the device allows.
+        // Defaults, which every device supports, except for the scene's buffers, which may be as large as
+        // allowed.
         let offered = adapter.limits();
         let limits = wgpu::Limits {
             max_buffer_size: offered.max_buffer_size,
@@ -108,8 +106,7 @@ impl Device {
         })
     }
 
-    /// Submits `commands`, waits for them, and passes the bytes of `buffer` to `read`. Adds the time waited
-    /// to `waited`, in nanoseconds.
+    /// Submits `commands`, waits, and passes `buffer` to `read`. Adds nanoseconds waited to `waited`.
     pub fn run_and_read<T>(
         &self,
         commands: wgpu::CommandBuffer,

@@ -15,8 +15,7 @@ use glam::Vec4;
 use pipelines::{ExtentUniform, Pipelines, ViewUniform};
 use resident::{Drawable, Resident};
 
-/// Largest side of a tile, in pixels. Larger images are drawn in several tiles. This is within the limits of
-/// every device. Ids, depth and read-back take at most 64 MiB each.
+/// Largest side of a tile in pixels, within every device's limits. Ids, depth and read-back take 64 MiB each.
 const LARGEST_TILE: u32 = 4096;
 
 /// Alignment of rows in texture copies, in bytes.
@@ -214,8 +213,7 @@ fn draw(
     pass.draw_indexed(0..scene.index_count, 0, 0..1);
 }
 
-/// The camera of one tile, as the shader reads it. The image spans [−1, 1], and a scale and an offset map the
-/// tile to that range.
+/// The camera of one tile for the shader: scale and offset map the tile to the image's [−1, 1].
 fn view_of(camera: &Camera, tile: Tile, near: f32) -> ViewUniform {
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let (tile_width, tile_height) = (f64::from(tile.width), f64::from(tile.height));

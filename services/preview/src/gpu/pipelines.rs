@@ -38,8 +38,7 @@ pub(crate) struct ExtentUniform {
 
 /// Everything that is created once per device.
 pub(crate) struct Pipelines {
-    /// Draws scenes without texture cut-outs. No fragment is discarded, so depth is tested before the shader
-    /// runs.
+    /// Draws scenes without texture cut-outs, so depth is tested before the shader runs.
     pub opaque: wgpu::RenderPipeline,
     /// Draws scenes with texture cut-outs.
     pub masked: wgpu::RenderPipeline,

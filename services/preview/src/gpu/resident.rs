@@ -167,8 +167,7 @@ impl Resident {
         Ok(())
     }
 
-    /// Uploads the triangles' corners. A triangle that is never drawn becomes a point. It covers no pixel but
-    /// still counts as a primitive, so the indices of the other triangles stay.
+    /// Uploads the triangles' corners. One that is never drawn becomes a point, so that indices stay.
     fn upload_indices(
         &mut self,
         device: &Device,

@@ -18,7 +18,7 @@ pub struct World {
 }
 
 impl World {
-    /// Adds a parallelogram of two triangles as a new stratum; texture coordinates run from 0 to 1 along the
+    /// Adds a parallelogram of two triangles as a new stratum, with texture coordinates 0 to 1 along the
     /// edges.
     pub fn quad(&mut self, corner: Vec3, edge_u: Vec3, edge_v: Vec3, material: Material) -> u32 {
         let first = self.geometry.positions.len() as u32;

@@ -1,7 +1,5 @@
-//! Reads the numbers in glTF buffers, with all types and bounds checked.
-//!
-//! The iterators of the `gltf` crate cannot be used here. They trust the type that the caller asks for, and
-//! panic if the accessor has another one.
+//! Reads the numbers in glTF buffers, with types and bounds checked. The iterators of the `gltf` crate panic
+//! on unexpected types.
 
 use super::document::Opened;
 use crate::error::SceneError;
@@ -10,10 +8,9 @@ use gltf::accessor::sparse::IndexType;
 use gltf::accessor::{DataType, Dimensions};
 
 impl Opened {
-    /// All elements of an accessor with `N` components.
-    ///
-    /// Normalised integers become fractions. Other integers keep their value, as `KHR_mesh_quantization`
-    /// allows. `most` limits the number of elements, because a file may claim more than it holds.
+    /// All elements of an accessor with `N` components. Normalised integers become fractions; others keep
+    /// their value (`KHR_mesh_quantization`). `most` limits the number of elements, because a file may claim
+    /// more than it holds.
     pub(super) fn floats<const N: usize>(
         &self,
         accessor: &Accessor<'_>,

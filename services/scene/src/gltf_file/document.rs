@@ -1,7 +1,5 @@
-//! Opens a glTF file: checks its JSON and reads its buffers.
-//!
-//! The importer of the `gltf` crate reads any path on the machine and panics on some malformed files. This
-//! module checks for those before it calls the crate, and reads buffers through the bundle.
+//! Opens a glTF file: checks its JSON and reads its buffers through the bundle. The importer of the `gltf`
+//! crate reads any path and panics on some malformed files.
 
 use crate::bundle::{Bundle, resolve};
 use crate::description::json_pointer;

@@ -1,7 +1,5 @@
-//! Reads glTF 2.0 scenes: nodes with meshes, cameras, lights and animations.
-//!
-//! Every node with a mesh becomes an object. The file's default scene is read, or the first one if there is
-//! no default. Features that are not supported are collected into one warning.
+//! Reads glTF 2.0 scenes: nodes with meshes (objects), cameras, lights and animations, of the default or
+//! first scene. Unsupported features give one warning.
 
 mod accessors;
 mod document;
@@ -23,8 +21,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Luminous efficacy in lm/W. It converts photometric to radiometric units. The value is that of the SI
-/// definition of the candela, which exporters use too.
+/// Luminous efficacy in lm/W by the SI definition of the candela, which exporters use too.
 const LUMENS_PER_WATT: f32 = 683.0;
 
 /// Reads a `.gltf` or `.glb` file into the assembly.
@@ -59,8 +56,7 @@ struct Reader<'r, 'a> {
     file: Arc<str>,
     /// The assembly's node for each of the file's nodes that belong to the scene.
     nodes: Vec<Option<usize>>,
-    /// The assembly's material for each of the file's materials in use. The key `None` stands for no
-    /// material.
+    /// The assembly's material for each of the file's materials in use. `None`: no material.
     materials: BTreeMap<Option<usize>, u32>,
     /// Meshes by (mesh, primitive). Several nodes can share one.
     meshes: BTreeMap<(usize, usize), Option<Arc<Mesh>>>,
@@ -88,8 +84,8 @@ impl Reader<'_, '_> {
         self.ignored.extend(unknown.map(|name| format!("the extension `{name}`").into()));
     }
 
-    /// Counts elements read from accessors, and returns how many more may be read. A small file can name the
-    /// same large accessor many times, so a limit is needed.
+    /// Counts elements read from accessors, and returns how many more may be read. A small file can name a
+    /// large accessor many times.
     fn spend(&mut self, elements: u64) -> Result<u64, SceneError> {
         let limit = self.assembly.bundle.limits().triangles.saturating_mul(12);
         self.elements += elements;

@@ -1,6 +1,5 @@
-//! Reads the animations of a glTF file.
-//!
-//! All animations play at the same time, because exporters often write one animation per object.
+//! Reads the animations of a glTF file. All play at the same time, since exporters often write one per
+//! object.
 
 use super::Reader;
 use crate::animation::{Curve, Interpolation, Keyed};
@@ -79,8 +78,8 @@ impl Reader<'_, '_> {
         let mut times: Vec<f64> = Vec::with_capacity(seconds.len());
         for [second] in seconds {
             let frame = f64::from(second) * self.assembly.fps;
-            // Times are stored as f32 seconds, so a key may lie slightly after its frame. A step would then
-            // come one frame late. Round times that are close to a whole frame.
+            // Times are f32 seconds, so a key may lie slightly after its frame. Rounding keeps a step from
+            // coming a frame late.
             let near = (frame - frame.round()).abs() < 1e-3 + frame.abs() * 1e-6;
             let free = times.last().is_none_or(|&before| before < frame.round());
             times.push(if near && free { frame.round() } else { frame });

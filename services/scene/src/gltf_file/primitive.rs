@@ -55,8 +55,7 @@ impl Reader<'_, '_> {
         Ok(Some(compact(Mesh { positions, normals, uvs, triangles })))
     }
 
-    /// Texture coordinates for the base colour texture, or for the emission texture if there is no base
-    /// colour texture. The texture's transform is applied. v points up.
+    /// Texture coordinates for the base colour texture, else the emission texture, transformed. v points up.
     fn texture_coordinates(
         &mut self,
         primitive: &gltf::Primitive<'_>,
@@ -91,10 +90,8 @@ impl Reader<'_, '_> {
     }
 }
 
-/// The function of a `KHR_texture_transform`: scale, rotate, then translate.
-///
-/// The rotation is counter-clockwise with v pointing down. In the extension's example, a quarter turn with
-/// offset (0, 1) maps the unit square to itself.
+/// The function of a `KHR_texture_transform`: scale, rotate, translate. Rotation is counter-clockwise with v
+/// pointing down: a quarter turn with offset (0, 1) maps the unit square to itself.
 fn affine(transform: &TextureTransform<'_>) -> impl Fn(Vec2) -> Vec2 + use<> {
     let (scale, offset) = (Vec2::from_array(transform.scale()), Vec2::from_array(transform.offset()));
     let (sine, cosine) = (

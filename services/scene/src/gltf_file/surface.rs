@@ -9,9 +9,8 @@
 //! | otherwise | plastic with the given index of refraction |
 //!
 //! GGX alpha is roughness². `MASK` is a cut-out by the texture's alpha. `BLEND` becomes constant opacity from
-//! the base colour's alpha, and a cut-out at one half from the texture's alpha. An extra named `priority`
-//! ranks overlapping solids. Only base colour and emission textures are used; others are ignored with a
-//! warning.
+//! the base colour's alpha, and a cut-out at one half from the texture's. The extra `priority` ranks
+//! overlapping solids. Other textures than base colour and emission are ignored with a warning.
 
 use super::Reader;
 use super::document::{resource, resource_path};
@@ -124,8 +123,7 @@ impl Reader<'_, '_> {
         })
     }
 
-    /// The extra `priority`, which Blender writes for a custom property. glTF itself cannot say which of two
-    /// overlapping solids fills the shared space.
+    /// The extra `priority`, a custom property in Blender: which of two overlapping solids fills the space.
     fn priority(&self, source: &gltf::Material<'_>, at: &str) -> Result<Option<NonZeroU8>, SceneError> {
         let extras = source.extras().as_ref().and_then(|raw| {
             serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(raw.get()).ok()

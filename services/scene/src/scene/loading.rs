@@ -1,8 +1,5 @@
-//! Loads a scene from a bundle.
-//!
-//! It reads `scene.json` and the geometry files into an [`Assembly`], adds defaults for what is missing, and
-//! bakes the geometry of frame 0. A scene far from the origin is moved to it, so that f32 coordinates keep
-//! their precision.
+//! Loads a scene: reads `scene.json` and the geometry files into an [`Assembly`], adds defaults, and bakes
+//! frame 0. A scene far from the origin is moved to it, so that f32 coordinates keep their precision.
 
 use super::{Scene, light_at};
 use crate::animation::Animated;
@@ -24,22 +21,18 @@ use std::sync::Arc;
 const DESCRIPTION: &str = "scene.json";
 
 impl Scene {
-    /// Loads a bundle: a folder, a `.zip`, or a single `.gltf` or `.glb` file. The folder of a single file is
-    /// the bundle.
+    /// Loads a bundle: a folder, a `.zip`, or a single `.gltf` or `.glb` file with its folder.
     ///
     /// A bundle without `scene.json` must hold exactly one glTF file, which is the scene. The defaults are:
     /// - The frame rate is 24 fps.
-    /// - Without `scene.json`, the shot runs from the first to the last key of all animations, because
-    ///   exporters count from frame 1 as often as from frame 0. With it, frame 0 is time 0 of the glTF files,
-    ///   and the shot ends at the last key or track.
+    /// - Without `scene.json`, the shot runs from the first to the last key of all animations, since
+    ///   exporters count from frame 0 or 1. With it, frame 0 is time 0 of the glTF files, and the shot ends
+    ///   at the last key or track.
     /// - Without a camera, the view shows the whole bounding box from the front right and above, at 1280 ×
-    ///   720 pixels.
-    /// - A glTF scene without any light gets a white environment of radiance 1.
+    ///   720 pixels. This gives a warning.
+    /// - A glTF scene without any light gets a white environment of radiance 1. This gives a warning.
     ///
-    /// The last two defaults give a warning.
-    ///
-    /// # Errors
-    /// The first error found, with the file, the place in it and the reason.
+    /// The error is the first one found, with file, place and reason.
     pub fn load(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
         let (root, single) = match single_file(path) {
             Some((folder, file)) => (folder, Some(file)),
@@ -300,10 +293,7 @@ fn bounds(positions: &[Vec3]) -> (DVec3, DVec3) {
 }
 
 /// The centre of positions that are much farther from the origin than from each other, as in a georeferenced
-/// building.
-///
-/// Relative to that centre, f32 coordinates can resolve small details again. `None` for other scenes, whose
-/// coordinates then stay the same bit for bit.
+/// building. `None` for other scenes, whose coordinates stay the same bit for bit.
 fn far_centre(positions: &[Vec3]) -> Option<DVec3> {
     let (low, high) = bounds(positions);
     let (centre, extent) = (0.5 * (low + high), (high - low).max_element());

@@ -50,7 +50,7 @@ impl Files {
         self
     }
 
-    /// The same bundle with another value at a JSON pointer of `scene.json`; the last part of the pointer may be new.
+    /// The same bundle with another value at a JSON pointer of `scene.json`, whose last part may be new.
     pub fn set(self, pointer: &str, value: Value) -> Self {
         let mut scene: Value = serde_json::from_slice(&self.0["scene.json"]).unwrap();
         let (parent, key) = pointer.rsplit_once('/').unwrap();
@@ -135,8 +135,8 @@ pub fn encoded(image: &image::DynamicImage, format: image::ImageFormat) -> Vec<u
     bytes.into_inner()
 }
 
-/// A glTF scene of one triangle (0 0 0), (1 0 0), (0 1 0) on a node named `tri`, with a camera at z = 3; its buffer is `tri.bin`:
-/// 36 bytes of positions, then 6 of 16-bit indices and 2 of padding.
+/// A glTF scene of one triangle (0 0 0), (1 0 0), (0 1 0) on the node `tri`, with a camera at z = 3. Its
+/// buffer `tri.bin` has 36 bytes of positions, 6 of 16-bit indices and 2 of padding.
 pub fn triangle_gltf() -> Value {
     json!({
         "asset": {"version": "2.0"},

@@ -1,5 +1,4 @@
-//! Every malformed geometry, material or texture gets one clear line that names the file, the place in it and
-//! the reason.
+//! Malformed geometry, materials and textures give one clear line with file, place and reason.
 
 use crate::made::{Files, OBJ, encoded, line, png};
 use forelight_scene::Limits;

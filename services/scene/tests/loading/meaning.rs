@@ -144,8 +144,7 @@ fn faces_with_and_without_normals_in_one_object_keep_their_own() {
 
 #[test]
 fn obj_oddities_are_read_as_they_are_meant() {
-    // Negative indices, tabs, carriage returns, a colour on a vertex, a weight, a pentagon, a library named
-    // after its use.
+    // Negative indices, tabs, carriage returns, vertex colour and weight, a pentagon, a late library.
     let obj = "  o\tfive\r\nv 0 0 0 1 0 0\r\nv 2 0 0 2\r\nv 2 1 0\r\nv 1 2 0\r\nv\t0 1 0\r\nusemtl\twhite\r\nf -5 -4 -3 -2 -1\r\nmtllib scene.mtl\r\n";
     let frame = frame(&Files::good().with("scene.obj", obj));
     let g = &frame.geometry;

@@ -205,8 +205,7 @@ fn textured(transform: Value) -> Vec<Vec2> {
 #[test]
 fn texture_coordinates_point_up_and_follow_the_transform() {
     assert_eq!(textured(json!({})), [Vec2::new(0.0, 1.0), Vec2::new(1.0, 1.0), Vec2::new(0.0, 0.0)]);
-    // A quarter turn and offset (0, 1) map the unit square to itself: (0 0) (1 0) (0 1) to (0 1) (0 0) (1 1),
-    // v down.
+    // A quarter turn and offset (0, 1) map the unit square to itself: (0 0) (1 0) (0 1) to (0 1) (0 0) (1 1).
     let turned = textured(json!({"offset": [0, 1], "rotation": std::f64::consts::FRAC_PI_2}));
     for (uv, expected) in turned.iter().zip([Vec2::new(0.0, 0.0), Vec2::new(0.0, 1.0), Vec2::new(1.0, 0.0)]) {
         assert!((*uv - expected).length() < 1e-6, "{turned:?}");

@@ -37,10 +37,8 @@ impl<'a> Coverage<'a> {
             .any(|number| planned[number as usize].error(place, *accuracy).is_some())
     }
 
-    /// Adds a record, with neighbour clamping (Křivánek et al. 2006).
-    ///
-    /// A record's radius may not exceed a neighbour's by more than their distance, and vice versa. A record
-    /// whose rays missed a small nearby object is thus corrected by its neighbours.
+    /// Adds a record, with neighbour clamping (Křivánek et al. 2006): radii of neighbours differ by at most
+    /// their distance. So a record whose rays missed a small nearby object is corrected.
     pub fn insert(&mut self, mut planned: Planned) {
         let level = &mut *self.level;
         let position = planned.site.position;

@@ -147,10 +147,8 @@ impl Cache {
         out
     }
 
-    /// Parses the output of [`Self::to_bytes`].
-    ///
-    /// # Errors
-    /// If the bytes are not a cache of this version, have the wrong length, or are damaged.
+    /// Parses the output of [`Self::to_bytes`]. Fails if the bytes are not a cache of this version, have the
+    /// wrong length, or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CacheError> {
         let (cache, reading) = clocked(|| Self::read_from(bytes));
         Ok(Self { reading, ..cache? })
@@ -194,11 +192,8 @@ impl Cache {
         Ok(cache)
     }
 
-    /// Checks that the cache fits this frame: same scene, light and settings, and no reference to a missing
-    /// triangle.
-    ///
-    /// # Errors
-    /// What does not fit.
+    /// Checks that the cache fits this frame: same scene, light and settings, and no missing triangle. The
+    /// error says what differs.
     pub fn check(&self, tracer: &Tracer) -> Result<(), CacheError> {
         if !self.suits(tracer) {
             return Err(CacheError::OtherScene(self.origin.unlike_light(&tracer.origin())));
@@ -216,11 +211,8 @@ impl Cache {
         Ok(())
     }
 
-    /// Takes over the filled records of another part of the same plan. Levels that become full must then be
-    /// smoothed; see [`Self::smooth_full`].
-    ///
-    /// # Errors
-    /// If the plans differ.
+    /// Takes over the filled records of another part of the same plan; fails if the plans differ. Levels that
+    /// become full must then be smoothed; see [`Self::smooth_full`].
     pub fn merge(&mut self, other: &Self) -> Result<(), CacheError> {
         let same = |(a, b): (&Level, &Level)| a.planned == b.planned;
         if self.fingerprint != other.fingerprint

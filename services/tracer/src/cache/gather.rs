@@ -8,10 +8,9 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 impl Cache {
-    /// Gathers a range of a level's records, on the current thread pool. Filled records stay unchanged.
-    ///
-    /// The next deeper level must be filled, because gathers read it. If the level is then full, it is
-    /// smoothed. `progress` receives the number of records done. Returns `false` if `cancel` was set.
+    /// Gathers a range of a level's records on the current thread pool, and smooths the level once it is
+    /// full. The next deeper level must be filled. `progress` receives the number of records done. Returns
+    /// `false` if `cancel` was set.
     pub fn fill(
         &self,
         tracer: &Tracer,

@@ -1,8 +1,8 @@
 //! The strata of a gather, and the integration of samples to irradiance and gradients.
 //!
 //! The hemisphere is divided into M rings and N sectors of equal cosine-weighted solid angle: sin²θ = (j + u)
-//! / M, φ = 2π (k + v) / N. The plan has 4 × 12 strata. For the fill, each is divided into s × s; the plan's
-//! ray remains as one of them.
+//! / M, φ = 2π (k + v) / N. The plan has 4 × 12 strata. The fill divides each into s × s; the plan's ray is
+//! one of them.
 
 use crate::fresnel;
 use crate::geometry::Basis;
@@ -103,12 +103,10 @@ impl Strata {
         Vec2::new(cos, sin)
     }
 
-    /// Weights of a ring's radiance under a coat: for the irradiance, and for its rotational gradient.
-    ///
-    /// `passes` is the coat's transmittance at a cosine. The first weight is its mean over the ring. The
-    /// second is the mean of d(cos θ · passes) / d cos θ · tan θ. Without a coat, the second is the mean of
-    /// tan θ. Published implementations take tan θ at the centre of the ring, which makes the outermost
-    /// ring's weight 30 % too small.
+    /// Weights of a ring's radiance under a coat with transmittance `passes` at a cosine. For the irradiance
+    /// it is the mean over the ring. For the rotational gradient it is the mean of d(cos θ · passes) / d cos
+    /// θ · tan θ. Taking tan θ at the centre of the ring, as published implementations do, makes the
+    /// outermost weight 30 % too small.
     fn ring(&self, j: usize, passes: impl Fn(f32) -> f32) -> (f32, f32) {
         const STEPS: usize = 8;
         let cos = |step: usize| {
@@ -127,10 +125,9 @@ impl Strata {
         (passed, turned)
     }
 
-    /// Standard error of the sum over all strata, mean over the channels.
-    ///
-    /// It comes from the spread within blocks of 2 × 2 neighbouring strata, and is rather too large than too
-    /// small (collapsed strata: Cochran, *Sampling Techniques*, 3rd edition 1977, section 5A.12).
+    /// Standard error of the sum over all strata, mean over the channels, from the spread within blocks of 2
+    /// × 2 strata. Rather too large (collapsed strata: Cochran, *Sampling Techniques*, 3rd edition 1977,
+    /// section 5A.12).
     fn noise(&self, samples: &[Sample]) -> f32 {
         let at = |j: usize, k: usize| samples[j * self.sectors + k].radiance.element_sum() / 3.0;
         let mut variance = 0.0;
@@ -146,10 +143,9 @@ impl Strata {
         variance.sqrt()
     }
 
-    /// Irradiance with gradients, under a coat of index `coat` (0 for no coat).
-    ///
-    /// The rotational gradient is that of Ward and Heckbert 1992. The translational gradient is that of
-    /// Křivánek et al. 2005 (equation 5), with the coat's transmittance taken at the borders of the strata.
+    /// Irradiance with gradients, under a coat of index `coat` (0 for none). Rotational gradient: Ward and
+    /// Heckbert 1992. Translational: Křivánek et al. 2005 (equation 5), with the coat's transmittance at the
+    /// borders of the strata.
     pub fn integrate(&self, samples: &[Sample], basis: &Basis, coat: f32) -> Irradiance {
         let (rings, sectors) = (self.rings as f32, self.sectors as f32);
         let passes =
@@ -206,8 +202,7 @@ impl Strata {
 mod tests {
     use super::*;
 
-    /// Radiance and distance along a ray, in closed form: a floor between a wall and a ceiling, both
-    /// luminous.
+    /// Radiance and distance along a ray, in closed form: a floor between a luminous wall and ceiling.
     fn surroundings(origin: Vec3, direction: Vec3) -> Sample {
         // A wall at x = 2 with radiance 3, and a ceiling at z = 1.5 whose radiance varies along y.
         let wall = if direction.x > 0.0 { (2.0 - origin.x) / direction.x } else { f32::INFINITY };

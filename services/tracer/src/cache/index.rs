@@ -1,8 +1,5 @@
-//! Finds the records that may cover a site, by position and by orientation.
-//!
-//! A record only covers sites that face nearly the same way. In a cluttered room, most nearby records face
-//! elsewhere. So the index keeps one set of records per axis direction: those that may cover a site whose
-//! normal points mainly along it.
+//! Finds the records that may cover a site, by position and by orientation: one set of records per axis
+//! direction. In a cluttered room, most nearby records face elsewhere.
 
 use super::octree::{Cube, Octree};
 use super::record::Planned;
@@ -28,11 +25,11 @@ pub struct Index {
 }
 
 impl Index {
-    /// An empty index for records in the box `world`. `smallest` is a lower bound of their radii in metres,
-    /// `allowed` the allowed error.
+    /// An empty index for the box `world`. `smallest`: lower bound of radii in metres; `allowed`: allowed
+    /// error.
     pub fn new(world: Bounds, smallest: f32, allowed: f32) -> Self {
-        // The rotation alone contributes √(1 − cos) to the error; see `Planned::error`. No record covers a
-        // site that faces away from it.
+        // Rotation alone adds √(1 − cos) to the error (`Planned::error`), so no record covers a site facing
+        // away.
         let least_cos = (1.0 - allowed * allowed).max(0.0) - ROUNDING;
         Self { octree: Octree::over(Cube::over(world, smallest * allowed)), allowed, least_cos }
     }
@@ -46,8 +43,7 @@ impl Index {
         self.octree.insert(Sphere { index: number, center: position, radius, sets });
     }
 
-    /// Numbers of the records that may cover a site. Their order depends only on the insertions.
-    ///
+    /// Numbers of the records that may cover a site, in an order that depends only on the insertions.
     /// `looked_at` is called with the number of records considered.
     pub fn around(&self, place: &Site, mut looked_at: impl FnMut(u64)) -> impl Iterator<Item = u32> {
         let (position, direction) = (place.position, direction_of(place.normal));
@@ -69,8 +65,8 @@ pub fn direction_of(normal: Vec3) -> usize {
     2 * axis + usize::from(normal[axis] < 0.0)
 }
 
-/// The largest cosine between a unit normal and any normal that points mainly along `direction`. The latter
-/// normals fill a pyramid through one face of a cube.
+/// Largest cosine between a unit normal and any normal mainly along `direction` (a pyramid through a cube
+/// face).
 fn greatest_cos(normal: Vec3, direction: usize) -> f32 {
     let axis = direction / 2;
     let along = if direction.is_multiple_of(2) { normal[axis] } else { -normal[axis] };
@@ -79,8 +75,7 @@ fn greatest_cos(normal: Vec3, direction: usize) -> f32 {
     let half = 0.5 * (along + more);
     match () {
         () if along >= more => 1.0,
-        // The cosine with the nearest side of the pyramid, or with its edge if the projection falls beside
-        // that side.
+        // The cosine with the nearest side of the pyramid, or with its edge beside that side.
         () if half >= less => (2.0 * half * half + less * less).sqrt(),
         () => (along + more + less) / 3f32.sqrt(),
     }
@@ -91,8 +86,7 @@ mod tests {
     use super::*;
     use crate::cache::octree::tests::{number, point};
 
-    /// The i-th of a set of unit vectors spread over the sphere. Every eighth is along an axis, where octants
-    /// and pyramids meet.
+    /// The i-th of unit vectors spread over the sphere. Every eighth is along an axis, where octants meet.
     fn normal(i: u64) -> Vec3 {
         match i % 8 {
             0 => [Vec3::X, Vec3::Y, Vec3::Z, Vec3::NEG_X, Vec3::NEG_Y, Vec3::NEG_Z][(i / 8 % 6) as usize],

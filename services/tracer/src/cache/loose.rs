@@ -9,8 +9,7 @@ use glam::Vec3;
 /// them would cost more than is saved by considering fewer spheres.
 const WIDTH: f32 = 4.0;
 
-/// A loose octree. Each sphere is stored once, in the cell of about its size that contains its centre. It may
-/// extend beyond the cell.
+/// A loose octree: each sphere is stored once, in the cell of about its size that contains its centre.
 #[derive(Debug, Default, Clone)]
 pub struct LooseOctree {
     cube: Cube,
@@ -66,8 +65,7 @@ impl LooseOctree {
         }
     }
 
-    /// Calls `each` with the index of every sphere that may touch the given one, once per sphere. The order
-    /// depends only on the insertions.
+    /// Calls `each` once per sphere that may touch the given one. Only the insertions determine the order.
     pub fn touching(&self, center: Vec3, radius: f32, mut each: impl FnMut(u32)) {
         if let Some(root) = self.cells.first() {
             self.visit(root, center, radius, &mut each);

@@ -7,10 +7,8 @@ use glam::Vec3;
 /// Largest depth of a cell.
 pub const DEPTH: u32 = 20;
 
-/// An octree over a cube.
-///
-/// A sphere is stored in all cells of about its size that it touches, at most eight. The cells on the path
-/// from the root to a point therefore hold all spheres that may contain the point.
+/// An octree over a cube. A sphere is stored in all cells of about its size that it touches, at most eight.
+/// So the path to a point holds all spheres that may contain it.
 #[derive(Debug, Default, Clone)]
 pub struct Octree {
     cube: Cube,
@@ -37,12 +35,9 @@ impl Cell {
 }
 
 impl Cube {
-    /// A cube over a box that contains all query points, for spheres of radius `least` or larger.
-    ///
-    /// Its edge is a power of two times the smallest sphere's diameter. The smallest spheres, which are often
-    /// the majority, are then in cells of exactly their size. In a cube that just fits the box, cells could
-    /// be up to twice as large and hold up to three times as many spheres. The number would also change
-    /// abruptly between frames whose radii differ slightly.
+    /// A cube over a box that contains all query points, for spheres of radius `least` or larger. Its edge is
+    /// a power of two times the smallest sphere's diameter, so that the smallest spheres, often the majority,
+    /// get cells of their size. A tight cube could hold three times as many spheres per cell.
     pub fn over(Bounds { low, high }: Bounds, least: f32) -> Self {
         // Slightly larger than the box, so that rounding keeps its border inside.
         let box_edge = (high - low).max_element().max(f32::MIN_POSITIVE) * 1.001;
@@ -93,8 +88,7 @@ impl Octree {
         }
     }
 
-    /// The spheres in the cells that contain a point. They include all spheres that may contain the point.
-    /// Their order depends only on the insertions.
+    /// The spheres in the cells that contain a point, in an order that only the insertions determine.
     pub fn near(&self, point: Vec3) -> impl Iterator<Item = &Block> {
         let mut cell = self.cells.first();
         let mut middle = self.cube.low + self.cube.edge * 0.5;

@@ -1,10 +1,8 @@
 //! Partial fill: gathers only the records that some pixels read.
 //!
-//! The needed records of the first level are gathered, and averaged with those neighbours that are filled.
-//! Which records of deeper levels a gather reads is not known in advance, so these levels would have to be
-//! filled completely. Single rays are followed instead; their noise averages out over the hundreds of rays of
-//! a gather. The colours are thus those of a cache whose first level is a little noisier and whose deeper
-//! levels are exact.
+//! The needed records of the first level are gathered, and averaged with filled neighbours. Deeper levels
+//! would have to be filled completely, so single rays are followed instead. The colours are those of a cache
+//! with a slightly noisier first level and exact deeper ones.
 
 use super::{Cache, Level, READ_RELAXED};
 use crate::cost::{Cost, Counters, clocked};

@@ -34,9 +34,7 @@ impl Cells {
     pub const COUNT: u64 = 1 << (3 * BITS);
 }
 
-/// The positions of records, in blocks of nearby records.
-///
-/// It finds records by position only. [`super::index`] finds the records that may cover a site.
+/// Positions of records, in blocks of nearby records. See [`super::index`] for those that may cover a site.
 pub struct Places(Vec<Block>);
 
 struct Block {
@@ -66,8 +64,7 @@ impl Places {
         Self(order.chunks(TOGETHER).map(block).collect())
     }
 
-    /// Indices of the records within `distance` of a point, each once, in any order. Rounding may add some,
-    /// but never leaves one out.
+    /// Indices of the records within `distance` of a point, each once, in any order. Rounding may add some.
     pub fn within(&self, distance: f32, point: Vec3) -> impl Iterator<Item = u32> {
         /// Larger than a few rounding errors.
         const WIDER: f32 = 1.0 + 1e-5;

@@ -1,17 +1,14 @@
 //! Plan: chooses the records' positions and radii.
 //!
 //! A radius is the harmonic mean distance to the hits of a few rays (split-sphere model). Radii from the
-//! occlusion Hessian (Schwarzhaupt et al. 2012) would need the radiance of a complete gather at every
-//! candidate. The number of records would then only be known after paying for them. Measured RMSE against the
-//! uncached image, at equal numbers of records (192 × 192 pixels, 768 rays per record):
+//! occlusion Hessian (Schwarzhaupt et al. 2012) would need a complete gather at every candidate. Measured
+//! RMSE against the uncached image, at equal numbers of records (192 × 192 pixels, 768 rays per record):
 //!
 //! | scene | split sphere | Hessian |
 //! | --- | --- | --- |
 //! | furnished hall | 0.96 % | 1.03 % |
 //! | kitchen | 0.35 % | 0.35 % |
 //! | empty box | 0.69 % | 0.48 % |
-//!
-//! The Hessian's gain in empty rooms does not justify a plan that costs as much as the render.
 
 use super::coverage::Coverage;
 use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
@@ -50,11 +47,9 @@ const PILOTS: u32 = 1024;
 const SPACING: f32 = 1.5;
 
 /// Above an allowed error of `FINE`, the densest records are spaced farther apart in proportion. Above
-/// `COARSEST_SEEN`, the other records no longer change.
-///
-/// Where all surroundings are near, few places would need most of the records, and they contribute least to
-/// the image. At an allowed error of 0.6 (192 × 192 pixels, 512 rays per record), compared with relaxing all
-/// records:
+/// `COARSEST_SEEN`, the other records no longer change. Dense places would need most of the records and
+/// contribute least. At an allowed error of 0.6 (192 × 192 pixels, 512 rays per record), compared with
+/// relaxing all records:
 ///
 /// | scene | records before | after | image RMSE before | after |
 /// | --- | --- | --- | --- | --- |
@@ -63,14 +58,13 @@ const SPACING: f32 = 1.5;
 const FINE: f32 = 0.3;
 const COARSEST_SEEN: f32 = 0.4;
 
-/// Upper bounds of the radii: as a multiple of the smallest radius, and as a fraction of the visible extent
-/// (as in Radiance).
+/// Upper bounds of the radii: times the smallest radius, and as a fraction of the visible extent (as in
+/// Radiance).
 const LARGEST: f32 = 64.0;
 const LARGEST_OF_VIEW: f32 = 0.2;
 
-/// Deeper levels are only seen through the gathers of the first level, which average out their errors. Each
-/// level therefore allows this many times the error of the one before, up to `COARSE`, and spaces its records
-/// accordingly.
+/// Each deeper level allows this many times the error of the one before, up to `COARSE`, because gathers of
+/// the first level average out its errors.
 const DEEPER: f32 = 2.0;
 const COARSE: f32 = 0.6;
 
@@ -191,11 +185,8 @@ impl Planning<'_> {
         (0..self.tracer.settings.ambient_bounces).map(level).collect()
     }
 
-    /// Bounds of the radii, in metres. They are world-space lengths, so that the records are valid for any
-    /// view.
-    ///
-    /// With the smallest radius and the allowed error `accuracy`, records are `spacing` pixels apart at the
-    /// median distance of the view. The largest radius keeps a record from covering half the room.
+    /// Bounds of the radii in metres: world-space lengths, valid for any view. At the smallest radius and the
+    /// allowed error `accuracy`, records are `spacing` pixels apart at the median distance of the view.
     fn bounds(&mut self, spacing: f32, accuracy: f32) -> RangeInclusive<f32> {
         let camera = &self.tracer.frame.camera;
         let stride = (camera.pixels() as u32 / PILOTS).isqrt().max(1);
@@ -270,8 +261,8 @@ impl Planning<'_> {
         });
     }
 
-    /// Applies the insertion rule to the sites of each list, in sequence. The next list's sites are found at
-    /// the same time, because insertion is mostly single-threaded.
+    /// Applies the insertion rule to each list in sequence. Insertion is mostly single-threaded, so the next
+    /// list's sites are found meanwhile.
     fn cover_in_turn(
         &mut self,
         coverage: &mut Coverage,

@@ -6,13 +6,11 @@ use glam::Vec3;
 
 impl Cache {
     /// Irradiance at a site from the records of a level, in W/m² per channel, and the number of records
-    /// considered.
-    ///
-    /// The irradiance is `None` if no record covers the site. Records that are not filled count as black, so
-    /// that the cost of reading can be measured before the fill.
+    /// considered. `None` if no record covers the site. Records that are not filled count as black, so that
+    /// the cost of reading can be measured before the fill.
     ///
     /// E = Σ wᵢ (Eᵢ + (nᵢ × n)·∇ᵣEᵢ + (p − pᵢ)·∇ₜEᵢ) / Σ wᵢ (Ward and Heckbert 1992). The weights fall to 0
-    /// where a record's error reaches the allowed one, so the interpolation is continuous.
+    /// where a record's error reaches the allowed one.
     pub fn read(&self, level: usize, place: &Site) -> (Option<Vec3>, u64) {
         let here = &self.levels[level];
         let allowed = here.accuracy * READ_RELAXED;

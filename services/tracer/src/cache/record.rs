@@ -22,17 +22,13 @@ pub struct Planned {
     pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
 }
 
-/// Two points of one surface are nearly in a plane perpendicular to their mean normal. This is the largest
-/// sine of the angle to that plane.
+/// Two points of one surface lie nearly perpendicular to their mean normal: largest sine of that angle.
 const SLANT: f32 = 0.25;
 
 impl Planned {
-    /// The error of using this record at a site: |p − pᵢ| / Rᵢ + √(1 − n·nᵢ).
-    ///
-    /// It is the split-sphere bound without its constants (Ward, Rubinstein and Clear 1988, equation 5).
-    ///
-    /// Returns `None` if the error is not below `allowed`, or if the record must not be used. It must not be
-    /// used if it has another coat, faces away, is in front of or behind the surface, or beyond an obstacle.
+    /// The error of using this record at a site: |p − pᵢ| / Rᵢ + √(1 − n·nᵢ), the split-sphere bound without
+    /// its constants (Ward, Rubinstein and Clear 1988, equation 5). `None` if it is not below `allowed`, or
+    /// the record has another coat, faces away, is in front of or behind the surface, or beyond an obstacle.
     pub fn error(&self, place: &Site, allowed: f32) -> Option<f32> {
         let difference = place.position - self.site.position;
         let distance2 = difference.length_squared();
@@ -88,11 +84,9 @@ pub struct Record {
 }
 
 impl Record {
-    /// The record for a gather. Its gradients are limited (Křivánek et al. 2006).
-    ///
-    /// A gradient that would change the irradiance by its full value within a distance shows that the record
-    /// is valid for that distance at most. The trusted radius is reduced to it. If the distance is below the
-    /// smallest radius, the gradient itself is reduced.
+    /// The record for a gather, with limited gradients (Křivánek et al. 2006). A gradient that changes the
+    /// irradiance by its full value within a distance limits the trusted radius to it. Below the smallest
+    /// radius, the gradient is reduced instead.
     pub fn new(planned: &Planned, irradiance: &Irradiance, smallest: f32) -> Self {
         let (value, mut translation) = (irradiance.value, irradiance.translation);
         let mut trusted = planned.radius;
@@ -163,10 +157,8 @@ impl Value {
         self.irradiance.is_finite() && gradients.all(|gradient| gradient.is_finite())
     }
 
-    /// Irradiance at another site, extrapolated by the gradients.
-    ///
+    /// Irradiance at another site by the gradients, limited to `LEAST` to `MOST` times the record's.
     /// `difference` is the offset from the record in metres, and `turn` = nᵢ × n the rotation of the normal.
-    /// The result is limited to between `LEAST` and `MOST` times the record's irradiance.
     pub fn at(&self, difference: Vec3, turn: Vec3) -> Vec3 {
         const LEAST: f32 = 0.05;
         const MOST: f32 = 3.0;

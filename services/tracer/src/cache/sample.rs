@@ -37,12 +37,9 @@ impl Cache {
 }
 
 impl Level {
-    /// Chooses `each` records, or all if there are fewer. Every record has the same probability.
-    ///
-    /// Neighbours that face the same way have similar costs. So records are ordered along a space-filling
-    /// curve, separately for each axis direction, and every n-th is taken (systematic sampling: Cochran,
-    /// *Sampling Techniques*, 3rd edition 1977, chapter 8). `start` is the offset of the first, in units of
-    /// 2⁻⁶⁴ of a step.
+    /// Chooses `each` records, or all, with equal probability. They are ordered along a space-filling curve
+    /// per axis direction, and every n-th is taken (systematic sampling: Cochran, *Sampling Techniques*, 3rd
+    /// edition 1977, chapter 8). `start` is the offset of the first, in units of 2⁻⁶⁴ of a step.
     fn spread(&self, each: usize, start: u64) -> Vec<usize> {
         let count = self.planned.len();
         let picks = each.min(count);
@@ -58,8 +55,7 @@ impl Level {
     }
 }
 
-/// Position of a record along the curve: the axis direction of its normal, then the Morton order of its
-/// position.
+/// Position along the curve: the axis direction of the normal, then the Morton order of the position.
 fn curve(planned: &Planned, cells: &Cells) -> u64 {
     direction_of(planned.site.normal) as u64 * Cells::COUNT + cells.number(planned.site.position)
 }

@@ -1,13 +1,8 @@
 //! Reuse of records between frames.
 //!
-//! A record stays valid as long as the light that it gathered is the same. Its 48 plan rays are checked for
-//! this. The record is dropped in these cases:
-//!
-//! - A ray hits something that moved.
-//! - A ray passes through a place that something moved to.
-//! - A ray hits a point from which a light is seen past something that moved.
-//!
-//! If lights or materials themselves change, all records are dropped.
+//! A record stays valid while the light that it gathered is the same. It is dropped if one of its 48 plan
+//! rays hits something that moved, passes a place that something moved to, or hits a point whose light passes
+//! something that moved. If lights or materials change, all records are dropped.
 
 use super::places::Places;
 use super::plan::world;
@@ -28,8 +23,7 @@ pub struct Shared {
 }
 
 impl Cache {
-    /// Returns `true` if the records are valid in the tracer's frame: same geometry, same light, same light
-    /// settings.
+    /// Whether the records are valid in the tracer's frame: same geometry, light and light settings.
     pub fn suits(&self, tracer: &Tracer) -> bool {
         self.fingerprint == tracer.cache_fingerprint()
     }
@@ -79,8 +73,7 @@ impl Level {
         self.index.at(place).any(|index| !kept[index as usize])
     }
 
-    /// The level with some of its records. A record's smoothed value is kept if all records that contributed
-    /// to it are kept.
+    /// The level with some of its records. Smoothed values stay if all contributing records are kept.
     fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
             strata: self.strata,

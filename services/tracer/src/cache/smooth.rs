@@ -1,13 +1,8 @@
 //! Smoothing: averages records that agree.
 //!
-//! A gather has only a few hundred rays, and its noise shows as a blotch as large as the record. Neighbours
-//! have gathered the same light with other rays, and their gradients predict its value here. So every filled
-//! record is replaced by a weighted mean of the predictions of its neighbours and itself. The neighbourhood
-//! is larger than the one for reading.
-//!
-//! This gives each record the noise of several gathers at the price of one. It is paid once per record, not
-//! by every sample that reads. A neighbour that differs by more than the noise explains has gathered
-//! different light, and gets a lower weight.
+//! The noise of a gather shows as a blotch as large as the record. So every filled record becomes a weighted
+//! mean of its own value and its neighbours' predictions by gradients, over a larger neighbourhood than for
+//! reading. A neighbour that differs by more than the noise explains gets a lower weight.
 
 use super::places::Places;
 use super::record::{Record, Smoothed, Value};
@@ -19,11 +14,9 @@ use rayon::prelude::*;
 /// Neighbours contribute if their error, in both directions, is below this multiple of the accuracy.
 const WIDER: f32 = 6.0;
 
-/// How quickly a neighbour's weight falls with a difference beyond the noise.
-///
-/// The weight with the least error would be 1 / (1 + b²/σ²), for a bias b of the neighbour and a variance σ²
-/// of each record. A single difference d only gives the rough estimate b² = d² − 2σ², so it is taken into
-/// account in part. The image's error hardly changes between 0.25 and 1.
+/// How quickly a neighbour's weight falls with a difference beyond the noise. The best weight is 1 / (1 +
+/// b²/σ²), for a bias b and a variance σ² of each record. A difference d gives only the rough b² = d² − 2σ²,
+/// so it counts in part. The image's error hardly changes between 0.25 and 1.
 const DISAGREEMENT: f32 = 0.25;
 
 impl Cache {
@@ -73,8 +66,7 @@ impl Level {
         self.records[index].get().map(Value::of)
     }
 
-    /// CPU time of smoothing a record, nanoseconds. It does not matter whether the neighbours are filled:
-    /// each counts as if it had the record's own value.
+    /// CPU nanoseconds of smoothing a record. Neighbours that are not filled count with the record's value.
     pub(super) fn smoothing_nanos(&self, index: usize, record: &Record, places: &Places) -> u64 {
         let value = Value::of(record);
         let (averaged, nanos) = clocked(|| self.averaged(index, places, |_| Some(value)));
@@ -83,9 +75,8 @@ impl Level {
         nanos
     }
 
-    /// The records that may contribute when a record is smoothed, including itself, in any order.
-    ///
-    /// Each comes with the larger of two errors: of using it here, and of using this record there.
+    /// The records that may contribute when a record is smoothed, including itself, in any order. Each has
+    /// the larger of the two errors of using one at the other.
     pub(super) fn neighbours(&self, index: usize, places: &Places) -> impl Iterator<Item = (u32, f32)> {
         let here = &self.planned[index];
         let allowed = self.accuracy * WIDER;
@@ -132,11 +123,8 @@ impl Level {
         }
     }
 
-    /// Distance weight of one record at another's site: 1 at the site itself, falling to 0 where the record
-    /// is too far away.
-    ///
-    /// `distance` is in units of the smaller of the two trusted radii. That record knows best how quickly the
-    /// light changes between them.
+    /// Distance weight of one record at another's site: 1 there, falling to 0. `distance` is in units of the
+    /// smaller of the two trusted radii, whose record knows best how quickly the light changes.
     fn nearness(&self, error: f32, distance: f32) -> f32 {
         let allowed = self.accuracy * WIDER;
         let near = 1.0 - error / allowed;
@@ -144,8 +132,7 @@ impl Level {
     }
 }
 
-/// How far noise explains the difference between a neighbour's prediction and the record's own value: 1 if it
-/// explains it fully, falling to 0.
+/// How far noise explains a neighbour's difference from the record's value: 1 fully, falling to 0.
 fn agreement(own: &Value, neighbour: &Value, said: Vec3) -> f32 {
     let difference = (said - own.irradiance).element_sum() / 3.0;
     let variance = own.noise * own.noise + neighbour.noise * neighbour.noise;

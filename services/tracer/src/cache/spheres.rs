@@ -24,8 +24,7 @@ pub struct Lists(Vec<Block>);
 #[derive(Debug, Clone, Copy)]
 pub struct List(u32, u32);
 
-/// Up to eight spheres of a list, in insertion order. Queries test several spheres at once, because most of
-/// them are too far away.
+/// Up to eight spheres, in insertion order, tested together because most are too far away.
 #[derive(Debug, Clone, Copy)]
 pub struct Block {
     /// Centres by axis, in groups of four.
@@ -98,8 +97,7 @@ impl Block {
         u64::from(self.sets[set].count_ones())
     }
 
-    /// Indices of the spheres of a set that may contain a point. Rounding may add some, but never leaves one
-    /// out.
+    /// Indices of the spheres of a set that may contain a point. Rounding may add some.
     pub fn holding(&self, set: usize, point: Vec3) -> impl Iterator<Item = u32> {
         self.indices_of(u32::from(self.sets[set]) & self.near(point, 0.0))
     }

@@ -1,16 +1,14 @@
 //! The `ambient` integrator: distribution ray tracing (Whitted 1980, Cook et al. 1984, Ward et al. 1988).
 //!
-//! At every diffuse or glossy surface, lights are sampled directly (next-event estimation): all of them, or
-//! some if there are many. Rays follow mirrors, glass and glossy lobes. The first `ambient_bounces` diffuse
-//! hits gather their hemisphere.
+//! At every diffuse or glossy surface, lights are sampled directly (next-event estimation): all, or some if
+//! there are many. Rays follow mirrors, glass and glossy lobes. The first `ambient_bounces` diffuse hits
+//! gather their hemisphere.
 //!
 //! Light is counted once. Rays gathered by a diffuse surface do not see the lights that it sampled. Glossy
-//! lobes share the lights with light sampling by multiple importance sampling (Veach 1997, balance
-//! heuristic). So do diffuse surfaces, for lights that are near.
+//! lobes, and diffuse surfaces for near lights, share them with light sampling by multiple importance
+//! sampling (Veach 1997, balance heuristic).
 //!
-//! Caustics are left out, as in Radiance. They are light that reaches a diffuse surface via a mirror, glass
-//! or a narrow glossy lobe. A gathered hemisphere would find them by rare, very bright rays, which add mostly
-//! noise.
+//! Caustics are left out, as in Radiance: a gathered hemisphere would find them by rare, very bright rays.
 
 use super::segment::{Arrival, Segment};
 use super::{Interface, Passed, Pixels, Point, cap_height, fluence, has, leaving};
@@ -26,12 +24,10 @@ use forelight_bvh::{Hit, Ray};
 use forelight_scene::{Color, Surface};
 use glam::Vec3;
 
-/// Before the first diffuse bounce, a branch that adds less than this fraction of the pixel is subject to
-/// Russian roulette.
+/// Russian roulette before the first diffuse bounce: for branches that add less than this to the pixel.
 const FAINT: f32 = 0.02;
 
-/// After a diffuse bounce, glossy lobes with a smaller alpha do not see the lights: their highlights are
-/// caustics.
+/// After a diffuse bounce, glossy lobes with a smaller alpha do not see the lights (caustics).
 const CAUSTIC_ALPHA: f32 = 0.2;
 
 impl<const K: u32> Pixels<'_, K> {
@@ -68,8 +64,7 @@ impl<const K: u32> Pixels<'_, K> {
         emitted + self.scattered(&s, &p, &hit)
     }
 
-    /// Radiance that the surface scatters towards the viewer. Each kernel contains code only for the
-    /// materials of its frame.
+    /// Radiance that the surface scatters towards the viewer, for the materials of this kernel.
     fn scattered(&mut self, s: &Segment, p: &Point, hit: &Hit) -> Vec3 {
         match self.tracer.materials[p.material].surface {
             Surface::Lambert { albedo } => {
@@ -228,8 +223,7 @@ impl<const K: u32> Pixels<'_, K> {
         };
         let cos_i = p.viewer.dot(normal);
         let interface = fresnel::dielectric(cos_i, eta);
-        // Refraction changes the solid angle: radiance is multiplied by 1/η² on the way in, and by η² on the
-        // way out.
+        // Refraction changes the solid angle: radiance times 1/η² on the way in, and η² on the way out.
         let through = (1.0 - interface.reflectance) * transmittance / (eta * eta);
         if alpha < ggx::SMOOTH {
             let direction = ggx::refract(p.viewer, normal, eta, interface.cos_t);
@@ -242,8 +236,8 @@ impl<const K: u32> Pixels<'_, K> {
             };
             return self.split(s, p, interface.reflectance, through, forward);
         }
-        // Rough glass: choose one of the two directions about the microfacet. The weight is the masking on
-        // the other side.
+        // Rough glass: one of the two directions about the microfacet, weighted by the masking on the other
+        // side.
         let reflects = self.sampler.next(Purpose::Lobe, s.vertex).x < interface.reflectance;
         let direction = if reflects {
             ggx::reflect(p.viewer, normal)
@@ -265,8 +259,7 @@ impl<const K: u32> Pixels<'_, K> {
         self.follow(s.turned(p, direction, Arrival::Everything), share, category)
     }
 
-    /// Reflection and transmission of a smooth interface: both at the camera's first hit, otherwise one
-    /// chosen at random.
+    /// Reflection and transmission of a smooth interface: both at the first hit, then one at random.
     fn split(
         &mut self,
         s: &Segment,
@@ -286,8 +279,7 @@ impl<const K: u32> Pixels<'_, K> {
         }
     }
 
-    /// `share` × the radiance of the next segment. Branches with little weight are subject to Russian
-    /// roulette.
+    /// `share` × the radiance of the next segment, with Russian roulette for little weight.
     fn follow(&mut self, next: Segment, share: Vec3, category: Category) -> Vec3 {
         let largest = share.max_element();
         if largest <= 0.0 || next.depth > self.tracer.settings.max_depth {
@@ -316,8 +308,7 @@ impl<const K: u32> Pixels<'_, K> {
         })
     }
 
-    /// Returns `true` if gathered rays bring the environment's light. They sample a constant environment as
-    /// well as rays of its own would.
+    /// Whether gathered rays bring the environment's light. A constant one needs no rays of its own.
     fn gathers_sky(&self) -> bool {
         matches!(self.tracer.sky, Sky::Constant(_))
     }
@@ -338,8 +329,7 @@ impl<const K: u32> Pixels<'_, K> {
         self.gather_rays(count, s, p, response)
     }
 
-    /// Indirect diffuse light at a point that no cache record covers. It uses a few rays for a sample, and
-    /// one ray within a record's gather.
+    /// Indirect diffuse light at an uncovered point: a few rays for a sample, one within a record's gather.
     pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         if s.level > 0 {
             return self.gather_rays(1, s, p, response);

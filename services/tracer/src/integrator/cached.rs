@@ -40,8 +40,7 @@ impl<const K: u32> Pixels<'_, K> {
         self.closest(&ray_from(site, direction), None)
     }
 
-    /// Follows a record's plan rays to the points where they read `level` of the cache, the level after the
-    /// record's own.
+    /// Follows a record's plan rays to where they read `level`, the level after the record's own.
     pub fn walk_gather(&mut self, strata: &Strata, level: u32, planned: &Planned) {
         let basis = Basis::new(planned.site.normal);
         for (ray, hit) in planned.hits.iter().enumerate() {

@@ -1,7 +1,5 @@
-//! Direct light: samples lights from a surface point.
-//!
-//! Lights near a diffuse surface are sampled in two ways, combined by multiple importance sampling: by a
-//! point on the light, and by a cosine-weighted direction from the surface.
+//! Direct light: samples lights from a surface point. Lights near a diffuse surface are sampled by points and
+//! by directions, combined by multiple importance sampling.
 
 use super::{Passed, Pixels, Point, cap_height, fluence, has, leaving};
 use crate::cost::Category;
@@ -46,8 +44,7 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Light from some of the lights with a position, chosen by the light tree. The number depends on
-    /// `level`, the number of diffuse bounces.
+    /// Light from some of the lights with a position. Their number depends on `level`, the diffuse bounces.
     pub fn some_lights(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let tracer = self.tracer;
         let Some(looks) = tracer.looks.at(level) else { return Vec3::ZERO };
@@ -92,8 +89,8 @@ impl<const K: u32> Pixels<'_, K> {
         sum
     }
 
-    /// Density per steradian of [`Self::some_lights`], all choices together, for light that leaves an
-    /// emitting patch at an angle of cosine `cos`.
+    /// Density per steradian of [`Self::some_lights`], all choices together, for an emitting patch seen at
+    /// `cos`.
     fn density_of_choice(
         &mut self,
         receiver: &Receiver,
@@ -108,9 +105,7 @@ impl<const K: u32> Pixels<'_, K> {
     }
 
     /// Density per steradian with which light sampling chooses a direction, at a receiver after `level`
-    /// diffuse bounces.
-    ///
-    /// The light leaves a triangle at an angle of cosine `cos` and at the squared distance `distance2`.
+    /// diffuse bounces. The light leaves at an angle of cosine `cos`, at the squared distance `distance2`.
     /// `None` for triangles that light sampling does not choose.
     pub(super) fn density_of_lights(
         &mut self,
@@ -130,10 +125,9 @@ impl<const K: u32> Pixels<'_, K> {
         Some(tracer.luminaires.density(index, distance2, cos))
     }
 
-    /// Light from a sampled point of an emitting triangle.
-    ///
-    /// `density` gives the density per steradian of the choice, from the squared distance and the cosine at
-    /// the light. For a near light, the diffuse lobe's part is weighted against [`Self::near_lights`].
+    /// Light from a sampled point of an emitting triangle. `density` gives the density per steradian of the
+    /// choice, from squared distance and cosine. For a near light, the diffuse lobe's part is weighted
+    /// against [`Self::near_lights`].
     fn triangle_light(
         &mut self,
         p: &Point,
@@ -183,11 +177,9 @@ impl<const K: u32> Pixels<'_, K> {
         opacity * self.color(&emission, self.tracer.frame.geometry.uv(primitive, u, v))
     }
 
-    /// The diffuse lobe's part of the near lights: one cosine-weighted ray that looks for them, straight
-    /// through panes.
-    ///
-    /// `by_light` returns the density per steradian with which light sampling finds a hit. It returns `None`
-    /// if the hit is not on a near light.
+    /// The diffuse lobe's part of the near lights: one cosine-weighted ray, straight through panes.
+    /// `by_light` returns the density per steradian of light sampling for a hit, `None` if that is not on a
+    /// near light.
     fn near_lights(
         &mut self,
         p: &Point,

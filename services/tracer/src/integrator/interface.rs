@@ -9,8 +9,7 @@ use glam::Vec3;
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
-/// Directions of the rays that find the solids around the camera. A ray through an edge may count a face
-/// twice, so the median of five is taken.
+/// Directions of the rays that find the solids around the camera. Edges may count twice, hence five rays.
 const PROBES: [Vec3; 5] = [
     Vec3::new(0.267, 0.534, 0.802),
     Vec3::new(-0.683, 0.146, 0.715),
@@ -19,15 +18,13 @@ const PROBES: [Vec3; 5] = [
     Vec3::new(0.912, 0.228, -0.342),
 ];
 
-/// Below this cosine, a ray counts as grazing a face. A smaller cosine would include faces that are far away
-/// along the ray.
+/// Below this cosine a ray counts as grazing. Smaller ones would include faces far along the ray.
 const GRAZING: f32 = 1e-2;
 
 /// The interface that a ray meets at the face of a solid dielectric.
 #[derive(Debug, Clone, Copy)]
 pub struct Interface {
-    /// Index of refraction on the other side, relative to this side. `None` if the same medium fills both
-    /// sides; the ray then passes unchanged.
+    /// Index of refraction of the other side, relative to this one. `None` if the same medium fills both.
     pub eta: Option<f32>,
     /// Fraction of light transmitted, per channel.
     pub transmittance: Vec3,
@@ -54,10 +51,8 @@ impl<const K: u32> Pixels<'_, K> {
         Interface { eta: Some(eta), transmittance, alpha, before: media, beyond: media, passed }
     }
 
-    /// An interface among solids that overlap or touch.
-    ///
-    /// Faces at the same place are crossed together. The continuing ray starts behind all of them, so all
-    /// must be counted here.
+    /// An interface among solids that overlap or touch. Faces at the same place are crossed together: the
+    /// continuing ray starts behind all of them, so all must be counted here.
     pub fn nested_interface(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> Interface {
         let tracer = self.tracer;
         let ranks = &tracer.ranks;
@@ -85,10 +80,9 @@ impl<const K: u32> Pixels<'_, K> {
         Interface { eta: Some(eta), transmittance, alpha, before, beyond, passed }
     }
 
-    /// Ranks, as bits, of the solids that a ray enters and of those that it leaves at a hit.
-    ///
-    /// All faces between the hit and the start of the continuing ray count. Faces of one solid that share a
-    /// hit edge count once. Also returns the distance along the ray up to which faces were counted.
+    /// Ranks, as bits, of the solids that a ray enters and leaves at a hit, and the distance up to which
+    /// faces were counted. All faces up to the start of the continuing ray count; those of one solid that
+    /// share a hit edge count once.
     fn faces_at(&mut self, ray: &Ray, hit: &Hit, p: &Point) -> ([u32; 2], f32) {
         let step = (off_surface(p.position, p.geometric, p.size, ray.direction) - p.position).length();
         let cos = p.geometric.dot(ray.direction).abs();
@@ -137,8 +131,7 @@ impl Tracer {
         media
     }
 
-    /// The rank of the solid whose face was hit, and whether the ray leaves it. `None` for solids without a
-    /// priority.
+    /// Rank of the solid that was hit, and whether the ray leaves it. `None` without a priority.
     fn face(&self, hit: &Hit, direction: Vec3, texels: &Cell<u64>) -> Option<(u8, bool)> {
         let geometry = &self.frame.geometry;
         let rank = self.ranks.of(geometry.material(hit.primitive) as usize)?;

@@ -1,6 +1,4 @@
-//! Shadow rays: how much light passes between a point and a light.
-//!
-//! Opaque surfaces block the light; panes and partial opacity attenuate it.
+//! Shadow rays: how much light passes between a point and a light. Panes and partial opacity attenuate it.
 
 use super::{Passed, Pixels, Point, has, leaving};
 use crate::cost::Category;
@@ -61,8 +59,7 @@ impl<const K: u32> Pixels<'_, K> {
         Vec3::ZERO
     }
 
-    /// Fraction of light along `direction` (unit) that a surface transmits straight. `None` if it blocks all
-    /// light.
+    /// Fraction of light along `direction` (unit) that passes straight. `None` if all is blocked.
     pub(super) fn pass(&mut self, hit: &Hit, direction: Vec3) -> Option<Vec3> {
         let tracer = self.tracer;
         let geometry = &tracer.frame.geometry;

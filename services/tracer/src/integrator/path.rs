@@ -1,16 +1,16 @@
 //! The `path` integrator: unbiased path tracing, the ground truth for the other integrator.
 //!
-//! At every surface, a path continues in one direction sampled from the BSDF (Kajiya 1986). At every surface
-//! that spreads light, one light is sampled as well. Light that both techniques can find is weighted by
-//! multiple importance sampling (Veach 1997, power heuristic). Light that reaches the path only through
-//! mirrors and glass, including caustics, is found by BSDF sampling alone.
+//! At every surface, a path continues in one direction sampled from the BSDF (Kajiya 1986). At surfaces that
+//! spread light, one light is sampled as well, combined by multiple importance sampling (Veach 1997, power
+//! heuristic). Light that arrives only through mirrors and glass, including caustics, is found by BSDF
+//! sampling alone.
 //!
-//! Shadow rays pass straight through panes and cut-outs. So do path rays: a light seen through them counts as
-//! one that light sampling finds too.
+//! Shadow rays and path rays pass straight through panes and cut-outs; a light seen through them counts for
+//! both techniques.
 //!
 //! `ambient_bounces` limits how often a path is spread after the first time (diffuse, glossy or rough glass).
-//! `max_depth` limits each chain of mirrors, smooth glass and panes in between. Russian roulette ends paths
-//! that contribute little; it does not change the mean.
+//! `max_depth` limits each chain of mirrors, smooth glass and panes. Russian roulette does not change the
+//! mean.
 
 use super::direct::{LAST_BIT, falloff, fine};
 use super::{Interface, Pixels, Point, cap_height, fluence, has, leaving};
@@ -28,8 +28,7 @@ use std::f32::consts::TAU;
 /// From this vertex on, paths are subject to Russian roulette.
 const ROULETTE: u32 = 4;
 
-/// From this vertex on, even a path without losses may end. A closed room of perfect mirrors would otherwise
-/// never release it.
+/// From this vertex on, even a path without losses may end, as in a closed room of mirrors.
 const LONG: u32 = 32;
 
 /// Largest probability of survival per vertex of a long path.
@@ -49,8 +48,7 @@ struct Candidate {
     direction: Vec3,
     /// End of the shadow ray. `None` means infinity.
     target: Option<Vec3>,
-    /// Radiance divided by the density of the choice. For lights without size: irradiance divided by its
-    /// probability.
+    /// Radiance over the density of the choice. For lights without size: irradiance over its probability.
     light: Vec3,
     /// Density of the choice per steradian. `None` for lights without size, which BSDF sampling cannot find.
     density: Option<f32>,
@@ -161,8 +159,7 @@ impl<const K: u32> Pixels<'_, K> {
         self.counters.ray(category);
     }
 
-    /// The BSDF of any surface except a solid dielectric's. Each kernel contains code only for the materials
-    /// of its frame.
+    /// The BSDF of any surface except a solid dielectric's, for the materials of this kernel.
     #[inline]
     fn bsdf(&mut self, p: &Point, surface: Surface) -> Bsdf {
         match surface {
@@ -344,8 +341,7 @@ fn category(lobe: Lobe) -> Category {
 }
 
 /// Weight of a sample with density `own` that another technique would choose with density `other`: the power
-/// heuristic with exponent 2 (Veach 1997). It is computed from the quotient, whose square overflows to the
-/// correct limit.
+/// heuristic with exponent 2 (Veach 1997). The quotient's square overflows to the correct limit.
 fn power(own: f32, other: f32) -> f32 {
     if own <= 0.0 {
         return 0.0;

@@ -8,15 +8,13 @@ use glam::Vec3;
 /// The lights that a ray sees when it hits them.
 #[derive(Debug, Clone, Copy)]
 pub enum Arrival {
-    /// All lights: the ray comes from the camera, or from a mirror that the camera sees. After a diffuse
-    /// bounce: only the environment.
+    /// All lights: from the camera or a mirror that it sees. After a diffuse bounce: only the environment.
     Everything,
     /// None: the diffuse surface at its origin has sampled them.
     Nothing,
     /// Only the environment: the surface at its origin has sampled the other lights, or ignores them.
     Sky,
-    /// Area lights, with the weight of multiple importance sampling. `density` is that of the direction, per
-    /// steradian; `receiver` is the glossy surface.
+    /// Area lights, weighted by the density of the direction per steradian; `receiver` is the glossy surface.
     Shared { receiver: Receiver, density: f32 },
 }
 

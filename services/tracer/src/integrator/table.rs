@@ -1,7 +1,5 @@
-//! The functions that a kernel consists of, and the bits of its const parameter.
-//!
-//! The module `kernel` composes the table for a frame. The integrators call its functions, and use the bits
-//! to leave out code.
+//! The functions of a kernel, and the bits of its const parameter. `kernel` composes the table for a frame;
+//! the integrators call it.
 
 use super::{Interface, Pixels, Point, Segment};
 use crate::response::Response;

@@ -1,5 +1,4 @@
-//! Bounds of a set of lights: its position, the directions that it emits to, and how much light it can bring
-//! to a point.
+//! Bounds of a set of lights: position, directions, and how much light it can bring to a point.
 
 use crate::bounds::Bounds as Place;
 use glam::{DVec3, Vec3};
@@ -9,14 +8,11 @@ use std::f64::consts::{FRAC_PI_2, PI};
 #[derive(Debug, Clone, Copy)]
 pub struct Receiver {
     pub position: Vec3,
-    /// Light from below the plane of this normal does not count. `None` means that light counts from all
-    /// directions.
+    /// Light from below the plane of this normal does not count. `None`: all light counts.
     pub normal: Option<Vec3>,
 }
 
-/// Bounds of one or more lights.
-///
-/// All angles are relative to `axis`. The axis of every light is within the angle `spread` of it, and every
+/// Bounds of one or more lights. The axis of every light is within the angle `spread` of `axis`, and every
 /// light emits up to the angle `reach` from its own axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bounds {
@@ -94,8 +90,7 @@ impl Bounds {
         }
     }
 
-    /// The smallest cone that contains the axes of both (Conty Estevez and Kulla 2018, algorithm 1). It is
-    /// computed in f64 and slightly widened.
+    /// Smallest cone around the axes of both (Conty Estevez and Kulla 2018, algorithm 1), slightly widened.
     fn cone_with(&self, other: &Self) -> (Vec3, (f32, f32)) {
         let angle = |b: &Self| libm::atan2(b.spread.1.into(), b.spread.0.into());
         let (wide, narrow) = if angle(self) >= angle(other) { (self, other) } else { (other, self) };
@@ -117,13 +112,10 @@ impl Bounds {
     }
 
     /// Importance of the lights at a receiver: an estimate of the light that they bring (Conty Estevez and
-    /// Kulla 2018, equation 3).
+    /// Kulla 2018, equation 3). It is zero only if none can reach the receiver.
     ///
-    /// It is the intensity times the largest possible cosines at both ends, divided by the squared distance.
-    /// It is zero only if none of the lights can reach the receiver.
-    ///
-    /// The cosines are bounded by the box, not by its bounding sphere. Lights often lie in one plane, such as
-    /// a ceiling. Seen from the side, a flat box shows that the angles are grazing; a sphere would not.
+    /// The cosines are bounded by the box, not by its bounding sphere, because a flat box of lights, such as
+    /// a ceiling, shows that angles are grazing.
     pub fn importance(&self, receiver: &Receiver) -> f64 {
         let (centre, half) = (self.centre(), 0.5 * self.high - 0.5 * self.low);
         let to = receiver.position - centre;
@@ -214,10 +206,8 @@ impl Shine {
     }
 
     /// Expected cost of choosing among these lights: intensity × size × the solid angle that they emit into
-    /// (Conty Estevez and Kulla 2018, equations 1 and 2).
-    ///
-    /// The size is the squared diagonal. Unlike the area, it is not zero for lights in a row. The spread of
-    /// the axes is that of a uniform cap with the same mean axis.
+    /// (Conty Estevez and Kulla 2018, equations 1 and 2). The size is the squared diagonal, which is not zero
+    /// for lights in a row.
     pub fn cost(&self) -> f64 {
         if self.is_none() {
             return 0.0;
@@ -230,8 +220,7 @@ impl Shine {
     }
 }
 
-/// Solid angle of a cone with half-angle `spread`, plus the cosine-weighted solid angle beyond it up to
-/// `reach`.
+/// Solid angle of a cone with half-angle `spread`, plus the cosine-weighted one beyond up to `reach`.
 fn solid_angle(spread: f64, reach: f64) -> f64 {
     let (sin, cos) = (libm::sin(spread), libm::cos(spread));
     let end = (spread + reach).min(PI);

@@ -1,6 +1,5 @@
-//! Lights with a position: emitting patches of surfaces, and point lights.
-//!
-//! A patch is sampled uniformly by area. Which emitter is sampled is chosen by a light tree.
+//! Lights with a position: emitting patches of surfaces, sampled uniformly by area, and point lights. A light
+//! tree chooses one.
 
 use super::bounds::{Bounds as LightBounds, Receiver};
 use super::tree::{Choice, LightTree};
@@ -20,8 +19,7 @@ pub enum Emitter {
     Point(usize),
 }
 
-/// Emitting triangles that are sampled as one light: a flat, compact and evenly bright piece of an object, or
-/// a single triangle.
+/// Triangles sampled as one light: a flat, compact, evenly bright piece of an object, or one triangle.
 #[derive(Debug, Clone, Copy)]
 struct Patch {
     /// Range of its triangles in [`Emitters::surfaces`].
@@ -50,10 +48,8 @@ pub struct Emitters {
 const FEW: usize = 256;
 
 impl Emitters {
-    /// Collects all emitters: triangles that have an area, emit and are not entirely transparent, and points
-    /// with an intensity.
-    ///
-    /// Lights that cannot affect the image are left out.
+    /// Collects all emitters that can affect the image: triangles with an area that emit and are not fully
+    /// transparent, and points with an intensity.
     pub fn new(frame: &Frame, materials: &[Material], reach: &Reach) -> Self {
         let geometry = &frame.geometry;
         let mut glow = Glow::new(frame, materials);
@@ -145,10 +141,9 @@ impl Emitters {
         Some(self.patch_of[found].1 as usize)
     }
 
-    /// Density per steradian of a uniform point on a patch.
-    ///
-    /// `probability` is that of choosing the patch, or the expected number of choices. The light leaves at an
-    /// angle of cosine `cos` (> 0) and travels the squared distance `distance2` (m²).
+    /// Density per steradian of a uniform point on a patch chosen with `probability` (or an expected number
+    /// of choices). The light leaves at an angle of cosine `cos` (> 0) and travels the squared distance
+    /// `distance2` (m²).
     pub fn density(&self, patch: usize, probability: f64, distance2: f32, cos: f32) -> f32 {
         let area = f64::from(self.patches[patch].area);
         (probability * f64::from(distance2) / (f64::from(cos) * area)) as f32
@@ -184,17 +179,14 @@ struct Member {
     intensity: f64,
 }
 
-/// Normals with at least this cosine count as one plane. The difference is well within the tolerance of
-/// [`LightBounds`].
+/// Normals with at least this cosine count as one plane, well within the tolerance of [`LightBounds`].
 const SAME_PLANE: f32 = 1.0 - 1.2e-7;
 
 /// Smallest fraction of a rectangle that a compact patch covers. A disc covers 0.79.
 const COMPACT: f64 = 0.6;
 
-/// Returns `true` if triangles lie in one plane and fill most of a rectangle.
-///
-/// Sampling them uniformly is then as good as preferring the nearer triangles. The rectangle is aligned with
-/// the shortest edge of the largest triangle.
+/// Whether triangles lie in one plane and fill most of a rectangle, aligned with the shortest edge of the
+/// largest. Uniform sampling is then as good as preferring nearer triangles.
 fn is_flat_and_compact(geometry: &Geometry, members: &[Member]) -> bool {
     let Some(largest) = members.iter().max_by(|a, b| a.area.total_cmp(&b.area)) else { return false };
     if members.iter().any(|m| m.normal.dot(largest.normal) < SAME_PLANE) {
@@ -215,8 +207,7 @@ fn is_flat_and_compact(geometry: &Geometry, members: &[Member]) -> bool {
     area >= COMPACT * width * height && depth * depth <= 1e-6 * area
 }
 
-/// Unit normal and area of a triangle. Computed in f64, because corners may be far from the origin and close
-/// together.
+/// Unit normal and area of a triangle, in f64: corners may be close together far from the origin.
 fn plane([a, b, c]: [Vec3; 3]) -> (Vec3, f32) {
     let cross = (b - a).as_dvec3().cross((c - a).as_dvec3());
     (cross.normalize_or_zero().as_vec3(), (0.5 * cross.length()) as f32)
@@ -230,8 +221,7 @@ struct Glow<'a> {
     brightest: Vec<Option<f32>>,
 }
 
-/// Lower bound of a textured triangle's brightness, relative to its brightest texel. The samples of its
-/// texture may miss the bright parts.
+/// Lower bound of a textured triangle's brightness relative to its brightest texel; samples may miss it.
 const FLOOR: f32 = 1.0 / 64.0;
 
 /// A triangle's texture is sampled at the centres of its subdivision into `LOOKS`² triangles.
@@ -263,8 +253,7 @@ impl<'a> Glow<'a> {
         })
     }
 
-    /// Estimated mean radiance of a triangle in the strongest channel, W/(m² sr), from a few samples of its
-    /// texture.
+    /// Mean radiance of a triangle in the strongest channel, W/(m² sr), from a few texture samples.
     fn radiance(&mut self, triangle: u32, material: usize) -> f32 {
         let Material { emission, opacity, .. } = self.materials[material];
         let Some(texture) = emission.texture else { return opacity * emission.factor.max_element() };
@@ -272,8 +261,7 @@ impl<'a> Glow<'a> {
         let mut sum = 0.0;
         for i in 0..LOOKS {
             for j in 0..LOOKS {
-                // Upright and inverted subtriangles of the grid are distinguished by the sum of their
-                // coordinates.
+                // The sum of coordinates tells upright from inverted subtriangles.
                 let (b, c) = (i as f32 + 1.0 / 3.0, j as f32 + 1.0 / 3.0);
                 let turned = i + j >= LOOKS;
                 let (b, c) = if turned { (LOOKS as f32 - b, LOOKS as f32 - c) } else { (b, c) };

@@ -9,8 +9,7 @@ use glam::{Vec2, Vec3};
 /// All emitting triangles of one (object, material) pair, sampled as one light.
 #[derive(Debug, Clone)]
 pub struct Luminaire {
-    /// The (object, material) pair. It selects the luminaire's random numbers, which thus do not depend on
-    /// other luminaires.
+    /// The (object, material) pair, which selects random numbers independent of other luminaires.
     pub stratum: u32,
     /// Total area, m².
     pub area: f32,
@@ -32,8 +31,7 @@ pub struct Luminaires {
 }
 
 impl Luminaires {
-    /// Collects the emitting triangles. Triangles without area emit nothing. Luminaires that light nothing
-    /// visible are left out, unless `complete` is set.
+    /// Collects emitting triangles with an area. Luminaires that light nothing visible only if `complete`.
     pub fn new(frame: &Frame, reach: &Reach, complete: bool) -> Self {
         let geometry = &frame.geometry;
         let mut members: Vec<Vec<(u32, f64)>> = vec![Vec::new(); geometry.strata.len()];

@@ -1,7 +1,5 @@
-//! Chooses one light out of all lights of a frame.
-//!
-//! First the kind of light is chosen, then a light of that kind: emitters by their tree, suns by their
-//! irradiance, or the environment's image.
+//! Chooses one light of a frame: first the kind, then emitters by their tree, suns by their irradiance, or
+//! the environment's image.
 
 use super::bounds::Receiver;
 use super::emitters::{Emitter, Emitters};
@@ -23,8 +21,7 @@ pub enum Light {
     Sky,
 }
 
-/// All lights that are sampled. A constant environment is not one of them, because BSDF sampling finds it as
-/// well.
+/// All lights that are sampled. BSDF sampling alone finds a constant environment.
 #[derive(Debug, Clone, Default)]
 pub struct Lights {
     pub emitters: Emitters,
@@ -65,10 +62,8 @@ impl Lights {
         }
     }
 
-    /// Chooses a light for the uniform random number `u` in [0, 1). Returns it with the probability of the
-    /// choice.
-    ///
-    /// `None` if no light can reach the receiver. `visited` counts the tree nodes that were visited.
+    /// Chooses a light for the uniform random number `u` in [0, 1), with the probability of the choice.
+    /// `None` if no light can reach the receiver. `visited` counts the tree nodes visited.
     pub fn choose(&self, receiver: &Receiver, u: f64, visited: &mut u64) -> Option<(Light, f64)> {
         let kinds = self.kinds(receiver)?;
         if u < kinds.emitters {

@@ -1,12 +1,9 @@
-//! A light tree: chooses lights in proportion to the light that they are estimated to bring to a point.
+//! A light tree: chooses lights in proportion to the light that they are estimated to bring to a point (Conty
+//! Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree Splitting").
 //!
-//! It follows Conty Estevez and Kulla 2018, "Importance Sampling of Many Lights with Adaptive Tree
-//! Splitting". Each node bounds the position of its lights and the directions that they emit to. From the
-//! root, one of two children is chosen by their importance. The probability of a light is the product along
-//! its path.
-//!
-//! A node's importance is zero only if none of its lights can reach the point. So no light that matters is
-//! ever left out.
+//! Each node bounds the position of its lights and their directions. From the root, one of two children is
+//! chosen by importance. That is zero only if none of its lights can reach the point, so no light that
+//! matters is left out.
 
 use super::bounds::{Bounds, Receiver, Shine};
 use glam::Vec3;
@@ -14,8 +11,7 @@ use glam::Vec3;
 /// Number of bins along each axis when a set of lights is split.
 const BINS: usize = 12;
 
-/// Larger sets of lights are split only along the longest axis. It is by far the best one for so many, and
-/// each further axis costs as much again.
+/// Larger sets are split only along the longest axis, by far the best one.
 const ALL_AXES: usize = 4096;
 
 #[derive(Debug, Clone, Copy)]
@@ -29,13 +25,11 @@ struct Node {
 /// A choice among lights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Choice {
-    /// Before the choice, a uniform random number in [0, 1). Afterwards its remainder, uniform in [0, 1)
-    /// again, but coarse if there are many lights.
+    /// Uniform random number in [0, 1). After the choice its remainder, uniform but coarser.
     pub number: f64,
     /// The chosen light.
     pub light: usize,
-    /// Probability of the choice. 0 before the choice, or if no light on the chosen path can reach the
-    /// receiver.
+    /// Probability of the choice. 0 before it, or if no light on the path can reach the receiver.
     pub probability: f64,
 }
 
@@ -81,10 +75,8 @@ impl LightTree {
         self.nodes.first().map_or(0.0, |root| root.bounds.importance(receiver))
     }
 
-    /// Makes several choices. Their random numbers must ascend. Common parts of their paths are walked only
-    /// once.
-    ///
-    /// `visited` counts the nodes that were visited.
+    /// Makes several choices, with ascending random numbers; common parts of paths are walked once. `visited`
+    /// counts the nodes visited.
     pub fn choose(&self, receiver: &Receiver, choices: &mut [Choice], visited: &mut u64) {
         let Some(root) = self.nodes.first() else { return };
         if root.content & LEAF != 0 {
@@ -143,11 +135,9 @@ impl LightTree {
         probability
     }
 
-    /// Returns `true` if `is_near` holds for any light. `may_hold` tells from a node's bounds whether it can
-    /// hold for one of the node's lights.
+    /// Whether `is_near` holds for any light. `may_hold` decides by a node's bounds.
     pub fn any(&self, may_hold: impl Fn(&Bounds) -> bool, is_near: impl Fn(usize) -> bool) -> bool {
-        // Depth-first without a stack: after a subtree, continue at the second sibling of the nearest
-        // ancestor that is a first sibling.
+        // Depth-first without a stack: continue at the second sibling of the nearest first-sibling ancestor.
         let mut index = ROOT;
         if self.nodes.is_empty() {
             return false;

@@ -1,11 +1,9 @@
-//! Tests of single triangles: distance between two, crossing by a ray, and whether rays from one can start
-//! beyond another.
+//! Tests of single triangles: distance of two, crossing by a ray, and rays that start beyond another.
 
 use forelight_scene::Geometry;
 use glam::DVec3;
 
-/// Cosines below this count as a right angle. A step along one normal is then too small along the other to
-/// show in f32.
+/// Smaller cosines count as a right angle: a step along one normal does not show along the other in f32.
 const SQUARE: f64 = 1.0 / 4096.0;
 
 /// A triangle in f64, where differences of f32 coordinates are exact.
@@ -54,9 +52,8 @@ impl Facet {
         [b - a, c - b, a - c]
     }
 
-    /// Returns `true` if an axis separates the two triangles by more than `distance`.
-    ///
-    /// `false` may be wrong on the safe side, if the closest points are two corners.
+    /// Whether an axis separates the two triangles by more than `distance`. `false` may be wrong, on the safe
+    /// side.
     pub fn is_apart(&self, other: &Self, distance: f64) -> bool {
         let (own, theirs) = (self.edges(), other.edges());
         let gap_along = |axis: DVec3| {
@@ -77,13 +74,12 @@ impl Facet {
             || gap_along(other.corners[0] - self.corners[0])
     }
 
-    /// Returns whether the half-line from `origin` along the unit vector `direction` crosses the triangle.
-    /// `None` if f64 cannot decide.
+    /// Whether the half-line from `origin` along the unit `direction` crosses. `None` if f64 cannot decide.
     pub fn crossed(&self, origin: DVec3, direction: DVec3) -> Option<bool> {
         let [a, b, c] = self.corners.map(|p| p - origin);
         let size = a.abs().max(b.abs()).max(c.abs()).max_element();
-        // Volumes of the tetrahedra of the direction and the edges. Their signs tell on which side of each
-        // edge the line passes.
+        // Tetrahedra of the direction and the edges: their signs tell on which side of each edge the line
+        // passes.
         let sides = [direction.dot(b.cross(c)), direction.dot(c.cross(a)), direction.dot(a.cross(b))];
         let least = 1e-12 * size * size;
         if sides.iter().any(|&s| s > least) && sides.iter().any(|&s| s < -least) {
@@ -96,13 +92,10 @@ impl Facet {
         Some((volume > 0.0) == (sides[0] > 0.0))
     }
 
-    /// Returns `true` if a ray that leaves this triangle, close to the triangle `wall` of a shell, may start
-    /// beyond the wall.
-    ///
-    /// Rays start at an offset from the surface along its normal, on one of the `sides`. They may start
-    /// beyond the wall if the offset leads towards it. `sealed` means that no ray leaves on the other side.
-    /// `wall_sides` are the wall's sides that light can reach. `rounding` is the smallest length by which
-    /// positions can differ, in metres.
+    /// Whether a ray that leaves this triangle, close to the triangle `wall` of a shell, may start beyond the
+    /// wall. Rays start at an offset along the normal, on one of the `sides`. `sealed` means that no ray
+    /// leaves on the other side. `wall_sides` are the wall's sides that light can reach. `rounding` is the
+    /// smallest difference of positions, in metres.
     pub fn may_slip(
         &self,
         sides: Sides,
@@ -121,8 +114,8 @@ impl Facet {
                 let step = *sign * self.normal;
                 let cos = step.dot(towards_light);
                 if sealed {
-                    // The offset leads towards the wall, part of the surface is in front of the wall, and
-                    // part of the wall is in front of the surface.
+                    // The offset leads towards the wall, and surface and wall are partly in front of each
+                    // other.
                     cos < -SQUARE && before_wall > rounding && ahead(self, step, &wall.corners) > rounding
                 } else {
                     cos.abs() > SQUARE && before_wall >= -rounding

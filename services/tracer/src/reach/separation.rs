@@ -12,8 +12,7 @@ use glam::Vec3;
 /// Shells with more triangles than this are not examined, because that would take noticeable time.
 const LARGEST_SHELL: usize = 1 << 18;
 
-/// Number of triangle visits allowed per triangle of the scene. If too many shells may contain something, the
-/// last ones are not examined.
+/// Triangle visits allowed per triangle of the scene. The last of too many shells are not examined.
 const VISITS: usize = 16;
 
 /// A shading normal that deviates more than this from the geometric one (in radians) lets rays leave through
@@ -157,8 +156,7 @@ impl<'a> Search<'a> {
         affordable
     }
 
-    /// Finds what one shell hides from the camera. Does nothing if the shell does not meet the conditions of
-    /// the proof.
+    /// Finds what one shell hides from the camera, if the shell meets the conditions of the proof.
     fn look_at(&mut self, shell: &Shell) -> Option<()> {
         let (frame, geometry) = (self.frame, &*self.frame.geometry);
         let camera = &frame.camera;
@@ -202,9 +200,8 @@ impl<'a> Search<'a> {
         Some(())
     }
 
-    /// The pieces that are wholly on the side of a shell without the camera.
-    ///
-    /// `None` if anything lets light past the shell, or if the budget is exhausted.
+    /// The pieces wholly on the side of a shell without the camera. `None` if anything lets light past the
+    /// shell, or the budget is exhausted.
     fn pieces_beyond(&mut self, wall: &Wall<'_>, shell: &Shell, inside: bool) -> Option<Vec<u32>> {
         let geometry = &*self.frame.geometry;
         let reach = wall.reach();

@@ -9,16 +9,12 @@ pub struct Shell {
     /// Triangle indices, ascending.
     pub triangles: Vec<u32>,
     pub bounds: Bounds,
-    /// Whether all geometric normals point outward (`Some(true)`) or inward (`Some(false)`). `None` if they
-    /// are mixed.
+    /// Whether all geometric normals point outward (`Some(true)`) or inward. `None` if mixed.
     pub outward: Option<bool>,
 }
 
-/// Finds the shells that some opaque triangles form. `corners` holds the welded vertices of every triangle of
-/// the scene.
-///
-/// A sheet with a free border, such as a picture joined to a wall by one edge, is not part of a shell. It
-/// does not open the shell that it is joined to.
+/// Finds the shells of some opaque triangles. `corners` holds the welded vertices of every triangle of the
+/// scene. A sheet with a free border is no part of a shell, and does not open the shell that it is joined to.
 pub fn shells(geometry: &Geometry, corners: &[[u32; 3]], opaque: &[u32]) -> Vec<Shell> {
     let proper = |&t: &u32| {
         let [a, b, c] = corners[t as usize];

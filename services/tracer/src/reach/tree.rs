@@ -51,10 +51,8 @@ impl Tree {
         self.split(from + half, to);
     }
 
-    /// Calls `found` for every item whose box `wanted` accepts. Stops with `true` when `found` returns
-    /// `true`.
-    ///
-    /// If `wanted` accepts a box, it must accept every box around it.
+    /// Calls `found` for every item whose box `wanted` accepts, until it returns `true`. If `wanted` accepts
+    /// a box, it must accept every box around it.
     fn any(&self, wanted: impl Fn(&Bounds) -> bool, mut found: impl FnMut(u32) -> bool) -> bool {
         let mut stack = [0u32; 40];
         let mut height = usize::from(!self.nodes.is_empty());

@@ -7,8 +7,7 @@ use crate::bounds::Bounds;
 use forelight_scene::Geometry;
 use glam::DVec3;
 
-/// Directions of the rays that distinguish inside from outside. They are far from the axes, because most
-/// models have faces parallel to these.
+/// Directions of the rays that tell inside from outside, far from the axes along which most faces lie.
 const PROBES: [DVec3; 8] = [
     DVec3::new(0.531, 0.293, 0.795),
     DVec3::new(-0.417, 0.811, 0.409),
@@ -79,8 +78,8 @@ impl<'a> Wall<'a> {
         self.tree.any_overlapping(&bounds.grown(self.margin), |_| true)
     }
 
-    /// How a triangle outside the shell's own meets the shell. `sealed` means that no ray leaves the triangle
-    /// on the side that it did not come from.
+    /// How another triangle meets the shell. `sealed`: no ray leaves the triangle on the side it did not come
+    /// from.
     pub fn meets(&self, facet: &Facet, sealed: bool, camera_inside: bool) -> Meeting {
         let (lit, mut meeting) = (self.lit_sides(camera_inside), Meeting::Apart);
         let bounds = Bounds::of(facet.corners.map(|p| p.as_vec3())).grown(self.margin);
@@ -96,8 +95,8 @@ impl<'a> Wall<'a> {
         meeting
     }
 
-    /// Returns `true` if rays that leave the shell on the camera's side may start on the other side. This
-    /// happens where the shell meets itself at an acute angle.
+    /// Whether rays that leave the shell on the camera's side may cross it, where it meets itself at an acute
+    /// angle.
     pub fn leaks(&self, camera_inside: bool) -> bool {
         let lit = self.lit_sides(camera_inside);
         self.facets.iter().enumerate().any(|(i, facet)| {
@@ -133,11 +132,9 @@ pub enum Meeting {
     Leaks,
 }
 
-/// Distance within which something may touch the shell.
-///
-/// It is several times the offset of ray origins, and well above the rounding errors of rays that come from
-/// far away. The offset is 2⁻¹⁸ of the largest coordinate of the triangle's corners; see
-/// `forelight_bvh::offset_origin`.
+/// Distance within which something may touch the shell: several times the offset of ray origins, 2⁻¹⁸ of the
+/// largest coordinate of the triangle's corners (`forelight_bvh::offset_origin`), and well above rounding
+/// errors of distant rays.
 fn margin(shell: &Shell, extent: f32) -> f32 {
     (shell.bounds.reach() / 16_384.0).max(extent / 65_536.0)
 }

@@ -3,8 +3,7 @@
 use crate::random::hash;
 use glam::Vec3;
 
-/// For each vertex, the first vertex at exactly the same position. Takes linear time, with an open hash table
-/// of the positions' bits.
+/// For each vertex, the first one at exactly the same position. Linear time by an open hash table.
 pub fn weld(positions: &[Vec3]) -> Vec<u32> {
     const FREE: u32 = u32::MAX;
     let mask = (2 * positions.len()).next_power_of_two().max(2) - 1;
@@ -59,15 +58,12 @@ impl Sets {
 
 /// Numbers the sets consecutively, in the order of their first wanted item. Returns the number of each wanted
 /// item's set, and the number of sets.
-///
-/// Items that are not `wanted` get no number of their own.
 pub fn number(representatives: &[u32], wanted: impl Fn(usize) -> bool) -> (Vec<Option<u32>>, usize) {
     let mut numbers: Vec<Option<u32>> = vec![None; representatives.len()];
     let mut count = 0;
     for (item, &representative) in representatives.iter().enumerate() {
         if wanted(item) {
-            // A representative is its set's lowest member, so it already has its number, unless it is not
-            // wanted itself.
+            // A representative is its set's lowest member, so it already has its number if wanted.
             let known = numbers[representative as usize];
             numbers[representative as usize] = known.or_else(|| {
                 count += 1;

@@ -18,26 +18,20 @@ use parking_lot::Mutex;
 use std::sync::{Arc, OnceLock};
 
 impl Tracer {
-    /// Builds the tree and collects the lights.
-    ///
-    /// The camera is resized to the settings' width and height. Objects and lights that cannot affect the
-    /// image are left out; see [`Self::left_out`].
+    /// Builds the tree and collects the lights. The camera is resized to the settings. Objects and lights
+    /// that cannot affect the image are left out; see [`Self::left_out`].
     pub fn new(frame: &Frame, settings: &Settings) -> Self {
         Self::build(frame, settings, None, false)
     }
 
-    /// Like [`Self::new`], with a tree built earlier for the same geometry.
-    ///
-    /// If other triangles can affect this frame's image, a new tree is built.
+    /// Like [`Self::new`], with a tree built earlier for the same geometry, if the same triangles can affect
+    /// this image.
     pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
         Self::build(frame, settings, Some(bvh), false)
     }
 
-    /// Like [`Self::new`], but leaves nothing out. It shows what leaving things out saves; images have the
-    /// same bits.
-    ///
-    /// Lights that cannot affect the image are sampled only if all lights are. They never take part in a
-    /// choice among many.
+    /// Like [`Self::new`], but leaves nothing out, for comparison; images have the same bits. Lights that
+    /// cannot affect the image are sampled only if all lights are, never by a choice among many.
     pub fn complete(frame: &Frame, settings: &Settings) -> Self {
         Self::build(frame, settings, None, true)
     }
@@ -114,15 +108,14 @@ impl Tracer {
         tracer
     }
 
-    /// Uses a kernel with additional effects. It shows what leaving effects out saves; images and counters
-    /// have the same bits.
+    /// Uses a kernel with additional effects, for comparison; images and counters have the same bits.
     pub fn with_kernel_for(self, effects: Effects) -> Self {
         Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
     }
 }
 
-/// The material as two-sided Lambertian: its diffuse colour or texture, or 0.5 grey for metals and glass.
-/// Emission is kept.
+/// The material as two-sided Lambertian with its emission: diffuse colour or texture, 0.5 grey for metals and
+/// glass.
 fn as_lambert(material: &Material) -> Material {
     let albedo = match material.surface {
         Surface::Lambert { albedo } | Surface::Plastic { albedo, .. } => albedo,

@@ -1,4 +1,4 @@
-//! Whether a job can be taken: every field, with the place of what is wrong.
+//! Checks of a job request. Each error names its field.
 
 use forelight_protocol::{
     BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, Ladders, Money, RenderSettings,
@@ -11,10 +11,9 @@ use crate::error::{ApiError, ApiResult};
 use crate::resources::checks::{HIGHEST_SUM, check_name, within};
 use crate::state::App;
 
-/// No deadline is further away: ten years, in microseconds. A wrong digit in a year is told.
+/// Latest deadline: ten years from now, in microseconds. It catches a wrong digit in the year.
 const LATEST_DEADLINE: i64 = 3653 * 86_400_000_000;
 
-/// A job request with all of it checked, cheapest things first: the bundle is looked into last.
 pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
     check_name("/name", &request.name, 200)?;
     check_name("/project", &request.project, 200)?;
@@ -28,7 +27,6 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
         within("/limits/memory_bytes", i64::try_from(bytes).unwrap_or(i64::MAX), 1 << 20..=1 << 50)?;
     }
     if let Some(millis) = request.limits.wall_ms {
-        // A month.
         within("/limits/wall_ms", i64::try_from(millis).unwrap_or(i64::MAX), 1..=31 * 86_400_000)?;
     }
     if let Some(limit) = request.within {
@@ -85,7 +83,7 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     Ok(NewJob { request, scene, source, settings })
 }
 
-/// Checks what does not depend on the scene; its camera's size is checked when it is known.
+/// Checks everything that does not depend on the scene. The camera's size is checked once it is known.
 fn check_settings(settings: &RenderSettingsRequest) -> ApiResult<()> {
     settings.complete((1, 1)).check().map_err(bad_setting)
 }
@@ -105,7 +103,7 @@ fn check_size(app: &App, settings: &RenderSettings) -> ApiResult<()> {
     settings.check().map_err(bad_setting)
 }
 
-/// Where the bundle is and what is in it. A path is replaced by its canonical form.
+/// Finds the bundle and inspects it. A path is replaced by its canonical form.
 async fn find_bundle(app: &App, request: &mut JobRequest) -> ApiResult<(BundleSource, SceneSummary)> {
     match (&request.bundle.id, &request.bundle.path) {
         (Some(id), None) => match app.store.bundle(*id).await {

@@ -1,4 +1,4 @@
-//! The finished tiles of a frame, for whoever has it next should this worker be lost.
+//! Finished tiles of a running frame, for the next worker if this one is lost.
 
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
@@ -13,7 +13,7 @@ use crate::extract::{QueryParameters, Segment, WorkerToken, number, whole};
 use crate::schema::FileContent;
 use crate::state::App;
 
-/// Whose checkpoint it is.
+/// Lease of the checkpoint.
 #[derive(Clone, Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
@@ -23,7 +23,7 @@ pub(crate) struct FenceQuery {
     fence: u64,
 }
 
-/// Keeps the tiles of a frame that are finished so far, in place of those that were sent before.
+/// Stores the finished tiles of a frame, replacing those sent before.
 #[utoipa::path(put, path = "/v1/leases/{id}/checkpoint", operation_id = "checkpoint_put",
     tag = "work", params(("id" = LeaseId, Path), FenceQuery),
     request_body(content = inline(FileContent), content_type = "application/octet-stream", description = "A profile, at most 64 MiB"),
@@ -42,7 +42,7 @@ pub(crate) async fn put(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// The tiles of the lease's frame that an earlier worker had finished; 404 if there are none.
+/// Finished tiles of the lease's frame from an earlier worker. 404 if there are none.
 #[utoipa::path(get, path = "/v1/leases/{id}/checkpoint", operation_id = "checkpoint_get",
     tag = "work", params(("id" = LeaseId, Path)),
     responses((status = 200, description = "A profile", body = inline(FileContent), content_type = "application/octet-stream"), Problems))]

@@ -1,5 +1,3 @@
-//! Waiting for a task.
-
 use std::time::Duration;
 
 use forelight_protocol::{ClaimRequest, Lease, Timestamp};
@@ -9,26 +7,28 @@ use tokio::time::Instant;
 use crate::error::ApiResult;
 use crate::state::App;
 
-/// So much later than a task is due it is looked for, so that it is due by then.
+/// A task is looked for this much after it is due, so that it is certainly due.
 const RETRY_MARGIN: Duration = Duration::from_millis(5);
 
-/// What came of a claim.
 pub(super) enum Claimed {
     Lease(Box<Answered<Lease>>),
-    /// There is nothing to do.
+    /// No task is available.
     Nothing,
-    /// The node sleeps until then: nobody has to ask before.
+    /// The node is asleep until then and need not ask before.
     Asleep(Timestamp),
 }
 
-/// Claims a task for the node, and waits for one if need be. A node that sleeps by its calendar does not wait.
+/// Claims a task for the node, and waits for one if needed. A node that is asleep by its calendar does not
+/// wait.
 ///
-/// The hazards of many workers waiting: a task that becomes ready between "there is nothing" and "wake me" must wake
-/// (the watch is marked as seen *before* looking); one ready task must not make a hundred workers queue for the write lock
-/// (those who are woken look first, without it); a lease that runs out is work too, though nobody announces it (so waiting
-/// is cut into pieces of half a lease, at the end of each of which the node is noted as alive), and so is a task that has waited
-/// long enough after a failure (so a piece is shorter if there is one); and a service that
-/// is told to stop must not wait for its waiters.
+/// Hazards with many waiting workers:
+///
+/// - A task may become ready between looking and waiting, so the watch is marked as seen *before* looking.
+/// - One ready task must not make a hundred workers queue for the write lock, so woken workers first look
+///   without it.
+/// - No event announces an expired lease, so the wait is split into pieces of half a lease, or until a failed
+///   task is due. After each piece the node is noted as alive.
+/// - A stopping service must not wait for its waiting workers.
 pub(super) async fn wait_for_task(
     app: &App,
     request: &ClaimRequest,

@@ -1,5 +1,4 @@
-//! Whether a result is one of the task that was handed out. A forecast and a plan rest on it, so what makes no sense is
-//! refused here, with its place.
+//! Checks that a result fits its task. Forecasts and plans depend on it, so nonsense is refused here.
 
 mod fields;
 mod profile;
@@ -15,7 +14,6 @@ use self::fields::{
 };
 use crate::error::ApiResult;
 
-/// Checks a result against its task.
 pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
     match (spec, result) {
         (TaskSpec::Preview(spec), TaskResult::Preview(result)) => preview(spec, result),
@@ -97,7 +95,6 @@ fn cache_merge(result: &CacheMergeResult) -> ApiResult<()> {
     spent("/result/cache_merge/spent", result.spent)
 }
 
-/// The camera samples of a frame that was given an amount of work.
 fn samples_where_they_pay(spec: &RenderSpec, allotted: &AllottedStats) -> ApiResult<()> {
     const AT: &str = "/result/render/stats/allotted";
     if spec.work.is_none() {

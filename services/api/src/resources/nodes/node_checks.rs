@@ -1,4 +1,4 @@
-//! Whether a node can be what it says of itself, or what an operator sets on it.
+//! Checks of node registrations and of changes by operators.
 
 use forelight_protocol::{
     Capabilities, MOST_WINDOWS, Money, NodeCalendar, NodeCalibration, NodeChange, NodeRegistration, NodeTerms,
@@ -7,7 +7,6 @@ use forelight_protocol::{
 use crate::error::{ApiError, ApiResult};
 use crate::resources::checks::check_name;
 
-/// Checks what an operator sets on a node.
 pub(super) fn check_change(change: &NodeChange) -> ApiResult<()> {
     change.speed.flatten().map_or(Ok(()), |speed| check_speed("/speed", speed))?;
     change.price_per_hour.flatten().map_or(Ok(()), |price| check_price("/price_per_hour", price))?;
@@ -19,7 +18,7 @@ pub(super) fn check_change(change: &NodeChange) -> ApiResult<()> {
     change.terms.as_ref().map_or(Ok(()), check_terms)
 }
 
-/// Checks what a node says of itself; `place` is the JSON pointer to that.
+/// Checks a node's registration. `place` is the JSON pointer to it.
 pub(super) fn check_registration(place: &str, node: &NodeRegistration) -> ApiResult<()> {
     let at = |name: &str| format!("{place}/{name}");
     check_name(&at("name"), &node.name, 100)?;
@@ -56,12 +55,12 @@ fn check_terms(terms: &NodeTerms) -> ApiResult<()> {
         if seconds > most {
             return Err(ApiError::invalid(
                 format!("/terms/{field}"),
-                format!("at most {most} seconds are taken"),
+                format!("at most {most} seconds are allowed"),
             ));
         }
     }
     if terms.maintenance.len() > MOST_WINDOWS {
-        let reason = format!("at most {MOST_WINDOWS} stretches of maintenance are taken");
+        let reason = format!("a node has at most {MOST_WINDOWS} maintenance windows");
         return Err(ApiError::invalid("/terms/maintenance", reason));
     }
     match terms.maintenance.iter().position(|span| span.end.is_some_and(|end| end <= span.start)) {
@@ -73,7 +72,7 @@ fn check_terms(terms: &NodeTerms) -> ApiResult<()> {
 }
 
 fn check_speed(pointer: &str, speed: f64) -> ApiResult<()> {
-    // Written so that a NaN, should one ever get here, is refused as well.
+    // This form also refuses a NaN.
     if speed > 0.0 && speed <= 1000.0 {
         Ok(())
     } else {
@@ -82,7 +81,7 @@ fn check_speed(pointer: &str, speed: f64) -> ApiResult<()> {
 }
 
 fn check_price(pointer: &str, price: Money) -> ApiResult<()> {
-    /// A million units an hour: with this, no sum over a farm and a year overflows.
+    /// A million units per hour. With this limit, no sum over a farm and a year overflows.
     const HIGHEST: Money = Money(1_000_000_000_000);
     if (Money(0)..=HIGHEST).contains(&price) {
         Ok(())

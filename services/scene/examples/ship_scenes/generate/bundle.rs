@@ -1,7 +1,5 @@
-//! The bundle writer: a scene in memory, and the files of its bundle.
-//!
-//! Geometry becomes one OBJ file and its MTL library, textures become PNG files, and the rest goes to
-//! `scene.json`. All coordinates are rounded, so that the files are the same on every machine.
+//! The bundle writer: an OBJ file with its MTL library, PNG textures, and `scene.json`. Coordinates are
+//! rounded, so that files are the same on every machine.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -13,8 +11,7 @@ use serde::Serialize;
 
 use super::mesh::Mesh;
 
-/// Coordinates are written in steps of a tenth of a millimetre; normals and texture coordinates in steps of
-/// 10⁻⁴.
+/// Coordinates are written in steps of 0.1 mm; normals and texture coordinates in steps of 10⁻⁴.
 const STEPS_PER_UNIT: f64 = 1e4;
 
 /// The base colour of a surface.
@@ -227,8 +224,7 @@ impl Scene {
         text
     }
 
-    /// The OBJ text. Equal positions, texture coordinates and normals are written once. Triangles that
-    /// collapse when their corners are rounded are left out.
+    /// The OBJ text, equal values written once, without triangles that collapse when rounded.
     fn geometry(&self) -> String {
         let mut text = String::from("mtllib scene.mtl\n");
         let mut pools = [Pool::new("v"), Pool::new("vt"), Pool::new("vn")];

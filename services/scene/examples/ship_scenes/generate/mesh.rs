@@ -46,8 +46,7 @@ impl Mesh {
         self.triangles.push([a, c, d]);
     }
 
-    /// Adds a flat quadrilateral with four vertices of its own, corners counter-clockwise. Its texture
-    /// coordinates run from (0, 0) to (1, 1).
+    /// Adds a flat quadrilateral, corners counter-clockwise, texture coordinates from (0, 0) to (1, 1).
     pub fn flat_patch(&mut self, corners: [DVec3; 4]) {
         let normal = (corners[2] - corners[0]).cross(corners[3] - corners[1]).normalize();
         let uvs = [dvec2(0.0, 0.0), dvec2(1.0, 0.0), dvec2(1.0, 1.0), dvec2(0.0, 1.0)];
@@ -76,8 +75,7 @@ impl Mesh {
         self
     }
 
-    /// Rotates the mesh about an axis through the origin. The rotation is counter-clockwise when the axis
-    /// points at the viewer.
+    /// Rotates the mesh about an axis through the origin, counter-clockwise seen against the axis.
     pub fn turned(mut self, axis: Axis, degrees: f64) -> Mesh {
         let (sin, cos) = sine_cosine(degrees);
         let turn = match axis {
@@ -133,10 +131,8 @@ impl Mesh {
         self
     }
 
-    /// Sets the texture coordinates by projection along the axis nearest to each vertex normal.
-    ///
-    /// One repeat of the texture covers `repeat` metres. The texture's u runs along `grain` where that axis
-    /// is visible.
+    /// Sets texture coordinates by projection along the axis nearest to each vertex normal. One repeat covers
+    /// `repeat` metres; u runs along `grain` where visible.
     pub fn textured(mut self, repeat: f64, grain: Axis) -> Mesh {
         for vertex in &mut self.vertices {
             let (p, n) = (vertex.position / repeat, vertex.normal.abs());

@@ -1,8 +1,6 @@
-//! Generates the shipped scenes: shapes, textures, the bundle writer, and the scenes themselves.
-//!
-//! The output must be the same on every machine, because a test compares it with the committed bundles. Sines
-//! and roots therefore come from the `libm` crate, random numbers are hashes of indices, and every coordinate
-//! is rounded when it is written.
+//! Generates the shipped scenes. A test compares the output with the committed bundles, so it must be the
+//! same on every machine: sines and roots are from `libm`, random numbers are hashes, coordinates are
+//! rounded.
 
 pub mod bundle;
 pub mod corridor;

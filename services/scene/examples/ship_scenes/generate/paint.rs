@@ -26,8 +26,7 @@ pub fn hash(x: i64, y: i64, seed: u64) -> f64 {
     (h >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Smooth noise in [0, 1] that repeats every `columns` by `rows` cells. u and v run from 0 to 1 over these
-/// cells.
+/// Smooth noise in [0, 1] that repeats every `columns` by `rows` cells; u and v run from 0 to 1 over these.
 pub fn noise(u: f64, v: f64, (columns, rows): (i64, i64), seed: u64) -> f64 {
     let (x, y) = (u * columns as f64, v * rows as f64);
     let (i, j) = (x.floor() as i64, y.floor() as i64);

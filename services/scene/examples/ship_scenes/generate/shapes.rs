@@ -4,8 +4,7 @@ use glam::{DVec2, DVec3, dvec2, dvec3};
 
 use super::mesh::{Axis, Mesh, sine_cosine};
 
-/// A profile corner of a solid of revolution stays sharp if its sides turn by more than 41°. This is the
-/// cosine.
+/// Cosine of 41°: profile corners of a solid of revolution that turn by more stay sharp.
 const CREASE_COSINE: f64 = 0.75;
 
 /// A parallelogram that faces `edge_u × edge_v`. The texture covers it once, with u along `edge_u`.
@@ -21,14 +20,11 @@ pub fn cuboid(low: [f64; 3], high: [f64; 3]) -> Mesh {
 }
 
 /// A box with edges and corners rounded by `radius`, with `steps` facets per 45°.
-///
-/// Rounded edges catch highlights, like the edges of real objects.
 pub fn rounded_cuboid(low: [f64; 3], high: [f64; 3], radius: f64, steps: usize) -> Mesh {
     let low = DVec3::from_array(low);
     let high = DVec3::from_array(high);
     let core = [low + radius, high - radius];
-    // Grid lines across a face: the end of the core that they belong to, and how far their normal leans
-    // outwards.
+    // Grid lines across a face: their end of the core, and how far their normal leans outwards.
     let lean = |step: usize| {
         if steps == 0 { 0.0 } else { libm::tan((45.0 * step as f64 / steps as f64).to_radians()) }
     };
@@ -119,10 +115,8 @@ pub fn frame(low: [f64; 2], high: [f64; 2], hole_low: [f64; 2], hole_high: [f64;
     .turned(Axis::X, 90.0)
 }
 
-/// A solid of revolution about the y axis.
-///
-/// The profile's points are (radius, height). The solid lies to the left of the profile: up on the outside,
-/// down on the inside. Corners sharper than about 41° stay sharp.
+/// A solid of revolution about the y axis. Profile points are (radius, height), with the solid on the left.
+/// Corners sharper than about 41° stay sharp.
 pub fn turned_body(profile: &[(f64, f64)], segments: usize) -> Mesh {
     let points: Vec<DVec2> = profile.iter().map(|&(r, y)| dvec2(r, y)).collect();
     let sides: Vec<DVec2> = points.windows(2).map(|pair| (pair[1] - pair[0]).normalize()).collect();
@@ -239,8 +233,7 @@ pub fn tube(path: &[DVec3], radius: f64, sides: usize) -> Mesh {
     mesh
 }
 
-/// A path through `points` whose inner corners are replaced by quadratic Bézier curves. Each curve starts
-/// `radius` before its corner.
+/// A path through `points` with inner corners replaced by Bézier curves that start `radius` before them.
 pub fn rounded_path(points: &[DVec3], radius: f64, steps: usize) -> Vec<DVec3> {
     let mut path = vec![points[0]];
     for corner in points.windows(3) {

@@ -219,8 +219,7 @@ fn any_visits_every_light_that_bounds_do_not_rule_out() {
     }
 }
 
-/// Variance of the one-sample estimate of the sum of `brought`, divided by the squared sum. Light i is chosen
-/// with probability `p(i)`.
+/// Variance over squared sum of the one-sample estimate of Σ `brought`, choosing light i with `p(i)`.
 fn relative_variance(brought: &[f64], p: impl Fn(usize) -> f64) -> f64 {
     let sum: f64 = brought.iter().sum();
     let squares = brought.iter().enumerate().filter(|(_, b)| **b > 0.0).map(|(i, b)| b * b / p(i));
@@ -280,8 +279,7 @@ fn lights_in_one_place_or_at_extreme_scales_make_a_tree() {
         for brightness in [1e-30f64, 1.0, 1e30] {
             let lamps: Vec<Lamp> = (0..1000)
                 .map(|i| {
-                    // Distances from the origin grow geometrically, so planes at equal distances do not halve
-                    // the set.
+                    // Distances grow geometrically, so equidistant planes do not halve the set.
                     let place = scale * 1.02f32.powi(i) * Vec3::X * if i % 7 == 0 { 0.0 } else { 1.0 };
                     Lamp::cone(place, Vec3::Z, -1.0, brightness * f64::from(1 + i % 3))
                 })

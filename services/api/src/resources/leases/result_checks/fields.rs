@@ -1,4 +1,4 @@
-//! Checks of fields that results of several kinds have. Each takes the JSON pointer of what it checks.
+//! Checks of fields that several kinds of results share. Each takes the JSON pointer of its field.
 
 use std::collections::BTreeSet;
 
@@ -8,14 +8,13 @@ use forelight_protocol::{
 
 use crate::error::{ApiError, ApiResult};
 
-/// The largest number that the database and every JSON reader of ours can hold.
+/// Largest number that the database and all JSON readers involved can hold.
 const LARGEST: u64 = i64::MAX as u64;
 
 pub(super) fn wrong(pointer: impl Into<String>, reason: impl Into<String>) -> ApiResult<()> {
     Err(ApiError::invalid(pointer, reason))
 }
 
-/// Numbers that the database can hold.
 pub(super) fn storable(pointer: &str, numbers: impl IntoIterator<Item = u64>) -> ApiResult<()> {
     match numbers.into_iter().find(|&number| number > LARGEST) {
         Some(number) => wrong(pointer, format!("{number} is larger than 2⁶³ − 1")),
@@ -33,7 +32,6 @@ pub(super) fn once(pointer: &str, costs: Option<ProcessCosts>) -> ApiResult<()> 
     spent(&format!("{pointer}/build"), build)
 }
 
-/// The result is about the frame that the task is about.
 pub(super) fn frame(pointer: &str, found: u32, expected: u32) -> ApiResult<()> {
     if found == expected {
         return Ok(());
@@ -41,7 +39,6 @@ pub(super) fn frame(pointer: &str, found: u32, expected: u32) -> ApiResult<()> {
     wrong(pointer, format!("this is frame {found}; the task is about frame {expected}"))
 }
 
-/// As many frames as the task has.
 pub(super) fn frame_count(pointer: &str, found: usize, expected: usize) -> ApiResult<()> {
     if found == expected {
         return Ok(());
@@ -49,7 +46,6 @@ pub(super) fn frame_count(pointer: &str, found: usize, expected: usize) -> ApiRe
     wrong(pointer, format!("there are {found} frames; the task has {expected}"))
 }
 
-/// Levels of the irradiance cache that settings call for.
 pub(super) fn levels(settings: &RenderSettings) -> usize {
     match settings.cache {
         CacheMode::On => settings.ambient_bounces as usize,
@@ -57,7 +53,6 @@ pub(super) fn levels(settings: &RenderSettings) -> usize {
     }
 }
 
-/// Records of as many cache levels as the settings call for.
 pub(super) fn record_levels(pointer: &str, settings: &RenderSettings, found: usize) -> ApiResult<()> {
     let expected = levels(settings);
     if found == expected {
@@ -93,14 +88,14 @@ pub(super) fn strata(pointer: &str, strata: &[Stratum]) -> ApiResult<()> {
 }
 
 pub(super) fn prior_cost(pointer: &str, cost: f64) -> ApiResult<()> {
-    // Written so that a NaN, should one ever get here, is refused as well.
+    // This form also refuses a NaN.
     if cost > 0.0 && cost <= Stratum::HIGHEST_PRIOR_COST {
         return Ok(());
     }
     wrong(pointer, format!("a prior cost is above 0 and at most {}", Stratum::HIGHEST_PRIOR_COST))
 }
 
-/// An error of an image is 0 to 10¹².
+/// Checks an image's error: 0 to 10¹².
 pub(super) fn image_error(pointer: &str, error: ImageError) -> ApiResult<()> {
     let ImageError { p05, p50, p80, p95 } = error;
     if [p05, p50, p80, p95].iter().all(|error| (0.0..=1e12).contains(error)) {
@@ -109,7 +104,6 @@ pub(super) fn image_error(pointer: &str, error: ImageError) -> ApiResult<()> {
     wrong(pointer, "each quantile of an image's error is 0 to 1e12")
 }
 
-/// Names of effects are shown to people, and kept with the job.
 pub(super) fn effects(pointer: &str, effects: &[String]) -> ApiResult<()> {
     if effects.len() <= 100 && effects.iter().all(|name| name.len() <= 100) {
         return Ok(());
@@ -117,7 +111,6 @@ pub(super) fn effects(pointer: &str, effects: &[String]) -> ApiResult<()> {
     wrong(pointer, "there are at most 100 names, each of at most 100 bytes")
 }
 
-/// What was left out of a frame is shown to people too.
 pub(super) fn left_out(pointer: &str, left_out: &[LeftOut]) -> ApiResult<()> {
     const LONGEST: usize = 4096;
     let fits = |left: &LeftOut| left.what.len() <= LONGEST && left.reason.len() <= LONGEST;

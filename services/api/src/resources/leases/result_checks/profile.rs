@@ -1,4 +1,4 @@
-//! Whether a profile is one of the task that was handed out.
+//! Checks that a profile fits its task.
 
 use std::collections::BTreeSet;
 
@@ -9,7 +9,6 @@ use crate::error::ApiResult;
 
 const AT: &str = "/result/profile";
 
-/// Checks a profile against its task.
 pub(super) fn check(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     frame(&format!("{AT}/frame"), result.frame, spec.frame)?;
     strata(&format!("{AT}/strata"), &result.strata)?;
@@ -36,7 +35,7 @@ pub(super) fn check(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()>
     spent(&format!("{AT}/spent"), result.spent)
 }
 
-/// The profiled pixels: each is in the image, once, with numbers that can be kept.
+/// Checks the profiled pixels: each lies in the image, appears once, and has numbers that can be stored.
 fn samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     if result.samples.is_empty() {
         return wrong(format!("{AT}/samples"), "a profile has 1 pixel or more");
@@ -67,7 +66,6 @@ fn samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     Ok(())
 }
 
-/// The same pixels with a shared cache, if the task has one.
 fn shared_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     let at = format!("{AT}/shared_samples");
     let expected = if spec.cache.is_some() { result.samples.len() } else { 0 };
@@ -84,7 +82,7 @@ fn shared_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     Ok(())
 }
 
-/// Sampled records of irradiance caches: of levels that the settings call for.
+/// Checks sampled records of irradiance caches: their levels must exist.
 fn cache_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     let levels = levels(&spec.settings);
     for (name, samples) in
@@ -103,7 +101,7 @@ fn cache_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
     Ok(())
 }
 
-/// What tells how noisy the image will be: numbers that can be added up, of pixels that the image has.
+/// Checks the noise cells: their numbers can be summed, and their pixels lie in the image.
 fn noise(pointer: &str, spec: &ProfileSpec, cells: &[NoiseCell]) -> ApiResult<()> {
     const DROPS: usize = 32;
     const HIGHEST: f32 = 1e30;
@@ -132,7 +130,7 @@ fn noise(pointer: &str, spec: &ProfileSpec, cells: &[NoiseCell]) -> ApiResult<()
     Ok(())
 }
 
-/// Ladders are of the settings that were asked for, and priced by numbers that can be multiplied.
+/// Checks ladders: they belong to the requested settings, and their prices can be multiplied.
 fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResult<()> {
     const HIGHEST: f64 = 1e30;
     if !spec.ladders {
@@ -166,7 +164,7 @@ fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResu
         let reason = "there are at most 100 entries, each of at most 4096 bytes";
         return wrong(format!("{pointer}/missing"), reason);
     }
-    // No rung is profiled by more pixels than the image has.
+    // No rung profiles more pixels than the image has.
     let most = all.iter().map(|(_, rungs)| rungs.len() as u64).sum::<u64>() * spec.settings.pixels();
     if document.profiled.pixels > most {
         return wrong(format!("{pointer}/profiled/pixels"), format!("all rungs together have {most} pixels"));

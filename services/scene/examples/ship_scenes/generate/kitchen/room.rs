@@ -14,8 +14,8 @@ pub fn furnish(scene: &mut Scene) {
     on_the_walls(scene);
 }
 
-/// Floor, ceiling and walls: x from -2.4 to 2.4, z from -1.8 to 3.4, y from 0 to 2.6. They overlap by 5 cm at
-/// the edges, so that light enters only through the window.
+/// Floor, ceiling and walls: x from -2.4 to 2.4, z from -1.8 to 3.4, y from 0 to 2.6. They overlap by 5 cm,
+/// so that light enters only through the window.
 fn shell(scene: &mut Scene) {
     let (width, depth, height) = (4.9, 5.3, 2.7);
     let floor = quad(dvec3(-2.45, 0.0, 3.45), dvec3(width, 0.0, 0.0), dvec3(0.0, 0.0, -depth));

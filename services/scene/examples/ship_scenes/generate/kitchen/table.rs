@@ -46,8 +46,7 @@ pub fn furnish(scene: &mut Scene) {
 fn cloth() -> Mesh {
     let hang = 0.2;
     let bend = 0.018;
-    // The flat part takes 40 % of the grid lines. The overhang on both sides takes the rest, so the bend is
-    // smooth.
+    // The flat part takes 40 % of the grid lines, the overhang the rest, so the bend is smooth.
     let along = |t: f64, half: f64| {
         let side = if t < 0.5 { -1.0 } else { 1.0 };
         let from_middle = (t - 0.5).abs() * 2.0;
@@ -183,10 +182,8 @@ fn on_the_table(scene: &mut Scene) {
     );
 }
 
-/// The rolling apple. It lies on its side about the origin, with its stalk towards the camera.
-///
-/// Its track moves it over the cloth towards -x with decreasing speed. It rolls without slipping: its
-/// rotation angle is the distance divided by its radius.
+/// The apple on its side about the origin, stalk towards the camera. Its track rolls it over the cloth
+/// towards -x, without slipping.
 fn rolling_apple(scene: &mut Scene) {
     let (flesh, stalk) = apple();
     let lay = |mesh: Mesh| mesh.turned(Axis::X, 90.0);
