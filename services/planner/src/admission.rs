@@ -1,13 +1,13 @@
-//! Which deadlines can be met, what that costs at least, and on which machines: a linear programme over slots of time.
+//! Which deadlines can be met together, at what least cost, and on which nodes: a linear programme over slots
+//! of time.
 //!
-//! Frames are treated as a fluid. For every job, class of nodes and slot there is a variable: hours of the class given to the
-//! job in the slot. Each job's hours, in terms of its fastest class, must add up to its work; all jobs' hours must fit
-//! into each class's free time slot by slot. What does not fit is *not served*, at a price
-//! so high that it only happens if nothing else helps, and the higher the greater a job's priority and weight.
+//! Frames are treated as a fluid. For every job, class of nodes and slot, a variable holds the hours of the
+//! class that the job gets. Each job's hours, converted to its fastest class, must add up to its work. In
+//! each slot, all jobs' hours must fit into the class's free time. Work that does not fit is *unserved*, at a
+//! penalty that outweighs any price and grows with the job's priority and weight.
 //!
-//! Slots are cut at deadlines, releases and calendars. If there are too many of these, only some are kept, and a
-//! job may use the whole of a slot that it touches: the optimum can then be lower than without, so that it remains
-//! a bound.
+//! Slots are cut at deadlines, releases and calendars. If there are too many, only some are kept, and a job
+//! may use all of a slot that it touches. That can only lower the optimum, which therefore remains a bound.
 
 use crate::calendar::Window;
 use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
@@ -15,33 +15,29 @@ use crate::problem::{Problem, Work};
 use crate::proof::{Counted, value};
 use crate::simplex::{Column, Programme, Solution};
 
-/// About as many variables as are solved in less than half a second. With two thirds of them a studio's week has 23 slots, which are longer than
-/// most frames by far: the bound is half a per cent lower, and plans go by prices that are too coarse.
+/// About as many variables as can be solved in half a second. With two thirds of them, the bound of a
+/// studio's week is 0.5 % lower, and prices are too coarse for good plans.
 pub(crate) const MOST_VARIABLES: usize = 135_000;
-/// And as many slots as are worth the while.
+/// More slots gain little.
 const MOST_SLOTS: usize = 96;
 const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
-/// Parts of the dearest node's price in which time is priced for others.
+/// Resolution of prices of time, as parts of the most expensive node's price.
 const PARTS: i64 = 1 << 20;
-/// How finely that is added up: without any rounding.
+/// Resolution of [`Admission::worth`], fine enough to need no rounding.
 pub(crate) const IN_A_MICRO_UNIT: i128 = PARTS as i128 * 3_600_000_000;
 
-/// What the programme says.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Admission {
-    /// By job: time that it gets.
     pub allotments: Vec<Vec<Allotted>>,
-    /// By job: whether its deadline can be met together with those of the other admitted jobs, as far as a fluid
-    /// tells. True without a deadline.
+    /// By job: whether the fluid model can meet its deadline together with all other admitted jobs. True
+    /// without a deadline.
     pub admitted: Vec<bool>,
-    /// Prices that prove the cost bound for the admitted jobs.
+    /// Prices that prove the cost bound of the admitted jobs.
     pub proof: Proof,
-    /// The prices of nodes' time in the same order, in parts of the dearest node's price. Unlike those in micro-units they are the same
-    /// whatever the unit of money: places that are equally good must not be told apart by rounding.
+    /// The same prices by class and slot, as parts of the most expensive node's price. They do not depend on
+    /// the unit of money, so rounding does not separate equally good places.
     worths: Vec<Vec<i64>>,
-    /// Micro-units per hour of the dearest node.
     dearest: i64,
-    /// Proof that not all can be admitted.
     pub infeasible: Option<Infeasible>,
 }
 
@@ -49,26 +45,25 @@ pub(crate) struct Admission {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Allotted {
     pub class: usize,
-    /// The slot.
     pub start: i64,
     pub end: i64,
-    /// Microseconds of the class's nodes that are not used up.
+    /// Node time of the class that is not used up, microseconds.
     pub left: i64,
 }
 
 impl Admission {
-    /// Everyone is admitted, and nothing is known.
+    /// Admits everyone, with no information on prices.
     pub fn none(problem: &Problem) -> Self {
         let jobs = problem.jobs.len();
         Admission { allotments: vec![Vec::new(); jobs], admitted: vec![true; jobs], ..Admission::default() }
     }
 
-    /// The same with a proof from elsewhere.
     pub fn with_proof(self, proof: Proof) -> Self {
         Admission { proof, ..self }
     }
 
-    /// What others would pay for this time of a class, on top of what it costs, in units of which [`IN_A_MICRO_UNIT`] are a micro-unit.
+    /// What others would pay for this time of a class on top of its price, in units of 1 /
+    /// [`IN_A_MICRO_UNIT`] micro-unit.
     pub fn worth(&self, class: usize, start: i64, end: i64) -> i128 {
         let Some(worths) = self.worths.get(class) else { return 0 };
         let slots = &self.proof.slots;
@@ -86,7 +81,7 @@ impl Admission {
         worth.saturating_mul(i128::from(self.dearest))
     }
 
-    /// The next instant after this one at which this time of the class is worth less.
+    /// The next instant at which time of the class is worth less.
     pub fn cheaper_from(&self, class: usize, instant: i64) -> Option<i64> {
         let worths = self.worths.get(class)?;
         let slots = &self.proof.slots;
@@ -99,7 +94,7 @@ impl Admission {
         slots.get(next).copied()
     }
 
-    /// Whether an hour of this class at this instant is worth more than it costs: others would pay for it.
+    /// Whether others would pay for an hour of this class at this instant.
     pub fn is_scarce(&self, class: usize, instant: i64) -> bool {
         let slot = self.proof.slots.partition_point(|&start| start <= instant).checked_sub(1);
         let worths = self.worths.get(class);
@@ -107,7 +102,7 @@ impl Admission {
     }
 }
 
-/// Solves the programme, with slots so coarse that it has about this many variables at most.
+/// Solves the programme, with slots so coarse that it has at most about `most_variables` variables.
 pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
     let mut admitted: Vec<bool> = problem.jobs.iter().map(Work::has_nodes).collect();
     let slots = slots(problem, most_variables);
@@ -119,7 +114,7 @@ pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
     if unserved.is_empty() {
         return first.admission(&solution, admitted, None);
     }
-    // Not all fit. Prices of time alone say why; then the others are planned for without those.
+    // Not all fit. Prices of time alone prove that. Then the rest is planned without the unserved jobs.
     let infeasible = Model::new(&setting, &admitted, false).infeasible();
     unserved.into_iter().for_each(|job| admitted[job] = false);
     let rest = Model::new(&setting, &admitted, true);
@@ -127,7 +122,6 @@ pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
     rest.admission(&solution, admitted, infeasible)
 }
 
-/// The instants between which slots lie.
 fn slots(problem: &Problem, most_variables: usize) -> Vec<i64> {
     let now = problem.input.now;
     let with_deadline = || problem.jobs.iter().filter_map(|work| Some((work, work.job.deadline?)));
@@ -151,8 +145,8 @@ fn slots(problem: &Problem, most_variables: usize) -> Vec<i64> {
     all.sort_unstable();
     all.dedup();
     if all.len() > most {
-        // Deadlines matter most: they say by when work must be done, while calendars only say where time lies
-        // within a slot. Every n-th, counting repetitions, follows where they are dense.
+        // Deadlines matter most: calendars only say where time lies within a slot. Taking every n-th of the
+        // deadlines and releases, duplicates included, puts more slots where they are dense.
         let every = of_jobs.len().div_ceil(most).max(1);
         all = of_jobs.into_iter().skip(every / 2).step_by(every).collect();
         all.dedup();
@@ -187,7 +181,7 @@ fn capacity(problem: &Problem, slots: &[i64]) -> Vec<Vec<u128>> {
         .collect()
 }
 
-/// Micro-units per hour of the dearest node, at least one.
+/// Hourly price of the most expensive node, at least one micro-unit.
 fn dearest(problem: &Problem) -> i64 {
     problem.nodes.iter().map(|node| node.price_per_hour).max().unwrap_or(0).max(1)
 }
@@ -198,25 +192,22 @@ struct Setting<'s, 'a> {
     capacity: &'s [Vec<u128>],
 }
 
-/// Work of a job that is to be served by its deadline: its frames, or its shared cache.
+/// Work of a job to be served by its deadline: its frames, or its shared cache.
 struct Demand<'s> {
     job: usize,
-    /// Class of the work.
     class: u32,
     amount: u128,
-    /// Classes of nodes that can do it.
     classes: &'s [usize],
     release: i64,
     deadline: i64,
-    /// See [`ranks`].
     rank: f64,
 }
 
-/// The programme, and what its rows and columns stand for.
+/// The programme, and the meaning of its rows and columns.
 struct Model<'s, 'a> {
     setting: &'s Setting<'s, 'a>,
     programme: Programme,
-    /// Job, column that is not served, and how much there is to serve.
+    /// Job, column of unserved work, and amount to serve.
     demands: Vec<(usize, usize, f64)>,
     /// Row of each class in each slot, if it can be used.
     rows: Vec<Vec<Option<u32>>>,
@@ -227,7 +218,7 @@ struct Model<'s, 'a> {
 }
 
 impl<'s, 'a> Model<'s, 'a> {
-    /// `priced`: nodes cost what they cost. Otherwise only what is not served costs anything.
+    /// With `priced`, nodes have their prices. Otherwise only unserved work has a cost.
     fn new(setting: &'s Setting<'s, 'a>, admitted: &[bool], priced: bool) -> Self {
         let problem = setting.problem;
         let slots = setting.slots.len().saturating_sub(1);
@@ -267,7 +258,8 @@ impl<'s, 'a> Model<'s, 'a> {
     fn demand(&mut self, demand: &Demand, priced: bool) {
         let &Demand { job, class: class_of_work, amount, classes, release, deadline, rank } = demand;
         let Setting { problem, slots, capacity } = self.setting;
-        // Hours of one node of a class for all of it. From exact times, so that the unit of work does not matter.
+        // Hours that one node of a class needs for all of it. Computed exactly, so that the unit of work does
+        // not matter.
         let hours = |class: usize| {
             let speed = u128::from(problem.representative(class).speed_of(class_of_work)).max(1);
             in_millionths(amount).div_ceil(speed) as f64 / MICROSECONDS_PER_HOUR
@@ -277,7 +269,7 @@ impl<'s, 'a> Model<'s, 'a> {
         let price = |class: usize| {
             if priced { problem.representative(class).price_per_hour as f64 / self.unit } else { 0.0 }
         };
-        // More than the dearest way of serving it; without prices, one of each hour.
+        // More than the most expensive way to serve it. Without prices, one per hour.
         let dearest = classes.iter().map(|&class| price(class) * hours(class) / needed).fold(0.0, f64::max);
         let penalty = if priced { (20.0 * dearest + 20.0) * rank } else { 1.0 };
         let column = self.programme.columns.len();
@@ -307,11 +299,10 @@ impl<'s, 'a> Model<'s, 'a> {
     }
 
     fn solve(&self) -> Solution {
-        // Three times as many steps as there are rows is the usual; many more would be a sign of going in circles.
+        // Typically the steps are three times the rows. Many more would mean that the method cycles.
         self.programme.solve(40 * self.programme.right.len() + 1000)
     }
 
-    /// Jobs of which something is not served.
     fn unserved(&self, solution: &Solution) -> Vec<usize> {
         let missing = |&&(_, column, needed): &&(usize, usize, f64)| solution.x[column] > 1e-6 * needed;
         let mut jobs: Vec<usize> = self.demands.iter().filter(missing).map(|&(job, ..)| job).collect();
@@ -349,8 +340,8 @@ impl<'s, 'a> Model<'s, 'a> {
         }
     }
 
-    /// The prices in micro-units per hour. A row's price is what the minimum rises by with more of it: for free time, minus
-    /// what an hour is worth.
+    /// Prices in micro-units per hour. More free time lowers the minimum, so the worth of an hour is minus
+    /// its row's price.
     fn proof(&self, solution: &Solution) -> Proof {
         let problem = self.setting.problem;
         let worth = |row: u32| {
@@ -364,7 +355,7 @@ impl<'s, 'a> Model<'s, 'a> {
         Proof { slots: self.setting.slots.to_vec(), nodes: nodes.collect() }
     }
 
-    /// The proof that not everything can be served, if there is one in whole numbers.
+    /// Proof that not everything can be served, if one exists in integers.
     fn infeasible(&self) -> Option<Infeasible> {
         let problem = self.setting.problem;
         let proof = self.proof(&self.solve());
@@ -382,7 +373,7 @@ impl<'s, 'a> Model<'s, 'a> {
     }
 }
 
-/// Where the prices say that there is too little: neighbouring slots in which the same nodes are priced, joined.
+/// Where time is scarce: neighbouring slots with the same priced nodes are joined.
 fn short(proof: &Proof) -> Vec<Reserved> {
     let priced = |slot: usize| -> Vec<u64> {
         let has_price = |prices: &&Prices| prices.per_hour.get(slot).is_some_and(|&price| price > 0);
@@ -405,8 +396,9 @@ fn short(proof: &Proof) -> Vec<Reserved> {
     found
 }
 
-/// By job: what leaving it unserved is worth, compared with the lowest priority. A rank is worth eight of the one
-/// below it; more than six ranks are not told apart, for the sake of the arithmetic.
+/// By job: what leaving it unserved costs, relative to the lowest priority. Each rank of priority is worth
+/// eight times the one below it. Only the six highest steps are distinguished, to limit the range of the
+/// numbers.
 fn ranks(problem: &Problem) -> Vec<f64> {
     let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
     priorities.sort_unstable();

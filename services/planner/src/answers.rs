@@ -1,7 +1,7 @@
-//! What people ask of a plan: can it be done, at what price, what would change it, and what to do if it cannot.
+//! Questions about a plan: is a job possible, at what price, what would a change do, and what would help.
 //!
-//! Questions about one job are answered around the bookings of all others, which stand: the others were promised theirs.
-//! Questions about the farm plan anew.
+//! Questions about one job keep the bookings of all others, since these were promised. Questions about the
+//! farm make a new plan.
 
 use std::collections::BTreeMap;
 
@@ -21,91 +21,91 @@ pub struct Outlook {
     pub confidence: Confidence,
     /// Whether and when it is done.
     pub verdict: Verdict,
-    /// What it costs, micro-units.
+    /// Its cost, micro-units.
     pub cost: i64,
-    /// What it costs at least in any plan that is as good.
+    /// Lower bound on its cost, micro-units.
     pub cost_bound: i64,
 }
 
 /// A deadline and its price.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Offer {
-    /// By when.
+    /// The deadline.
     pub deadline: i64,
-    /// When it would be done.
+    /// When the job would be done.
     pub finish: i64,
-    /// For how much, micro-units.
+    /// Its cost, micro-units.
     pub cost: i64,
-    /// And not for less than this.
+    /// Lower bound on its cost, micro-units.
     pub cost_bound: i64,
 }
 
-/// Something that could be different.
+/// A hypothetical change.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Change {
-    /// More nodes like this one.
+    /// Nodes are added.
     MoreNodes {
-        /// The node that they are like.
+        /// The node that they copy.
         like: u64,
         /// How many.
         count: u32,
     },
-    /// A node is gone from an instant on.
+    /// A node is gone.
     NodeGone {
         /// The node.
         node: u64,
-        /// Since when.
+        /// From this instant on.
         from: i64,
     },
-    /// A deadline is later, or, if negative, earlier.
+    /// A deadline moves.
     Later {
         /// The job.
         job: u64,
-        /// Microseconds.
+        /// Microseconds later; negative for earlier.
         by: i64,
     },
-    /// Capacity is bought at another quantile.
+    /// A job's confidence changes.
     Confidence {
         /// The job.
         job: u64,
-        /// How sure.
+        /// The new confidence.
         confidence: Confidence,
     },
-    /// A job gives up its deadline and makes way.
+    /// A job loses its deadline, so that others can have its time.
     MakeWay {
         /// The job.
         job: u64,
     },
-    /// Another job comes in.
+    /// A job is added.
     NewJob {
         /// The job.
         job: Box<Job>,
     },
 }
 
-/// What a change would do.
+/// The effect of a change.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Effect {
     /// The change.
     pub change: Change,
-    /// What all jobs together cost more, or, if negative, less.
+    /// Change of the cost of all jobs together, micro-units.
     pub added_cost: i64,
-    /// Jobs that would keep a deadline that they miss without it.
+    /// Jobs that keep their deadline only with the change.
     pub saved: Vec<u64>,
-    /// Jobs that would miss a deadline that they keep without it.
+    /// Jobs that keep their deadline only without the change.
     pub broken: Vec<u64>,
-    /// Jobs that would end later, and by how many microseconds.
+    /// Jobs that end later, and by how many microseconds.
     pub pushed_back: Vec<(u64, i64)>,
-    /// Jobs that would end earlier, and by how many microseconds.
+    /// Jobs that end earlier, and by how many microseconds.
     pub brought_forward: Vec<(u64, i64)>,
-    /// Jobs that come to an end, and when.
+    /// When each job ends, for jobs with a booking for every task.
     pub ends: Vec<(u64, i64)>,
 }
 
 impl Effect {
-    /// Every job that would end at another time, by how many microseconds later, or would miss a deadline that it keeps without the change: by 0 where it would
-    /// not end at all.
+    /// Jobs whose end moves or whose deadline breaks, with the microseconds by which they end later. 0 for a
+    /// job that no longer ends.
     pub fn moved(&self) -> BTreeMap<u64, i64> {
         let mut moved: BTreeMap<u64, i64> = self.broken.iter().map(|&job| (job, 0)).collect();
         moved.extend(self.pushed_back.iter().copied());
@@ -113,16 +113,16 @@ impl Effect {
         moved
     }
 
-    /// When a job would end; `None` if never.
+    /// When a job would end. `None` if never.
     pub fn end(&self, job: u64) -> Option<i64> {
         self.ends.iter().find(|&&(other, _)| other == job).map(|&(_, end)| end)
     }
 }
 
-/// Whether the job can be done at P50, P80 and P95, and for how much.
+/// Verdict and cost of the job at P50, P80 and P95.
 ///
 /// # Errors
-/// If the input has no meaning or no such job.
+/// If the input is invalid or has no such job.
 pub fn outlook(input: &Input, job: u64) -> Result<Vec<Outlook>, InputError> {
     let around = others_fixed(input, job)?;
     [Confidence::P50, Confidence::P80, Confidence::P95]
@@ -142,18 +142,18 @@ pub fn outlook(input: &Input, job: u64) -> Result<Vec<Outlook>, InputError> {
         .collect()
 }
 
-/// The job's price against its deadline: about so many offers, from the earliest end on. A later deadline never costs more, for
-/// what is done earlier is also done later.
+/// The job's cost over its deadline, from the earliest end on, in at most `points` offers. The cost never
+/// rises with the deadline, since an earlier plan also meets a later deadline.
 ///
 /// # Errors
-/// If the input has no meaning or no such job.
+/// If the input is invalid or has no such job.
 pub fn curve(input: &Input, job: u64, points: u32) -> Result<Vec<Offer>, InputError> {
     let around = others_fixed(input, job)?;
     let Some((release, soonest)) = soonest(&around, job)? else { return Ok(Vec::new()) };
     let span = soonest.saturating_sub(release).max(MINUTE);
     let mut offers: Vec<Offer> = Vec::new();
     for point in 0..points {
-        // From once to eight times the shortest time: quadratic, for the price changes most at the short end.
+        // From one to eight times the shortest time. Quadratic, since the cost changes most at the short end.
         let part = i128::from(point) * i128::from(point) * 7;
         let steps = i128::from(points.saturating_sub(1).max(1));
         let more = i64::try_from(i128::from(span) * part / (steps * steps)).unwrap_or(i64::MAX);
@@ -170,10 +170,10 @@ pub fn curve(input: &Input, job: u64, points: u32) -> Result<Vec<Offer>, InputEr
     Ok(offers)
 }
 
-/// The earliest deadline that the budget pays for, to the minute; none if not even the latest is cheap enough.
+/// The earliest deadline that the budget allows, to the minute. `None` if no tested deadline is cheap enough.
 ///
 /// # Errors
-/// If the input has no meaning or no such job.
+/// If the input is invalid or has no such job.
 pub fn earliest_for_budget(input: &Input, job: u64, budget: i64) -> Result<Option<Offer>, InputError> {
     let around = others_fixed(input, job)?;
     let Some((release, soonest)) = soonest(&around, job)? else { return Ok(None) };
@@ -205,21 +205,21 @@ pub fn earliest_for_budget(input: &Input, job: u64, budget: i64) -> Result<Optio
     Ok(best)
 }
 
-/// What a change would do to cost and ends, everything planned anew.
+/// The effect of a change, from new plans without and with it.
 ///
 /// # Errors
-/// If the input has no meaning, before or after.
+/// If the input is invalid, before or after the change.
 pub fn what_if(input: &Input, change: &Change) -> Result<Effect, InputError> {
     let before = plan(input)?;
     let after = plan(&changed(input, change)?)?;
     Ok(effect(change, &before, &after))
 }
 
-/// The three cheapest changes that let the job keep its deadline (or a later one), without breaking another that is kept. Empty if it
-/// keeps it already.
+/// Up to three changes, cheapest first, that let the job keep its deadline, possibly a later one. No other
+/// kept deadline may break. Empty if the job keeps its deadline already.
 ///
 /// # Errors
-/// If the input has no meaning or no such job.
+/// If the input is invalid or has no such job.
 pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
     const MOST_NODES: u32 = 64;
     let before = plan(input)?;
@@ -263,7 +263,8 @@ pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
     Ok(found)
 }
 
-/// Nodes of up to three kinds of which more might help, those first that are short by the proof, then the cheapest for the work.
+/// One node of each of up to three kinds that could help: first those that the proof calls scarce, then the
+/// cheapest for the work.
 fn nodes_to_add(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
     let short: Vec<u64> =
         plan.infeasible.iter().flat_map(|i| &i.short).flat_map(|s| s.nodes.iter().copied()).collect();
@@ -272,7 +273,7 @@ fn nodes_to_add(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
     kinds(able, job.class, 3).iter().map(|node| node.id).collect()
 }
 
-/// The first node of each kind, at most so many: those are alike that are as fast for work of a class and ask the same for an hour.
+/// The first node of each kind, at most `most`. A kind is a speed for this class of work and an hourly price.
 pub fn kinds<'a>(nodes: impl IntoIterator<Item = &'a Node>, class: u32, most: usize) -> Vec<&'a Node> {
     let terms = |node: &Node| (node.speed_of(class), node.price_per_hour);
     let mut kinds: Vec<&Node> = Vec::new();
@@ -284,7 +285,7 @@ pub fn kinds<'a>(nodes: impl IntoIterator<Item = &'a Node>, class: u32, most: us
     kinds
 }
 
-/// Up to four jobs with deadlines that might make way: those that compete with it, least important first.
+/// Up to four jobs with deadlines that compete with this job, least important first.
 fn jobs_to_push(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
     let competes = |other: &&Job| {
         other.id != job.id
@@ -296,10 +297,10 @@ fn jobs_to_push(input: &Input, plan: &Plan, job: &Job) -> Vec<u64> {
     others.iter().take(4).map(|other| other.id).collect()
 }
 
-/// The input with the change.
+/// Applies the change to the input.
 ///
 /// # Errors
-/// If it names what does not exist.
+/// If the change names a node or job that does not exist.
 pub fn changed(input: &Input, change: &Change) -> Result<Input, InputError> {
     let mut new = input.clone();
     match change {
@@ -329,7 +330,7 @@ pub fn changed(input: &Input, change: &Change) -> Result<Input, InputError> {
     Ok(new)
 }
 
-/// What a change does to the jobs of both plans.
+/// Compares the plans before and after a change.
 pub fn effect(change: &Change, before: &Plan, after: &Plan) -> Effect {
     let mut effect = Effect {
         change: change.clone(),
@@ -358,7 +359,7 @@ pub fn effect(change: &Change, before: &Plan, after: &Plan) -> Effect {
     effect
 }
 
-/// The job alone, around the others' bookings in the best plan without it.
+/// The input with this job alone. The others are fixed bookings, from the best plan without this job.
 fn others_fixed(input: &Input, job: u64) -> Result<Input, InputError> {
     find(input, job)?;
     let mut without = input.clone();
@@ -378,7 +379,6 @@ fn others_fixed(input: &Input, job: u64) -> Result<Input, InputError> {
     Ok(around)
 }
 
-/// Release and earliest end of the only job.
 fn soonest(around: &Input, job: u64) -> Result<Option<(i64, i64)>, InputError> {
     let mut asked = around.clone();
     let own = own_job(&mut asked, job)?;
@@ -387,7 +387,7 @@ fn soonest(around: &Input, job: u64) -> Result<Option<(i64, i64)>, InputError> {
     Ok(entry(&plan(&asked)?, job)?.verdict.finish().map(|finish| (release, finish)))
 }
 
-/// The job's price for this deadline, if it can be kept.
+/// The job's price for this deadline. `None` if it cannot be kept.
 fn offer(around: &Input, job: u64, deadline: i64) -> Result<Option<Offer>, InputError> {
     let mut asked = around.clone();
     own_job(&mut asked, job)?.deadline = Some(deadline);

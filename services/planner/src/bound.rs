@@ -1,14 +1,14 @@
-//! When no plan can be done earlier.
+//! Earliest ends that no plan can beat.
 
 use crate::calendar::{FOREVER, Window};
 use crate::model::{Bound, Node, in_millionths};
 use crate::problem::{Problem, Work};
 
-/// The earliest conceivable end of this job, if it had the farm to itself.
+/// The earliest possible end of this job, if it had the farm to itself.
 ///
-/// Any plan takes the frames' work out of the nodes' free time after the release, and gives the longest frame
-/// an unbroken stretch of one node after the shared cache, which takes at least as long as one of its parts; so neither can be beaten. Without calendars the
-/// first is Σ w / Σ s, the second max w / max s (Graham 1969).
+/// The frames' work must come out of the nodes' free time after the release. The longest frame needs an
+/// unbroken stretch of one node after the shared cache, which takes at least as long as its longest part.
+/// Without calendars the first bound is Σ w / Σ s, the second max w / max s (Graham 1969).
 pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let job = work.job;
     let release = work.release(problem.input.now);
@@ -34,8 +34,8 @@ pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     }
 }
 
-/// The bound of all jobs together. All work of a class counts from the first release on all nodes that some job can use;
-/// the longest frames count from their own, by way of their job's bound.
+/// The bound of all jobs together. All work of a class counts from the first release, on all nodes that some
+/// job can use. The longest frames count through their jobs' bounds.
 pub(crate) fn bound_of_all(problem: &Problem, bounds: &[Bound]) -> Bound {
     let mut classes: Vec<u32> = problem.jobs.iter().map(|work| work.job.class).collect();
     classes.sort_unstable();
@@ -69,7 +69,7 @@ fn first_end(node: &Node, windows: &[Window], from: i64, duration: i64) -> Optio
     })
 }
 
-/// The first instant at which the free capacity of these classes of nodes since `release` reaches the work.
+/// The first instant at which the free capacity since `release`, on these classes of nodes, reaches the work.
 fn by_capacity(problem: &Problem, classes: &[usize], class: u32, release: i64, work: u128) -> Option<i64> {
     let mut left = in_millionths(work);
     if left == 0 {
@@ -92,14 +92,12 @@ fn by_capacity(problem: &Problem, classes: &[usize], class: u32, release: i64, w
     for (instant, opens, speed) in changes {
         let capacity = rate.saturating_mul(u128::from(instant.abs_diff(now)));
         if rate > 0 && capacity >= left {
-            // The quotient is at most the length of this stretch.
             let stretch = i64::try_from(left.div_ceil(rate)).ok()?;
             return now.checked_add(stretch);
         }
         left -= capacity;
         now = instant;
-        // Windows are not empty, so what closes here opened at an earlier instant and the rate stays at zero or
-        // above.
+        // Every window opens before it closes, so the rate never goes below zero.
         rate = if opens { rate + u128::from(speed) } else { rate - u128::from(speed) };
     }
     None

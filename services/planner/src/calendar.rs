@@ -1,12 +1,11 @@
-//! Free time.
+//! Free time of nodes.
 
 use crate::intervals::Intervals;
 use crate::model::{FixedBooking, Interval, Node, Power};
 
-/// Stands for the end of an interval without end.
 pub(crate) const FOREVER: i64 = i64::MAX;
 
-/// The node's calendar from the instant at which it is available, less maintenance.
+/// The node's calendar from `available_from` on, less maintenance.
 fn open_time(node: &Node, now: i64) -> Intervals {
     let from = node.available_from.max(now);
     let until = |interval: &Interval| interval.end.unwrap_or(FOREVER);
@@ -16,16 +15,16 @@ fn open_time(node: &Node, now: i64) -> Intervals {
     open
 }
 
-/// An unbroken stretch of a node's free time, before anything is planned into it.
+/// An unbroken stretch of a node's free time, without any planned bookings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Window {
     pub start: i64,
     pub end: i64,
-    /// The node runs when it begins.
+    /// The node already runs when the window begins.
     pub warm: bool,
 }
 
-/// The free stretches of a node: its calendar less the fixed bookings, which are those of this node.
+/// A node's calendar less its fixed bookings.
 pub(crate) fn windows(node: &Node, now: i64, fixed: &[&FixedBooking]) -> Vec<Window> {
     let mut free = open_time(node, now);
     fixed.iter().for_each(|booking| free.take(booking.start, booking.end));
@@ -41,7 +40,8 @@ pub(crate) fn windows(node: &Node, now: i64, fixed: &[&FixedBooking]) -> Vec<Win
         .collect()
 }
 
-/// When the node may be used from this instant on: its calendar, less maintenance and what is booked on it. In order; nothing touches.
+/// A node's free time from `now` on: its calendar, less maintenance and fixed bookings. In order; intervals
+/// do not touch.
 pub fn free_time(node: &Node, now: i64, fixed: &[FixedBooking]) -> Vec<Interval> {
     let of_node: Vec<&FixedBooking> = fixed.iter().filter(|booking| booking.node == node.id).collect();
     windows(node, now, &of_node)

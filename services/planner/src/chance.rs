@@ -1,28 +1,27 @@
-//! Random numbers without a state: each is a hash of a seed and of what it is for, so that it does not matter in which order
-//! they are drawn, nor which others are.
+//! Stateless random numbers. Each is a hash of a seed and of indices that say what it is for, so the order of
+//! draws does not matter.
 
 use forelight_random::{STEP, hash, mix};
 
-/// A number of 64 random bits for this seed and these indices: SplitMix64 mixes each of them in turn.
+/// 64 random bits for this seed and these indices, mixed in one by one with SplitMix64.
 pub fn bits(seed: u64, indices: &[u64]) -> u64 {
     let mixed = |word: u64, &index: &u64| mix(word ^ hash(index.wrapping_mul(STEP)));
     indices.iter().fold(hash(seed), mixed)
 }
 
-/// Uniform in the open interval from 0 to 1: never either end.
+/// Uniform in the open interval (0, 1).
 pub fn uniform(seed: u64, indices: &[u64]) -> f64 {
     ((bits(seed, indices) >> 12) as f64 + 0.5) / (1u64 << 52) as f64
 }
 
-/// Standard normal, by Box and Muller (1958). From a pure implementation of the functions, so that every machine draws
-/// the same.
+/// Standard normal, by Box and Muller (1958). Uses `libm`, so that every machine draws the same numbers.
 pub fn normal(seed: u64, indices: &[u64]) -> f64 {
     let first = uniform(seed, indices);
     let second = uniform(!seed, indices);
     libm::sqrt(-2.0 * libm::log(first)) * libm::cos(std::f64::consts::TAU * second)
 }
 
-/// Uniform among the whole numbers from `low` to `high`, both included.
+/// A uniform integer from `low` to `high`, both included.
 pub fn between(seed: u64, indices: &[u64], low: i64, high: i64) -> i64 {
     let count = i128::from(high) - i128::from(low) + 1;
     let offset = (i128::from(bits(seed, indices)) * count.max(1)) >> 64;

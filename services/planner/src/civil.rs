@@ -21,7 +21,8 @@ pub struct Weekly {
     pub days: Vec<Weekday>,
     /// Time at which the window opens.
     pub from: Time,
-    /// Time at which the window closes: on the next day if it is not after `from`. Equal times are a whole day.
+    /// Time at which the window closes. It is on the next day if it is not after `from`; equal times are a
+    /// whole day.
     pub until: Time,
 }
 
@@ -30,17 +31,16 @@ pub struct Weekly {
 #[non_exhaustive]
 pub enum CalendarError {
     /// An instant is outside of the calendar's range of years.
-    #[error("the calendar does not reach to {0} microseconds")]
+    #[error("instant {0} (microseconds UTC) is outside the calendar's range of years")]
     Range(i64),
     /// The range to expand is too long.
-    #[error("a calendar can be expanded over a hundred years at most")]
+    #[error("a calendar can be expanded over at most 100 years")]
     TooLong,
 }
 
 const HUNDRED_YEARS: i64 = 100 * 366 * 86_400_000_000;
 
-/// Returns the intervals in which a window is open between two instants, in order. Intervals that overlap or
-/// touch are joined.
+/// Returns when some window is open between two instants. Sorted; intervals that overlap or touch are joined.
 ///
 /// # Errors
 /// If the instants are out of range or too far apart.
@@ -59,7 +59,7 @@ pub fn expand(windows: &[Weekly], from: i64, until: i64) -> Result<Vec<Interval>
             Err(_) => Err(CalendarError::Range(instant)),
         };
         let last = day_of(until)?;
-        // A window that opened the day before may still be open.
+        // A window of the day before may still be open.
         let first = day_of(from)?.saturating_sub(1.day());
         for day in first.series(1.day()).take_while(|&day| day <= last && from < until) {
             if !days.is_empty() && !days.contains(&day.weekday()) {
@@ -111,7 +111,7 @@ mod tests {
         let two =
             Weekly { from: time(2, 30, 0, 0), until: time(3, 30, 0, 0), ..nightly("Europe/Berlin", 0, 0) };
         let open = |from, until| expand(std::slice::from_ref(&two), at(from), at(until)).expect("a calendar");
-        // 02:30 is 03:30 in summer time: nothing is left of the window.
+        // Clocks skip from 02:00 to 03:00, so nothing is left of the window.
         assert_eq!(open("2026-03-29T00:00:00Z", "2026-03-29T12:00:00Z"), []);
         let autumn = open("2026-10-25T00:00:00Z", "2026-10-25T12:00:00Z");
         assert_eq!(autumn[0].start, at("2026-10-25T00:30:00Z"));

@@ -1,4 +1,4 @@
-//! What is different between two plans, for people.
+//! Differences between two plans.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,35 +7,35 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::{Booking, Plan, PlanId, Task};
 
-/// What is different.
+/// The difference between two plans.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Difference {
-    /// The plan before.
+    /// The old plan.
     pub from: PlanId,
-    /// The plan after.
+    /// The new plan.
     pub to: PlanId,
-    /// Tasks that lie elsewhere: before, after.
+    /// Tasks that moved: old and new booking.
     pub moved: Vec<(Booking, Booking)>,
-    /// Tasks that had no booking.
+    /// Tasks with a booking in the new plan only.
     pub added: Vec<Booking>,
-    /// Tasks that have none any more.
+    /// Tasks with a booking in the old plan only.
     pub removed: Vec<Booking>,
-    /// Jobs that end at another instant, keep their deadline or miss it.
+    /// Jobs whose end changes, or whether their deadline is kept.
     pub jobs: Vec<JobDifference>,
-    /// What it costs more, or, if negative, less.
+    /// Change of the cost, micro-units.
     pub added_cost: i64,
 }
 
-/// What is different for a job.
+/// The difference for one job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobDifference {
     /// The job.
     pub job: u64,
-    /// Its end before; none if it had none.
+    /// The old end. `None` if it had none.
     pub before: Option<i64>,
-    /// Its end after.
+    /// The new end.
     pub after: Option<i64>,
-    /// Whether it kept its deadline before, and keeps it after.
+    /// Whether the deadline was kept, and whether it is kept now.
     pub kept: (bool, bool),
 }
 

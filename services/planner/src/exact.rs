@@ -1,9 +1,11 @@
-//! Small farms with few frames: every assignment is tried.
+//! Exact search for small farms: every assignment of frames to nodes.
 //!
-//! For one node and a set of frames, the order that ends first is found by the dynamic programme over sets of Held and Karp
-//! (1962): the earliest end of a set is that of one of its frames after the rest. A set that ends as early as it can
-//! leaves every later frame at least as much time, so a set that can be done in time is found to be. Then the sets are dealt
-//! out to the nodes, each set at what its rentals cost. Where nodes are billed plainly that is the optimum.
+//! For one node and a set of frames, a dynamic programme over sets (Held and Karp 1962) finds the order that
+//! ends first. The earliest end of a set is that of one of its frames after the rest. Ending a subset early
+//! never hurts the frames after it, so the search finds every set that can be in time.
+//!
+//! Then each node gets a set, priced by its rentals. Where nodes are billed plainly, the result is the
+//! optimum.
 
 use crate::lane::{Lane, Prefer, Unwanted, Wanted};
 use crate::model::Task;
@@ -11,15 +13,16 @@ use crate::problem::{Problem, Work};
 use crate::score::broken;
 use crate::state::{Placed, State};
 
-/// Sets of this many frames, at most.
+/// Tables have an entry for every set of frames.
 const MOST_FRAMES: usize = 9;
 const MOST_NODES: usize = 5;
-/// Some 140,000 years: later than this counts as never.
+/// About 140,000 years in microseconds.
 const MOST_LATE: i64 = 1 << 62;
 
-/// The cheapest plan that keeps all deadlines, if the problem is small, all its jobs have deadlines, and
-/// nothing couples the nodes. If there is no such plan, one that breaks as little as can be, where the rest is late by no more than it
-/// has to be. None if the problem is not like that.
+/// The cheapest plan that keeps all deadlines. If none exists, a plan that breaks the least, with the least
+/// lateness of the broken jobs.
+///
+/// `None` if the problem is too large, a job has no deadline, or a shared cache couples the nodes.
 pub(crate) fn search<'p, 'a>(
     problem: &'p Problem<'a>,
     start: &State<'p, 'a>,
@@ -37,7 +40,7 @@ pub(crate) fn search<'p, 'a>(
     let (mut kept, mut late) = (vec![true; problem.jobs.len()], 0);
     if !is_possible(&kept, 0) {
         kept = most_in_time(problem, found, |kept| is_possible(kept, MOST_LATE))?;
-        // The least lateness of the rest, by halving between what cannot be and what can.
+        // Bisect for the least lateness of the rest.
         let (mut low, mut high) = (0, MOST_LATE);
         while high - low > 1 {
             let middle = low + (high - low) / 2;
@@ -61,8 +64,8 @@ pub(crate) fn search<'p, 'a>(
     Some(state)
 }
 
-/// The jobs that are in time where not all can be: of all sets that are possible, one that breaks the least; of several, what was
-/// `found`. None if not even the empty set is possible.
+/// The jobs to keep in time if not all can be: a possible set that breaks the least, preferably that of
+/// `found`. `None` if even the empty set is impossible.
 fn most_in_time(
     problem: &Problem,
     found: &State,
@@ -73,7 +76,7 @@ fn most_in_time(
         (0..jobs.len()).filter(|bit| set >> bit & 1 == 1).for_each(|bit| kept[jobs[bit]] = true);
         kept
     };
-    // No set is possible with a job that is not in time even by itself.
+    // A job that cannot be in time alone is in no possible set.
     let hopeful: Vec<usize> =
         (0..problem.jobs.len()).filter(|&job| is_possible(&of_set(&[job], 1))).collect();
     let is_found = |kept: &[bool]| (0..kept.len()).all(|job| kept[job] == found.is_kept(job));
@@ -82,7 +85,7 @@ fn most_in_time(
     sets.into_iter().find(|kept| is_possible(kept))
 }
 
-/// Job and place of every frame, if the problem is one that is tried out.
+/// Job and index of every frame. `None` if the problem is not suitable.
 fn frames(problem: &Problem, start: &State) -> Option<Vec<(usize, usize)>> {
     let is_simple = problem.jobs.iter().all(|work| {
         let job = work.job;
@@ -101,11 +104,11 @@ fn frames(problem: &Problem, start: &State) -> Option<Vec<(usize, usize)>> {
     Some(frames)
 }
 
-/// One node: by set of frames, how early they can be done by their deadlines, and what that costs.
+/// One node. By set of frames: the order that ends first within the deadlines, and its cost.
 struct Table {
-    /// Last frame, its start and its end, of the order that ends first.
+    /// Last frame, its start and its end.
     best: Vec<Option<(usize, i64, i64)>>,
-    /// Nothing at first, for sets that can be done.
+    /// `None` if the set is impossible. Zero until [`Table::price`] computes it.
     cost: Vec<Option<i64>>,
 }
 
@@ -152,7 +155,6 @@ impl Table {
         table
     }
 
-    /// Works out what the sets that can be done cost.
     fn price(&mut self, problem: &Problem, state: &State, node: usize) {
         let (place, empty) = (problem.nodes[node], &state.lanes[node]);
         for set in (1..self.cost.len()).filter(|&set| self.best[set].is_some()) {
@@ -163,7 +165,6 @@ impl Table {
         }
     }
 
-    /// The frames of a set with their times.
     fn order(&self, mut set: usize) -> Vec<(usize, i64, i64)> {
         let mut order = Vec::new();
         while let Some((last, start, end)) = self.best[set] {
@@ -174,15 +175,14 @@ impl Table {
     }
 }
 
-/// The cheapest way to deal all frames out to the nodes: a set for each.
+/// The cheapest way to give each node a set, so that all frames are covered.
 fn deal(tables: &[Table], frames: usize) -> Option<Vec<usize>> {
     let all = (1usize << frames) - 1;
-    // Cost of a set on the nodes so far, and what of it the last of them has.
+    // By set: its cheapest cost on the nodes so far, and the last node's part of it.
     let mut layers: Vec<Vec<Option<(i64, usize)>>> = Vec::with_capacity(tables.len());
     for table in tables {
         let mut layer: Vec<Option<(i64, usize)>> = vec![None; all + 1];
         for (set, cheapest) in layer.iter_mut().enumerate() {
-            // All subsets, the empty one included.
             let mut part = set;
             loop {
                 let rest = match layers.last() {

@@ -1,9 +1,11 @@
-//! Exchanges: a frame that lies dearly takes the place of one that can go elsewhere for less.
+//! Exchanges: an expensive frame takes the place of one that has a cheap alternative.
 //!
-//! List scheduling goes by deadlines. So a job that could have gone to many nodes may sit on the few that a later one needs, and the later
-//! one has to rent. No single frame can be moved for less then; two together can. An exchange lifts a cheap frame out, puts a dear one into
-//! its place, and places the lifted one anew, which may push out a third (an ejection chain, Glover 1996). It stays if the whole is
-//! cheaper and everyone is in time.
+//! List scheduling goes by deadlines. So a job that fits on many nodes may hold the few that a later job
+//! needs, and the later job has to rent. Moving one frame saves nothing then, but moving two can.
+//!
+//! An exchange lifts a cheap frame out, puts an expensive one into its place, and places the lifted one anew.
+//! That may push out a third frame (an ejection chain, Glover 1996). The exchange stays if it saves money and
+//! all of them are in time.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -13,26 +15,27 @@ use crate::model::{Node, Task, price_of};
 use crate::problem::{Problem, Work};
 use crate::state::{Only, Placed, Search, State};
 
-/// Searches for another place, at most: that is what exchanges take their time for.
+/// The most searches for another place in one call. They dominate its run time.
 const MOST_TRIALS: usize = 2000;
-/// Places that are tried for one frame.
+/// The most places tried for one frame.
 const MOST_PLACES: usize = 4;
-/// How many frames a chain may push out.
+/// The most further frames that a chain may push out.
 const LONGEST_CHAIN: usize = 1;
 
-/// How often frames, by job and number, found no other frame to change places with.
+/// How many exchanges of a frame failed, by job and frame number.
 pub(crate) type InVain = BTreeMap<(usize, Option<i64>), u32>;
 
-/// Lets frames of jobs with a deadline change places where that saves money, those first that could save most. Whatever was tried in vain
-/// counts half: otherwise the same few hundred frames, which lie dearly because nothing can be done about it, would use up all trials of every
-/// round.
+/// Exchanges frames of jobs with a deadline where that saves money, the largest possible saving first.
+///
+/// Each failed attempt halves a frame's rank. Otherwise a few hundred frames that cannot be improved would
+/// use up all trials in every round.
 pub(crate) fn exchange(state: &mut State, in_vain: &mut InVain) {
     let mut board = Board::new(state);
     for piece in dear(state, &board, in_vain) {
         if board.trials == 0 {
             return;
         }
-        // What was moved meanwhile lies elsewhere now.
+        // An earlier exchange may have moved it.
         if board.at(piece.placed.node, piece.placed.start) == Some(piece)
             && !improve(state, &mut board, piece)
         {
@@ -41,7 +44,6 @@ pub(crate) fn exchange(state: &mut State, in_vain: &mut InVain) {
     }
 }
 
-/// A frame and its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Piece {
     job: usize,
@@ -49,15 +51,14 @@ struct Piece {
     placed: Placed,
 }
 
-/// A frame in its place.
 #[derive(Clone, Copy, Debug)]
 struct Standing {
     piece: Piece,
-    /// What its place costs, less what another would; none if there is no other.
+    /// Cost of its place, less that of the best free alternative. `None` without one.
     gain: Option<i128>,
 }
 
-/// What may be moved.
+/// All frames that may be moved.
 struct Board {
     /// By node and start.
     by_node: Vec<BTreeMap<i64, Standing>>,
@@ -104,7 +105,7 @@ impl Board {
         let (cost, work) = self.elsewhere[piece.job]?;
         let Placed { start, end, .. } = piece.placed;
         let is = i128::from(price_of(node.price_per_hour, end.saturating_sub(start)));
-        // What planners ask fits into 64 bits, whose division is several times as fast.
+        // Usually 64 bits are enough, and their division is several times as fast.
         let elsewhere = match u64::try_from(cost).ok().and_then(|cost| cost.checked_mul(piece.work)) {
             Some(product) => i128::from(product / work),
             None => i128::from(cost).saturating_mul(i128::from(piece.work)) / i128::from(work),
@@ -112,7 +113,7 @@ impl Board {
         Some(is - elsewhere)
     }
 
-    /// What lies on a node between these instants, if only in part; the last first.
+    /// Frames that overlap this stretch of a node's time, last first.
     fn between(&self, node: usize, from: i64, until: i64) -> impl Iterator<Item = &Standing> {
         let before = self.by_node[node].range(..until).rev().map(|(_, standing)| standing);
         before.take_while(move |standing| standing.piece.placed.end > from)
@@ -123,7 +124,8 @@ impl Board {
     }
 }
 
-/// By job, what so much of its work would cost in the best place that is free now, going by a frame of middling length; none if there is none.
+/// By job: cost of its middle frame in the best place that is free now, and that frame's work. `None` without
+/// such a place.
 fn elsewhere(state: &State) -> Vec<Option<(i64, u64)>> {
     let of_job = |(job, work): (usize, &Work)| {
         let frame = work.frames.get(work.frames.len() / 2)?;
@@ -135,7 +137,7 @@ fn elsewhere(state: &State) -> Vec<Option<(i64, u64)>> {
     state.problem.jobs.iter().enumerate().map(of_job).collect()
 }
 
-/// The classes of plainly billed nodes that could render so much of a job's work for less than this.
+/// Classes of plainly billed nodes that could render this work for less than `below`.
 fn plain_below(state: &State, job: usize, work: u64, below: i64) -> Vec<usize> {
     let problem = state.problem;
     let asked = &problem.jobs[job];
@@ -147,7 +149,6 @@ fn plain_below(state: &State, job: usize, work: u64, below: i64) -> Vec<usize> {
     asked.classes.iter().copied().filter(is_cheap).collect()
 }
 
-/// How a place is looked for for a frame.
 fn search<'s>(state: &State, job: usize, number: i64, work: u64, classes: &'s [usize]) -> Option<Search<'s>> {
     let asked: &Work = &state.problem.jobs[job];
     Some(Search {
@@ -168,7 +169,7 @@ impl Piece {
     }
 }
 
-/// The frames that could save something, those that could save most first.
+/// Frames that could save money, the largest possible saving first.
 fn dear(state: &State, board: &Board, in_vain: &InVain) -> Vec<Piece> {
     let problem = state.problem;
     let mut found = Vec::new();
@@ -193,7 +194,7 @@ fn saved(state: &State, placed: Placed) -> i64 {
     state.lanes[placed.node].saved_without(state.problem.nodes[placed.node], placed.start, placed.end)
 }
 
-/// Moves a frame to where it costs less. Whether there is such a place.
+/// Moves a frame to a cheaper place. Returns whether there is one.
 fn improve(state: &mut State, board: &mut Board, piece: Piece) -> bool {
     let before = saved(state, piece.placed);
     let freed = state.lanes[piece.placed.node].freed;
@@ -216,8 +217,8 @@ fn set(state: &mut State, board: &mut Board, piece: Piece) {
     board.put(state.problem, piece);
 }
 
-/// Places a lifted frame at less than this cost, all frames that it pushes out included. Returns what that costs; if there is no such place,
-/// everything is as it was.
+/// Places a lifted frame for less than `below`, with all frames that it pushes out. Returns the cost. Without
+/// such a place, nothing changes.
 fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain: usize) -> Option<i64> {
     let number = piece.placed.task.frame()?;
     let classes = plain_below(state, piece.job, piece.work, below);
@@ -241,7 +242,8 @@ fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain:
     Some(fit.added_cost)
 }
 
-/// Frames in whose place this one would fit at so much less than `below` that the rest might pay for another place for them; the best first.
+/// The best frames to push out: this one fits into their place, and the money saved may pay for their new
+/// place.
 fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below: i64) -> Vec<Piece> {
     let problem = state.problem;
     let mut best: Vec<(Reverse<i128>, usize, i64)> = Vec::new();
@@ -273,7 +275,8 @@ fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below
     best.into_iter().filter_map(|(_, node, start)| board.at(node, start)).collect()
 }
 
-/// Puts a lifted frame into the place of another, and that one elsewhere, all for less than this; or leaves all as it was.
+/// Puts a lifted frame into the place of another and places that one elsewhere, for less than `below`
+/// together. Otherwise nothing changes.
 fn push_out(
     state: &mut State,
     board: &mut Board,
@@ -308,7 +311,6 @@ fn push_out(
         lift(state, board, Piece { placed, ..piece });
     }
     set(state, board, other);
-    // Nothing came of it.
     state.lanes[node].freed = freed;
     None
 }
@@ -325,10 +327,10 @@ mod tests {
 
     const HOUR: i64 = 3_600_000_000;
 
-    /// Where a small job on the cheap node and a large one on the dear node lie after exchanges, with another node at this price for
-    /// the small one.
+    /// The nodes of two jobs after exchanges. At first the small job is on the cheap node and the large one
+    /// on the expensive node. A third node with this price fits the small job.
     fn nodes_after(price: i64, deadline: i64) -> Vec<u64> {
-        // Large jobs have a class of work that small nodes cannot do.
+        // Small nodes cannot do the large jobs' class of work.
         let node = |id: u64, large: u64, price: i64| Node {
             id,
             speed: 1,

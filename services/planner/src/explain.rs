@@ -9,7 +9,6 @@ use crate::fairness::decayed_usage;
 use crate::model::{Booking, Input, InputError, Plan};
 use crate::problem::Problem;
 
-/// Jobs that are named as being in the way, at most.
 const MOST_NAMED: usize = 3;
 
 /// Why a job's first task does not start at its release.
@@ -17,9 +16,9 @@ const MOST_NAMED: usize = 3;
 pub struct Explanation {
     /// The job.
     pub job: u64,
-    /// Microseconds from its release to its first task.
+    /// Microseconds from the release to the first task.
     pub waits: i64,
-    /// Why.
+    /// The reason.
     pub reason: Reason,
 }
 
@@ -27,19 +26,19 @@ pub struct Explanation {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Reason {
-    /// No node can ever render it: none has a speed in its class, or free time that is long enough.
+    /// No node can ever render it: none has a speed for its class of work and a long enough free time.
     NoNode,
     /// No node that can render it is in its calendar before this instant.
     Calendar {
-        /// When the first one is.
+        /// When the first such node is.
         until: i64,
     },
     /// The nodes are booked for other jobs.
     Behind {
-        /// The jobs that hold most of their time meanwhile, and why each goes first.
+        /// The jobs that hold most of the nodes' time meanwhile, and why each goes first.
         jobs: Vec<(u64, Precedence)>,
     },
-    /// It could start, but it is cheaper later, and its deadline leaves the time.
+    /// It could start now. Later is cheaper, and its deadline allows it.
     Cheaper,
 }
 
@@ -49,20 +48,20 @@ pub enum Reason {
 pub enum Precedence {
     /// Its booking is fixed.
     Fixed,
-    /// It has a deadline, and this one has not.
+    /// It has a deadline, and the waiting job has none.
     Deadline,
     /// Its deadline is earlier.
     EarlierDeadline,
-    /// Its priority is greater.
+    /// Its priority is higher.
     Priority,
-    /// Its project had less for its share. Per cent of its share that each project had, this one's first.
+    /// Its project used less of its share. Both numbers are node time per unit of share.
     Share {
-        /// Used by the waiting job's project, for a share of one.
+        /// Of the waiting job's project.
         mine: i64,
-        /// Used by the other's.
+        /// Of the other job's project.
         theirs: i64,
     },
-    /// It was booked before.
+    /// It was booked earlier.
     Earlier,
 }
 
@@ -72,17 +71,17 @@ impl fmt::Display for Precedence {
             Precedence::Fixed => write!(f, "is fixed"),
             Precedence::Deadline => write!(f, "has a deadline"),
             Precedence::EarlierDeadline => write!(f, "has an earlier deadline"),
-            Precedence::Priority => write!(f, "has a greater priority"),
+            Precedence::Priority => write!(f, "has a higher priority"),
             Precedence::Share { mine, theirs } => {
                 let hours = |time: &i64| time / 3_600_000_000;
                 write!(
                     f,
-                    "belongs to a project that had {} node hours for its share, this one's had {}",
+                    "belongs to a project that used {} node hours per share, this job's project used {}",
                     hours(theirs),
                     hours(mine)
                 )
             }
-            Precedence::Earlier => write!(f, "was booked before"),
+            Precedence::Earlier => write!(f, "was booked earlier"),
         }
     }
 }
@@ -108,10 +107,10 @@ impl fmt::Display for Reason {
     }
 }
 
-/// Explains every job that does not start at its release, or not at all.
+/// Explains every job that starts after its release, or not at all.
 ///
 /// # Errors
-/// If the input has no meaning.
+/// If the input is invalid.
 pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputError> {
     input.check()?;
     let problem = Problem::new(input);
@@ -170,7 +169,7 @@ fn reason(
         }
         Some(_) => {}
     }
-    // Who holds the nodes' time between release and start, and how much of it.
+    // How much of the nodes' time each job holds between release and start.
     let mut holders: BTreeMap<u64, i64> = BTreeMap::new();
     let mut some_node_is_free = false;
     for &node in &able {

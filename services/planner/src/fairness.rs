@@ -1,7 +1,8 @@
-//! Whose turn it is among jobs that have no deadline.
+//! Turns among jobs without a deadline.
 //!
-//! Weighted fair queueing over node time: the next frame is one of the project that had least for its share; within the
-//! project, of the job that had least for its weight. What a project had before counts half after each half-life.
+//! Weighted fair queueing over node time. The next frame belongs to the project with the least use for its
+//! share and, within it, to the job with the least time for its weight. Past use of a project decays with a
+//! half-life.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -9,14 +10,14 @@ use std::collections::BTreeMap;
 use crate::model::{Input, Project};
 use crate::problem::Problem;
 
-/// Node time that a project had, in microseconds, as it counts now.
+/// Node time that a project used, decayed to `now`, microseconds.
 pub fn decayed_usage(project: &Project, now: i64, half_life: i64) -> i64 {
     project.usage.iter().fold(0i64, |sum, usage| {
         sum.saturating_add(decayed(usage.time.max(0), now.saturating_sub(usage.at).max(0), half_life))
     })
 }
 
-/// Halved for each half-life that has passed, and on a straight line between.
+/// Halves with each half-life, linear between two of them.
 fn decayed(time: i64, age: i64, half_life: i64) -> i64 {
     if half_life <= 0 {
         return time;
@@ -27,11 +28,10 @@ fn decayed(time: i64, age: i64, half_life: i64) -> i64 {
     }
     let (high, low) = (i128::from(time >> halvings), i128::from(time >> (halvings + 1)));
     let part = (high - low) * i128::from(age % half_life) / i128::from(half_life);
-    // Between two halvings of an i64.
+    // The value lies between two halvings of an `i64`.
     i64::try_from(high - part).unwrap_or(i64::MAX)
 }
 
-/// What projects and jobs had so far.
 pub(crate) struct Turns {
     projects: BTreeMap<Option<u64>, Had>,
     jobs: Vec<Had>,
@@ -44,7 +44,7 @@ struct Had {
 }
 
 impl Had {
-    /// Less for its share comes first.
+    /// The one with less time for its share comes first.
     fn compare(&self, other: &Had) -> Ordering {
         let mine = self.time.saturating_mul(i128::from(other.share));
         mine.cmp(&other.time.saturating_mul(i128::from(self.share)))
@@ -67,7 +67,7 @@ impl Turns {
         Turns { projects, jobs }
     }
 
-    /// The one of these jobs whose turn it is. Jobs are given by index with their project.
+    /// The job whose turn it is. `waiting` holds indices of jobs and their projects.
     pub fn next(&self, waiting: &[(usize, Option<u64>)]) -> Option<usize> {
         let order = |a: &&(usize, Option<u64>), b: &&(usize, Option<u64>)| {
             let projects = match (self.projects.get(&a.1), self.projects.get(&b.1)) {

@@ -8,12 +8,14 @@ use crate::lane::Prefer;
 use crate::model::Task;
 use crate::state::{Only, Placed, Search, State};
 
-/// A round that saves less than one part in so many is the last.
+/// A round is the last if it saves less than one part in this many.
 const LEAST_GAIN: i64 = 2000;
 
-/// Makes a plan cheaper, in so many rounds at most: gaps are closed up, so that what is left is in longer pieces; single frames move to where they
-/// save money; then frames change places. Each makes room for the next. Jobs without a deadline were promised to be early, not
-/// cheap: their frames move to earlier times on their nodes, and nowhere else.
+/// Makes a plan cheaper, in at most `rounds` rounds. Each round closes gaps, moves single frames to cheaper
+/// places, and exchanges frames; each of these makes room for the next.
+///
+/// Frames of jobs without a deadline only move to earlier times on their nodes: those jobs were promised to
+/// be early, not cheap.
 pub(crate) fn improve(state: &mut State, rounds: usize) {
     let mut searched = Searched::new();
     cheapen(state, &mut searched);
@@ -29,13 +31,14 @@ pub(crate) fn improve(state: &mut State, rounds: usize) {
     }
 }
 
-/// By job and number of a frame that found no cheaper place than that on a plainly billed node: which one, and when.
+/// Frames that found no place cheaper than theirs on a plainly billed node. By job and frame number: the
+/// node, and the clock at that time.
 type Searched = BTreeMap<(usize, i64), (usize, u64)>;
 
-/// Moves single frames of jobs with a deadline to where they save money and are still in time.
+/// Moves single frames of jobs with a deadline to cheaper places in time.
 fn cheapen(state: &mut State, searched: &mut Searched) {
     let problem = state.problem;
-    // What each frame could save at most, the most promising first.
+    // By the most that each frame could save, largest first.
     let mut candidates: Vec<(Reverse<i64>, usize, Placed)> = Vec::new();
     for (job, work) in problem.jobs.iter().enumerate() {
         if work.job.deadline.is_none_or(|deadline| state.finish(job) > deadline) {
@@ -83,12 +86,12 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
         .filter(|&class| {
             let node = problem.representative(class);
             let price = node.duration(frame.work, work.job.class).map(|duration| node.price(duration, false));
-            // On a node that is billed in steps, a frame may fit into time that is paid already.
+            // On nodes billed in steps, a frame may fit into time that is already paid for.
             price.is_some_and(|price| price < saved || !node.is_plainly_billed())
         })
         .collect();
     let Some(release) = state.earliest(job, placed.task) else { return };
-    // Where there was no place, there is none until something is freed.
+    // A search that failed can only succeed once something is freed.
     let before = searched.remove(&name).filter(|&(node, _)| node == placed.node);
     let search = Search {
         class_of_work: work.job.class,
@@ -114,7 +117,8 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
     }
 }
 
-/// Moves frames on plainly billed nodes to earlier times that are free just before them, so that what is left is in fewer, longer pieces.
+/// Moves frames on plainly billed nodes to an earlier time just before them, so that free time lies in fewer,
+/// longer gaps.
 fn close_ranks(state: &mut State) {
     let problem = state.problem;
     let mut by_node: Vec<Vec<(i64, usize, Placed)>> = vec![Vec::new(); problem.nodes.len()];

@@ -1,18 +1,18 @@
-//! Sets of instants, as intervals in order.
+//! Sets of instants, as sorted intervals.
 //!
-//! A node may hold thousands of bookings, and each new one changes the set. So the intervals lie in blocks: a change moves what is in one
-//! block, and whoever looks for a long interval passes by blocks in which there is none.
+//! A node may hold thousands of bookings, and each new one changes the set. So the intervals lie in blocks: a
+//! change touches one block, and a search skips blocks without a long enough interval.
 
-/// Intervals in a block at most. Where there are few, as on most nodes, there is one block.
+/// The most intervals in a block. Most nodes need one block only.
 const MOST_IN_A_BLOCK: usize = 64;
 
-/// From the first instant to just before the second.
 type Interval = (i64, i64);
 
-/// Half-open intervals: in order, disjoint, not touching, not empty.
+/// Half-open intervals: sorted, disjoint, not touching, not empty.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Intervals {
-    /// Only this block may be empty, and only if it is the only one. It is not among the others because it is mostly alone.
+    /// May be empty, but only if it is the only block. It is apart from the others because most sets have
+    /// just one.
     first: Block,
     others: Vec<Block>,
 }
@@ -20,7 +20,6 @@ pub(crate) struct Intervals {
 #[derive(Clone, Debug, Default)]
 struct Block {
     intervals: Vec<(i64, i64)>,
-    /// Length of the longest.
     longest: i64,
 }
 
@@ -47,7 +46,6 @@ fn longest(intervals: &[(i64, i64)]) -> i64 {
 }
 
 impl Intervals {
-    /// The union of these intervals.
     pub fn union(mut intervals: Vec<(i64, i64)>) -> Self {
         intervals.retain(|(start, end)| start < end);
         intervals.sort_unstable();
@@ -62,24 +60,22 @@ impl Intervals {
         Intervals { first: blocks.next().unwrap_or_default(), others: blocks.collect() }
     }
 
-    /// All of them.
     pub fn iter(&self) -> impl Iterator<Item = (i64, i64)> {
         self.after(i64::MIN)
     }
 
-    /// Length of the longest.
     #[inline]
     pub fn longest(&self) -> i64 {
         self.others.iter().fold(self.first.longest, |longest, block| longest.max(block.longest))
     }
 
-    /// Those that end after this instant.
+    /// Intervals that end after this instant.
     #[inline]
     pub fn after(&self, instant: i64) -> Long<'_> {
         self.long_after(instant, 0)
     }
 
-    /// Those that end after this instant and are at least this long.
+    /// Intervals that end after this instant and are at least this long.
     #[inline]
     pub fn long_after(&self, instant: i64, least: i64) -> Long<'_> {
         let (block, at) = self.first_after(instant);
@@ -87,13 +83,13 @@ impl Intervals {
         Long { least, here, blocks: self.others[block..].iter() }
     }
 
-    /// The last one that ends at this instant or before it.
+    /// The last interval that ends at or before this instant.
     #[inline]
     pub fn before(&self, instant: i64) -> Option<(i64, i64)> {
         self.around(instant).0
     }
 
-    /// The last one that ends at this instant or before it, and the next one.
+    /// The last interval that ends at or before this instant, and the next one.
     #[inline]
     pub fn around(&self, instant: i64) -> (Option<Interval>, Option<Interval>) {
         let (block, at) = self.first_after(instant);
@@ -106,13 +102,13 @@ impl Intervals {
         (before.copied(), here.get(at).copied())
     }
 
-    /// Whether all of this time is in one of them.
+    /// Whether one interval contains all of this time.
     #[inline]
     pub fn contains(&self, start: i64, end: i64) -> bool {
         self.around(start).1.is_some_and(|interval| interval.0 <= start && end <= interval.1)
     }
 
-    /// Takes the time from `start` to just before `end` away, whether it was there or not.
+    /// Removes the time from `start` to just before `end`, whether present or not.
     pub fn take(&mut self, start: i64, end: i64) {
         if start >= end {
             return;
@@ -129,7 +125,7 @@ impl Intervals {
         }
     }
 
-    /// Adds time of which nothing was there; it joins what it touches.
+    /// Adds time that is not in the set. It joins neighbours that it touches.
     pub fn give(&mut self, start: i64, end: i64) {
         if start >= end {
             return;
@@ -152,20 +148,21 @@ impl Intervals {
         index.checked_sub(1).map_or(&self.first, |other| &self.others[other])
     }
 
-    /// Block and place of the first that ends after this instant; just beyond the end of the last block if there is none.
+    /// Block and index of the first interval that ends after this instant. Without one, the end of the last
+    /// block.
     #[inline]
     fn first_after(&self, instant: i64) -> (usize, usize) {
         let block = if self.others.is_empty() || self.first.end() > instant {
             0
         } else {
-            // The last block is where the search ends.
+            // The search must not go past the last block.
             let others = &self.others[..self.others.len() - 1];
             1 + others.partition_point(|block| block.end() <= instant)
         };
         (block, self.block(block).intervals.partition_point(|interval| interval.1 <= instant))
     }
 
-    /// Puts these in the place of others of a block, and sees to the block.
+    /// Replaces intervals of a block. Splits a block that is too long, and removes one that is empty.
     fn replace(&mut self, index: usize, old: std::ops::Range<usize>, new: impl Iterator<Item = (i64, i64)>) {
         let block = match index.checked_sub(1) {
             None => &mut self.first,
@@ -186,7 +183,7 @@ impl Intervals {
     }
 }
 
-/// Intervals in order that are not too short.
+/// Iterates over intervals of a minimum length.
 pub(crate) struct Long<'a> {
     least: i64,
     here: std::slice::Iter<'a, (i64, i64)>,
@@ -214,7 +211,7 @@ mod tests {
     use super::{Intervals, MOST_IN_A_BLOCK};
     use crate::chance::between;
 
-    /// The same, instant by instant.
+    /// A reference set, instant by instant.
     struct Instants(Vec<bool>);
 
     impl Instants {

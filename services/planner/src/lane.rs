@@ -1,4 +1,4 @@
-//! One node's time while a plan is made: what is free, what is booked, what it costs.
+//! One node's time while a plan is made: free time, bookings and their cost.
 
 use crate::admission::IN_A_MICRO_UNIT;
 use crate::calendar::Window;
@@ -6,66 +6,59 @@ use crate::intervals::Intervals;
 use crate::model::{Node, Rental, price_of};
 use crate::rental::rentals;
 
-/// Gaps in which a booking is tried on a node that is not billed plainly. The first is the earliest; the others
-/// are there for time that is paid already.
+/// The most gaps tried on a node that is not plainly billed. The first is the earliest; later ones may hold
+/// time that is already paid for.
 const GAPS_TRIED: usize = 8;
 
-/// A node's time.
 #[derive(Clone, Debug)]
 pub(crate) struct Lane {
     is_plain: bool,
     stretches: Vec<Stretch>,
-    /// Time in which a booking may lie: past the set-up, and not booked.
+    /// Time for bookings: after the set-up, and not booked.
     free: Intervals,
-    /// Length of the longest gap.
     longest_gap: i64,
-    /// Booked time.
     used: i64,
-    /// When something was freed last, by [`crate::state::State::clock`].
+    /// [`crate::state::State::clock`] when booked time was last released.
     pub freed: u64,
-    /// What the rentals cost. A plain lane's is only known once [`Lane::rentals`] makes them.
+    /// Cost of the rentals. Not kept for plainly billed nodes.
     cost: i128,
 }
 
 #[derive(Clone, Debug)]
 struct Stretch {
     window: Window,
-    /// Bookings; those that touch are joined.
+    /// Bookings. Those that touch are joined.
     runs: Intervals,
 }
 
-/// What a booking is looked for with.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wanted {
-    /// It starts at this instant or later.
     pub release: i64,
-    /// It ends at this instant or earlier.
     pub latest_end: i64,
     pub duration: i64,
 }
 
-/// Whether the end or the price matters more.
+/// Which matters more, the end or the cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Prefer {
     Early,
     Cheap,
 }
 
-/// A place for a booking, and what it adds to the cost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Fit {
     pub start: i64,
     pub end: i64,
     pub added_cost: i64,
-    /// What is left of the gap behind it, where that matters.
+    /// For scarce time: what is left of the gap behind it.
     pub left: i64,
-    /// What others would pay for this time, where that is looked at, as [`Market::worth`].
+    /// What others would pay for this time; see [`Market::worth`].
     pub worth: i128,
 }
 
-/// What time is worth to others.
 pub(crate) trait Market {
-    /// What others would pay for this time on top of its price, in units of which [`IN_A_MICRO_UNIT`] are a micro-unit.
+    /// What others would pay for this time on top of its price, in units of 1 / [`IN_A_MICRO_UNIT`]
+    /// micro-unit.
     fn worth(&self, start: i64, end: i64) -> i128;
     /// The next instant at which time is worth less.
     fn cheaper_from(&self, instant: i64) -> Option<i64>;
@@ -73,7 +66,7 @@ pub(crate) trait Market {
     fn is_scarce(&self, instant: i64) -> bool;
 }
 
-/// Nobody else wants it.
+/// No other job wants the time.
 pub(crate) struct Unwanted;
 
 impl Market for Unwanted {
@@ -91,7 +84,7 @@ impl Market for Unwanted {
 }
 
 impl Fit {
-    /// What decides between places: less is better.
+    /// Orders places. Less is better.
     pub fn rank(&self, prefer: Prefer) -> (i128, i64, i64) {
         match prefer {
             Prefer::Early => (i128::from(self.end), self.added_cost, 0),
@@ -120,17 +113,16 @@ impl Lane {
         }
     }
 
-    /// Whether there is no gap for a booking of this length.
+    /// Whether no gap is long enough for a booking of this length.
     pub fn is_too_full(&self, duration: i64) -> bool {
         duration > self.longest_gap
     }
 
-    /// Whether nothing is booked.
     pub fn is_empty(&self) -> bool {
         self.used == 0
     }
 
-    /// What a booking of this length adds at least, wherever it is.
+    /// The least that a booking of this length adds to the cost, wherever it is.
     pub fn least_added_cost(&self, node: &Node, duration: i64) -> i64 {
         if self.is_plain {
             return price_of(node.price_per_hour, duration);
@@ -141,8 +133,8 @@ impl Lane {
 
     /// The best place for a booking.
     ///
-    /// A cheap place is one that costs least, what the market would pay for it included; of those in scarce time the one
-    /// that leaves least of its gap unused (best fit), otherwise the first.
+    /// A cheap place is one with the least cost, including what others would pay. Ties in scarce time go to
+    /// the place that leaves least of its gap (best fit), other ties to the earliest.
     pub fn fit(&self, node: &Node, wanted: &Wanted, prefer: Prefer, market: &impl Market) -> Option<Fit> {
         let mut best: Option<Fit> = None;
         let mut tried = 0;
@@ -155,7 +147,7 @@ impl Lane {
                 let added_cost = price_of(node.price_per_hour, wanted.duration);
                 let mut is_scarce = prefer == Prefer::Cheap && market.is_scarce(start);
                 if !is_scarce {
-                    // Time that is not scarce is as good as a perfect fit.
+                    // Time that is not scarce counts as a perfect fit.
                     let worth = if prefer == Prefer::Early { 0 } else { market.worth(start, end) };
                     let first = Fit { start, end, added_cost, left: 0, worth };
                     if worth == 0 {
@@ -193,7 +185,7 @@ impl Lane {
             if prefer == Prefer::Early {
                 break;
             }
-            // Just before the next booking it may need no rental of its own.
+            // Just before the next booking, it may need no rental of its own.
             let late_start = gap.1.saturating_sub(wanted.duration);
             if gap.1 < stretch.window.end && gap.1 <= wanted.latest_end && late_start > start {
                 consider(late_start, gap.1);
@@ -206,12 +198,11 @@ impl Lane {
         best
     }
 
-    /// Whether exactly this time is free.
     pub fn is_free(&self, start: i64, end: i64) -> bool {
         self.free.contains(start, end)
     }
 
-    /// The unbroken time that there would be without this booking: what is free before it, its own, and what is free behind it.
+    /// The unbroken time without this booking: the free time before it, its own, and the free time behind it.
     pub fn room_without(&self, start: i64, end: i64) -> (i64, i64) {
         let (before, behind) = self.free.around(start);
         let before = before.filter(|gap| gap.1 == start);
@@ -219,7 +210,6 @@ impl Lane {
         (before.map_or(start, |gap| gap.0), behind.map_or(end, |gap| gap.1))
     }
 
-    /// Books free time.
     pub fn book(&mut self, node: &Node, start: i64, end: i64) {
         self.free.take(start, end);
         self.longest_gap = self.free.longest();
@@ -232,7 +222,6 @@ impl Lane {
         stretch.runs.give(start, end);
     }
 
-    /// Frees booked time.
     pub fn unbook(&mut self, node: &Node, start: i64, end: i64) {
         let at = self.stretch_at(start);
         let stretch = &mut self.stretches[at];
@@ -248,7 +237,7 @@ impl Lane {
         self.used = self.used.saturating_sub(end.saturating_sub(start));
     }
 
-    /// What freeing this booking would save.
+    /// What releasing this booking would save.
     pub fn saved_without(&self, node: &Node, start: i64, end: i64) -> i64 {
         if self.is_plain {
             return price_of(node.price_per_hour, end.saturating_sub(start));
@@ -258,7 +247,6 @@ impl Lane {
         within_money(rest.added_cost(node, start, end))
     }
 
-    /// The rentals that pay for all bookings.
     pub fn rentals(&self, node: &Node) -> Vec<Rental> {
         let mut all = Vec::new();
         for stretch in &self.stretches {
@@ -277,15 +265,14 @@ impl Lane {
         all
     }
 
-    /// Index of the stretch that holds this instant.
     fn stretch_at(&self, instant: i64) -> usize {
         self.stretches.partition_point(|stretch| stretch.window.end <= instant)
     }
 }
 
 impl Stretch {
-    /// What one more booking adds to the cost of the rentals. Only those around it are worked out anew: where so long a gap lies between two
-    /// runs that nobody would pay for it, one side does not matter to the other.
+    /// What another booking adds to the cost of the rentals. Only nearby rentals are computed again: no
+    /// rental spans a gap that is too long to pay for, so the sides of such a gap do not affect each other.
     fn added_cost(&self, node: &Node, start: i64, end: i64) -> i128 {
         let mut near: Vec<(i64, i64)> = Vec::new();
         let (mut from, mut until) = (start, end);
@@ -312,22 +299,22 @@ impl Stretch {
     }
 }
 
-/// Whether two rentals are never dearer than one over a gap of this length: it costs more than both can lose to steps, minima and a
-/// set-up, and to the rounding of their prices.
+/// Whether two rentals are never more expensive than one across a gap of this length. The gap must cost more
+/// than both can lose to steps, minima, a set-up and rounding.
 fn never_pays(node: &Node, gap: i64) -> bool {
     let lost =
         node.billing_step.saturating_add(node.minimum_booking).saturating_mul(2).saturating_add(node.setup);
     gap > lost && price_of(node.price_per_hour, gap - lost) > node.setup_cost.saturating_add(2)
 }
 
-/// The earliest time in the gap that will do.
+/// The earliest suitable time in the gap.
 fn within(gap: (i64, i64), wanted: &Wanted) -> Option<(i64, i64)> {
     let start = gap.0.max(wanted.release);
     let end = start.checked_add(wanted.duration)?;
     (end <= gap.1 && end <= wanted.latest_end).then_some((start, end))
 }
 
-/// The runs with one more booking, which overlaps none.
+/// Adds a booking that overlaps no run.
 fn joined(runs: &[(i64, i64)], start: i64, end: i64) -> Vec<(i64, i64)> {
     let at = runs.partition_point(|run| run.1 < start);
     let mut new = (start, end);
@@ -347,7 +334,7 @@ fn total(rentals: &[Rental]) -> i128 {
     rentals.iter().map(|rental| i128::from(rental.cost)).sum()
 }
 
-/// An amount of money, at the end of its range if it leaves it.
+/// Saturates at the range of money.
 fn within_money(amount: i128) -> i64 {
     amount.clamp(i128::from(i64::MIN), i128::from(i64::MAX)) as i64
 }

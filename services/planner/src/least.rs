@@ -1,15 +1,16 @@
-//! What a farm's jobs cost at least, without a plan.
+//! A lower bound on a farm's cost, without a plan.
 
 use crate::admission::{MOST_VARIABLES, admit};
 use crate::model::{Input, InputError, Job, Proof};
 use crate::problem::Problem;
 use crate::proof::{Counted, value};
 
-/// Micro-units that no plan can cost less than, if it keeps all deadlines that can be kept together as far as a fluid tells,
-/// and places everything else whenever it likes: the bound of [`crate::plan`], for farms that are too large to be planned at once.
+/// Lower bound in micro-units on the cost of any plan. The plan keeps all deadlines that the linear programme
+/// admits, and renders everything else at any time. This is the bound of [`crate::plan`], for farms that are
+/// too large to plan at once.
 ///
 /// # Errors
-/// If the input has no meaning.
+/// If the input is invalid.
 pub fn least_cost(input: &Input) -> Result<i64, InputError> {
     input.check()?;
     let problem = Problem::new(input);

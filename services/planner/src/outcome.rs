@@ -1,4 +1,4 @@
-//! From a finished schedule to what the plan says.
+//! Turns a finished schedule into a plan.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,6 @@ use crate::proof::{Counted, value};
 use crate::rental::shares;
 use crate::state::State;
 
-/// The plan of this schedule.
 pub(crate) fn plan(
     state: &State,
     admission: &Admission,
@@ -49,7 +48,7 @@ pub(crate) fn plan(
     Plan { parent, bookings, rentals, jobs, cost, bound, cost_bound, proof, infeasible }
 }
 
-/// Each job's part of the rentals, in proportion to its time in them.
+/// Each job's part of the rentals' cost, in proportion to its time in them.
 pub(crate) fn costs(rentals: &[Rental], bookings: &[Booking]) -> BTreeMap<u64, i64> {
     let mut by_node: BTreeMap<u64, Vec<&Booking>> = BTreeMap::new();
     for booking in bookings {
@@ -58,7 +57,6 @@ pub(crate) fn costs(rentals: &[Rental], bookings: &[Booking]) -> BTreeMap<u64, i
     let mut costs: BTreeMap<u64, i64> = BTreeMap::new();
     for rental in rentals {
         let Some(of_node) = by_node.get(&rental.node) else { continue };
-        // Bookings are in the order of their starts.
         let first = of_node.partition_point(|booking| booking.start < rental.start);
         let beyond = of_node.partition_point(|booking| booking.start < rental.end);
         let within = &of_node[first..beyond.max(first)];
@@ -112,7 +110,7 @@ pub(crate) fn counted(jobs: &[JobPlan]) -> impl Fn(&Job) -> Counted {
     }
 }
 
-/// The better of what these prices prove and what follows without any.
+/// The better of the bound with these prices and the bound without any.
 fn cost_bound(input: &Input, jobs: &[JobPlan], proof: &Proof) -> (i64, Proof) {
     let money = |value: i128| i64::try_from(value.max(0)).unwrap_or(i64::MAX);
     let counted = counted(jobs);

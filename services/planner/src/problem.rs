@@ -1,39 +1,33 @@
-//! The input as the method wants it: in order, grouped, with free time worked out.
+//! The input, sorted and grouped, with free time computed.
 
 use std::collections::BTreeMap;
 
 use crate::calendar::{Window, windows};
 use crate::model::{FixedBooking, Frame, Input, Job, Node, Task};
 
-/// An input in the order of identities.
+/// An input, sorted by id.
 pub(crate) struct Problem<'a> {
     pub input: &'a Input,
     /// By id.
     pub nodes: Vec<&'a Node>,
-    /// Free stretches of each node.
     pub windows: Vec<Vec<Window>>,
-    /// Nodes that differ in nothing but calendar and name.
+    /// Groups of nodes that differ only in name and calendar.
     pub classes: Vec<Vec<usize>>,
-    /// Class of each node.
     pub class_of: Vec<usize>,
     /// By id.
     pub jobs: Vec<Work<'a>>,
 }
 
-/// A job with its bought work.
 pub(crate) struct Work<'a> {
     pub job: &'a Job,
-    /// Work of the shared cache.
     pub shared_cache: Option<u64>,
-    /// Frames, longest predicted P80 first, then by number.
+    /// Frames by P80, longest first, then by number.
     pub frames: Vec<FrameWork>,
-    /// Classes of nodes that can do its frames' work.
+    /// Classes of nodes that can render its frames.
     pub classes: Vec<usize>,
-    /// The same for its shared cache.
     pub shared_cache_classes: Vec<usize>,
 }
 
-/// A frame with its bought work.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FrameWork {
     pub number: i64,
@@ -69,18 +63,15 @@ impl<'a> Problem<'a> {
         Problem { input, nodes, windows, classes, class_of, jobs }
     }
 
-    /// A node of the class; all its nodes do the same work in the same time.
+    /// A node of the class. All its nodes have the same speeds.
     pub fn representative(&self, class: usize) -> &'a Node {
-        // Classes are not empty.
         self.nodes[self.classes[class][0]]
     }
 
-    /// Index of a node.
     pub fn node(&self, id: u64) -> Option<usize> {
         self.nodes.binary_search_by_key(&id, |node| node.id).ok()
     }
 
-    /// Index of a job.
     pub fn job(&self, id: u64) -> Option<usize> {
         self.jobs.binary_search_by_key(&id, |work| work.job.id).ok()
     }
@@ -91,7 +82,7 @@ impl<'a> Work<'a> {
         let open: BTreeMap<i64, u64> = job.open_work().collect();
         let mut frames: Vec<(&Frame, u64)> =
             job.frames.iter().filter_map(|frame| Some((frame, *open.get(&frame.number)?))).collect();
-        // Without a P80 of its own, a frame counts with what is bought for it.
+        // Without a P80 of its own, a frame counts with its booked work.
         frames.sort_unstable_by_key(|(frame, work)| {
             (std::cmp::Reverse(frame.work_p80.max(*work)), std::cmp::Reverse(*work), frame.number)
         });
@@ -111,7 +102,7 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Microseconds that the node takes for a task of this job. None if it cannot do it at all.
+    /// Microseconds that the node needs for a task of this job. `None` if it cannot do it.
     pub fn duration(&self, node: &Node, task: Task) -> Option<i64> {
         match task {
             Task::SharedCache | Task::SharedCachePart { .. } => {
@@ -130,14 +121,13 @@ impl<'a> Work<'a> {
         self.frames.iter().find(|frame| frame.number == number).map(|frame| frame.work)
     }
 
-    /// Whether there are nodes that can do its frames, and its shared cache.
+    /// Whether some nodes can render its frames, and some can do its shared cache.
     pub fn has_nodes(&self) -> bool {
         let can = |is_wanted: bool, classes: &[usize]| !is_wanted || !classes.is_empty();
         can(!self.frames.is_empty(), &self.classes)
             && can(self.shared_cache.is_some(), &self.shared_cache_classes)
     }
 
-    /// Work of all frames together.
     pub fn total(&self) -> u128 {
         self.frames.iter().map(|frame| u128::from(frame.work)).sum()
     }

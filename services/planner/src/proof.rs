@@ -1,12 +1,13 @@
-//! What prices of time prove.
+//! Lower bounds on cost, proven by prices of time.
 //!
-//! Put a price π ≥ 0 on every hour of free node time, on top of what nodes cost anyway. Whatever the plan, a job then pays at least what its work costs in the cheapest hours it may use; and the
-//! plan takes in at most what all free time would bring. So
+//! Add a price π ≥ 0 to every hour of free node time, on top of the node's own price. Under any plan, a job
+//! then pays at least the price of its work in the cheapest hours that it may use. All jobs together pay at
+//! most Σ π · free time for the added prices. So
 //!
 //! cost of any plan ≥ Σ over jobs (least price of its work) − Σ π · free time.
 //!
-//! If even with nodes that cost nothing the right side is above zero, there is no plan at all (Farkas' lemma). The
-//! statement needs no trust in where the prices come from. It is computed here in integers, rounded against itself.
+//! If the right side is positive even with nodes that cost nothing, no plan exists (Farkas' lemma). The bound
+//! holds for any prices, wherever they come from. All arithmetic is in integers and rounds the bound down.
 
 use std::collections::BTreeMap;
 
@@ -21,8 +22,8 @@ pub(crate) enum Counted {
     By(i64),
 }
 
-/// The right side of the inequality above, in micro-units. `with_own_prices`: nodes cost what they cost;
-/// otherwise only the proof's prices count.
+/// The right side of the inequality in the module's documentation, in micro-units. Without `with_own_prices`,
+/// nodes themselves cost nothing.
 pub(crate) fn value(
     input: &Input,
     proof: &Proof,
@@ -63,19 +64,18 @@ pub(crate) fn value(
     value
 }
 
-/// Nodes with the same prices.
 struct Group<'a> {
     prices: Option<&'a Prices>,
     nodes: Vec<&'a Node>,
-    /// Free time of all its nodes together, slot by slot.
+    /// Free time of all nodes of the group together, by slot.
     free: Vec<u128>,
-    /// Whether there is any outside of all slots: before, after.
+    /// Whether some free time lies before the first slot, and after the last.
     outside: [bool; 2],
 }
 
 impl<'a> Group<'a> {
-    /// Every node is in exactly one group: the first of the proof that names it, or the last one, which has no
-    /// prices.
+    /// Puts every node into one group: that of the first prices in the proof that name it, or else the last
+    /// group, without prices.
     fn all(input: &'a Input, proof: &'a Proof) -> Vec<Self> {
         let mut group_of: BTreeMap<u64, usize> = BTreeMap::new();
         for (index, prices) in proof.nodes.iter().enumerate() {
@@ -109,7 +109,7 @@ impl<'a> Group<'a> {
             }
         }
         for group in &mut groups {
-            // Nodes that do the same at the same price need to be looked at once.
+            // Of nodes with equal speeds and prices, one is enough.
             group.nodes.sort_by_key(|node| node.id);
             group.nodes.dedup_by(|a, b| {
                 (a.speed, a.price_per_hour, &a.speeds) == (b.speed, b.price_per_hour, &b.speeds)
@@ -131,7 +131,7 @@ impl<'a> Group<'a> {
         self.outside[1] |= proof.slots.last().is_none_or(|&last| window.end > last);
     }
 
-    /// What an hour of the group's time costs the job at least on top of its own price, if it has any between these instants.
+    /// The least added price of an hour of the group between these instants. `None` if it has no time there.
     fn least_price(&self, slots: &[(i64, i64)], proof: &Proof, start: i64, end: i64) -> Option<i128> {
         let before = self.outside[0] && proof.slots.first().is_none_or(|&first| start < first);
         let after = self.outside[1] && proof.slots.last().is_none_or(|&last| end > last);
@@ -144,7 +144,7 @@ impl<'a> Group<'a> {
         (0..slots.len()).filter(|&index| usable(index)).map(|index| price_at(self.prices, index)).min()
     }
 
-    /// What this work costs at least, on the best of the group's nodes.
+    /// The least cost of this work on the best of the group's nodes.
     fn least_cost(&self, class: u32, work: u128, price: i128, with_own: bool) -> Option<i128> {
         self.nodes
             .iter()
@@ -158,7 +158,7 @@ impl<'a> Group<'a> {
     }
 }
 
-/// The slots between the proof's instants; those that are reversed are empty.
+/// The slots between the proof's instants. A reversed slot is empty.
 pub(crate) fn slots(proof: &Proof) -> Vec<(i64, i64)> {
     let mut reached = i64::MIN;
     let risen = proof.slots.iter().map(|&instant| {
@@ -173,7 +173,7 @@ fn price_at(prices: Option<&Prices>, slot: usize) -> i128 {
     prices.and_then(|prices| prices.per_hour.get(slot)).map_or(0, |&price| i128::from(price.max(0)))
 }
 
-/// Price times time in micro-units, rounded down, at the end of the range of money if it leaves it.
+/// Price times time in micro-units, rounded down. Saturates.
 fn product_down(price: i128, time: u128) -> i128 {
     let time = i128::try_from(time).unwrap_or(i128::MAX);
     let product = price.checked_mul(time).map(|product| product / MICROSECONDS_PER_HOUR);

@@ -1,15 +1,15 @@
-//! From bookings to rentals: when it pays to keep a node between two frames.
+//! From bookings to rentals: when it is cheaper to keep a node between two frames.
 
 use crate::calendar::Window;
 use crate::model::{Node, Rental};
 
-/// The cheapest rentals for these runs of frames within one window; runs are in order and do not touch.
+/// The cheapest rentals for these runs of frames within one window. Runs are sorted and do not touch.
 ///
-/// Each rental covers some neighbouring runs and the idle time between them. A cold rental begins with a
-/// set-up, for which there must be time before its first run; the first one of a warm window may instead begin
-/// with the window. That the first run leaves time for one or the other is the caller's to see to.
+/// Each rental covers neighbouring runs and the idle time between them. A rental begins with a set-up, which
+/// needs time before its first run. Only the first rental of a warm window may begin with the window instead.
+/// The caller ensures that one of the two is possible.
 pub(crate) fn rentals(node: &Node, window: Window, runs: &[(i64, i64)]) -> Vec<Rental> {
-    // `best[i]` pays for the first i runs: its cost, and the rental that comes last in it.
+    // `best[i]` pays for the first i runs: the cost, and the last rental.
     let mut best: Vec<(i64, Option<(usize, Rental)>)> = vec![(0, None)];
     for upto in 1..=runs.len() {
         let end = runs[upto - 1].1;
@@ -22,7 +22,8 @@ pub(crate) fn rentals(node: &Node, window: Window, runs: &[(i64, i64)]) -> Vec<R
                     cheapest = Some((cost, Some((first, rental))));
                 }
             }
-            // One rental over ever more runs only grows; once it costs more than all before, it never pays.
+            // A rental only gets more expensive with more runs. Once it costs more than the best so far, it
+            // never pays.
             let alone = node.price(end.saturating_sub(runs[first].0), false);
             if cheapest.as_ref().is_some_and(|(least, _)| alone > *least) {
                 break;
@@ -40,7 +41,7 @@ pub(crate) fn rentals(node: &Node, window: Window, runs: &[(i64, i64)]) -> Vec<R
     found
 }
 
-/// A rental from run `first` to `end`, if there is time for its beginning; the cheaper one, if there are two.
+/// The cheapest rental from run `first` to `end`. `None` if there is no time for its beginning.
 fn beginning(node: &Node, window: Window, runs: &[(i64, i64)], first: usize, end: i64) -> Option<Rental> {
     let earliest = if first == 0 { window.start } else { runs[first - 1].1 };
     let rental = |start: i64, setup: bool| Rental {
@@ -62,7 +63,7 @@ fn beginning(node: &Node, window: Window, runs: &[(i64, i64)], first: usize, end
     }
 }
 
-/// Parts of a cost that add up to it, in proportion to times, in order.
+/// Splits a cost in proportion to times. The parts add up to the cost.
 pub(crate) fn shares(cost: i64, times: impl Iterator<Item = i64> + Clone) -> impl Iterator<Item = i64> {
     let total: i128 = times.clone().map(i128::from).sum();
     let mut before = 0i128;
@@ -70,7 +71,7 @@ pub(crate) fn shares(cost: i64, times: impl Iterator<Item = i64> + Clone) -> imp
         let part = |upto: i128| if total == 0 { 0 } else { i128::from(cost).saturating_mul(upto) / total };
         let from = part(before);
         before += i128::from(time);
-        // A difference of two parts of an i64 that do not fall is an i64.
+        // The difference of two rising parts of an `i64` is an `i64`.
         i64::try_from(part(before) - from).unwrap_or(i64::MAX)
     })
 }

@@ -1,4 +1,4 @@
-//! When something happens: a new plan that moves as little as it can.
+//! New plans after an event, with as few moves as possible.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,20 +15,20 @@ use crate::problem::Problem;
 use crate::schedule::{as_early_as_possible, in_turns, place_all};
 use crate::state::{Placed, State};
 
-/// Jobs that are asked to make way for one at most.
+/// The most jobs that are asked to make way for one.
 const MOST_ASKED: usize = 12;
 
-/// Something that happened.
+/// Something that happened on the farm.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Event {
-    /// A node died, or has to be serviced.
+    /// A node died, or is being serviced.
     NodeDown {
         /// The node.
         node: u64,
-        /// Since when.
+        /// From this instant on.
         from: i64,
-        /// Until when; none: nobody knows.
+        /// Until this instant. `None`: unknown.
         until: Option<i64>,
     },
     /// A node was added.
@@ -36,16 +36,16 @@ pub enum Event {
         /// The node.
         node: Box<Node>,
     },
-    /// A task turned out to last until this instant.
+    /// A running or finished task ends at a different time than planned.
     Takes {
         /// The job.
         job: u64,
         /// The task.
         task: Task,
-        /// When it ends, or ended.
+        /// When it ends.
         until: i64,
     },
-    /// A job came in.
+    /// A job was added.
     JobAdded {
         /// The job.
         job: Box<Job>,
@@ -67,35 +67,35 @@ pub enum Event {
 /// A plan after an event.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Replanned {
-    /// The input as it is now.
+    /// The input after the event.
     pub input: Input,
-    /// The plan; its parent is the old one.
+    /// The new plan. Its parent is the old one.
     pub plan: Plan,
-    /// What is different.
+    /// The difference from the old plan.
     pub difference: Difference,
-    /// Promises that the old plan kept and this one cannot.
+    /// Promises that the old plan kept and this one breaks.
     pub at_risk: Vec<AtRisk>,
 }
 
-/// A promise that cannot be kept any more.
+/// A promise that can no longer be kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AtRisk {
     /// The job.
     pub job: u64,
-    /// When it would now end; none if never.
+    /// When the job would now end. `None`: never.
     pub finish: Option<i64>,
-    /// The cheapest rescue that was found: a change, and what it costs.
+    /// The cheapest rescue found, and its cost.
     pub rescue: Option<(Change, i64)>,
 }
 
-/// Plans on after an event.
+/// Makes a new plan after an event.
 ///
-/// What is right of the old plan stays. What is not is placed anew at the least cost that keeps its deadline. If that cannot
-/// be, other jobs make way, one at a time, if they can keep their own deadlines elsewhere. If that does not
-/// help either, the promise is reported as at risk, with the cheapest rescue. No promise is broken in silence.
+/// Bookings that are still valid stay. The rest is placed at the least cost that keeps its deadline. If that
+/// fails, one other job at a time makes way, if it can keep its own deadline elsewhere. If that fails too,
+/// the promise is reported as at risk, with the cheapest rescue.
 ///
 /// # Errors
-/// If the input has no meaning before or after the event.
+/// If the input is invalid before or after the event.
 pub fn replan(input: &Input, old: &Plan, event: &Event) -> Result<Replanned, InputError> {
     input.check()?;
     let (input, taken) = after(input, old, event)?;
@@ -111,11 +111,11 @@ pub fn replan(input: &Input, old: &Plan, event: &Event) -> Result<Replanned, Inp
     Ok(replanned)
 }
 
-/// Plans on from how things stand, whatever happened: as [`replan`], with what is different in the input already. `old` holds the bookings
-/// that stand, and its verdicts say which promises there are; a job that it does not name is new.
+/// As [`replan`], for an input that already holds the change. `old` gives the current bookings, and its
+/// verdicts the promises. Jobs that it does not name are new.
 ///
 /// # Errors
-/// If the input has no meaning.
+/// If the input is invalid.
 pub fn mend(input: &Input, old: &Plan) -> Result<Replanned, InputError> {
     mended(Input { movable: Vec::new(), ..input.clone() }, old, &old.bookings)
 }
@@ -130,7 +130,7 @@ fn mended(input: Input, old: &Plan, still: &[Booking]) -> Result<Replanned, Inpu
     let bounds: Vec<Bound> = problem.jobs.iter().map(|work| bound(&problem, work)).collect();
     let together = bound_of_all(&problem, &bounds);
     let parent: PlanId = old.id();
-    // The old plan's prices still prove something, only perhaps less.
+    // Prices prove a bound for any input, though perhaps a weaker one.
     let inherited = Admission::none(&problem).with_proof(old.proof.clone());
     let plan = outcome::plan(&state, &inherited, bounds, together, Some(parent));
     let at_risk = at_risk(&input, old, &plan)?;
@@ -139,7 +139,7 @@ fn mended(input: Input, old: &Plan, still: &[Booking]) -> Result<Replanned, Inpu
     Ok(Replanned { plan, difference, at_risk, input })
 }
 
-/// The input after the event, and the tasks whose bookings are facts by it.
+/// The input after the event, and the tasks whose bookings became fixed by it.
 fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, Task)>), InputError> {
     let mut new = Input { movable: Vec::new(), ..input.clone() };
     let mut taken = Vec::new();
@@ -158,9 +158,9 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
             let booking = old.bookings.iter().find(|booking| (booking.job, booking.task) == (*job, *task));
             if let Some(booking) = booking {
                 let job = own_job(&mut new, *job)?;
-                // It is a fact now, and no longer a task of the job; a shared cache that is done is a later release.
+                // The task becomes a fixed booking. A finished shared cache becomes a later release.
                 let facts: Vec<&Booking> = match task.frame() {
-                    // All parts of the shared cache are, with the one.
+                    // With one part, all parts of the shared cache become fixed.
                     None => {
                         let of_cache =
                             |other: &&Booking| other.job == booking.job && other.task.is_shared_cache();
@@ -194,8 +194,8 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
     Ok((new, taken))
 }
 
-/// Places what has no place, and what has one after its deadline, jobs with the earliest deadline first; then those without a deadline, in
-/// turns.
+/// Places tasks without a place, and those past their deadline, the earliest deadline first. Jobs without a
+/// deadline follow in turns.
 fn repair(state: &mut State) {
     let problem = state.problem;
     let open: Vec<usize> = (0..problem.jobs.len()).filter(|&job| is_open(state, job)).collect();
@@ -213,7 +213,7 @@ fn repair(state: &mut State) {
         }
         as_early_as_possible(state, job);
         if (state.missing_tasks(job), state.finish(job)) >= before {
-            // It helped nobody: what was late stays where it was.
+            // No improvement: the late tasks go back to where they were.
             state.unbook_after(job, state.kept[job]);
             late.into_iter().for_each(|placed| state.book(job, placed));
         }
@@ -229,11 +229,11 @@ fn is_open(state: &State, job: usize) -> bool {
     !state.is_kept(job)
 }
 
-/// Frees what a job has after its deadline, so that it can be placed anew; returns that.
+/// Removes and returns the job's tasks that end after its deadline. All its tasks go if the shared cache is
+/// late.
 fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
     let Some(deadline) = state.problem.jobs[job].job.deadline else { return Vec::new() };
     let is_late = |placed: &Placed| placed.end > deadline;
-    // All frames move with the shared cache.
     let cache_moves = state.placed[job].iter().any(|placed| placed.task.is_shared_cache() && is_late(placed));
     let placed = state.placed[job].iter();
     let moving: Vec<Placed> = placed.filter(|placed| cache_moves || is_late(placed)).copied().collect();
@@ -255,8 +255,9 @@ fn place_in_time(state: &mut State, job: usize) -> bool {
     false
 }
 
-/// Lets other jobs make way, one at a time: each is lifted out, this one placed, the other put back; if both are then in time
-/// (or placed, where the other has no deadline), or this one has a greater priority, it stays so.
+/// Tries to place a job in the time of one other job, which is then placed anew. Accepts the result if the
+/// other job is still in time, or all placed if it has no deadline. A job of higher priority may also push
+/// the other past its deadline.
 fn make_way(state: &mut State, job: usize) -> bool {
     let problem = state.problem;
     let work = &problem.jobs[job];
@@ -282,7 +283,7 @@ fn make_way(state: &mut State, job: usize) -> bool {
     others.sort_unstable();
     for (has_deadline, _, other) in others.into_iter().take(MOST_ASKED) {
         let mut trial = state.clone();
-        // What lies before this job's deadline on nodes that it could use goes; the rest of the other stays.
+        // Only frames before this job's deadline on nodes that it can use are lifted.
         let lifted: Vec<Placed> = trial.placed[other]
             .iter()
             .filter(|placed| matches!(placed.task, Task::Frame(_)))
@@ -295,7 +296,7 @@ fn make_way(state: &mut State, job: usize) -> bool {
         if !place_in_time(&mut trial, job) {
             continue;
         }
-        // Those of the other whose place is still free go back to it; only the rest moves.
+        // Frames whose place is still free go back to it.
         for &placed in &lifted {
             if trial.lanes[placed.node].is_free(placed.start, placed.end) {
                 trial.book(other, placed);
@@ -318,7 +319,7 @@ fn make_way(state: &mut State, job: usize) -> bool {
     false
 }
 
-/// Promises that were kept and are not any more, each with a rescue.
+/// Promises that were kept and now break, each with a rescue.
 fn at_risk(input: &Input, old: &Plan, new: &Plan) -> Result<Vec<AtRisk>, InputError> {
     let mut found = Vec::new();
     for entry in new.jobs.iter().filter(|entry| !entry.verdict.is_kept()) {
@@ -331,7 +332,7 @@ fn at_risk(input: &Input, old: &Plan, new: &Plan) -> Result<Vec<AtRisk>, InputEr
     Ok(found)
 }
 
-/// A task that lasts beyond its job's deadline breaks the promise whatever is planned.
+/// A frame known to end after its job's deadline breaks the promise, whatever the plan.
 fn late_by_fact(input: &Input, old: &Plan, new: &Plan, event: &Event) -> Option<AtRisk> {
     let Event::Takes { job, until, .. } = event else { return None };
     let deadline = find(input, *job).ok()?.deadline.filter(|deadline| until > deadline)?;
@@ -341,7 +342,7 @@ fn late_by_fact(input: &Input, old: &Plan, new: &Plan, event: &Event) -> Option<
     (was_kept && !is_known).then_some(AtRisk { job: *job, finish: Some(*until), rescue })
 }
 
-/// The cheapest of a few changes that let the job be in time around everything else that is booked.
+/// The cheapest of a few changes with which the job is in time, around all other bookings.
 fn rescue(input: &Input, new: &Plan, job: u64) -> Result<Option<(Change, i64)>, InputError> {
     let asked = find(input, job)?;
     let others: Vec<Booking> = new.bookings.iter().filter(|booking| booking.job != job).copied().collect();
@@ -372,7 +373,7 @@ fn rescue(input: &Input, new: &Plan, job: u64) -> Result<Option<(Change, i64)>, 
             continue;
         }
         let added = state.cost().saturating_sub(new.cost);
-        // A later deadline is no rescue while there is one that keeps this one.
+        // More nodes are preferred to a later deadline.
         let keeps = !matches!(change, Change::Later { .. });
         let better = match &best {
             None => true,

@@ -1,4 +1,5 @@
-//! The method: who comes when, and where each frame goes. The crate's `README.md` says why.
+//! List scheduling: the order of jobs, and the place of each frame. The crate's `README.md` explains the
+//! method.
 
 use std::cmp::Reverse;
 
@@ -14,32 +15,30 @@ use crate::problem::Problem;
 use crate::score::Score;
 use crate::state::{Only, Placed, Search, State};
 
-/// Frames that may be placed again in search of a plan that keeps more deadlines: three times those of a studio's week.
+/// The most frames placed in all rounds together: about three times those of a studio's week.
 const MOST_PLACEMENTS: usize = 61_000;
-/// And how often at most.
 const MOST_ROUNDS: usize = 60;
-/// A job that pays more by one part in so many than the programme would have it pay came too late to the nodes that it needs.
+/// A job is overcharged if it pays more than the programme's price by more than one part in this many.
 const OVERCHARGED: i128 = 2;
-/// Together such jobs must pay more by one part in so many of the plan's cost to be worth another round.
+/// Overcharges are worth another round above one part in this many of the plan's cost.
 const WORTH_A_ROUND: i128 = 20;
-/// Tasks of a problem that is small enough to be planned twice.
+/// Problems with at most this many tasks are planned twice.
 const SMALL: usize = 500;
-/// Rounds in which a plan is made cheaper, at most.
 const MOST_IMPROVEMENTS: usize = 3;
 
 /// Makes a plan.
 ///
-/// Bookings that the input calls movable are kept where they are right and do not make their job late. The plan depends on what is in the
-/// input, not on the order in which it is given.
+/// Movable bookings are kept where they are valid and do not make their job late. The order of nodes, jobs
+/// and frames in the input does not matter.
 ///
 /// # Errors
-/// If the input has no meaning; see [`InputError`]. What cannot be met is no error but a verdict.
+/// If the input is invalid. Demands that cannot be met are verdicts, not errors.
 pub fn plan(input: &Input) -> Result<Plan, InputError> {
     plan_with(input, MOST_ROUNDS, MOST_VARIABLES, MOST_IMPROVEMENTS)
 }
 
-/// Makes a plan in a fraction of the time: with a coarser programme, and hardly any second tries. For plans that are made again soon;
-/// the bound is lower, and where time is short more jobs are late.
+/// Makes a plan in a fraction of the time, for farms that are planned again soon. The linear programme is
+/// coarser, and there are few second tries. The bound is lower, and more jobs are late where time is scarce.
 ///
 /// # Errors
 /// As [`plan`].
@@ -61,7 +60,7 @@ fn plan_with(
     Ok(outcome::plan(&state, &admission, bounds.clone(), bound_of_all(&problem, &bounds), None))
 }
 
-/// The best of what list scheduling finds: earliest deadline first, then again with those first that came late.
+/// The best of several rounds of list scheduling: earliest deadline first, then with late jobs first.
 pub(crate) fn schedule<'p, 'a>(
     problem: &'p Problem<'a>,
     admission: &'p Admission,
@@ -78,10 +77,10 @@ pub(crate) fn schedule<'p, 'a>(
         let mut state = if round == 0 || start.kept.iter().all(|&kept| kept == 0) {
             start.clone()
         } else {
-            // What stood before may be what is in the way.
+            // Kept bookings may be what is in the way.
             State::new(problem, admission)
         };
-        // In small problems there is time to also try without a look at the price.
+        // Every other round from the fourth on places frames early, whatever the price.
         run(&mut state, admission, &ahead, round > 2 && round % 2 == 1);
         let score = Score::of(&state);
         let broken: Vec<usize> = (0..problem.jobs.len())
@@ -92,8 +91,8 @@ pub(crate) fn schedule<'p, 'a>(
         if best.as_ref().is_none_or(|(least, _)| score < *least) {
             best = Some((score, state));
         }
-        // Those that were pushed aside, or onto dear nodes, go first the next time (squeaky wheel optimisation, Joslin and Clements 1999).
-        // For money's sake once.
+        // Late jobs go first in the next round (squeaky wheel optimisation, Joslin and Clements 1999). Jobs
+        // that pay too much go first once.
         let squeaky = if broken.is_empty() && round == 0 { overcharged } else { broken };
         if squeaky.is_empty() {
             break;
@@ -103,7 +102,8 @@ pub(crate) fn schedule<'p, 'a>(
     let mut state = best.map_or_else(|| start.clone(), |(_, state)| state);
     improve(&mut state, improvements);
     if count <= SMALL {
-        // A fluid's prices and slots mean little to a few frames: they may also be placed without a thought for others.
+        // The programme's prices and slots mean little for a few frames, so these are also placed without
+        // them.
         let mut selfish = State { for_others: false, ..start.clone() };
         run(&mut selfish, admission, &vec![0; problem.jobs.len()], false);
         improve(&mut selfish, improvements);
@@ -120,7 +120,7 @@ pub(crate) fn schedule<'p, 'a>(
     state
 }
 
-/// The jobs that pay far more than the programme would have them pay, where together they make the plan dear.
+/// Jobs that pay far more than the programme's price, if they make the whole plan expensive.
 fn overcharged(state: &State, admission: &Admission) -> Vec<usize> {
     let problem = state.problem;
     let price = |node: &Node, time: i64| i128::from(price_of(node.price_per_hour, time));
@@ -140,7 +140,7 @@ fn overcharged(state: &State, admission: &Admission) -> Vec<usize> {
     if above > all / WORTH_A_ROUND { found } else { Vec::new() }
 }
 
-/// Places everything that has no place yet. `early`: do not look at the price in the first place.
+/// Places everything that has no place yet. With `early`, the end matters more than the price.
 fn run(state: &mut State, admission: &Admission, ahead: &[u32], early: bool) {
     let problem = state.problem;
     let mut promised: Vec<usize> = Vec::new();
@@ -160,8 +160,7 @@ fn run(state: &mut State, admission: &Admission, ahead: &[u32], early: bool) {
         }
         by_deadline(state, job, &mut allotment, early);
     }
-    // The rest in groups of equal priority: first those that will be late, then those without a deadline, in
-    // turns.
+    // The rest, by priority: first the jobs that will be late, then those without a deadline, in turns.
     others.sort_unstable_by_key(|&job| {
         let job = problem.jobs[job].job;
         (Reverse(job.priority), job.deadline.is_none(), job.deadline, job.id)
@@ -176,8 +175,8 @@ fn run(state: &mut State, admission: &Admission, ahead: &[u32], early: bool) {
     }
 }
 
-/// Places a job by its deadline: as cheaply as its allotment allows; else as cheaply as possible; else as early as
-/// possible. If all fail, what ends first stays.
+/// Places a job by its deadline: within its allotment, else at the least cost, else as early as possible. If
+/// all fail, it is placed as early as possible without the deadline.
 fn by_deadline(state: &mut State, job: usize, allotment: &mut [Allotted], early: bool) {
     let before = state.placed[job].len();
     let attempts: &[(Prefer, bool)] = if early {
@@ -194,7 +193,7 @@ fn by_deadline(state: &mut State, job: usize, allotment: &mut [Allotted], early:
     as_early_as_possible(state, job);
 }
 
-/// Places all tasks of the job by its deadline, or says that it cannot.
+/// Places all tasks of the job by its deadline. Returns whether that succeeded.
 pub(crate) fn place_all(
     state: &mut State,
     job: usize,
@@ -234,7 +233,8 @@ pub(crate) fn place_all(
     true
 }
 
-/// The best place within what a job was allotted, whose length is then used up. At least half of a frame must lie in the slot.
+/// The best place within a job's allotment, which it uses up. At least half of the frame must lie in the
+/// slot.
 fn find_allotted(state: &State, search: &Search, allotment: &mut [Allotted]) -> Option<(usize, Fit)> {
     let mut best: Option<(usize, usize, Fit)> = None;
     for (index, piece) in allotment.iter().enumerate().filter(|(_, piece)| piece.left > 0) {
@@ -257,7 +257,8 @@ fn find_allotted(state: &State, search: &Search, allotment: &mut [Allotted]) -> 
     Some((node, fit))
 }
 
-/// Places the shared cache, if there is one to place: all frames wait for it, so it is only cheap within twice the shortest wait.
+/// Places the shared cache, if any. All frames wait for it, so a cheaper place may at most double the
+/// shortest wait.
 fn place_shared_cache(state: &mut State, job: usize, latest_end: i64) -> bool {
     let work = &state.problem.jobs[job];
     let Some((cache, amount)) = work.job.shared_cache.zip(work.shared_cache_part()) else { return true };
@@ -282,7 +283,7 @@ fn place_shared_cache(state: &mut State, job: usize, latest_end: i64) -> bool {
     true
 }
 
-/// Places what is missing of a job wherever it ends first.
+/// Places the job's missing tasks where each ends first.
 pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     let work = &state.problem.jobs[job];
     if !place_shared_cache(state, job, i64::MAX) {
@@ -294,7 +295,7 @@ pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     }
 }
 
-/// Places a frame where it ends first. Returns the node's time that it takes, or `None` if it fits nowhere.
+/// Places a frame where it ends first. Returns the node time that it needs, or `None` if it fits nowhere.
 fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> Option<i64> {
     let work = &state.problem.jobs[job];
     let release = state.earliest(job, Task::Frame(number))?;
@@ -344,7 +345,8 @@ pub(crate) fn in_turns(state: &mut State, jobs: &[usize]) {
     }
 }
 
-/// Lets a job without a deadline take longer if it would otherwise cost more than its budget: the earliest end that the budget pays for.
+/// If a job without a deadline exceeds its budget, places it anew with the earliest end that the budget
+/// allows.
 fn within_budget(state: &mut State, job: usize) {
     let work = &state.problem.jobs[job];
     let (Some(budget), None) = (work.job.budget, work.job.deadline) else { return };
@@ -393,7 +395,7 @@ fn within_budget(state: &mut State, job: usize) {
     }
 }
 
-/// Places all missing frames of a job at the least price that ends by this instant.
+/// Places all missing frames of a job at the least cost that ends by this instant.
 fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
     let work = &state.problem.jobs[job];
     if !place_shared_cache(state, job, by) {

@@ -1,14 +1,11 @@
-//! What makes one plan better than another.
-
 use std::cmp::Reverse;
 
 use crate::problem::Problem;
 use crate::state::State;
 
-/// What makes one plan better than another: less is better, part by part.
+/// Compares plans, field by field. Less is better.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Score {
-    /// Weights of the jobs that miss their deadline, by priority, greatest first.
     broken: Vec<u64>,
     unplaced: usize,
     lateness: i128,
@@ -34,7 +31,7 @@ impl Score {
     }
 }
 
-/// Weights of the jobs whose deadlines are broken, by priority, greatest first: less is better.
+/// Weights of the jobs that miss their deadline, by priority, highest first. Less is better.
 pub(crate) fn broken(problem: &Problem, is_broken: impl Fn(usize) -> bool) -> Vec<u64> {
     let mut priorities: Vec<i32> = problem.jobs.iter().map(|work| work.job.priority).collect();
     priorities.sort_unstable_by_key(|&priority| Reverse(priority));

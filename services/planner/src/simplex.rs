@@ -1,22 +1,20 @@
 //! Linear programmes: minimise c·x subject to A x ≤ b or A x = b, x ≥ 0, with b ≥ 0.
 //!
-//! The revised primal simplex method with an explicit inverse. What the planner asks has a form that makes this
-//! small method do: every column has two or three entries; a basis is there from the start (every equation comes with a
-//! column of its own, what is not served; every inequality with its slack), so there is no first phase; and
-//! prices are wanted as much as the solution. A general solver would be a dependency several times the size of
-//! this crate, and those in pure Rust either give no prices (microlp) or no vertex (clarabel).
+//! The revised primal simplex method with an explicit inverse. It stays small because the planner's
+//! programmes are special: every column has two or three entries, and a first basis is given, so there is no
+//! first phase. Each equation has a column of its own for unserved work, each inequality has its slack.
 //!
-//! Nobody has to believe the result. Prices are rounded to integers, and what they prove is computed from the
-//! integers ([`crate::proof`]): an inexact solution makes a bound weaker, never wrong.
+//! General solvers in pure Rust give no prices (microlp) or no vertex (clarabel); the planner needs both. An
+//! inexact solution makes a bound weaker, never wrong: [`crate::proof`] rounds the prices to integers and
+//! computes the bound from those.
 
-/// One variable: its cost, and its entries by row.
 #[derive(Clone, Debug)]
 pub(crate) struct Column {
     pub cost: f64,
     pub entries: Vec<(u32, f64)>,
 }
 
-/// A programme. Row i starts with `basis[i]`, a column whose only entry is 1 in this row.
+/// A linear programme. Row i starts with `basis[i]`, a column whose only entry is a 1 in this row.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Programme {
     pub right: Vec<f64>,
@@ -24,27 +22,25 @@ pub(crate) struct Programme {
     pub basis: Vec<usize>,
 }
 
-/// What the method ended with.
 #[derive(Clone, Debug)]
 pub(crate) struct Solution {
-    /// Value of each column.
     pub x: Vec<f64>,
-    /// Price of each row: what the minimum rises by with one more on its right side.
+    /// Price of each row: how much the minimum rises if its right side grows by one.
     pub prices: Vec<f64>,
-    /// Whether no column could improve it any more.
+    /// No column could improve it any more.
     #[cfg(test)]
     pub optimal: bool,
 }
 
-/// A reduced cost above minus this is not worth a step.
+/// A column enters the basis only if its reduced cost is below minus this.
 const TOLERANCE: f64 = 1e-9;
-/// A pivot below this would blow errors up.
+/// Smaller pivots would amplify rounding errors.
 const LEAST_PIVOT: f64 = 1e-9;
-/// Columns looked at before the best of them is taken; all of them, if none is any good.
+/// Columns examined before the best of them enters. If none of them helps, the search goes on.
 const BLOCK: usize = 4096;
 
 impl Programme {
-    /// A row, with the column that is in its basis at first.
+    /// Adds a row, with the column that starts in its basis.
     pub fn row(&mut self, right: f64, own_cost: f64) -> u32 {
         let row = self.right.len() as u32;
         self.right.push(right);
@@ -53,7 +49,7 @@ impl Programme {
         row
     }
 
-    /// Solves the programme, in at most so many steps.
+    /// Solves the programme in at most `most_steps` steps.
     pub fn solve(&self, most_steps: usize) -> Solution {
         let mut state = State::new(self);
         let mut steps = 0;
@@ -83,7 +79,7 @@ struct State<'a> {
     programme: &'a Programme,
     basis: Vec<usize>,
     is_basic: Vec<bool>,
-    /// Column k of the inverse basis, one after the other.
+    /// The inverse basis by columns.
     inverse: Vec<Vec<f64>>,
     /// Values of the basic columns, for the perturbed right side.
     values: Vec<f64>,
@@ -103,7 +99,7 @@ impl<'a> State<'a> {
                 column
             })
             .collect();
-        // A different speck on every right side breaks the ties in which the method could go round in circles.
+        // A different small perturbation of each right side breaks ties, so that the method cannot cycle.
         let speck = |row: usize, value: f64| {
             (1.0 + value) * 1e-9 * (1.0 + (row as f64 * 0.618_033_988_749_894_9).fract())
         };
@@ -152,7 +148,7 @@ impl<'a> State<'a> {
         best.map(|(_, index)| index)
     }
 
-    /// Takes the column into the basis. False if nothing bounds it, or no pivot is safe.
+    /// Takes the column into the basis. Returns false if nothing bounds it, or no pivot is safe.
     fn step(&mut self, entering: usize) -> bool {
         let rows = self.basis.len();
         let column = &self.programme.columns[entering];
@@ -187,7 +183,7 @@ impl<'a> State<'a> {
             }
             let factor = at_pivot / pivot;
             if is_dense {
-                // Several rows at a time are faster than those that matter one by one.
+                // A dense loop vectorises. It is faster than picking rows.
                 for (entry, slope) in inverse.iter_mut().zip(&direction) {
                     *entry -= factor * slope;
                 }
@@ -226,7 +222,8 @@ mod tests {
 
     #[test]
     fn a_transport_problem_with_a_known_answer_and_prices() {
-        // Two jobs of 4 and 3 hours; machine one costs 1 an hour and has 5 hours, machine two costs 3 and has 9.
+        // Two jobs of 4 and 3 hours; machine one costs 1 an hour and has 5 hours, machine two costs 3 and has
+        // 9.
         let mut programme = Programme::default();
         let jobs = [programme.row(4.0, 100.0), programme.row(3.0, 100.0)];
         let machines = [programme.row(5.0, 0.0), programme.row(9.0, 0.0)];

@@ -1,4 +1,5 @@
-//! How sure a plan is: it is carried out many times with work drawn from the forecast's distribution.
+//! The risk of a plan, by Monte Carlo: the plan runs many times, with work drawn from the forecast's
+//! distribution.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,10 +10,10 @@ use crate::chance::normal;
 use crate::model::{Input, InputError, JobPlan, Plan, Task, Verdict, price_of};
 use crate::problem::Problem;
 
-/// What came out of the scenarios.
+/// The result of all scenarios.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Simulation {
-    /// How many scenarios were drawn.
+    /// The number of scenarios.
     pub scenarios: u32,
     /// By job.
     pub jobs: Vec<JobRisk>,
@@ -20,34 +21,35 @@ pub struct Simulation {
     pub cost: [i64; 3],
 }
 
-/// One job over all scenarios.
+/// The risk of one job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobRisk {
     /// The job.
     pub job: u64,
-    /// In how many scenarios it missed its deadline.
+    /// The number of scenarios in which it missed its deadline.
     pub late: u32,
-    /// End of its last frame at P50, P80 and P95; none if it then finds no more free time.
+    /// End of its last frame at P50, P80 and P95. `None` if the job then finds no more free time.
     pub finish: [Option<i64>; 3],
 }
 
 impl JobRisk {
-    /// Probability of being late.
+    /// The probability of being late, from 0 to 1.
     pub fn probability(&self, scenarios: u32) -> f64 {
         if scenarios == 0 { 0.0 } else { f64::from(self.late) / f64::from(scenarios) }
     }
 }
 
-/// Carries the plan out in so many scenarios. The same seed gives the same answer.
+/// Runs the plan in this many scenarios. The same seed gives the same result.
 ///
-/// The work of a job's frames is its forecast median times a factor that all its frames share, whose quantiles are those of the
-/// job's total, times a factor of its own. Every node renders what the plan gave it in the plan's order: each task as soon
-/// as the node is done with the one before, its job is released and its shared cache filled, in the first free stretch that is
-/// long enough. Costs vary with rented time; set-ups and
-/// rounding to steps stay what they are in the plan.
+/// The work of a frame is its forecast median, times a factor that all frames of the job share, times a
+/// factor of its own. The shared factor has the quantiles of the job's total.
+///
+/// Every node keeps the plan's order. A task starts in the first free stretch that is long enough, once the
+/// node is idle, the job released and its shared cache done. Costs vary with rented time. Set-ups and
+/// rounding to billing steps cost what they cost in the plan.
 ///
 /// # Errors
-/// If the input has no meaning.
+/// If the input is invalid.
 pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result<Simulation, InputError> {
     input.check()?;
     let problem = Problem::new(input);
@@ -77,7 +79,7 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
     Ok(Simulation { scenarios, jobs: jobs.collect(), cost: [at(&costs, 50), at(&costs, 80), at(&costs, 95)] })
 }
 
-/// Time that a job has a node in a scenario.
+/// Time of a node that a job uses in a scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stretch {
     /// The job.
@@ -86,15 +88,15 @@ pub struct Stretch {
     pub node: u64,
     /// First instant.
     pub start: i64,
-    /// The instant after the last; the end of time if there is no free stretch that is long enough.
+    /// The instant after the last. `i64::MAX` if no free stretch is long enough.
     pub end: i64,
 }
 
-/// Carries the plan out as [`simulate`] does, and shows what happens in each scenario: its number, and the stretches in the order of the
-/// plan's bookings.
+/// Runs the plan as [`simulate`] does. Calls `visit` for each scenario with its number and the stretches, in
+/// the order of the plan's bookings.
 ///
 /// # Errors
-/// If the input has no meaning.
+/// If the input is invalid.
 pub fn scenarios(
     input: &Input,
     plan: &Plan,
@@ -117,21 +119,21 @@ pub fn scenarios(
     Ok(())
 }
 
-/// The least of the sorted values that so many per cent do not exceed; zero of none.
+/// The quantile of sorted values. Zero if there are none.
 fn at(sorted: &[i64], per_cent: usize) -> i64 {
     let rank = (sorted.len() * per_cent).div_ceil(100);
     sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0)
 }
 
-/// A booking as the scenarios need it.
+/// A booking and its distribution.
 struct Drawn {
     job: usize,
     node: usize,
     task: Task,
-    /// Length for the median, and as booked.
+    /// Length at the median of the work.
     median: f64,
     bought: i64,
-    /// Standard deviation of the logarithm of its own factor.
+    /// Standard deviation of the logarithm of the frame's own factor.
     own: f64,
     price_per_hour: i64,
 }
@@ -173,7 +175,8 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
         .collect()
 }
 
-/// One scenario: the end of each job, and what the time costs. `visit` is shown each task with its start and end.
+/// Runs one scenario. Returns the end of each job, and the cost of the time. `visit` gets each task with its
+/// start and end.
 fn carry_out(
     problem: &Problem,
     tasks: &[Drawn],
@@ -196,12 +199,12 @@ fn carry_out(
         let number = task.task.frame().map_or(u64::MAX, |frame| frame as u64);
         let own = if task.own > 0.0 {
             let z = normal(seed, &[scenario, work.job.id, number]);
-            // Its mean is one, so that the frames' own factors do not move the total.
+            // The mean is one, so that the frames' own factors do not change the total.
             libm::exp(task.own * z - task.own * task.own / 2.0)
         } else {
             1.0
         };
-        // A float beyond the range of time becomes its end.
+        // Saturates beyond the range of time.
         let length = ((task.median * factors[task.job] * own).ceil() as i64).max(1);
         let end = first_end(problem, task, free_from[task.node].max(ready[task.job]), length);
         visit(task, if end < i64::MAX { end - length } else { end }, end);
@@ -215,7 +218,7 @@ fn carry_out(
     (ends, cost)
 }
 
-/// The end of a task that may start from this instant on; the end of time if it fits nowhere.
+/// The earliest end of a task that starts at `from` or later. `i64::MAX` if it fits nowhere.
 fn first_end(problem: &Problem, task: &Drawn, from: i64, length: i64) -> i64 {
     let node = problem.nodes[task.node];
     let windows = &problem.windows[task.node];

@@ -1,57 +1,51 @@
-//! A plan in the making: every node's lane, and where each task lies.
+//! A plan under construction: every node's lane, and the place of each task.
 
 use crate::admission::{Admission, IN_A_MICRO_UNIT};
 use crate::lane::{Fit, Lane, Market, Prefer, Wanted};
 use crate::model::{Booking, SharedCache, Task};
 use crate::problem::Problem;
 
-/// A task's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Placed {
-    /// Index of the node.
     pub node: usize,
     pub start: i64,
     pub end: i64,
     pub task: Task,
 }
 
-/// Rank, id and index of the node, and the place on it.
+/// Rank, node id, node index, and the place on the node.
 type Candidate = ((i128, i64, i64), u64, usize, Fit);
 
-/// What a place is looked for with.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Search<'s> {
     pub class_of_work: u32,
     pub work: u64,
     pub release: i64,
     pub latest_end: i64,
-    /// Classes of nodes to look at.
+    /// Classes of nodes to search.
     pub classes: &'s [usize],
     pub prefer: Prefer,
-    /// Which places count.
     pub only: Only,
-    /// Whether a place costs what others would pay for it as well.
+    /// Add to the cost what others would pay for the time.
     pub for_others: bool,
 }
 
-/// Which of the places that are found count.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Only {
-    /// Places that cost this or more are of no use.
+    /// The place must cost less than this.
     pub below: i64,
     /// A node to leave out.
     pub except: Option<usize>,
-    /// Plainly billed nodes on which nothing was freed since this instant of [`State::clock`] are left out: for who found no place on
-    /// them then. Zero leaves none out.
+    /// Skips plainly billed nodes on which nothing was freed since this count of [`State::clock`], for tasks
+    /// that found no place there at that time. Zero skips none.
     pub freed_since: u64,
 }
 
 impl Only {
-    /// All places.
     pub const ANY: Self = Self { below: i64::MAX, except: None, freed_since: 0 };
 }
 
-/// What others would pay for a class's time, as the programme says.
+/// What others would pay for the time of a class of nodes, by the linear programme.
 struct Priced<'s> {
     admission: &'s Admission,
     class: usize,
@@ -72,20 +66,21 @@ impl Market for Priced<'_> {
     }
 }
 
-/// A plan in the making.
+/// A plan under construction.
 #[derive(Clone)]
 pub(crate) struct State<'p, 'a> {
     pub problem: &'p Problem<'a>,
-    /// Says where time is scarce.
+    /// Knows where time is scarce.
     pub admission: &'p Admission,
-    /// Whether list scheduling minds what others would pay for a place, and in which slots the programme has a job.
+    /// List scheduling respects what others would pay for a place, and the slots that the programme gave a
+    /// job.
     pub for_others: bool,
     pub lanes: Vec<Lane>,
-    /// By job, in the order in which they were placed.
+    /// By job, in the order of placement.
     pub placed: Vec<Vec<Placed>>,
-    /// Whether a task was there before and is not to move: by job, how many at the front of `placed`.
+    /// By job: the first tasks of `placed` that must not move.
     pub kept: Vec<usize>,
-    /// How often something was freed.
+    /// Counts releases of booked time.
     pub clock: u64,
 }
 
@@ -104,7 +99,7 @@ impl<'p, 'a> State<'p, 'a> {
         }
     }
 
-    /// Keeps what is right of these bookings; shared caches come first, so that frames can be judged by them.
+    /// Keeps these bookings where they are valid. Shared caches come first, since frames depend on them.
     pub fn keep(&mut self, bookings: &[Booking]) {
         let mut sorted = bookings.to_vec();
         sorted.sort_unstable_by_key(|booking| (!booking.task.is_shared_cache(), *booking));
@@ -134,8 +129,8 @@ impl<'p, 'a> State<'p, 'a> {
         Booking { start, node: self.problem.nodes[node].id, job: self.problem.jobs[job].job.id, task, end }
     }
 
-    /// Before this instant the task cannot start: release, and for frames the end of the shared cache. None if the shared cache
-    /// has no place yet.
+    /// The earliest start of a task: its release and, for a frame, the end of the shared cache. `None` while
+    /// the shared cache has no place.
     pub fn earliest(&self, job: usize, task: Task) -> Option<i64> {
         let work = &self.problem.jobs[job];
         let release = work.release(self.problem.input.now);
@@ -149,7 +144,7 @@ impl<'p, 'a> State<'p, 'a> {
         cache_parts.map(|part| part.end.max(release)).max()
     }
 
-    /// The best place on these classes of nodes; among equals, on the node with the least id.
+    /// The best place on these classes of nodes. Ties go to the node with the lowest id.
     pub fn find(&self, search: &Search) -> Option<(usize, Fit)> {
         let problem = self.problem;
         let mut classes: Vec<(i64, i64, usize)> = search
@@ -162,12 +157,11 @@ impl<'p, 'a> State<'p, 'a> {
             })
             .collect();
         classes.sort_unstable();
-        // Rank and id decide; index and place go with them.
         let mut best: Option<Candidate> = None;
         for (_, duration, class) in classes {
             let wanted = Wanted { release: search.release, latest_end: search.latest_end, duration };
             let market = Priced { admission: self.admission, class, for_others: search.for_others };
-            // Of nodes that are the same and empty, the first will do.
+            // Empty nodes of one class are alike, so the first is enough.
             let mut empty: Option<usize> = None;
             for &index in &problem.classes[class] {
                 let (node, lane) = (problem.nodes[index], &self.lanes[index]);
@@ -221,7 +215,7 @@ impl<'p, 'a> State<'p, 'a> {
         self.clock += 1;
     }
 
-    /// Takes back what was placed after the first `count` tasks of the job.
+    /// Removes all but the first `count` placed tasks of the job.
     pub fn unbook_after(&mut self, job: usize, count: usize) {
         let count = count.min(self.placed[job].len());
         for last in self.placed[job].split_off(count).into_iter().rev() {
@@ -229,19 +223,17 @@ impl<'p, 'a> State<'p, 'a> {
         }
     }
 
-    /// What all rentals cost.
     pub fn cost(&self) -> i64 {
         let rentals = self.lanes.iter().zip(&self.problem.nodes).flat_map(|(lane, node)| lane.rentals(node));
         rentals.fold(0i64, |sum, rental| sum.saturating_add(rental.cost))
     }
 
-    /// End of what is placed of a job.
     pub fn finish(&self, job: usize) -> i64 {
         let release = self.problem.jobs[job].release(self.problem.input.now);
         self.placed[job].iter().map(|placed| placed.end).max().unwrap_or(release)
     }
 
-    /// Numbers of the job's frames that have no place.
+    /// Numbers of the job's frames without a place.
     pub fn missing(&self, job: usize) -> Vec<i64> {
         let there: std::collections::BTreeSet<i64> =
             self.placed[job].iter().filter_map(|placed| placed.task.frame()).collect();
@@ -251,23 +243,23 @@ impl<'p, 'a> State<'p, 'a> {
         missing
     }
 
-    /// The tasks of the shared cache that have no place.
+    /// Tasks of the shared cache without a place.
     pub fn missing_cache_parts(&self, job: usize) -> Vec<Task> {
         let all = self.problem.jobs[job].job.shared_cache.into_iter().flat_map(SharedCache::tasks);
         all.filter(|&task| !self.placed[job].iter().any(|placed| placed.task == task)).collect()
     }
 
-    /// Whether the shared cache, or a part of it, has no place although there is one.
+    /// Whether the job has a shared cache of which some part has no place.
     pub fn misses_shared_cache(&self, job: usize) -> bool {
         !self.missing_cache_parts(job).is_empty()
     }
 
-    /// How many frames have no place, the shared cache's tasks included.
+    /// The number of frames and shared-cache tasks without a place.
     pub fn missing_tasks(&self, job: usize) -> usize {
         self.missing(job).len() + self.missing_cache_parts(job).len()
     }
 
-    /// Whether all is placed, and by the deadline if there is one.
+    /// Whether everything is placed, by the deadline if there is one.
     pub fn is_kept(&self, job: usize) -> bool {
         let deadline = self.problem.jobs[job].job.deadline;
         !self.misses_shared_cache(job)
@@ -276,7 +268,7 @@ impl<'p, 'a> State<'p, 'a> {
     }
 }
 
-/// Whether a frame that has the one cannot also have the other.
+/// Whether a job cannot have both tasks.
 fn excludes(one: Task, other: Task) -> bool {
     match (one, other) {
         (Task::SharedCachePart { part: p, parts: m }, Task::SharedCachePart { part: q, parts: n }) => {

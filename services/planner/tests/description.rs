@@ -1,4 +1,4 @@
-//! Farm descriptions: the example is planned, and mistakes are named.
+//! Farm descriptions: the example can be planned, and mistakes are named.
 
 use forelight_planner::{Description, DescriptionError, plan, verify};
 
@@ -15,7 +15,7 @@ fn the_example_is_planned() {
     let found = plan(&input).expect("a plan");
     assert_eq!(verify(&input, &found), Ok(()));
     assert!(found.jobs.iter().all(|entry| entry.verdict.is_kept()), "{:?}", found.jobs);
-    // Clocks go forward on 29 March: the desks are free over the weekend without a break, and the night is 11 hours.
+    // Clocks go forward on 29 March. The desks are free all weekend, and that night has 11 hours.
     let desk = &input.nodes[8];
     assert_eq!(desk.name, "desk-1");
     let hours: Vec<i64> =
@@ -94,7 +94,7 @@ fn mistakes_are_named() {
     ));
     let text = EXAMPLE.replace("\"mon\"", "\"monday\"");
     let wrong = serde_json::from_str::<Description>(&text).expect_err("no such day").to_string();
-    assert!(wrong.contains("\"monday\" is no day of the week"), "{wrong}");
+    assert!(wrong.contains("\"monday\" is not a day of the week"), "{wrong}");
     let unknown = EXAMPLE.replace("\"hours\": 0.3", "\"hours\": 0.3, \"colour\": 1");
     assert!(serde_json::from_str::<Description>(&unknown).is_err());
 }

@@ -1,4 +1,4 @@
-//! Plans by hand: what comes out, and that bad input is named.
+//! Plans of small farms with known answers, and errors for bad input.
 
 use forelight_planner::chance::bits;
 use forelight_planner::{
@@ -220,14 +220,14 @@ fn a_small_farm_that_is_late_whatever_it_does_is_late_by_no_more_than_it_has_to_
     let nodes = || vec![node(1, 1_000_000), node(2, 1_000_000)];
     let found = sound(&input(nodes(), vec![job(1, Some(5), &[3, 3, 2, 2, 2])]));
     assert_eq!(found.jobs[0].verdict, Verdict::Late { finish: 6, by: 1, unavoidable: true });
-    // Whoever can be in time stays so, however late that makes another.
+    // A job that can be in time stays in time, however late another becomes.
     let found = sound(&input(nodes(), vec![job(1, Some(2), &[2, 2]), job(2, Some(3), &[3, 3, 2, 2, 2])]));
     assert_eq!(found.jobs[0].verdict, Verdict::Feasible { finish: 2, slack: 0 });
     assert!(matches!(found.jobs[1].verdict, Verdict::Late { finish: 8, by: 5, .. }), "{:?}", found.jobs);
 }
 
-/// Where list scheduling puts these frames of one job, by nothing but a list of what is taken on each node: in this order, each where it ends
-/// first, on the first node among equals.
+/// A reference for list scheduling of one job's frames: in this order, each frame goes where it ends first,
+/// and ties go to the first node.
 fn one_by_one(nodes: &[Node], works: &[(i64, u64)]) -> Vec<(i64, u64, i64, i64)> {
     let mut taken: Vec<Vec<(i64, i64)>> = nodes
         .iter()

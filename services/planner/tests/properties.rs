@@ -1,4 +1,4 @@
-//! The wanted properties of the README, on random instances.
+//! The README's properties, on random inputs.
 
 use forelight_planner::{
     Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, curve, explain,
@@ -56,7 +56,7 @@ prop_compose! {
     }
 }
 
-/// Identical nodes, one unit of work a microsecond, free from instant zero.
+/// Identical nodes that do one unit of work per microsecond, free from instant zero.
 fn identical(nodes: u64, works: &[u64], deadline: Option<i64>) -> Input {
     let total: u64 = works.iter().sum();
     Input {
@@ -92,7 +92,7 @@ fn finish(input: &Input) -> i64 {
     }
 }
 
-/// The least makespan of all assignments of works to identical nodes.
+/// The least makespan of all assignments to identical nodes.
 fn optimum(loads: &mut Vec<u64>, works: &[u64]) -> u64 {
     let Some((&work, rest)) = works.split_first() else { return loads.iter().copied().max().unwrap_or(0) };
     (0..loads.len())
@@ -168,8 +168,8 @@ proptest! {
 
     #[test]
     fn a_later_deadline_never_makes_it_worse(nodes in 1u64..5, works in works(), deadline in 0i64..9000, more in 0i64..9000) {
-        // By how much a job is late, not by how much it is early: a small farm that list scheduling leaves late is searched for a
-        // plan that is in time, and that one may end later than the list's does under a deadline that the list keeps.
+        // Only lateness counts. If list scheduling is late on a small farm, a search finds a plan in time,
+        // which may end later than the list's plan for a later deadline.
         let tardiness = |deadline| match plan(&identical(nodes, &works, Some(deadline))).expect("a plan").jobs[0].verdict {
             Verdict::Feasible { .. } => 0,
             Verdict::Late { by, .. } => by,
@@ -180,8 +180,7 @@ proptest! {
 
     #[test]
     fn the_unit_of_work_does_not_matter(input in any_input(), factor in 1u64..1000) {
-        // Scaling must stay in range, and quantiles that scale frames by fractions round differently: medians
-        // are bought.
+        // Scaling must stay in range. Medians are booked, since other quantiles round differently.
         let mut small = input;
         small.nodes.iter_mut().for_each(|node| node.speed = node.speed.min(10_000_000));
         for job in &mut small.jobs {
@@ -214,13 +213,12 @@ proptest! {
     }
 }
 
-/// All deadlines far enough away, everything else random: the plans of these farms are rich in calendars, shared caches,
-/// set-ups and steps.
+/// Random farms with calendars, shared caches, set-ups and billing steps. All deadlines are far away.
 fn studio_input() -> impl Strategy<Value = Input> {
     (1u64..12, 1u64..60, 1u64..20, 1u64..8, any::<u64>(), 0usize..4).prop_map(
         |(jobs, frames, nodes, classes, seed, without)| {
             let mut input = studio(Size { jobs, frames: frames.max(jobs), nodes, classes, days: 3 }, seed);
-            // Some jobs without a deadline, so that turns are taken.
+            // Some jobs have no deadline, so that they take turns.
             input.jobs.iter_mut().take(without).for_each(|job| job.deadline = None);
             for job in &mut input.jobs {
                 job.shared_cache.iter_mut().for_each(|cache| cache.parts = (job.id % 4) as u32);
@@ -230,7 +228,7 @@ fn studio_input() -> impl Strategy<Value = Input> {
     )
 }
 
-/// Frames without a place, and then the end.
+/// The number of unplaced frames, and then the end.
 fn how_bad(verdict: &Verdict) -> (usize, Option<i64>) {
     match verdict {
         Verdict::Unplaced { frames, .. } => (frames.len(), None),
@@ -277,16 +275,16 @@ proptest! {
         for entry in &new.plan.jobs {
             let kept = old.job(entry.job).is_some_and(|before| before.verdict.is_kept());
             let told = new.at_risk.iter().any(|risk| risk.job == entry.job);
-            prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} is broken in silence", entry.job);
+            prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} breaks its deadline without a warning", entry.job);
         }
         if kind == 2 {
-            // What is late may come earlier in the time that has become free, and a job that is right may make way for one that was
-            // late and is in time with its help: one for each such job, and without harm to itself.
+            // Late jobs may move into the freed time. One job in time may move, without harm to itself, for
+            // each late job that this helps.
             let was_right = |job| old.job(job).is_some_and(|before| before.verdict.is_kept());
             let moved: BTreeSet<u64> = new.difference.moved.iter().map(|(was, _)| was.job).filter(|&job| was_right(job)).collect();
             let helped = new.plan.jobs.iter().filter(|entry| entry.verdict.is_kept() && !was_right(entry.job)).count();
-            prop_assert!(moved.len() <= helped, "{:?} moved, but only {} are in time for it", moved, helped);
-            prop_assert!(new.at_risk.is_empty(), "more room breaks no promise: {:?}", new.at_risk);
+            prop_assert!(moved.len() <= helped, "{:?} moved, but only {} became in time", moved, helped);
+            prop_assert!(new.at_risk.is_empty(), "free time breaks no promise: {:?}", new.at_risk);
             for entry in new.plan.jobs.iter().filter(|entry| !entry.verdict.is_kept()) {
                 let before = old.job(entry.job).map(|before| how_bad(&before.verdict));
                 prop_assert!(Some(how_bad(&entry.verdict)) <= before, "job {} is worse off: {:?}", entry.job, entry.verdict);
@@ -307,7 +305,7 @@ proptest! {
     fn mending_breaks_no_promise_in_silence(input in studio_input(), slower in 0usize..8, by in 2u64..4) {
         let first = plan(&input).expect("a plan");
         prop_assume!(!input.jobs.is_empty());
-        // One job turns out to take so many times as long.
+        // One job takes this many times as long.
         let mut now = input.clone();
         let slow = slower % now.jobs.len();
         let job = &mut now.jobs[slow];
@@ -319,7 +317,7 @@ proptest! {
         for entry in &mended.plan.jobs {
             let kept = first.job(entry.job).is_some_and(|before| before.verdict.is_kept());
             let told = mended.at_risk.iter().any(|risk| risk.job == entry.job);
-            prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} is broken in silence", entry.job);
+            prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} breaks its deadline without a warning", entry.job);
         }
     }
 
@@ -333,7 +331,7 @@ proptest! {
 
     #[test]
     fn the_bound_never_rises_with_a_later_deadline_or_a_cheaper_node(seed in any::<u64>(), later in 1i64..20) {
-        // On small farms that are billed as used the plan is the optimum, so that its cost may not rise either.
+        // On small farms billed as used, the plan is optimal, so its cost may not rise.
         let input = tiny(seed, false);
         let before = plan(&input).expect("a plan");
         prop_assume!(before.jobs.iter().all(|entry| entry.verdict.is_kept()));
@@ -395,7 +393,7 @@ fn as_many_jobs_of_a_small_farm_are_in_time_as_can_be_while_all_are_rendered() {
     for seed in 0..2000 {
         let input = tiny(seed, false);
         let kept = plan(&input).expect("a plan").jobs.iter().filter(|entry| entry.verdict.is_kept()).count();
-        // Deadlines that are not to be kept are years away.
+        // Deadlines that need not be kept are years away.
         let is_possible = |set: usize| {
             let mut input = input.clone();
             let others = input.jobs.iter_mut().enumerate().filter(|(job, _)| set >> job & 1 == 0);
@@ -405,7 +403,7 @@ fn as_many_jobs_of_a_small_farm_are_in_time_as_can_be_while_all_are_rendered() {
         let sets = 0..1usize << input.jobs.len();
         let Some(most) = sets.filter(|&set| is_possible(set)).map(usize::count_ones).max() else { continue };
         hopeless += u32::from((most as usize) < input.jobs.len());
-        // It may be more where frames that would be too late are left out.
+        // It may be more, since the plan may leave out frames that would be late.
         assert!(kept >= most as usize, "seed {seed}: {kept} of {most}");
     }
     assert!(hopeless > 200, "{hopeless} farms have too little time");

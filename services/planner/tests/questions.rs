@@ -1,4 +1,4 @@
-//! What people ask, on farms small enough to know the answer.
+//! Questions about plans, on farms with known answers.
 
 use forelight_planner::{
     Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, SharedCache, Task, Usage,
@@ -65,7 +65,7 @@ fn frames_wait_for_their_shared_cache() {
         Job { shared_cache: Some(SharedCache { class: 0, work: 3600, parts: 1 }), ..job(1, None, &[2, 2]) };
     let found = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![cached]));
     assert_eq!(found.jobs[0].verdict, Verdict::NoDeadline { finish: 3 * HOUR });
-    // In two parts the shared cache takes both nodes for half as long.
+    // In two parts, the shared cache occupies both nodes for half as long.
     let split =
         Job { shared_cache: Some(SharedCache { class: 0, work: 7200, parts: 2 }), ..job(1, None, &[2, 2]) };
     let split = sound(&input(vec![node(1, 1, 0), node(2, 1, 0)], vec![split]));
@@ -184,7 +184,7 @@ fn a_job_without_a_deadline_makes_way_for_one_that_would_be_late() {
 fn when_a_job_is_withdrawn_another_makes_way_for_one_that_was_late() {
     let small = Node { speeds: [(3, 0)].into(), ..node(1, 1, 1_000_000) };
     let large = Node { speeds: [(2, 0)].into(), ..node(2, 1, 2_000_000) };
-    // The first goes anywhere, the second only to the small node, the third only to the large one.
+    // The first job fits on both nodes, the second only on the small one, the third only on the large one.
     let anywhere = Job { weight: 3, ..job(1, Some(2), &[2]) };
     let on_small = Job { class: 2, ..job(2, Some(3), &[2]) };
     let on_large = Job { class: 3, weight: 3, ..job(3, Some(2), &[2]) };

@@ -1,4 +1,4 @@
-//! The verifier must find every fault that is put into a good plan.
+//! The verifier finds every fault that is put into a good plan.
 
 use forelight_planner::{
     Bound, Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Task, Verdict, Violation,
@@ -33,7 +33,7 @@ fn input() -> Input {
     }
 }
 
-/// What the verifier says of a good plan that was tampered with.
+/// The violations of a good plan after tampering.
 fn faults(tamper: impl FnOnce(&mut Plan)) -> Vec<Violation> {
     let input = input();
     let mut plan = plan(&input).expect("a plan");
@@ -55,7 +55,7 @@ fn a_booking_outside_the_calendar_is_found() {
 
 #[test]
 fn an_interval_that_continues_another_is_no_gap() {
-    // The bookings across the instant 60 pass in the plan that `faults` starts from.
+    // The bookings across instant 60, in the plan that `faults` starts from.
     let plan = plan(&input()).expect("a plan");
     assert!(plan.bookings.iter().any(|b| b.start < 60 && b.end > 60));
 }

@@ -1,4 +1,4 @@
-//! Plots as SVG, and the ones that both the service and the commands draw.
+//! SVG plots, and the plots that both the service and the commands draw.
 
 mod price_curve;
 mod time_axis;

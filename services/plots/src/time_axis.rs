@@ -17,7 +17,7 @@ pub fn time_ticks(from: i64, until: i64) -> Vec<i64> {
     ticks.take_while(|&tick| tick <= until).collect()
 }
 
-/// Formats day and time to the minute, such as `27 Mar 18:00`. Empty for instants outside the calendar's range.
+/// Formats day and time to the minute, such as `27 Mar 18:00`. Empty outside the calendar's range.
 pub fn clock(instant: i64) -> String {
     jiff::Timestamp::from_microsecond(instant)
         .map_or_else(|_| String::new(), |at| at.strftime("%d %b %H:%M").to_string())

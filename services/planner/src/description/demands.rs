@@ -1,8 +1,7 @@
-//! What tasks demand of their nodes: a class of work, memory and cores.
+//! Demands of jobs on nodes, as classes of work.
 //!
-//! All that the planner knows of a node's abilities is its speed for each class of work: zero if it cannot do it. So every
-//! demand that differs from the others becomes a class of its own, and nodes that lack the memory or the cores have speed
-//! zero for it.
+//! The planner knows a node's abilities only as a speed for each class of work. So every distinct demand for
+//! memory and cores becomes a class. Nodes that do not meet it have speed zero for that class.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,7 +15,7 @@ const GIB: f64 = (1u64 << 30) as f64;
 
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 struct Demand {
-    /// The class by name; `None` for work that is not named.
+    /// The class's name. `None` for unnamed work.
     class: Option<String>,
     memory: u64,
     gpu_memory: u64,
@@ -35,7 +34,7 @@ impl Demand {
     }
 }
 
-/// The classes of work of a description: their numbers by demand. Number zero is work without a demand.
+/// The classes of work of a description: their numbers by demand. Number zero is work without demands.
 pub(super) struct Demands(BTreeMap<Demand, u32>);
 
 impl Demands {
@@ -47,17 +46,15 @@ impl Demands {
             all.insert(Demand::new(&job.class, job)?);
             all.insert(Demand::new(&job.shared_cache_class, job)?);
         }
-        // The least of all.
+        // It sorts first, so it is number zero.
         all.insert(Demand::default());
         Ok(Demands(all.into_iter().zip(0..).collect()))
     }
 
-    /// The number of a job's class of work.
     pub(super) fn class(&self, class: &Option<String>, job: &JobEntry) -> Result<u32, DescriptionError> {
         Ok(self.0.get(&Demand::new(class, job)?).copied().unwrap_or(0))
     }
 
-    /// A node's speed for each class of work.
     pub(super) fn speeds(&self, node: &NodeEntry) -> Result<BTreeMap<u32, u64>, DescriptionError> {
         let at = format!("node {:?}", node.name);
         let memory = scaled(node.memory_gib, GIB, &at, "memory_gib")?;

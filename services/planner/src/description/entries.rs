@@ -1,4 +1,4 @@
-//! What stands in a description, and what holds where nothing stands.
+//! The fields of a description, and their defaults.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use serde::{Deserialize, Deserializer};
 #[serde(deny_unknown_fields)]
 pub struct Description {
     pub(super) now: Timestamp,
-    /// Time zone of windows that name none.
+    /// Default time zone of windows.
     #[serde(default = "utc")]
     pub(super) zone: String,
     pub(super) half_life: Option<String>,
@@ -114,7 +114,7 @@ pub(super) struct JobEntry {
     #[serde(default = "eighty")]
     pub(super) confidence: u8,
     pub(super) frames: Frames,
-    /// Median hours of a frame at speed one, where `frames` is a count.
+    /// Median hours of a frame at speed one, if `frames` is a count.
     pub(super) hours: Option<f64>,
     /// P80 over P50 of one frame's work.
     #[serde(default = "unit")]
@@ -126,7 +126,7 @@ pub(super) struct JobEntry {
     pub(super) shared_cache_hours: Option<f64>,
     #[serde(alias = "seed_class")]
     pub(super) shared_cache_class: Option<String>,
-    /// Into how many equal parts the shared cache is split.
+    /// The number of equal parts of the shared cache.
     #[serde(default = "one", alias = "seed_parts")]
     pub(super) shared_cache_parts: u32,
     #[serde(default)]
@@ -155,11 +155,10 @@ pub(super) struct FrameEntry {
     pub(super) hours: f64,
 }
 
-/// `mon`, `tue`, …
 fn days<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Weekday>, D::Error> {
     let day = |name: &String| {
         let parsed = strtime::parse("%a", name).ok().and_then(|time| time.weekday());
-        parsed.ok_or_else(|| D::Error::custom(format!("{name:?} is no day of the week, such as \"mon\"")))
+        parsed.ok_or_else(|| D::Error::custom(format!("{name:?} is not a day of the week: write mon to sun")))
     };
     Vec::<String>::deserialize(deserializer)?.iter().map(day).collect()
 }

@@ -1,12 +1,12 @@
-//! What may be wrong with a description.
+//! Errors in a farm description.
 
 use crate::civil::CalendarError;
 
-/// What is wrong with a description.
+/// An error in a farm description.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DescriptionError {
-    /// A name that is used is not defined.
+    /// A name is not defined.
     #[error("{at}: there is no {what} named {name:?}")]
     Unknown {
         /// Where it is used.
@@ -16,26 +16,26 @@ pub enum DescriptionError {
         /// The name.
         name: String,
     },
-    /// Two things have the same name.
-    #[error("{what} {name:?} is given twice")]
+    /// A name is used twice.
+    #[error("{what} {name:?} is defined twice: use another name")]
     Twice {
         /// Node, job or project.
         what: &'static str,
         /// The name.
         name: String,
     },
-    /// A value that cannot be.
+    /// A value is out of range.
     #[error("{at}: {reason}")]
     Value {
-        /// Where it stands.
+        /// Where it is.
         at: String,
         /// What is wrong with it.
         reason: String,
     },
-    /// A calendar that cannot be expanded.
+    /// A calendar cannot be expanded.
     #[error("{at}: {error}")]
     Calendar {
-        /// Where it stands.
+        /// Where it is.
         at: String,
         /// What is wrong with it.
         error: CalendarError,

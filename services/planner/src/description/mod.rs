@@ -1,5 +1,5 @@
-//! A farm and its jobs as people write them: names instead of numbers, hours instead of work, weekly windows instead of instants. The
-//! crate's README documents the fields, and `farm.example.json` shows most of them.
+//! Farm descriptions: names instead of numbers, hours instead of work, weekly windows instead of instants.
+//! The crate's README documents the fields, and `farm.example.json` shows most of them.
 
 mod demands;
 mod entries;
@@ -22,18 +22,18 @@ use crate::model::{
     WorkTotal,
 };
 
-/// Of a job.
+/// Per job.
 const MOST_FRAMES: u32 = 1_000_000;
 
-/// Calendars are expanded this far beyond the last deadline and release.
+/// Calendars are expanded this far beyond the last deadline and release, microseconds.
 const BEYOND: i64 = 28 * 86_400_000_000;
 
 impl Description {
-    /// The planner's input. Identities are places in the lists. Time zones are looked up in `zones`, for instance
-    /// [`jiff::tz::db`].
+    /// Converts the description to the planner's input. Ids are positions in the lists. `zones` resolves time
+    /// zones; [`jiff::tz::db`] is the usual one.
     ///
     /// # Errors
-    /// The first thing that is wrong.
+    /// The first error in the description.
     pub fn input(&self, zones: &TimeZoneDatabase) -> Result<Input, DescriptionError> {
         let now = self.now.as_microsecond();
         let instants = self.jobs.iter().flat_map(|job| [job.release, job.deadline]).flatten();
@@ -166,14 +166,14 @@ fn job(
     }
     let listed: Vec<(i64, f64)> = match (&entry.frames, entry.hours) {
         (Frames::Count(count), _) if *count > MOST_FRAMES => {
-            return Err(wrong(&format!("{count} frames are too many for one job: at most {MOST_FRAMES}")));
+            return Err(wrong(&format!("{count} frames are too many: a job has at most {MOST_FRAMES}")));
         }
         (Frames::Count(count), Some(hours)) => (0..i64::from(*count)).map(|number| (number, hours)).collect(),
         (Frames::Count(_), None) => {
-            return Err(wrong("frames is a count, so hours must say what each takes"));
+            return Err(wrong("frames is a count, so set hours, the median of one frame"));
         }
         (Frames::List(_), Some(_)) => {
-            return Err(wrong("each frame has its hours, so the job must have none"));
+            return Err(wrong("each frame lists its hours, so remove hours from the job"));
         }
         (Frames::List(frames), None) => frames.iter().map(|frame| (frame.number, frame.hours)).collect(),
     };
@@ -183,7 +183,7 @@ fn job(
         frames.push(Frame { number, work: work(hours, "hours")?, work_p80: p80 });
     }
     let p50 = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
-    // Of a lognormal factor: z of 95 % over z of 80 %.
+    // For a lognormal factor: z of 95 % over z of 80 %.
     let quantile = |z: f64| (p50 as f64 * libm::pow(entry.spread, z)).round() as u64;
     let p80 = quantile(1.0).max(p50);
     Ok(Job {

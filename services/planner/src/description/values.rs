@@ -1,4 +1,4 @@
-//! Names, lengths of time and amounts.
+//! Names, durations and amounts.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use super::error::DescriptionError;
 
 const MICRO: f64 = 1e6;
 
-/// Places by name.
+/// Index by name.
 pub(super) fn names<'n>(
     what: &'static str,
     all: impl Iterator<Item = &'n String>,
@@ -32,11 +32,11 @@ pub(super) fn known(
     places.get(name).copied().ok_or_else(unknown)
 }
 
-/// A length of time such as `90m`, `1h30m` or `7d`; a day is 24 hours.
+/// A duration such as `90m`, `1h30m` or `7d`. A day has 24 hours.
 pub(super) fn duration(text: &str, at: &str) -> Result<i64, DescriptionError> {
     let wrong = || DescriptionError::Value {
         at: at.to_owned(),
-        reason: format!("{text:?} is no length of time such as 90m, 1h30m or 7d"),
+        reason: format!("{text:?} is not a duration: write one such as 90m, 1h30m or 7d"),
     };
     let span: Span = text.parse().map_err(|_| wrong())?;
     let length: SignedDuration =
@@ -45,7 +45,7 @@ pub(super) fn duration(text: &str, at: &str) -> Result<i64, DescriptionError> {
     if micros < 0 { Err(wrong()) } else { Ok(micros) }
 }
 
-/// A value that is not negative, in smaller units.
+/// A non-negative value, converted to smaller units.
 pub(super) fn scaled(value: f64, units: f64, at: &str, field: &str) -> Result<u64, DescriptionError> {
     let product = (value * units).round();
     if product.is_finite() && (0.0..1.8e19).contains(&product) {

@@ -1,4 +1,4 @@
-//! Whether an input has a meaning.
+//! Validation of inputs.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,7 @@ use super::farm::{Interval, Node};
 use super::input::Input;
 use super::job::Job;
 
-/// Why an input has no meaning. Inputs that merely cannot be met have a verdict instead.
+/// Why an input is invalid. Valid demands that cannot be met have a verdict instead.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InputError {
@@ -36,13 +36,13 @@ pub enum InputError {
         /// Number of the frame.
         frame: i64,
     },
-    /// A node does no work.
+    /// A node has no speed.
     #[error("node {node}: the speed must be more than zero")]
     ZeroSpeed {
         /// The node.
         node: u64,
     },
-    /// A node pays for being used.
+    /// A node has a negative price.
     #[error("node {node}: the price must not be negative, but is {price}")]
     NegativePrice {
         /// The node.
@@ -50,7 +50,7 @@ pub enum InputError {
         /// The price.
         price: i64,
     },
-    /// A length of time is negative.
+    /// A duration is negative.
     #[error("{what} must not be negative, but is {value} microseconds")]
     NegativeTime {
         /// Which one.
@@ -59,7 +59,7 @@ pub enum InputError {
         value: i64,
     },
     /// An interval of a calendar ends before it starts.
-    #[error("node {node}: a calendar interval starts at {start} and ends before, at {end}")]
+    #[error("node {node}: a calendar interval starts at {start}, after its end at {end}")]
     ReversedInterval {
         /// The node.
         node: u64,
@@ -69,7 +69,7 @@ pub enum InputError {
         end: i64,
     },
     /// A fixed booking ends before it starts.
-    #[error("node {node}: a fixed booking starts at {start} and ends before, at {end}")]
+    #[error("node {node}: a fixed booking starts at {start}, after its end at {end}")]
     ReversedBooking {
         /// The node.
         node: u64,
@@ -78,7 +78,7 @@ pub enum InputError {
         /// End of the booking.
         end: i64,
     },
-    /// A booking is on a node that does not exist.
+    /// A fixed booking is on a node that does not exist.
     #[error("a fixed booking names node {node}, which does not exist")]
     UnknownNode {
         /// The node.
@@ -92,13 +92,13 @@ pub enum InputError {
         /// The project.
         project: u64,
     },
-    /// A job's quantiles fall where they should rise.
+    /// A job's quantiles fall.
     #[error("job {job}: the quantiles of its work must not fall from P50 to P80 to P95")]
     FallingQuantiles {
         /// The job.
         job: u64,
     },
-    /// A plan that was given does not belong to the input.
+    /// An event names a node or job that does not exist.
     #[error("the event names {what} {id}, which does not exist")]
     UnknownEvent {
         /// Node or job.
@@ -109,11 +109,11 @@ pub enum InputError {
 }
 
 impl Input {
-    /// Checks that the input has a meaning.
+    /// Validates the input.
     ///
     /// # Errors
-    /// The first thing found wrong, in the order projects, nodes, fixed bookings, jobs. Movable
-    /// bookings may be wrong: those that are are not kept.
+    /// The first error, in the order projects, nodes, fixed bookings, jobs. Movable bookings are not checked:
+    /// invalid ones are dropped later.
     pub fn check(&self) -> Result<(), InputError> {
         let mut projects = BTreeSet::new();
         if let Some(twice) = self.projects.iter().find(|project| !projects.insert(project.id)) {

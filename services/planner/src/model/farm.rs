@@ -6,38 +6,37 @@ use serde::{Deserialize, Serialize};
 
 use super::units::{MICROSECONDS_PER_HOUR, MICROSECONDS_PER_SECOND, in_millionths};
 
-/// A machine that renders one frame at a time, with all its cores. A machine that renders several at once is as
-/// many nodes.
+/// A machine that renders one frame at a time, with all its cores. A machine that renders several at once is
+/// as many nodes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Node {
-    /// Identity, opaque to the planner; ties go to the lower one.
+    /// Identity, opaque to the planner. Ties go to the lower one.
     pub id: u64,
     /// Name for people.
     pub name: String,
-    /// Work per second, with all cores, for every class of work that `speeds` does not name; not zero.
+    /// Work per second with all cores, for classes of work that `speeds` does not name. Not zero.
     pub speed: u64,
-    /// Work per second by class of work. Zero: the node cannot do work of this class, for want of memory, cores or a
-    /// graphics processor.
+    /// Work per second by class of work. Zero if the node lacks the memory, cores or GPU for it.
     pub speeds: BTreeMap<u32, u64>,
-    /// Price of a rented hour in micro-units; not negative.
+    /// Price of a rented hour in micro-units. Not negative.
     pub price_per_hour: i64,
-    /// Rented time is billed in multiples of this many microseconds; zero and one: to the microsecond.
+    /// Rented time is billed in multiples of this many microseconds. 0 or 1: to the microsecond.
     pub billing_step: i64,
     /// The least rented time that is billed, microseconds.
     pub minimum_booking: i64,
-    /// Microseconds from the start of a rental to the first frame: waking up, fetching the scene. They are
+    /// Microseconds from the start of a rental to its first frame: waking up, fetching the scene. They are
     /// billed.
     pub setup: i64,
     /// Price of a set-up on top of its time, micro-units.
     pub setup_cost: i64,
-    /// Whether the node runs at the instant from which it is available.
+    /// Whether the node runs at `available_from`.
     pub power: Power,
     /// Nothing may start before this instant.
     pub available_from: i64,
-    /// When the node is free for rendering, in any order; overlapping and touching intervals count as one.
+    /// When the node is free for rendering, in any order. Overlapping and touching intervals are joined.
     pub calendar: Vec<Interval>,
-    /// When it is not, whatever the calendar says.
+    /// When the node is closed, whatever the calendar says.
     pub maintenance: Vec<Interval>,
 }
 
@@ -45,10 +44,10 @@ pub struct Node {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Power {
-    /// It sleeps: the first rental needs a set-up.
+    /// It sleeps: its first rental needs a set-up.
     #[default]
     Standby,
-    /// It runs: a rental that starts the instant it is available needs none.
+    /// It runs: a rental that starts when the node becomes available needs no set-up.
     On,
 }
 
@@ -57,11 +56,11 @@ pub enum Power {
 pub struct Interval {
     /// First instant.
     pub start: i64,
-    /// The instant after the last, or none for an interval without end.
+    /// The instant after the last. `None`: the interval has no end.
     pub end: Option<i64>,
 }
 
-/// Time on a node that is not to be planned again, from `start` to just before `end`.
+/// Time on a node that is not planned again, from `start` to just before `end`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct FixedBooking {
@@ -71,7 +70,7 @@ pub struct FixedBooking {
     pub start: i64,
     /// The instant after the last.
     pub end: i64,
-    /// The job it is for, where that is known: for explanations.
+    /// The job that it belongs to, if known. Used in explanations.
     pub job: Option<u64>,
 }
 
@@ -81,7 +80,8 @@ impl Node {
         self.speeds.get(&class).copied().unwrap_or(self.speed)
     }
 
-    /// What work of a class costs on the node, for comparing: a billion times its price an hour over its speed. That of work it cannot do is beyond all others.
+    /// Cost of a unit of work of this class, for comparing nodes: 10⁹ × hourly price / speed. `i128::MAX` if
+    /// the node cannot do it.
     pub fn price_of_work(&self, class: u32) -> i128 {
         match self.speed_of(class) {
             0 => i128::MAX,
@@ -89,8 +89,8 @@ impl Node {
         }
     }
 
-    /// Microseconds that the node takes for this much work of a class, rounded up, and at least one. None if
-    /// that leaves the range of time, or the node cannot do it.
+    /// Microseconds that the node needs for this work, rounded up, at least one. `None` if that overflows, or
+    /// the node cannot do work of this class.
     pub fn duration(&self, work: u64, class: u32) -> Option<i64> {
         let speed = self.speed_of(class);
         if speed > 0
@@ -103,27 +103,28 @@ impl Node {
             .and_then(|duration| i64::try_from(duration).ok())
     }
 
-    /// What a rental of this many microseconds costs, set-up included if it begins with one: the time, raised
-    /// to the minimum and then to whole steps, at the hourly price, rounded up once for each rental.
+    /// Cost of a rental of this many microseconds, in micro-units. The time includes a set-up; `with_setup`
+    /// adds the price of one. Billed time is charged at the hourly price, rounded up once per rental.
     pub fn price(&self, rented: i64, with_setup: bool) -> i64 {
         let time = price_of(self.price_per_hour, self.billed(rented));
         if with_setup { time.saturating_add(self.setup_cost) } else { time }
     }
 
-    /// The time that is billed for a rental of this many microseconds.
+    /// Billed time of a rental: at least the minimum, in whole billing steps.
     pub fn billed(&self, rented: i64) -> i64 {
         round_up_to(rented.max(self.minimum_booking), self.billing_step)
     }
 
-    /// Whether rented time is billed as it is, so that a rental is never longer than its frames.
+    /// Rented time is billed to the microsecond, without minimum or set-up. A rental then never exceeds its
+    /// frames.
     pub(crate) fn is_plainly_billed(&self) -> bool {
         self.billing_step <= 1 && self.minimum_booking <= 1 && self.setup == 0 && self.setup_cost == 0
     }
 }
 
-/// Price of so many microseconds at a price per hour, in micro-units, rounded up.
+/// Price in micro-units of this many microseconds at this hourly price, rounded up.
 pub(crate) fn price_of(price_per_hour: i64, time: i64) -> i64 {
-    // What planners ask fits into 64 bits, whose division is several times as fast.
+    // Usually 64 bits are enough, and their division is several times as fast.
     if let Some(product) = price_per_hour.checked_mul(time).filter(|&product| product >= 0) {
         return (product as u64).div_ceil(MICROSECONDS_PER_HOUR as u64) as i64;
     }
@@ -132,7 +133,7 @@ pub(crate) fn price_of(price_per_hour: i64, time: i64) -> i64 {
     i64::try_from(rounded).unwrap_or(i64::MAX)
 }
 
-/// The least multiple of the step that is not below the value; the end of the range if there is none.
+/// The least multiple of `step` that is not below `value`. Saturates.
 pub(crate) fn round_up_to(value: i64, step: i64) -> i64 {
     if step <= 1 {
         return value;

@@ -1,4 +1,4 @@
-//! Everything that a plan depends on.
+//! The planner's input.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,14 +14,14 @@ pub struct Input {
     pub now: i64,
     /// The farm.
     pub nodes: Vec<Node>,
-    /// Time that is already given away and stays so: running frames, promises of others.
+    /// Booked time that does not move: running frames, and what others were promised.
     pub fixed: Vec<FixedBooking>,
-    /// Bookings of jobs of this input as they stand. They are kept where they are still right, and move only
-    /// if a deadline would be missed otherwise.
+    /// Current bookings of the input's jobs. They are kept where they are still valid, and move only if a
+    /// deadline would be missed otherwise.
     pub movable: Vec<Booking>,
-    /// Who shares the farm.
+    /// The projects that share the farm.
     pub projects: Vec<Project>,
-    /// After this many microseconds, what a project has used counts half. Zero: it counts for ever.
+    /// Microseconds after which a project's past use counts half. Zero: it never decays.
     pub half_life: i64,
     /// What is to be rendered.
     pub jobs: Vec<Job>,

@@ -1,47 +1,47 @@
-//! Jobs, what is known of their work, and the projects that they belong to.
+//! Jobs, their forecast work, and the projects that they belong to.
 
 use serde::{Deserialize, Serialize};
 
 use super::plan::Task;
 
-/// z of 80 % and 95 %, one-sided.
+/// Standard normal quantiles at 80 % and 95 %.
 const Z80: f64 = 0.841_621_233_572_914_2;
 const Z95: f64 = 1.644_853_626_951_472_6;
 
-/// Frames to be rendered together.
+/// Frames that are rendered together.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Job {
-    /// Identity, opaque to the planner; ties go to the lower one.
+    /// Identity, opaque to the planner. Ties go to the lower one.
     pub id: u64,
     /// Name for people.
     pub name: String,
     /// The project that it belongs to.
     pub project: Option<u64>,
-    /// Class of its frames' work: everything that decides which nodes can do it, and how fast. See
+    /// Class of its frames' work, which decides the nodes that can do it, and their speed. See
     /// [`super::Node::speeds`].
     pub class: u32,
     /// Nothing may start before this instant.
     pub release: i64,
     /// The last frame should end by this instant.
     pub deadline: Option<i64>,
-    /// If not all deadlines can be met, jobs of greater priority have theirs met first; and without a deadline
-    /// they go first.
+    /// If not all deadlines can be met, those of higher priorities are met first. Jobs without a deadline
+    /// start in this order.
     pub priority: i32,
-    /// Among equal priorities: a job of weight two is worth two of weight one, and so is a job of weight zero
-    /// or one.
+    /// Weight among jobs of equal priority: weight two counts as much as two jobs of weight one. Zero counts
+    /// as one.
     pub weight: u32,
-    /// The quantile of the job's work for which capacity is bought.
+    /// The quantile of the job's work for which capacity is booked.
     pub confidence: Confidence,
     /// Forecast work of all frames together.
     pub total: WorkTotal,
-    /// What has to be done before any frame can start.
+    /// Work that must be done before any frame starts: a shared cache, for instance.
     pub shared_cache: Option<SharedCache>,
     /// Its frames.
     pub frames: Vec<Frame>,
-    /// Numbers of the frames that need no place any more: they are done, or run as fixed bookings.
+    /// Numbers of the frames that need no booking: they are done, or run as fixed bookings.
     pub done: Vec<i64>,
-    /// What the job may cost, in micro-units.
+    /// The most that the job may cost, in micro-units.
     pub budget: Option<i64>,
 }
 
@@ -49,15 +49,15 @@ pub struct Job {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Frame {
-    /// The frame's number, unique in its job.
+    /// Unique in its job.
     pub number: i64,
     /// Median of its work.
     pub work: u64,
-    /// The work that it exceeds in one case of five; zero: no more is known than the median.
+    /// P80 of its work. Zero: only the median is known.
     pub work_p80: u64,
 }
 
-/// Work that comes before all frames of a job: an irradiance cache, a simulation.
+/// Work that comes before all frames of a job, such as a shared irradiance cache or a simulation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SharedCache {
@@ -65,12 +65,12 @@ pub struct SharedCache {
     pub class: u32,
     /// Median of its work.
     pub work: u64,
-    /// Into how many equal parts it is split, which may be done at the same time; zero and one: it is not.
+    /// The number of equal parts that can run at the same time. 0 or 1: it is not split.
     pub parts: u32,
 }
 
 impl SharedCache {
-    /// What there is to do.
+    /// Its tasks: one for each part.
     pub fn tasks(self) -> impl Iterator<Item = Task> {
         let parts = self.parts.max(1);
         let task =
@@ -79,32 +79,32 @@ impl SharedCache {
     }
 }
 
-/// Quantiles of the work of a job's frames. They hold what the frames have in common: not sums of the frames'
-/// quantiles.
+/// Quantiles of the work of all frames of a job. They include the error that the frames share, so they are
+/// not sums of the frames' quantiles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkTotal {
-    /// As likely to be more as to be less.
+    /// Median.
     pub p50: u64,
-    /// Enough in four cases of five.
+    /// 80 % quantile.
     pub p80: u64,
-    /// Enough in nineteen cases of twenty.
+    /// 95 % quantile.
     pub p95: u64,
 }
 
-/// How sure the user wants to be that the capacity is enough.
+/// The probability with which the booked capacity should be enough.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Confidence {
-    /// As likely as not.
+    /// 50 %.
     P50,
-    /// Four cases of five.
+    /// 80 %.
     #[default]
     P80,
-    /// Nineteen cases of twenty.
+    /// 95 %.
     P95,
 }
 
-/// Someone with a share of the farm.
+/// A user or group with a share of the farm.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Project {
@@ -112,23 +112,23 @@ pub struct Project {
     pub id: u64,
     /// Name for people.
     pub name: String,
-    /// Its share, relative to the others'; zero counts as one.
+    /// Its share, relative to the others. Zero counts as one.
     pub share: u32,
-    /// What it had.
+    /// Node time that it used.
     pub usage: Vec<Usage>,
 }
 
-/// Node time that a project had.
+/// Node time that a project used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Usage {
-    /// When it ended.
+    /// When the use ended.
     pub at: i64,
     /// Microseconds of a node.
     pub time: i64,
 }
 
 impl Confidence {
-    /// The standard normal variable that is below this with this probability.
+    /// The quantile of the standard normal distribution at this probability.
     pub fn z(self) -> f64 {
         match self {
             Confidence::P50 => 0.0,
@@ -137,7 +137,7 @@ impl Confidence {
         }
     }
 
-    /// The probability.
+    /// As a number from 0 to 1.
     pub fn probability(self) -> f64 {
         match self {
             Confidence::P50 => 0.5,
@@ -147,13 +147,13 @@ impl Confidence {
     }
 }
 
-/// Standard deviation of the logarithm, from median and P80; zero if they say nothing.
+/// Standard deviation of the logarithm, from median and P80. Zero if they are unknown.
 fn log_spread(p50: u64, p80: u64) -> f64 {
     if p50 == 0 || p80 <= p50 { 0.0 } else { libm::log(p80 as f64 / p50 as f64) / Z80 }
 }
 
 impl WorkTotal {
-    /// The quantile of this confidence.
+    /// The quantile at this confidence.
     pub fn at(&self, confidence: Confidence) -> u64 {
         match confidence {
             Confidence::P50 => self.p50,
@@ -164,26 +164,26 @@ impl WorkTotal {
 }
 
 impl Job {
-    /// Work bought for each frame: its median, scaled so that all frames together reach the job's total at
-    /// its confidence, and rounded up.
+    /// Work to book for each frame: its median, scaled so that all frames together reach the job's total at
+    /// its confidence, rounded up.
     ///
-    /// The forecast error that all frames share does not average out, so the whole job is scaled by one
-    /// factor. The sum of the frames' own quantiles would buy too much, the sum of their medians would be
-    /// late every other time.
+    /// The error that all frames share does not average out, so one factor scales the whole job. The sum of
+    /// the frames' quantiles would book too much. The sum of their medians would be too little half of the
+    /// time.
     pub fn bought_work(&self) -> Vec<u64> {
         let medians = self.medians();
         self.frames
             .iter()
             .map(|frame| match medians {
-                // Nothing is known of the frames: they share evenly.
+                // Without medians, all frames get the same part.
                 0 => self.share(1, self.frames.len() as u128),
                 _ => self.share(frame.work, medians),
             })
             .collect()
     }
 
-    /// What the work of all frames is multiplied by when what they have in common comes out at this z, as a multiple of the
-    /// median: straight lines between the logarithms of the total's P50, P80 and P95, continued at both ends.
+    /// The factor that all frames share at the normal quantile z, relative to the median. Interpolates
+    /// linearly between the logarithms of the total's P50, P80 and P95, and extrapolates at both ends.
     pub fn common_factor(&self, z: f64) -> f64 {
         let first = log_spread(self.total.p50, self.total.p80);
         let log = if z <= Z80 {
@@ -197,20 +197,20 @@ impl Job {
         libm::exp(log)
     }
 
-    /// Standard deviation of the logarithm of a frame's own factor: of its work, less what all frames have in common.
+    /// Standard deviation of the logarithm of a frame's own factor, without the shared one.
     pub fn own_spread(&self, frame: &Frame) -> f64 {
         let common = log_spread(self.total.p50, self.total.p80);
         libm::sqrt(f64::max(0.0, libm::pow(log_spread(frame.work, frame.work_p80), 2.0) - common * common))
     }
 
-    /// Number and bought work of the frames that still need a place.
+    /// Number and booked work of the frames that still need a booking.
     pub fn open_work(&self) -> impl Iterator<Item = (i64, u64)> {
         let done: std::collections::BTreeSet<i64> = self.done.iter().copied().collect();
         let all = self.frames.iter().map(|frame| frame.number).zip(self.bought_work());
         all.filter(move |(number, _)| !done.contains(number))
     }
 
-    /// Work bought for the whole shared cache: its median, scaled as the frames are.
+    /// Work to book for the whole shared cache: its median, scaled as the frames are.
     pub fn bought_shared_cache(&self) -> Option<u64> {
         let cache = self.shared_cache?;
         Some(match self.medians() {
@@ -219,7 +219,7 @@ impl Job {
         })
     }
 
-    /// Work bought for one of the shared cache's tasks, if it is one.
+    /// Work to book for one of the shared cache's tasks. `None` for other tasks.
     pub fn shared_cache_work(&self, task: Task) -> Option<u64> {
         let cache = self.shared_cache?;
         let work = self.bought_shared_cache()?;
@@ -237,7 +237,7 @@ impl Job {
         u64::try_from(product.div_ceil(whole.max(1))).unwrap_or(u64::MAX)
     }
 
-    /// What the job counts among jobs of its priority.
+    /// The job's weight, at least one.
     pub(crate) fn worth(&self) -> u32 {
         self.weight.max(1)
     }

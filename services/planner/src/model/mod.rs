@@ -1,7 +1,7 @@
-//! The words of the planner, and the definitions that the method and the verifier share.
+//! The planner's types, and the definitions that the method and the verifier share.
 //!
-//! Instants are microseconds UTC, money is micro-units of one currency, work is a count of operations. All are
-//! integers; products are taken in 128 bits and sums that leave the range stay at its end.
+//! Instants are microseconds UTC, money is micro-units of one currency, work is a count of operations. All
+//! are integers. Products use 128 bits, and sums saturate.
 
 mod check;
 mod farm;

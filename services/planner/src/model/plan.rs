@@ -1,32 +1,32 @@
-//! What a plan says.
+//! Plans: bookings, rentals, verdicts and proofs.
 
 use serde::{Deserialize, Serialize};
 
-/// A plan. It never changes; a new one takes its place and names it as its parent.
+/// A plan. It never changes; a new plan names it as its parent.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Plan {
-    /// The plan in whose place this one came.
+    /// The plan that this one replaces.
     pub parent: Option<PlanId>,
-    /// What is rendered where and when, by start, node, job and task.
+    /// Every booking, by start, node, job and task.
     pub bookings: Vec<Booking>,
-    /// What is paid for, by node and start. Every booking lies in one rental of its node.
+    /// Everything that is paid for, by node and start. Each booking lies in one rental of its node.
     pub rentals: Vec<Rental>,
-    /// What the plan means for each job, by job.
+    /// What the plan means for each job, by job id.
     pub jobs: Vec<JobPlan>,
     /// Cost of all rentals in micro-units.
     pub cost: i64,
-    /// When no plan could be done earlier, for all jobs together, given the fixed bookings; empty without jobs.
+    /// The earliest end of all jobs together under any plan, given the fixed bookings. Default without jobs.
     pub bound: Bound,
-    /// What no plan can cost less than, if it meets the deadlines that this one meets, in micro-units.
+    /// Lower bound on the cost of any plan that meets the deadlines that this one meets, micro-units.
     pub cost_bound: i64,
-    /// Why nothing can be cheaper: the value of these prices is `cost_bound`.
+    /// Proof of `cost_bound`.
     pub proof: Proof,
-    /// Why no plan can meet all deadlines, where that is known.
+    /// Proof that no plan can meet all deadlines, if there is one.
     pub infeasible: Option<Infeasible>,
 }
 
-/// Identity of a plan: a digest of what it says, so that equal plans have equal identities.
+/// Identity of a plan: a digest, so that equal plans have equal identities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct PlanId(pub u64);
@@ -62,28 +62,28 @@ impl Plan {
         PlanId(u64::from_le_bytes(first))
     }
 
-    /// What the plan means for a job.
+    /// The entry of a job.
     pub fn job(&self, id: u64) -> Option<&JobPlan> {
         self.jobs.iter().find(|job| job.job == id)
     }
 
-    /// The bookings of the job's shared cache and frames.
+    /// All bookings of a job.
     pub fn bookings_of(&self, job: u64) -> impl Iterator<Item = &Booking> {
         self.bookings.iter().filter(move |booking| booking.job == job)
     }
 }
 
-/// What is done in one go on one node.
+/// A piece of a job that one node does in one go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Task {
-    /// What comes before all frames.
+    /// Work before all frames, in one piece.
     SharedCache,
-    /// A part of what comes before all frames.
+    /// A part of the work before all frames.
     SharedCachePart {
         /// Which part, from zero.
         part: u32,
-        /// Into how many parts the shared cache is split.
+        /// The number of parts.
         parts: u32,
     },
     /// A frame, by its number.
@@ -91,7 +91,7 @@ pub enum Task {
 }
 
 impl Task {
-    /// The frame that it belongs to; none for a shared cache.
+    /// The frame's number. `None` for work before the frames.
     pub fn frame(self) -> Option<i64> {
         match self {
             Task::SharedCache | Task::SharedCachePart { .. } => None,
@@ -99,7 +99,7 @@ impl Task {
         }
     }
 
-    /// Whether it is a shared cache or a part of one.
+    /// Whether this is a shared cache or a part of one.
     pub fn is_shared_cache(self) -> bool {
         self.frame().is_none()
     }
@@ -124,26 +124,26 @@ pub struct Booking {
     pub node: u64,
     /// The job.
     pub job: u64,
-    /// What of the job.
+    /// The task.
     pub task: Task,
     /// The instant after the last.
     pub end: i64,
 }
 
-/// A stretch of time for which a node is paid, from `start` to just before `end`: its set-up, frames, and the
+/// A stretch of time for which a node is paid, from `start` to just before `end`: set-up, bookings, and the
 /// idle time between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Rental {
     /// The node.
     pub node: u64,
-    /// First instant; a set-up begins here.
+    /// First instant. A set-up begins here.
     pub start: i64,
-    /// The end of the last frame.
+    /// End of the last booking.
     pub end: i64,
-    /// Whether it begins with a set-up. It need not if the node runs already: because it is on, or because a
-    /// fixed booking ends just then.
+    /// Whether it begins with a set-up. A node that runs already needs none: it is on, or a fixed booking
+    /// ends at this instant.
     pub setup: bool,
-    /// See [`super::Node::price`].
+    /// In micro-units; see [`super::Node::price`].
     pub cost: i64,
 }
 
@@ -154,15 +154,15 @@ pub struct JobPlan {
     pub job: u64,
     /// Whether and when it is done.
     pub verdict: Verdict,
-    /// Its part of the rentals' cost in micro-units, in proportion to time.
+    /// Its part of the rentals' cost in micro-units, in proportion to booked time.
     pub cost: i64,
-    /// Whether that is within its budget, if it has one.
+    /// Whether the cost is within the budget. `None` without a budget.
     pub within_budget: Option<bool>,
-    /// What no plan can beat for this job, even if it had the whole farm but for the fixed bookings.
+    /// The earliest end under any plan, even with the whole farm but for the fixed bookings.
     pub bound: Bound,
 }
 
-/// Whether a job is done in time. A job without frames is done at its release, or when its shared cache is.
+/// Whether a job is done in time. A job without frames ends at its release, or with its shared cache.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Verdict {
@@ -184,20 +184,20 @@ pub enum Verdict {
         finish: i64,
         /// Microseconds after the deadline.
         by: i64,
-        /// Whether no plan at all could be in time: the job's bound is after the deadline.
+        /// Whether no plan could be in time: the job's bound is after the deadline.
         unavoidable: bool,
     },
-    /// Some frames fit into no free time of any node.
+    /// Some tasks fit into no free time of any node.
     Unplaced {
         /// Numbers of the frames without a booking, in order.
         frames: Vec<i64>,
-        /// Whether the shared cache has none either.
+        /// Whether the shared cache, or a part of it, has no booking.
         shared_cache: bool,
     },
 }
 
 impl Verdict {
-    /// End of the last frame, if all have a place.
+    /// End of the last frame. `None` if a task has no booking.
     pub fn finish(&self) -> Option<i64> {
         match self {
             Verdict::Feasible { finish, .. }
@@ -207,65 +207,62 @@ impl Verdict {
         }
     }
 
-    /// Whether the job keeps its deadline, or has none and a place for every frame.
+    /// Whether the job keeps its deadline, or has none and every task is booked.
     pub fn is_kept(&self) -> bool {
         matches!(self, Verdict::Feasible { .. } | Verdict::NoDeadline { .. })
     }
 }
 
-/// Earliest conceivable ends. None stands for never.
+/// Lower bounds on an end. `None`: it never ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bound {
-    /// When all nodes together, working without a gap in their free time, would have done all the work (Σ w /
-    /// Σ s).
+    /// When all nodes together, without a gap in their free time, would have done all the work (Σ w / Σ s).
     pub by_capacity: Option<i64>,
     /// When the longest frame would end on the node that finishes it first.
     pub by_longest_frame: Option<i64>,
 }
 
 impl Bound {
-    /// The later of the two; none if either is never.
+    /// The later of the two. `None` if either is.
     pub fn earliest_finish(&self) -> Option<i64> {
         Some(self.by_capacity?.max(self.by_longest_frame?))
     }
 }
 
-/// Prices of time that prove a bound: no plan can be cheaper than what its work would at least cost if free time
-/// had these prices on top of its own, less what all free time would then bring in (weak duality of linear
-/// programming).
+/// Prices of time that prove a bound by weak duality of linear programming; `proof.rs` states the inequality.
 ///
-/// Slot i is the time from `slots[i]` to just before `slots[i + 1]`; there is one price fewer than instants.
-/// Outside of all slots, prices are zero.
+/// Slot i is the time from `slots[i]` to just before `slots[i + 1]`, so there is one price fewer than
+/// instants. Outside all slots, prices are zero.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Proof {
     /// Instants, rising.
     pub slots: Vec<i64>,
-    /// Prices of node time.
+    /// Prices of the nodes' time.
     pub nodes: Vec<Prices>,
 }
 
-/// What an hour is worth, slot by slot, on top of what it costs.
+/// What an hour is worth by slot, on top of its price.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Prices {
     /// The nodes that have these prices.
     pub of: Vec<u64>,
-    /// Micro-units per hour by slot; not negative.
+    /// Micro-units per hour by slot. Not negative.
     pub per_hour: Vec<i64>,
 }
 
-/// Why no plan meets all deadlines: at the prices of `proof`, the work that has to be done by then is worth more than all
-/// free time.
+/// Proof that no plan meets all deadlines: at these prices, the work due by the deadlines is worth more than
+/// all free time.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Infeasible {
-    /// The prices; node time costs nothing but them.
+    /// The prices. Nodes themselves cost nothing here.
     pub proof: Proof,
-    /// The jobs that compete for what is too little: their work is worth something at these prices.
+    /// The jobs that compete for scarce time: those whose work has a price.
     pub jobs: Vec<u64>,
-    /// Where it is too little.
+    /// Where time is scarce.
     pub short: Vec<Reserved>,
 }
 
-/// Time on some nodes that is fully needed.
+/// Time on some nodes that is needed in full.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reserved {
     /// The nodes.

@@ -1,12 +1,9 @@
-//! What is booked for one job, and what the plan says of it.
-
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::violation::Violation;
 use crate::model::{Booking, Bound, Input, Job, JobPlan, Node, SharedCache, Task, Verdict};
 
-/// Every task once and rightly booked, and what the plan says of the job is true. Returns the end of the last
-/// task, or none if one has no place.
+/// Checks every task and the job's entry. Returns the end of the last task, or `None` if one is unplaced.
 pub(super) fn check_job(
     nodes: &BTreeMap<u64, &Node>,
     input: &Input,
@@ -73,7 +70,7 @@ pub(super) fn check_job(
     is_placed.then_some(finish)
 }
 
-/// Every frame is booked or called unplaced; and so is the shared cache.
+/// Every frame and every part of the shared cache is either booked or listed as unplaced.
 fn check_complete(
     job: &Job,
     tasks: &BTreeSet<Task>,
@@ -105,7 +102,7 @@ fn check_complete(
     }
 }
 
-/// Whether the verdict is what the deadline and the last end make it.
+/// Whether the verdict follows from the deadline and the last end.
 fn is_true(job: &Job, entry: &JobPlan, end: i64) -> bool {
     match (&entry.verdict, job.deadline) {
         (Verdict::Unplaced { frames, shared_cache }, _) => !frames.is_empty() || *shared_cache,

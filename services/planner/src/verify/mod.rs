@@ -1,7 +1,7 @@
-//! An independent check of a plan.
+//! An independent check of plans.
 //!
-//! It knows what a plan must be and nothing of how one is made: it uses the words of `model` and the meaning of a proof,
-//! and would pass a plan made by hand.
+//! It uses only the types of `model` and the inequality in `proof.rs`, and knows nothing of how plans are
+//! made.
 
 mod jobs;
 mod nodes;
@@ -15,12 +15,14 @@ pub use self::violation::Violation;
 use crate::model::{Booking, Input, Job, JobPlan, Node, Plan, Rental, Verdict};
 use crate::proof::{Counted, value};
 
-/// Checks a plan against its input: every frame once, on a node that can render it, in the node's free time, after
-/// its release and its job's shared cache, as long as its work takes, alone on its node; every
-/// booking paid for; and verdicts, costs, bounds and proofs in agreement with that.
+/// Checks a plan against its input.
+///
+/// Every frame is booked once, for as long as its work takes, alone on a node that can render it. It lies in
+/// the node's free time, after the release and the shared cache. Every booking is paid for. Verdicts, costs,
+/// bounds and proofs agree with the bookings.
 ///
 /// # Errors
-/// Everything that is wrong.
+/// All violations.
 pub fn verify(input: &Input, plan: &Plan) -> Result<(), Vec<Violation>> {
     if let Err(error) = input.check() {
         return Err(vec![error.into()]);
@@ -46,7 +48,9 @@ pub fn verify(input: &Input, plan: &Plan) -> Result<(), Vec<Violation>> {
         let Some(node) = nodes.get(&id) else {
             found.extend(bookings.into_iter().map(Violation::Unknown));
             found.extend(
-                rentals.into_iter().map(|rental| Violation::Rental { rental, wrong: "names no node" }),
+                rentals
+                    .into_iter()
+                    .map(|rental| Violation::Rental { rental, wrong: "is on a node that does not exist" }),
             );
             continue;
         };
@@ -79,7 +83,7 @@ pub fn verify(input: &Input, plan: &Plan) -> Result<(), Vec<Violation>> {
     if found.is_empty() { Ok(()) } else { Err(found) }
 }
 
-/// The costs add up, and the bound is proven.
+/// The costs add up, and the cost bound is proven.
 fn check_costs(input: &Input, plan: &Plan, found: &mut Vec<Violation>) {
     let total = plan.rentals.iter().fold(0i64, |sum, rental| sum.saturating_add(rental.cost));
     if total != plan.cost {

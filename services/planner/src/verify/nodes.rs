@@ -1,11 +1,9 @@
-//! What is booked and paid for on one node.
-
 use std::collections::BTreeMap;
 
 use super::violation::Violation;
 use crate::model::{Booking, Input, Interval, Node, Power, Rental};
 
-/// No overlaps, and nothing outside the calendar.
+/// Bookings do not overlap, and lie in the calendar.
 pub(super) fn check_node(
     input: &Input,
     node: &Node,
@@ -36,7 +34,7 @@ fn sorted(calendar: &[Interval]) -> Vec<Interval> {
     open
 }
 
-/// Whether the node may be used from `start` to just before `end`, as far as calendar and maintenance go.
+/// Whether calendar and maintenance allow the time from `start` to just before `end`.
 fn is_open(input: &Input, node: &Node, open: &[Interval], start: i64, end: i64) -> bool {
     let closed = node.maintenance.iter().any(|closed| {
         let until = closed.end.unwrap_or(i64::MAX);
@@ -45,7 +43,7 @@ fn is_open(input: &Input, node: &Node, open: &[Interval], start: i64, end: i64) 
     start >= node.available_from.max(input.now) && !closed && covered(open, start, end)
 }
 
-/// Whether the intervals, sorted by start, together cover all time from `start` to `end`.
+/// Whether the intervals, sorted by start, cover all time from `start` to `end`.
 fn covered(open: &[Interval], start: i64, end: i64) -> bool {
     let mut reached = start;
     for interval in open {
@@ -60,7 +58,7 @@ fn covered(open: &[Interval], start: i64, end: i64) -> bool {
     reached >= end
 }
 
-/// Every booking is paid for, every rental is in order, and what it costs is dealt out to the jobs.
+/// Every booking is paid for and every rental valid. Adds the rentals' cost to the jobs.
 pub(super) fn check_rentals(
     input: &Input,
     node: &Node,
@@ -77,27 +75,27 @@ pub(super) fn check_rentals(
     for &rental in &rentals {
         let mut wrong = |wrong| found.push(Violation::Rental { rental, wrong });
         if rental.start < paid_until {
-            wrong("overlaps another one");
+            wrong("overlaps another rental");
         }
         paid_until = paid_until.max(rental.end);
         let taken = fixed.iter().any(|&(start, end)| start < rental.end && rental.start < end);
         if taken || !is_open(input, node, &open, rental.start, rental.end) {
-            wrong("is not in the node's free time");
+            wrong("is outside the node's free time");
         }
         let ready = if rental.setup { rental.start.saturating_add(node.setup) } else { rental.start };
         let runs_already = (node.power == Power::On && rental.start == node.available_from.max(input.now))
             || fixed.iter().any(|&(_, end)| end == rental.start);
         if !rental.setup && !runs_already && (node.setup > 0 || node.setup_cost > 0) {
-            wrong("begins without the set-up that it needs");
+            wrong("begins without a set-up");
         }
         if rental.cost != node.price(rental.end.saturating_sub(rental.start), rental.setup) {
-            wrong("does not cost what its time costs");
+            wrong("has the wrong cost");
         }
         let first = bookings.partition_point(|booking| booking.start < ready);
         let beyond = bookings.partition_point(|booking| booking.start < rental.end).max(first);
         let within = &bookings[first..beyond];
         if within.iter().map(|booking| booking.end).max() != Some(rental.end) {
-            wrong("does not end with a frame");
+            wrong("does not end with a booking");
         }
         paid[first..beyond].iter_mut().for_each(|paid| *paid = true);
         let total: i128 = within.iter().map(length).sum();

@@ -221,7 +221,10 @@ fn settings_without_a_use_for_a_cache_are_refused_and_orders_to_stop_are_followe
     let rig = Rig::new();
     let off = RenderSettings { cache: CacheMode::Off, ..rig.settings.clone() };
     let error = rig.run(rig.plan(&off), Vec::new()).unwrap_err();
-    assert!(matches!(&error, ExecuteError::Permanent(text) if text.contains("no use for")), "{error:?}");
+    assert!(
+        matches!(&error, ExecuteError::Permanent(text) if text.contains("need no irradiance cache")),
+        "{error:?}"
+    );
     let planned = rig.planned(&rig.settings);
     let control = Control::default();
     control.cancel();
