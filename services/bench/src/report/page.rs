@@ -12,17 +12,17 @@ use std::path::{Path, PathBuf};
 /// Name of the file in a folder.
 const NAME: &str = "benchmarks.md";
 
-/// What a new file begins with.
+/// Head of a new file.
 const HEAD: &str = "\
 # Benchmarks
 
 `forelight bench NAME --write FILE` writes the section of each bench. Running the command of a section again replaces it.
 ";
 
-/// The file that a path stands for: itself, or the page in a folder.
+/// The file of a path: itself, or the page in a folder.
 ///
 /// # Errors
-/// If the path is neither a folder nor the name of a Markdown file.
+/// If the path is neither a folder nor a Markdown file.
 pub fn file(path: &Path) -> Result<PathBuf, BadInput> {
     if path.is_dir() || path.to_string_lossy().ends_with('/') {
         return Ok(path.join(NAME));
@@ -30,13 +30,13 @@ pub fn file(path: &Path) -> Result<PathBuf, BadInput> {
     match path.extension() {
         Some(end) if end.eq_ignore_ascii_case("md") => Ok(path.to_owned()),
         _ => {
-            let reason = format!("--write {}: the name of a Markdown file ends in .md", path.display());
+            let reason = format!("--write {}: a Markdown file must end in .md", path.display());
             Err(BadInput::new(reason).hint("name such a file, or a folder that exists"))
         }
     }
 }
 
-/// Writes a bench's report into its section of the file. The other sections stay as they are.
+/// Writes a bench's report into its section of the file. Other sections stay as they are.
 pub fn write(file: &Path, bench: &str, origin: &Origin, report: &Report) -> Result<()> {
     let page = match fs::read_to_string(file) {
         Ok(page) => page,
@@ -46,7 +46,7 @@ pub fn write(file: &Path, bench: &str, origin: &Origin, report: &Report) -> Resu
     write_bytes(file, replaced(&page, bench, &section(bench, origin, report)).as_bytes())
 }
 
-/// The section's heading, its origin and its tables.
+/// Heading, origin and tables of the section.
 fn section(bench: &str, origin: &Origin, report: &Report) -> String {
     let Origin { command, date, commit, processor, cores } = origin;
     let mut table = Table::new(&[
@@ -63,10 +63,10 @@ fn heading(bench: &str) -> String {
     format!("## {bench}")
 }
 
-/// The page with this section in place of the one that has its heading, or at the end if there is none.
+/// The page with this section in place of the one with its heading, or at the end.
 fn replaced(page: &str, bench: &str, section: &str) -> String {
     let lines: Vec<&str> = page.lines().collect();
-    // In a block of code a line that begins with # is a comment.
+    // In a code block, a line that begins with # is a comment.
     let mut is_code = false;
     let headings: Vec<usize> = (0..lines.len())
         .filter(|&line| {
@@ -113,7 +113,7 @@ mod tests {
         );
         assert_eq!(read(), alone);
         wrote("rays", "first", "two");
-        // What people write between sections belongs to the section above; code holds no headings.
+        // Text between sections belongs to the section above. Code holds no headings.
         fs::write(&page, read() + "\n# Notes\n\n```sh\n# comment\n## plan\n```\n").unwrap();
         let before = read();
         wrote("plan", "second", "three");
