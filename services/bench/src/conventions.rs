@@ -1,11 +1,11 @@
-//! What several benches do alike: the paper's image size, the ambient levels to try, names of files.
+//! Shared by several benches: the paper's image size, the ambient levels to try, names of files.
 
 use forelight_terminal::options::QualityOptions;
 
-/// Width and height of the image of the paper's experiment, pixels.
+/// Width and height of images in the paper's experiment, pixels.
 pub const PAPER_SIZE: u32 = 256;
 
-/// The numbers of ambient bounces to try: those that were listed, or the one of the quality, or direct light and one bounce.
+/// Numbers of ambient bounces to try: those listed, or that of the quality, or 0 and 1.
 pub fn bounces_to_try(listed: &[u32], quality: &QualityOptions) -> Vec<u32> {
     match (listed, quality.ambient_bounces) {
         ([], Some(bounces)) => vec![bounces],
@@ -14,8 +14,8 @@ pub fn bounces_to_try(listed: &[u32], quality: &QualityOptions) -> Vec<u32> {
     }
 }
 
-/// The name of a bundle's files: its place among the bundles, then its own name in lower-case letters, digits and hyphens.
-/// The place keeps the names of two bundles apart.
+/// File name for a bundle: its index, then its name in lower-case letters, digits and hyphens. The index
+/// keeps names distinct.
 pub fn slug(place: usize, name: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
     format!("{}-{}", place + 1, name.chars().take(40).map(plain).collect::<String>())

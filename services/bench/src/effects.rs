@@ -1,4 +1,4 @@
-//! `forelight bench effects`: what it saves to simulate only what a scene calls for.
+//! `forelight bench effects`: how much time it saves to simulate only the effects that a scene calls for.
 
 use crate::report::Report;
 use crate::statistics::{sorted, upper_median};
@@ -16,17 +16,17 @@ use forelight_tracer::{Effects, Image, Settings, Tracer};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Measure what it saves to simulate only what a scene calls for
+/// Measure how much time it saves to simulate only the effects that a scene calls for
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight bench effects kitchen/ corridor/
   forelight bench effects kitchen/ --spp 4 --ambient-bounces 1 --repeats 9 --json
 
-Every scene is rendered as it is simulated by default, with everything (code for every effect, lights and objects that cannot \
-matter put back), and with the code for one further effect at a time; one after the other and then again. A ratio is taken \
-within one turn; its median counts. The image is 256 x 256, unless --width or --height say otherwise. The images must be equal \
-to the last bit: if one is not, the command fails.")]
+Every scene is rendered by default, then with everything (code for all effects, and lights and objects that \
+cannot affect the image), then with the code for one more effect at a time. The variants take turns. Ratios \
+compare renders of one turn, and their median counts. The image is 256 x 256 unless --width or --height is \
+given. The command fails if any image differs by a bit.")]
 pub struct Args {
     /// Scene bundles: folders or zip files
     #[arg(required = true, value_name = "BUNDLE")]
@@ -34,7 +34,7 @@ pub struct Args {
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
-    /// How often every image is rendered
+    /// Number of times to render every image
     #[arg(long, value_name = "NUMBER", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
     /// Threads that trace light [default: one per core]
@@ -47,10 +47,9 @@ pub struct Args {
     quality: QualityOptions,
 }
 
-/// Width and height if none are named, pixels.
+/// Default width and height, pixels.
 const SIZE: u32 = 256;
 
-/// One bundle, measured.
 #[derive(Debug, Serialize)]
 struct Measured {
     bundle: String,
@@ -61,11 +60,11 @@ struct Measured {
     ambient_bounces: u32,
     repeats: u32,
     triangles: usize,
-    /// What the frame calls for.
+    /// Effects that the frame calls for.
     effects: Vec<&'static str>,
-    /// Lights and objects that cannot matter to the picture.
+    /// Lights and objects that cannot affect the image.
     left_out: Vec<LeftOut>,
-    /// As it is simulated by default, with everything, then by what was added.
+    /// First the default, then everything, then one added effect each.
     variants: Vec<Variant>,
 }
 
@@ -73,20 +72,20 @@ struct Measured {
 #[derive(Debug, Serialize)]
 struct Variant {
     name: String,
-    /// Whether the image is that of the first variant, to the last bit.
+    /// True if the image equals that of the first variant, bit for bit.
     same_image: bool,
     rays: u64,
     work: u64,
-    /// Of the tree over the triangles.
+    /// Size of the tree over the triangles.
     tree_bytes: usize,
     build_cpu_seconds: f64,
     /// Median over the repeats.
     cpu_seconds: f64,
-    /// CPU time by that of the first variant.
+    /// CPU time relative to the first variant.
     ratio: Ratio,
 }
 
-/// Over the repeats.
+/// Statistics over the repeats.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 struct Ratio {
     median: f64,
@@ -94,7 +93,7 @@ struct Ratio {
     highest: f64,
 }
 
-/// A tracer, and what was seen of it so far.
+/// A tracer and its measurements.
 struct Runner {
     name: String,
     tracer: Tracer,
@@ -102,7 +101,6 @@ struct Runner {
     nanos: Vec<u64>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let bars = Bars::new(args.json);
     let pool = thread_pool(args.threads)?;
@@ -121,7 +119,11 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     match other {
         None => Ok(report),
         Some((measured, variant)) => {
-            anyhow::bail!("bundle {}: the image of {:?} has other bits", measured.bundle, variant.name)
+            anyhow::bail!(
+                "bundle {}: the image of {:?} differs from the default one",
+                measured.bundle,
+                variant.name
+            )
         }
     }
 }
@@ -162,7 +164,7 @@ fn measure(args: &Args, bundle: &Path, pool: &rayon::ThreadPool, interrupt: &Int
     })
 }
 
-/// The ways to simulate a frame.
+/// All ways to simulate a frame.
 fn runners(frame: &Frame, settings: &Settings) -> Vec<Runner> {
     let runner = |name: String, tracer| Runner { name, tracer, image: None, nanos: Vec::new() };
     let plain = Tracer::new(frame, settings);
@@ -206,7 +208,7 @@ fn bits(runner: &Runner) -> impl Iterator<Item = ([u32; 3], u32)> {
     pixels.map(|pixel| (pixel.color.map(f32::to_bits), pixel.stratum))
 }
 
-/// Median (of an even number the upper one), least and greatest; 0 of none.
+/// Upper median, minimum and maximum. Zero without values.
 fn spread(values: Vec<f64>) -> Ratio {
     let values = sorted(values);
     let end = |value: Option<&f64>| value.copied().unwrap_or(0.0);
@@ -259,7 +261,7 @@ fn report(measured: &Measured) -> Report {
 mod tests {
     use super::*;
 
-    /// A cube with its triangles wound inward.
+    /// A cube with triangles wound inward.
     fn cube(name: &str, low: [f32; 3], high: [f32; 3], first: usize) -> String {
         let mut text = format!("o {name}\nusemtl wall\n");
         for i in 0..8 {

@@ -1,6 +1,8 @@
-//! `forelight bench forecast`: one frame of each bundle, forecast from a few pixels with several seeds, against its full render. Every
-//! forecast is made from scratch, as `forelight forecast` makes it, with pixels that are traced for it; `bench paper` compares many
-//! more forecasts on costs that are traced once.
+//! `forelight bench forecast`: forecasts one frame of each bundle with several seeds, and compares it with
+//! the full render.
+//!
+//! Each forecast traces its own pixels, as `forelight forecast` does. `bench paper` compares many more
+//! forecasts on costs that are traced once.
 
 use crate::conventions::{PAPER_SIZE, bounces_to_try};
 use crate::report::Report;
@@ -21,14 +23,14 @@ use forelight_terminal::watching::QuoteWatcher;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// Forecast one frame with many seeds, against its full render
+/// Forecast one frame with many seeds, and compare with its full render
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight bench forecast kitchen/ corridor/
   forelight bench forecast kitchen/ --bounces 1 --seeds 30 --samples 512 --json > forecast.json
 
-The image is 256 x 256 as in the paper, unless --width or --height say otherwise.")]
+The image is 256 x 256 as in the paper, unless --width or --height is given.")]
 pub struct Args {
     /// Scene bundles: folders or zip files
     #[arg(required = true)]
@@ -36,7 +38,7 @@ pub struct Args {
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
-    /// Ambient bounces to try [default: 0,1, or what --ambient-bounces says]
+    /// Ambient bounces to try [default: --ambient-bounces, or 0,1]
     #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "ambient_bounces")]
     bounces: Vec<u32>,
     /// Seeds to try
@@ -74,9 +76,9 @@ struct Case {
     mean_absolute_error: Errors,
     /// Mean over seeds of forecast mean / actual − 1.
     bias: Errors,
-    /// Share of the seeds whose quantile was not exceeded by the actual work.
+    /// Share of the seeds whose actual work was at or below the quantile.
     covered: Covered,
-    /// Mean over seeds of the work of preview and profiling, as a share of the actual work.
+    /// Mean over seeds of the work of preview and profiling, relative to the actual work.
     spent_fraction: f64,
     seeds: Vec<Trial>,
 }
@@ -102,7 +104,6 @@ struct Covered {
     p95: f64,
 }
 
-/// One forecast.
 #[derive(Debug, Serialize)]
 struct Trial {
     seed: u64,
@@ -117,7 +118,6 @@ struct Trial {
     spent_work: u64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);

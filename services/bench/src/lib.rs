@@ -1,4 +1,4 @@
-//! `forelight bench`: measurements of what this program promises, on bundles that the user names.
+//! `forelight bench`: measures what the documentation claims, on bundles that the user names.
 
 mod conventions;
 mod coverage;
@@ -21,7 +21,7 @@ use forelight_terminal::interrupt::Interrupt;
 use report::{Origin, page};
 use std::path::PathBuf;
 
-/// Measure how good forecasts are, and how much the farm bears
+/// Measure the accuracy of forecasts and the capacity of a farm
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -40,8 +40,8 @@ Examples:
 pub struct Args {
     #[command(subcommand)]
     bench: Bench,
-    /// Also write the tables into this Markdown file, with the command, the date, the commit and the processor. They replace the
-    /// bench's section; other sections stay. A folder, such as docs/, stands for benchmarks.md in it
+    /// Also write the tables into this Markdown file, with command, date, commit and processor. They replace
+    /// the bench's section; other sections stay. A folder, such as docs/, means its benchmarks.md
     #[arg(long, global = true, value_name = "FILE.md")]
     write: Option<PathBuf>,
 }

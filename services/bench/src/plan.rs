@@ -1,5 +1,5 @@
-//! `forelight bench plan`: how good and how fast plans are. A studio's week with hundreds of jobs, and small farms of which every plan
-//! can be tried.
+//! `forelight bench plan`: quality and speed of plans, for weeks of a studio with hundreds of jobs, and for
+//! farms small enough to try every plan.
 
 use crate::report::Report;
 use anyhow::{Result, anyhow};
@@ -17,21 +17,21 @@ Examples:
   forelight bench plan
   forelight bench plan --seeds 3 --tiny 1000 --json > plan.json
 
-Times are CPU seconds of one thread, so that what else the machine does hardly matters.")]
+Times are CPU seconds of one thread, so other load on the machine hardly matters.")]
 pub struct Args {
-    /// Studios to draw
+    /// Random studios
     #[arg(long, value_name = "COUNT", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
     seeds: u64,
-    /// Jobs of a studio
+    /// Jobs per studio
     #[arg(long, value_name = "COUNT", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     jobs: u64,
     /// Frames of all jobs together
     #[arg(long, value_name = "COUNT", default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     frames: u64,
-    /// Nodes of a studio
+    /// Nodes per studio
     #[arg(long, value_name = "COUNT", default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     nodes: u64,
-    /// Small farms of each kind to try everything on
+    /// Small farms of each kind to plan exhaustively
     #[arg(long, value_name = "COUNT", default_value_t = 1000)]
     tiny: u64,
     /// Print the measurements as JSON to standard output
@@ -61,13 +61,13 @@ struct Studio {
     replans: Vec<Replan>,
 }
 
-/// One event on it.
+/// A new plan after one event.
 #[derive(Debug, Serialize)]
 struct Replan {
     event: &'static str,
     seconds: f64,
     moved: usize,
-    /// Share of the bookings that the event does not concern.
+    /// Share of the bookings moved that the event does not concern.
     others_moved: f64,
     at_risk: usize,
 }
@@ -85,7 +85,6 @@ struct Tiny {
     worst_above_optimum: f64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Report> {
     let size = Size { jobs: args.jobs, frames: args.frames, nodes: args.nodes, ..Size::default() };
     let studios = (1..=args.seeds).map(|seed| measure(size, seed)).collect::<Result<Vec<_>>>()?;
@@ -97,7 +96,7 @@ pub fn run(args: &Args) -> Result<Report> {
     report(&document).printed(args.json, &document)
 }
 
-/// The result of some work, and the CPU seconds of this thread that it took.
+/// Result of `work`, and its CPU seconds on this thread.
 fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
     let (done, nanos) = clocked(work);
     (done, nanos as f64 * 1e-9)
@@ -106,7 +105,7 @@ fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
 fn checked(input: &Input, plan: &Plan) -> Result<()> {
     verify(input, plan).map_err(|violations| {
         let first = violations.first().map(ToString::to_string).unwrap_or_default();
-        anyhow!("the verifier finds {} faults, the first: {first}", violations.len())
+        anyhow!("the verifier found {} violations; the first: {first}", violations.len())
     })
 }
 
@@ -141,7 +140,7 @@ fn measure(size: Size, seed: u64) -> Result<Studio> {
     })
 }
 
-/// What may happen on the second day, and how many bookings it concerns.
+/// Possible events on the second day, with the number of bookings that each concerns.
 fn events(input: &Input, plan: &Plan) -> Vec<(Event, &'static str, usize)> {
     const DAY: i64 = 86_400_000_000;
     let mut events = Vec::new();

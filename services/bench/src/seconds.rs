@@ -1,8 +1,9 @@
-//! `forelight bench seconds`: how well a quote that was made here says what frames take on another machine.
+//! `forelight bench seconds`: how well a quote made here predicts CPU times on another machine.
 //!
-//! The other machine is a program: another build of this one, or a script that runs it elsewhere (`ssh rack-7 forelight "$@"`, with the same paths on
-//! both). It is calibrated as a user would; the quote is made here and carried over, as `forelight forecast --for-node` does. What is true is what
-//! both programs say that the frames took. Each round does all of that in turns, for machines are now busy and now idle; the medians of the rounds count.
+//! The other machine is a program: another build of this one, or a script that runs it elsewhere
+//! (`ssh rack-7 forelight "$@"`, with equal paths on both). It is calibrated as by a user. The quote is made
+//! here and carried over, as by `forelight forecast --for-node`. The truth is the CPU time that both programs
+//! report. Each round does all of this in turns, because load varies, and the medians of the rounds count.
 
 use crate::conventions::bounces_to_try;
 use crate::report::Report;
@@ -26,32 +27,31 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Carry quotes to another machine, and hold them against what frames take there
+/// Carry quotes to another machine, and compare them with its CPU times
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight bench seconds kitchen/ corridor/ --other ./forelight-of-rack-7 --width 128
   forelight bench seconds kitchen/ --other ./on-rack-7.sh --bounces 1 --cache on --frames 0,24
 
-The other program is run with the same arguments as this one: a script that starts it on another machine will do, if bundles and the folder for \
-temporary files have the same paths there. Without --other it is this program itself, which shows how sure the measurement is.")]
+The other program gets the same arguments as this one. It may be a script that runs forelight on another \
+machine, if bundles and the folder for temporary files have the same paths there. Without --other it is \
+this program, which shows the noise of the measurement.")]
 pub struct Args {
-    /// Scene bundles: folders or zip files
     #[arg(required = true)]
     bundles: Vec<PathBuf>,
-    /// The program that renders elsewhere [default: this one]
     #[arg(long, value_name = "PROGRAM")]
     other: Option<PathBuf>,
     /// Frames to quote and to render
     #[arg(long, value_name = "LIST", default_value = "0")]
     frames: FrameSet,
-    /// Ambient bounces to try [default: 0,1, or what --ambient-bounces says]
+    /// Ambient bounces to try [default: --ambient-bounces, or 0,1]
     #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "ambient_bounces")]
     bounces: Vec<u32>,
     /// Pixels to profile in a frame
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
-    /// How often each program is calibrated, the quote made, and each frame rendered
+    /// Number of calibrations of each program, of quotes, and of renders of each frame
     #[arg(long, value_name = "TIMES", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     rounds: u16,
     /// Also write the measurements to this file as JSON
@@ -66,18 +66,18 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// One bundle at one ambient level; all in CPU seconds of all frames.
+/// One bundle at one ambient level, in CPU seconds of all frames.
 #[derive(Debug, Serialize)]
 struct Case {
     bundle: String,
     ambient_bounces: u32,
-    /// What the frames took, round by round.
+    /// CPU time of the frames, by round.
     took: Pair<Vec<f64>>,
-    /// What was quoted in each round: first, with new calibrations.
+    /// Quotes by round, each with new calibrations.
     quoted: Pair<Vec<f64>>,
-    /// The median of what was quoted over that of what they took, less one.
+    /// Median of the quotes over median of the CPU times, minus one.
     error: Pair<f64>,
-    /// What there is quoted to take over what here is, against the same of what they took: what of the error comes with going from one to the other.
+    /// Quoted ratio of there to here, over the actual ratio, minus one: the error of carrying over.
     carried: f64,
 }
 
@@ -88,13 +88,12 @@ struct Pair<T> {
     there: T,
 }
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
-    let own = std::env::current_exe().context("cannot tell where this program is")?;
+    let own = std::env::current_exe().context("cannot find this program")?;
     let other = args.other.as_deref().unwrap_or(&own);
-    // Threads that share caches slow each other, by how much depends on the machine.
+    // Threads that share caches slow each other, and machines differ in how much.
     let machine = MachineOptions { threads: args.machine.threads.or(Some(1)), ..args.machine.clone() };
     let mut ready = Vec::new();
     for bundle in &args.bundles {
@@ -119,7 +118,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     report(&cases).printed(args.json, &cases)
 }
 
-/// What a program says of the machine that it runs on.
+/// Calibration that a program reports for its machine.
 fn calibration(program: &Path) -> Result<NodeCalibration> {
     let answer = answer(Command::new(program).args(["calibrate", "--json"]))?;
     let calibration: NodeCalibration = serde_json::from_slice(&answer)
@@ -130,22 +129,22 @@ fn calibration(program: &Path) -> Result<NodeCalibration> {
     Ok(calibration)
 }
 
-/// What a program writes to its standard output.
+/// Standard output of a program.
 fn answer(command: &mut Command) -> Result<Vec<u8>> {
     let program = command.get_program().to_string_lossy().into_owned();
     let done = command
         .stdin(Stdio::null())
         .output()
-        .map_err(|error| BadInput::new(format!("--other: {program} cannot be started: {error}")))?;
+        .map_err(|error| BadInput::new(format!("--other: cannot start {program}: {error}")))?;
     if !done.status.success() {
         let said = String::from_utf8_lossy(&done.stderr);
-        let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing");
+        let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it printed nothing");
         return Err(BadInput::new(format!("{program} failed: {last}")).into());
     }
     Ok(done.stdout)
 }
 
-/// What is quoted and rendered.
+/// What to quote and render.
 struct Trial<'a> {
     bundle: &'a Path,
     settings: &'a RenderSettings,
@@ -163,7 +162,7 @@ impl Trial<'_> {
     ) -> Result<Case> {
         let bars = Bars::new(args.json);
         let frames = self.frames;
-        let folder = tempfile::tempdir().context("cannot make a folder for what frames took")?;
+        let folder = tempfile::tempdir().context("cannot create a folder for render statistics")?;
         let stats = folder.path().join("stats.json");
         let bar = bars.bar("rendering", u64::from(args.rounds) * 2 * frames.len() as u64);
         let [mut took, mut quoted] = [const { Pair { here: Vec::new(), there: Vec::new() } }; 2];
@@ -201,7 +200,7 @@ impl Trial<'_> {
         })
     }
 
-    /// What both machines are said to take, as they are now.
+    /// Quotes for both machines, with new calibrations.
     fn quote(
         &self,
         args: &Args,
@@ -217,11 +216,11 @@ impl Trial<'_> {
         let watcher = QuoteWatcher::new(&bars, self.frames.len(), interrupt);
         let quote = watcher.quote(local, self.bundle, self.frames, self.settings, &options)?.document;
         let there = NodeSeconds::carried(&quote, "there".to_owned(), &calibrations.here, &calibrations.there);
-        let there = there.context("the quote does not say of which classes its work is")?;
+        let there = there.context("the quote has no work by class")?;
         Ok(Pair { here: quote.total.cpu_seconds.mean, there: there.cpu_seconds.mean })
     }
 
-    /// The command that renders a frame just as it was quoted.
+    /// The command that renders a frame with the quoted settings.
     fn render(&self, program: &Path, frame: u32) -> Command {
         let RenderSettings {
             width,
@@ -269,7 +268,7 @@ impl Trial<'_> {
     }
 }
 
-/// Half of the range that the rounds have, as a share of their median.
+/// Half of the range of the rounds, relative to their median.
 fn noise(values: &[f64]) -> f64 {
     let (low, high) = values.iter().fold((f64::MAX, 0.0f64), |(low, high), &v| (low.min(v), high.max(v)));
     0.5 * (high - low) / median(values).max(f64::MIN_POSITIVE)
@@ -334,7 +333,7 @@ mod tests {
         let command = trial.render(Path::new("forelight"), 4);
         let typed: Vec<&str> = command.get_args().map(|arg| arg.to_str().unwrap()).collect();
         assert_eq!(&typed[..4], ["render", "b", "--frame", "4"]);
-        // What render makes of these is what was quoted.
+        // The parsed flags of `render` must equal the quoted settings.
         let read = parsed::<QualityOptions>([&["render"], &typed[4..typed.len() - 2]].concat());
         assert_eq!(forelight_terminal::local::settings_request(&read, (4, 4)).complete((4, 4)), settings);
     }
@@ -344,6 +343,6 @@ mod tests {
         let said = answer(Command::new("sh").args(["-c", "echo first >&2; echo no such flag >&2; exit 2"]));
         assert_eq!(said.unwrap_err().to_string(), "sh failed: no such flag");
         let none = answer(&mut Command::new("/nowhere/forelight")).unwrap_err().to_string();
-        assert!(none.contains("/nowhere/forelight cannot be started"), "{none}");
+        assert!(none.contains("cannot start /nowhere/forelight"), "{none}");
     }
 }

@@ -1,17 +1,17 @@
 //! Errors, medians and quantiles of measurements.
 
-/// forecast / actual − 1. The error is 0 if both are 0.
+/// forecast / actual − 1. Zero if both are zero.
 pub fn relative_error(forecast: f64, actual: f64) -> f64 {
     if actual == forecast { 0.0 } else { forecast / actual - 1.0 }
 }
 
-/// Mean of the absolute values. It is 0 without values.
+/// Mean of the absolute values. Zero without values.
 pub fn mean_absolute(errors: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = errors.fold((0.0, 0u32), |(sum, count), error| (sum + error.abs(), count + 1));
     if count == 0 { 0.0 } else { sum / f64::from(count) }
 }
 
-/// The middle value; of an even number of values, the mean of the two in the middle. It is 0 without values.
+/// Median. The mean of the middle two if the number is even, zero without values.
 pub fn median(values: &[f64]) -> f64 {
     let values = sorted(values.to_vec());
     let half = values.len() / 2;
@@ -22,18 +22,17 @@ pub fn median(values: &[f64]) -> f64 {
     }
 }
 
-/// The middle value; of an even number of values, the greater one of the two in the middle. `None` without values.
+/// Median. The greater of the middle two if the number is even, `None` without values.
 pub fn upper_median<T: Copy>(sorted: &[T]) -> Option<T> {
     sorted.get(sorted.len() / 2).copied()
 }
 
-/// The value below which this share of the sorted values lies, to the nearest value. It is 0 without values.
+/// Quantile of sorted values, to the nearest value. Zero without values.
 pub fn quantile(sorted: &[f64], share: f64) -> f64 {
     let last = sorted.len().saturating_sub(1);
     sorted.get((share * last as f64).round() as usize).copied().unwrap_or(0.0)
 }
 
-/// Values in ascending order.
 pub fn sorted(mut values: Vec<f64>) -> Vec<f64> {
     values.sort_by(f64::total_cmp);
     values

@@ -1,6 +1,7 @@
-//! What starts the processes that do a farm's tasks, where those are not workers that were started by hand: [`slurm`].
+//! Engines start worker processes on a cluster. The one engine so far is [`slurm`].
 //!
-//! An engine stands beside the service and knows its memory, not its HTTP; a process that it starts speaks to the service like every
-//! other worker, and leases exactly one task. So the rules of leases hold whatever an engine does twice, late or not at all.
+//! An engine runs beside the service and uses its store, not its HTTP API. Each process it starts is an
+//! ordinary worker that leases exactly one task. So the lease rules hold even if an engine submits twice,
+//! late or never.
 
 pub mod slurm;

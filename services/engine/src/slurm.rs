@@ -1,27 +1,28 @@
-//! Slurm as the engine: tasks become job arrays, bookings their begin and their reservations, forecasts their time limits.
+//! Slurm as the engine. Tasks become job arrays, bookings become begin times and reservations, forecasts
+//! become time limits.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `arrays` | which tasks become which arrays: begin, deadline, limit, reservation (pure) |
-//! | `command` | what is said to Slurm's programs (pure) |
-//! | `answer` | what they answer (pure) |
-//! | `next_step` | what an element's state in Slurm and its task's state here call for (pure) |
+//! | `arrays` | groups tasks into arrays: begin, deadline, limit, reservation (pure) |
+//! | `command` | arguments for Slurm's programs (pure) |
+//! | `answer` | output of Slurm's programs (pure) |
+//! | `next_step` | what to do about an element, from its state in Slurm and in the store (pure) |
 //! | `cluster` | runs the programs |
-//! | `engine` | the loop around all that |
+//! | `engine` | the loop |
 //!
-//! # Hazards, and what guards against them
+//! # Hazards
 //!
-//! * *The service dies between telling Slurm and writing down that it did.* It writes first: an array's row is there before `sbatch` is
-//!   called, and its id is the Slurm job's comment. A row without Slurm's number is looked up by that comment, and only if Slurm has known
-//!   nothing of it for a minute are its tasks submitted again.
-//! * *Slurm runs an element twice.* It does: when a node's daemon dies, its job is put back into the queue while the process goes on. Both
-//!   ask for the lease of the same task. One gets it; the other waits while the first is alive, ends with exit code 0 when the task is done,
-//!   and gets the lease if the first one dies. What comes late from a process that lost its lease is refused as stale.
-//! * *Slurm loses an element, or a person cancels it.* The task is handed out again, with more time if it ran out of it, after a pause that
-//!   grows; the sixth time its job fails, with what Slurm said.
-//! * *The controller is away.* Nothing is concluded from silence: everything waits, and an event says so.
-//! * *A deadline that cannot be met makes Slurm cancel the job.* So an array has a deadline only if the latest of its frames could start as
-//!   booked and take its whole time limit; whatever is handed out again has none.
+//! * *The service dies between `sbatch` and its write.* The array's row is written before `sbatch` runs, and
+//!   its id is the Slurm job's comment. A row without Slurm's number is looked up by that comment. Its tasks
+//!   are submitted again only after Slurm has not known it for a minute.
+//! * *Slurm runs an element twice.* When a node's daemon dies, Slurm requeues the job while the process goes
+//!   on. Both processes claim the same lease. The second waits, and gets the lease only if the first dies. If
+//!   the task is done, it exits with code 0. Late results are refused as stale.
+//! * *Slurm loses an element, or a person cancels it.* The task is submitted again after a growing pause,
+//!   with a longer limit after a timeout. The sixth loss fails its job with Slurm's reason.
+//! * *The controller is away.* Nothing is concluded from silence. All tasks wait, and an event says so.
+//! * *Slurm cancels jobs that cannot meet their deadline.* So an array gets a deadline only if its last
+//!   frame, started as booked, could use its whole limit. Resubmitted tasks get none.
 
 mod answer;
 mod arrays;

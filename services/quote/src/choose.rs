@@ -1,4 +1,4 @@
-//! Which frames to profile.
+//! Chooses the frames to profile.
 
 use forelight_forecast::{FIRST_FRAMES, Strategy, choose_frames, choose_more_frames};
 use forelight_protocol::PreviewResult;
@@ -8,10 +8,10 @@ use crate::estimate::Estimate;
 use crate::measured::Measured;
 use crate::populations::Populations;
 
-/// The frames to profile first, ascending: at most `most`, or the usual number of them.
+/// The first frames to profile, ascending. At most `most`, or the usual number of them.
 ///
 /// # Errors
-/// If the preview has no frames, or contradicts itself.
+/// If the preview has no frames or contradicts itself.
 pub fn frames_to_profile(
     preview: &PreviewResult,
     strategy: Strategy,
@@ -28,11 +28,8 @@ pub fn frames_to_profile(
 }
 
 impl Measured<'_> {
-    /// More frames to profile, ascending. Empty if the forecast is sure enough, or if more profiles would cost too much
-    /// beside the shot ([`choose_more_frames`]).
-    ///
-    /// # Errors
-    /// As of [`Measured::estimate`].
+    /// More frames to profile, ascending. Empty if the forecast is certain enough, or if more profiles would
+    /// cost too much relative to the shot ([`choose_more_frames`]).
     pub fn more_to_profile(&self) -> Result<Vec<u32>, QuoteError> {
         let Estimate { shot, populations, .. } = self.estimate()?;
         let work = self.profiles.iter().map(|profile| profile.result.work_on_pixels());

@@ -1,48 +1,48 @@
-//! Why there is no quote.
+//! Errors of quotes.
 
 use forelight_forecast::ForecastError;
 use forelight_protocol::CACHE_BYTES;
 
-/// Why there is no quote. Each reason is a sentence for the person who submitted the job.
+/// Why there is no quote. Each message is for the person who submitted the job.
 #[derive(Clone, PartialEq, Debug, thiserror::Error)]
 pub enum QuoteError {
-    /// The statistics refuse the preview.
+    /// The preview is unusable.
     #[error("no frames could be chosen for profiling: {0}")]
     Choice(ForecastError),
     /// The preview has no frame that can be profiled.
     #[error("no frame was chosen for profiling")]
     NothingChosen,
-    /// A profile belongs to a frame that the preview does not have.
+    /// A profiled frame is missing from the preview.
     #[error("frame {0} was profiled, but it is not in the preview")]
     NotPreviewed(u32),
-    /// The statistics refuse the profiles.
+    /// The profiles are unusable.
     #[error("no forecast: {0}")]
     Forecast(ForecastError),
-    /// The statistics refuse the records of the shared cache.
+    /// The records of the shared cache are unusable.
     #[error("no forecast of the shared irradiance cache: {0}")]
     SharedCache(ForecastError),
-    /// The job asks for a shared cache that would be too large.
+    /// The job asks for a shared cache that is too large.
     #[error(
         "the job asks for a shared irradiance cache, which would take {0} bytes; the limit is {CACHE_BYTES}: \
          ask for private caches, or for a lower cache accuracy"
     )]
     CacheTooLarge(u64),
-    /// There is no such frame.
+    /// The job has no such frame.
     #[error("the job has no frame {0}")]
     NoFrame(u32),
-    /// Not even one camera sample a pixel fits into the limit.
+    /// Even one camera sample per pixel exceeds the limit.
     #[error(
         "within: with one camera sample per pixel, the minimum, {what} takes {needed} at {confidence}; \
-         the limit is {limit}"
+         the limit is {limit}: raise it or lower the resolution"
     )]
     TooLittle {
-        /// The job, or its dearest frame.
+        /// The job, or its most expensive frame.
         what: &'static str,
-        /// What that takes, with its unit.
+        /// Its cost, with the unit.
         needed: String,
-        /// What the limit allows, with its unit.
+        /// The limit, with the unit.
         limit: String,
-        /// The quantile that was compared.
+        /// Quantile compared with the limit.
         confidence: &'static str,
     },
 }

@@ -1,4 +1,4 @@
-//! The statistics of a shot: what the profiled frames say of all frames.
+//! Forecasts all frames of a shot from the profiled ones.
 
 use std::collections::BTreeMap;
 
@@ -14,42 +14,39 @@ use crate::error::QuoteError;
 use crate::measured::{Measured, MeasuredProfile, SharedCache};
 use crate::populations::Populations;
 
-/// What the statistics know of a shot. Quantiles are those of the formulas, before past jobs correct them.
+/// Forecasts of a shot. The quantiles are not corrected by past jobs.
 #[derive(Clone, Debug)]
 pub struct Estimate {
-    /// The forecast of every frame and of all frames together. CPU time is that of a node of speed 1.
+    /// Forecasts of each frame and of all frames together. CPU time is that of a node of speed 1.
     pub shot: ShotForecast,
-    /// Strata and frames that the forecast is of.
     pub(crate) populations: Populations,
-    /// The stratum of each profiled pixel, profile by profile.
+    /// Stratum of each profiled pixel, by profile.
     pub(crate) sampled: Vec<Vec<u32>>,
 }
 
-/// Frames that were profiled, as the statistics want them.
+/// A profiled frame, as input of the statistics.
 struct Observed {
-    /// Index of the frame in the preview.
     frame: usize,
     observations: Vec<Observation>,
-    /// Fixed costs but for building the tree.
+    /// Fixed costs, except for the build.
     fixed: Cost,
-    /// Building the acceleration structure.
     build: Cost,
     /// Pixels and records of the frame by stratum, before [`make_room`] changed them.
     counts: Vec<u32>,
 }
 
 impl Measured<'_> {
-    /// Estimates every frame. With a shared cache, frames are charged for what they gather themselves, and not for the
-    /// shared cache.
+    /// Estimates every frame. With a shared cache, each frame pays only for the records that it gathers
+    /// itself.
     ///
     /// # Errors
-    /// If a profile fits no frame of the preview, or the statistics refuse the numbers.
+    /// If a profile's frame is not in the preview, or the statistics refuse the numbers.
     pub fn estimate(&self) -> Result<Estimate, QuoteError> {
         let strata = self.profiles.iter().flat_map(|profile| &profile.result.strata);
         let gathered: Vec<&[u32]> = self.records().into_iter().map(|(_, own)| own).collect();
         let mut populations = Populations::new(self.preview, strata, self.strategy, &gathered);
         let mut plans = self.plans();
-        // Old previews do not say what planning a cache takes. It is then carried over from the profiled frames.
+        // Old previews lack the cost of planning a cache. It is then estimated from the profiled frames.
         let plans_are_known = !plans.is_empty();
         let own = OwnRecords::of(self.profiles);
         let mut observed = Vec::with_capacity(self.profiles.len());
@@ -77,7 +74,7 @@ impl Measured<'_> {
         let mut shot = forecast_shot(&populations.strata, &populations.frames, &profiled, Calibration::NONE)
             .map_err(QuoteError::Forecast)?
             .with_known(&plans, Calibration::NONE);
-        // Show the records that a frame gathers, not those that were measured in a cache of its own.
+        // Show the records that a frame gathers beside the shared cache.
         for frame in observed.iter().filter(|_| self.shared.is_some()) {
             let strata = shot.frames[frame.frame].strata.iter_mut();
             for ((sum, stratum), &count) in strata.zip(&populations.strata).zip(&frame.counts) {
@@ -94,7 +91,7 @@ impl Measured<'_> {
         Ok(Estimate { shot, populations, sampled })
     }
 
-    /// Reads one profile, and makes room in the populations for what it observed.
+    /// Reads one profile, and calls [`make_room`] for its observations.
     fn observe(
         &self,
         profile: &MeasuredProfile,
@@ -135,7 +132,7 @@ impl Measured<'_> {
         })
     }
 
-    /// The cost of a profiled pixel: with the shared cache, if frames are given one.
+    /// Cost of a profiled pixel, with the shared cache if there is one.
     fn pixel_cost(&self, profile: &ProfileResult, sample: &ProfileSample, place: usize) -> (Spent, [u64; 7]) {
         match profile.shared_samples.get(place).filter(|_| self.shared.is_some()) {
             Some(&SharedSample { work, cpu_nanos, rays, .. }) => (Spent { work, cpu_nanos }, rays),
@@ -143,7 +140,7 @@ impl Measured<'_> {
         }
     }
 
-    /// What planning each frame's irradiance cache takes. Empty where the preview does not say.
+    /// Cost of planning each frame's irradiance cache. Empty if the preview does not know it.
     fn plans(&self) -> Vec<Costs<f64>> {
         match self.shared {
             Some(shared) => {
@@ -160,7 +157,7 @@ impl Measured<'_> {
                 let frames = self.preview.frames.iter();
                 let counted: Option<Vec<PlanCount>> = frames.map(|frame| frame.cache_plan).collect();
                 let counted = counted.unwrap_or_default().into_iter();
-                // An operation takes as long as it did in the plans of the profiled frames.
+                // Seconds per operation are those of the plans of the profiled frames.
                 let timed = self.profiles.iter().map(|profile| {
                     let plan = profile.result.fixed.at_speed_one(profile.node_speed).plan;
                     (plan.work, plan.cpu_nanos)
@@ -171,8 +168,8 @@ impl Measured<'_> {
         }
     }
 
-    /// What a frame costs whatever its pixels show: the mean of the profiled frames. With a shared cache, planning is
-    /// known for every frame, and is that of `frame`, or the mean of all.
+    /// Fixed costs of a frame: the mean of the profiled frames. With a shared cache, the preview knows the
+    /// planning cost of each frame. It is that of `frame`, or the mean of all.
     pub(crate) fn fixed_costs(&self, frame: Option<u32>) -> Option<FixedCosts> {
         let fixed = |profile: &MeasuredProfile| profile.result.fixed.at_speed_one(profile.node_speed);
         let own = FixedCosts::mean(&self.profiles.iter().map(fixed).collect::<Vec<_>>())?;
@@ -190,14 +187,14 @@ impl Measured<'_> {
     }
 }
 
-/// Which sampled records stand for those that frames gather themselves beside a shared cache.
+/// Chooses the sampled records that represent those which frames gather beside a shared cache.
 struct OwnRecords {
-    /// By level: how many of the frames' own records were sampled.
+    /// Number of the frames' own records that were sampled, by level.
     sampled: BTreeMap<u32, usize>,
 }
 
 impl OwnRecords {
-    /// Fewer samples of a level say less than the samples of all its records.
+    /// With fewer own samples of a level, all of its records are used.
     const LEAST: usize = 4;
 
     fn of(profiles: &[MeasuredProfile]) -> Self {
@@ -214,13 +211,12 @@ impl OwnRecords {
 
 /// Raises counts to the number of samples of a stratum.
 ///
-/// The hazard: a GPU previewed the frame and a CPU profiled it, and a pixel at an edge shows another object there. More
-/// pixels of a stratum are then profiled than were counted, which the forecast refuses. What was traced is true, so the
-/// count is raised: by a few pixels of a whole image.
+/// Hazard: where a GPU previews a frame and a CPU profiles it, pixels at edges may show other objects. A
+/// stratum may then have more profiled pixels than counted ones, which the forecast refuses. The traced
+/// pixels are right, so the count is raised.
 pub(crate) fn make_room(counts: &mut [u32], observations: &[Observation]) {
     let mut samples = vec![0u32; counts.len()];
     for observation in observations {
-        // The forecast refuses an observation of an unknown stratum.
         if let Some(samples) = samples.get_mut(observation.stratum as usize) {
             *samples += 1;
         }
@@ -230,8 +226,8 @@ pub(crate) fn make_room(counts: &mut [u32], observations: &[Observation]) {
     }
 }
 
-/// The cost of records that were measured beyond those that the frame gathers. [`make_room`] counts them in a forecast,
-/// and this takes them off again.
+/// Cost of records that were measured beyond those that the frame gathers. [`make_room`] adds them to a
+/// forecast; this amount takes them off again.
 pub(crate) fn surplus(counts: &[u32], observations: &[Observation], strata: &[Stratum]) -> Costs<f64> {
     let mut all = Costs::<f64>::default();
     for (_, place) in strata.iter().zip(0..).filter(|(stratum, _)| stratum.apart) {
@@ -249,7 +245,7 @@ pub(crate) fn surplus(counts: &[u32], observations: &[Observation], strata: &[St
     all
 }
 
-/// One frame that has these records and no pixels, with the stratum of each level.
+/// A frame with these records and no pixels, and the stratum of each level.
 pub(crate) fn records_alone(
     background: f64,
     prior_cost: f64,

@@ -1,4 +1,4 @@
-//! A quote as it is stored with the job and shown to people.
+//! The quote as it is stored and shown.
 
 use std::collections::BTreeSet;
 
@@ -15,30 +15,30 @@ use crate::estimate::Estimate;
 use crate::measured::{Measured, MeasuredProfile};
 use crate::populations::Populations;
 
-/// A quote without its frames, as the store keeps it with the job.
+/// A quote without its frames, as stored with the job.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
 pub struct JobForecast {
-    /// All frames together.
+    /// Forecast of all frames together.
     pub total: ForecastTotals,
-    /// The frames and pixels that the quote rests on.
+    /// Number of profiled frames and pixels.
     pub profiled: Profiled,
-    /// What the quote itself cost.
+    /// Cost of the quote itself.
     pub spent: SpentOnForecast,
-    /// Whether the quantiles have been calibrated on past jobs.
+    /// True if past jobs calibrated the quantiles.
     pub calibrated: bool,
-    /// The effects that any of the profiled frames calls for.
+    /// Effects that any profiled frame calls for.
     #[serde(default)]
     pub effects: Vec<String>,
     /// Lights and objects that are left out of all frames.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Camera samples that were chosen to fit a time or a sum of money.
+    /// Camera samples that were chosen to fit a limit of time or money.
     #[serde(default)]
     pub chosen_spp: Option<u32>,
-    /// What a frame costs whatever its pixels show: the mean of the profiled frames.
+    /// Fixed costs of a frame: the mean of the profiled frames.
     #[serde(default)]
     pub fixed: Option<FixedCosts>,
-    /// What every process pays once that renders frames of the shot.
+    /// Costs that each process pays once for the shot.
     #[serde(default)]
     pub once: Option<ProcessCosts>,
     /// Work of the profiled frames by class.
@@ -47,27 +47,28 @@ pub struct JobForecast {
     /// CPU seconds of all frames on calibrated nodes.
     #[serde(default)]
     pub cpu_seconds_on: Vec<NodeSeconds>,
-    /// How the irradiance caches are built. `None` without caches.
+    /// How irradiance caches are built. `None` without caches.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<CacheQuote>,
-    /// The total in money, with the shared irradiance cache if there is one.
+    /// Total in money, including a shared irradiance cache.
     pub cost: Option<MoneyQuantiles>,
-    /// For each frame, a number for the set of lights that shine in it. Empty if all frames have the same lights.
+    /// For each frame, a number for the set of lights that shine in it. Empty if all frames have the same
+    /// lights.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lights: Vec<u32>,
-    /// For each frame, its time on the shot's own clock. The store keeps it with the frames, so it is empty when it is
+    /// Time of each frame on the shot's own clock. The store keeps it with the frames, so it is empty when
     /// read back.
     #[serde(skip)]
     pub clock: Vec<f64>,
 }
 
 impl JobForecast {
-    /// CPU seconds for the irradiance cache that the frames share; zero if they do not.
+    /// CPU seconds of the shared irradiance cache. Zero without one.
     pub fn shared_cache_seconds(&self) -> Quantiles {
         self.cache.as_ref().map(CacheQuote::shared_cache_seconds).unwrap_or_default()
     }
 
-    /// The document for people and programs, with the shot that it is of and the forecasts of its frames.
+    /// The document for clients, with its shot and the forecasts of its frames.
     pub fn document(self, of: QuotedShot, frames: Vec<FrameForecast>) -> ForecastDoc {
         ForecastDoc {
             of: Some(of),
@@ -89,18 +90,17 @@ impl JobForecast {
     }
 }
 
-/// The jobs that a quote is compared with: those of the same renderer version and class of features.
+/// Key of the past jobs that a quote learns from: renderer version and class of features.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct QuoteKind {
-    /// The renderer that measured the profiles, with its version.
+    /// Renderer that measured the profiles, with its version.
     pub renderer: String,
     /// [`RenderSettings::feature_class`].
     pub feature_class: String,
 }
 
 impl QuoteKind {
-    /// The kind of a quote that rests on these profiles. `None` if they do not say which renderer measured them, or if
-    /// several did.
+    /// The kind of a quote from these profiles. `None` if they name no renderer, or several.
     pub fn of(profiles: &[MeasuredProfile], settings: &RenderSettings) -> Option<Self> {
         let mut renderers = profiles.iter().map(|profile| profile.result.renderer.as_ref());
         let renderer = renderers.next()??;
@@ -110,46 +110,47 @@ impl QuoteKind {
     }
 }
 
-/// How uncertain a quote says that it is: standard deviations of the logarithm, before past jobs correct the quantiles.
+/// Spreads of a quote: standard deviations of the logarithm, before past jobs correct the quantiles.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Spreads {
-    /// Of work.
+    /// Spread of the work.
     pub work: f64,
-    /// Of CPU time.
+    /// Spread of the CPU time.
     pub cpu: f64,
 }
 
-/// What is remembered of a quote so that later quotes can learn from it.
+/// The part of a quote that later quotes learn from.
 #[derive(Clone, PartialEq, Debug)]
 pub struct QuoteBasis {
-    /// The jobs that it is compared with.
+    /// Kind of the quote.
     pub kind: QuoteKind,
-    /// Of all frames together.
+    /// Spreads of all frames together.
     pub total: Spreads,
-    /// Of each frame, in their order.
+    /// Spreads of each frame, in order.
     pub frames: Vec<Spreads>,
 }
 
-/// A shared irradiance cache that will be built before the frames.
+/// A shared irradiance cache to build before the frames.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct SharedCacheToBuild {
-    /// The cache as planned: an artefact.
+    /// The planned cache, an artefact.
     pub cache: ArtifactHash,
-    /// Size of the file, bytes.
+    /// Size of the file in bytes.
     pub bytes: u64,
     /// Records of all levels.
     pub records: u64,
 }
 
 impl SharedCacheToBuild {
-    /// Fewest records of a part. Below this, opening the scene and sending the cache costs more than filling it.
+    /// Fewest records in a part. Smaller parts cost more for opening the scene and sending the cache than for
+    /// filling.
     const PART_RECORDS: u64 = 256;
     /// Most parts.
     const MOST_PARTS: u32 = 64;
-    /// Most bytes of all parts together: the worker that merges them holds all of them.
+    /// Most bytes of all parts together. The worker that merges them holds all of them.
     const PARTS_BYTES: u64 = 4 << 30;
 
-    /// Into how many parts the cache is split on a farm of `nodes` nodes: one a node, as long as that pays.
+    /// Number of parts on a farm of `nodes` nodes: one per node within the limits.
     pub fn parts(&self, nodes: usize) -> u32 {
         let nodes = u32::try_from(nodes).unwrap_or(u32::MAX);
         let by_records = u32::try_from(self.records / Self::PART_RECORDS).unwrap_or(u32::MAX);
@@ -165,14 +166,14 @@ pub struct Quote {
     pub job: JobForecast,
     /// Each frame, in the order of the preview.
     pub frames: Vec<FrameForecast>,
-    /// How uncertain the formulas are: of all frames together, and of each frame.
+    /// Spreads of all frames together, and of each frame.
     pub spreads: (Spreads, Vec<Spreads>),
-    /// The irradiance cache that is built before the frames. `None` if they do not share one.
+    /// The irradiance cache to build before the frames. `None` if they share none.
     pub shared_cache: Option<SharedCacheToBuild>,
 }
 
 impl Quote {
-    /// What is remembered so that later quotes of the kind learn from this one.
+    /// The part of the quote that later quotes of the kind learn from.
     pub fn basis(&self, kind: QuoteKind) -> QuoteBasis {
         let (total, frames) = self.spreads.clone();
         QuoteBasis { kind, total, frames }
@@ -180,11 +181,8 @@ impl Quote {
 }
 
 impl Measured<'_> {
-    /// The quote of all frames, with the caches as [`Measured::shared`] says. If past jobs taught corrections, they put
-    /// the quantiles where they belong.
-    ///
-    /// # Errors
-    /// As of [`Measured::estimate`].
+    /// The quote of all frames, with caches as in [`Measured::shared`]. `corrections` from past jobs
+    /// calibrate the quantiles.
     pub fn quote(&self, corrections: Option<&Corrections>) -> Result<Quote, QuoteError> {
         let Estimate { shot, populations: Populations { strata, frames: populations, .. }, .. } =
             self.estimate()?;
@@ -265,7 +263,7 @@ fn rays(costs: &Costs<Quantity>) -> RayQuantiles {
     RayQuantiles::from_array(costs.rays.map(|category| quantiles(&category, 1.0)))
 }
 
-/// A quantity of the statistics in the terms of the wire, times `unit`.
+/// Converts a quantity of the statistics, times `unit`, to the wire format.
 pub fn quantiles(quantity: &Quantity, unit: f64) -> Quantiles {
     let Quantity { mean, p50, p80, p95, .. } = *quantity;
     Quantiles { mean: mean * unit, p50: p50 * unit, p80: p80 * unit, p95: p95 * unit }

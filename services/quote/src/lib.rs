@@ -1,33 +1,33 @@
-//! From previews and profiles to the quote of a shot: which frames to profile, what every frame will cost, and why.
+//! From previews and profiles to the quote of a shot: which frames to profile, and what every frame will
+//! cost.
 //!
-//! Everything here is a pure function of the documents that workers return. There is no I/O, no clock and no random
-//! number. The service calls these functions between the tasks of a job; the command line calls them between the
-//! steps of an offline quote. So both give the same quote, to the last bit.
+//! All functions are pure: no I/O, no clock, no random numbers. The service calls them between the tasks of a
+//! job, the command line between the steps of an offline quote. Both give the same quote, bit for bit.
 //!
-//! A quote is made in these steps:
+//! A quote takes these steps:
 //!
 //! 1. [`frames_to_profile`] picks the first frames to profile from the preview of all frames.
-//! 2. [`Measured::more_to_profile`] picks more of them if the forecast is still uncertain and the cost is small.
-//! 3. [`quote`] forecasts every frame. With an irradiance cache it prices a cache of each frame's own, and one that
-//!    all frames share, and takes the cheaper one. [`Limit::quote`] instead finds the most camera samples that fit
-//!    into a time or a sum of money.
-//! 4. [`Measured::explain`] says what the work goes into, and [`Measured::qualities`] what other qualities cost.
+//! 2. [`Measured::more_to_profile`] picks more if the forecast is still uncertain and they cost little.
+//! 3. [`quote`] forecasts every frame. It prices irradiance caches of each frame's own and one shared cache,
+//!    and takes the cheaper way. [`Limit::quote`] instead finds the most camera samples within a limit of
+//!    time or money.
+//! 4. [`Measured::explain`] shows where the work goes, and [`Measured::qualities`] what other qualities cost.
 //!
 //! | file | subject |
 //! | --- | --- |
 //! | `measured` | the input: preview, profiles, plan of a shared cache |
-//! | `populations` | the input as the statistics want it: strata and their pixels |
+//! | `populations` | the input as strata and their pixels |
 //! | `choose` | which frames to profile |
-//! | `estimate` | the statistics of all frames |
+//! | `estimate` | forecasts of all frames |
 //! | `job_forecast` | the quote as it is stored and shown |
-//! | `sharing` | one irradiance cache for the shot, or one a frame |
-//! | `limit` | the most samples for a time or a sum of money |
-//! | `samples` | what profiled pixels cost with other numbers of camera samples |
-//! | `pixel_costs` | what single pixels will cost |
-//! | `living` | the estimate of a job under way: when it is made again, and when it leaves the plan |
+//! | `sharing` | one irradiance cache for the shot, or one per frame |
+//! | `limit` | the most samples within a limit of time or money |
+//! | `samples` | cost of profiled pixels at other numbers of camera samples |
+//! | `pixel_costs` | cost of single pixels |
+//! | `living` | the estimate of a running job: when to update it, when it exceeds its booking |
 //! | `price` | CPU time in money |
-//! | `explanation/` | why a quote is what it is, in numbers and words |
-//! | `qualities/` | what other qualities cost, and how far their images are from converged |
+//! | `explanation/` | where the work goes, in numbers and words |
+//! | `qualities/` | cost and error of other qualities |
 
 mod choose;
 mod error;

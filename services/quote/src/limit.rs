@@ -1,9 +1,9 @@
-//! The most camera samples that fit into a time or a sum of money.
+//! Finds the most camera samples within a limit of time or money.
 //!
-//! A profiled pixel costs in proportion to its samples, and the cost of records and fixed costs stay the same. So the
-//! job's own profiles say what other numbers of samples cost, and bisection finds the most that fit. Each frame is given
-//! the work of that many samples; its renderer spends them where the image needs them. Frames of such a job build their
-//! own irradiance caches.
+//! A profiled pixel costs in proportion to its samples; records and fixed costs stay the same. So the job's
+//! own profiles price any number of samples, and bisection finds the most that fit. Each frame gets the work
+//! of that many samples, and its renderer spends it where the image needs it. Frames of such a job build
+//! their own irradiance caches.
 
 use forelight_forecast::Corrections;
 use forelight_protocol::{Confidence, Node, Per, PreviewResult};
@@ -14,17 +14,17 @@ use crate::measured::{Measured, MeasuredProfile};
 use crate::price::mean_price;
 use crate::samples::with_samples;
 
-/// Most camera samples a pixel that are chosen: the maximum of the settings.
+/// Most samples per pixel: the maximum of the settings.
 const MOST_SAMPLES: u32 = 65_536;
 
-/// What a job, or each of its frames, may cost.
+/// A limit on the cost of a job, or of each of its frames.
 #[derive(Clone, Debug)]
 pub struct Limit {
     /// The amount.
     pub most: Most,
-    /// Whether it is for the job or for each frame.
+    /// Job or frame.
     pub per: Per,
-    /// The quantile of the cost that must stay below it.
+    /// Quantile of the cost that must stay within the limit.
     pub confidence: Confidence,
 }
 
@@ -41,7 +41,7 @@ impl Limit {
     /// The quote with the most samples that fit.
     ///
     /// # Errors
-    /// If one sample does not fit, with its cost; or as of [`Measured::estimate`].
+    /// If one sample does not fit, with its cost. Also those of [`Measured::estimate`].
     pub fn quote(
         &self,
         preview: &PreviewResult,
@@ -79,7 +79,7 @@ impl Limit {
         }
     }
 
-    /// CPU seconds that are compared with the limit.
+    /// CPU seconds to compare with the limit.
     fn seconds(&self, quote: &Quote) -> f64 {
         match self.per {
             Per::Job => quote.job.total.cpu_seconds.at(self.confidence),
@@ -105,13 +105,13 @@ impl Limit {
         };
         let what = match self.per {
             Per::Job => "the job",
-            Per::Frame => "its dearest frame",
+            Per::Frame => "its most expensive frame",
         };
         QuoteError::TooLittle { what, needed, limit, confidence: self.confidence.name() }
     }
 }
 
-/// Micro-units for a CPU second of the quote.
+/// Price of a CPU second of the quote, in micro-units.
 fn price(nodes: &[Node], quote: &Quote) -> f64 {
     mean_price(nodes, quote.job.work_by_class.as_ref()).unwrap_or_default()
 }

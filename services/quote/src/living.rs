@@ -1,15 +1,15 @@
-//! The living estimate: what a job will have cost, and when it will end, as its frames are finished.
+//! The estimate of a running job: its final cost and its end, updated as frames finish.
 //!
-//! The quote stays what it was; calibration judges it. Beside it, [`forelight_forecast::live`] says what finished frames
-//! tell of the others. This module says when a new estimate is due ([`is_due`]), what it is compared with
-//! ([`Baseline`]), and what is reported when it leaves the booking or comes back ([`news`]).
+//! The quote never changes and is what calibration judges. [`forelight_forecast::live`] learns from finished
+//! frames about the others. This module decides when a new estimate is due ([`is_due`]), compares it with the
+//! bookings ([`Baseline`]), and reports when it exceeds them or is back within them ([`news`]).
 //!
-//! An estimate takes three steps, because the finish depends on the farm:
+//! An estimate takes three steps, because the end depends on the farm:
 //!
 //! 1. [`Estimate::new`]: work and CPU time from the quote and the frames.
-//! 2. [`Baseline::stretch`]: by what factor the bookings are longer than planned. The caller projects them, so
-//!    stretched, onto the farm.
-//! 3. [`Comparison::live`]: the whole estimate, compared with what is booked.
+//! 2. [`Baseline::stretch`]: the factor by which bookings take longer than planned. The caller projects the
+//!    stretched bookings onto the farm.
+//! 3. [`Comparison::live`]: the whole estimate, compared with the bookings.
 
 mod frames;
 mod news;
@@ -24,25 +24,25 @@ pub use frames::{FrameCost, FrameState, Frames};
 pub use news::{News, cause_of_plan, is_news, news};
 pub use rhythm::{BETWEEN_PIXELS, Last, Occasion, is_due};
 
-/// Share of what is booked by which an estimate must exceed it to count as off. Without a margin, a plan that is met
-/// exactly would be left and met again with every frame.
+/// An estimate must exceed its booking by this share to count as off. Without a margin, a job that runs
+/// exactly as planned would switch with every frame.
 const MARGIN: f64 = 0.02;
 
-/// A job ends late only if it ends at least this much later than booked: a second, in microseconds.
+/// A job must end at least this much later than booked to count as late: a second, in microseconds.
 const LEAST_DELAY: i64 = 1_000_000;
 
-/// Work and CPU time of a job as they are expected now.
+/// Expected work and CPU time of a job.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Estimate {
-    /// Deterministic count of operations.
+    /// Count of operations.
     pub work: LiveFigure,
     /// CPU seconds on a node of speed 1.
     pub cpu_seconds: LiveFigure,
 }
 
 impl Estimate {
-    /// The estimate of a job that was quoted at `total`. Nothing more is expected of a job that `is_given_up`: one that
-    /// was cancelled or failed before its last frame.
+    /// The estimate of a job that was quoted at `total`. If `is_given_up`, the job was cancelled or failed,
+    /// and nothing more is expected.
     pub fn new(total: &ForecastTotals, frames: &Frames, is_given_up: bool) -> Self {
         let mut estimate = Self {
             work: figure(&total.work, &frames.work, Measure::Work),
@@ -69,25 +69,25 @@ fn figure(quote: &Quantiles, frames: &[LiveFrame], measure: Measure) -> LiveFigu
     }
 }
 
-/// What a plan was made for: the CPU time that was expected then, at the job's confidence.
+/// The CPU time that a plan was made for, at the job's confidence.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Baseline {
     /// CPU seconds of the whole job.
     pub cpu_seconds: f64,
-    /// CPU seconds of what was left of it.
+    /// CPU seconds of the remaining part.
     pub rest: f64,
-    /// What was left, as a share of what was quoted, 0 to 1.
+    /// The remaining part as a share of the quote, 0 to 1.
     pub share: f64,
 }
 
 impl Baseline {
-    /// Of the first plan, which was made for the quote.
+    /// Of the first plan, which uses the quote.
     pub fn of_quote(cpu_seconds: &Quantiles, confidence: Confidence) -> Self {
         let quoted = cpu_seconds.at(confidence);
         Self { cpu_seconds: quoted, rest: quoted, share: 1.0 }
     }
 
-    /// Of a later plan, which was made for the estimate of CPU time before it.
+    /// Of a later plan, which uses the estimate of CPU time before it.
     pub fn of_estimate(before: &LiveFigure, confidence: Confidence) -> Self {
         let Quantiles { p50, .. } = before.quote;
         let left = before.remaining.p50 / before.factor;
@@ -95,23 +95,23 @@ impl Baseline {
         Self { cpu_seconds: before.whole.at(confidence), rest: before.remaining.at(confidence), share }
     }
 
-    /// By what factor bookings are expected to be longer than planned: the CPU seconds that are expected for the rest,
-    /// over those that the plan meant for it. `share_left` is [`Frames::share_left`].
+    /// Factor by which bookings are expected to take longer than planned: expected CPU seconds of the rest
+    /// over planned ones. `share_left` is [`Frames::share_left`].
     pub fn stretch(&self, share_left: f64, expected: f64) -> f64 {
         let planned = if self.share > 0.0 { self.rest * share_left / self.share } else { 0.0 };
         if planned > 0.0 { expected / planned } else { 1.0 }
     }
 }
 
-/// By how many microseconds a job must end later than `finish` to count as late, if its bookings begin at `begin`.
+/// Least delay that counts as late, in microseconds, for a job whose bookings begin at `begin`.
 pub fn delay_that_counts(begin: Option<Timestamp>, finish: Option<Timestamp>) -> i64 {
     let length = begin.zip(finish).map_or(0, |(begin, finish)| finish.micros_since(begin));
     ((length as f64 * MARGIN) as i64).max(LEAST_DELAY)
 }
 
-/// The whole job in money: what was `spent`, and what remains at the quote's mean price. `cache` are CPU seconds that
-/// the shared cache will still take. `quoted` are the mean CPU seconds that the quote's `price` was for. `None` if the
-/// quote has no price.
+/// Cost of the whole job in money: `spent` plus the rest at the quote's mean price. `cache` is the CPU time
+/// that the shared cache still needs, and `quoted` the mean CPU time that `price` is for, in seconds. `None`
+/// if the quote has no price.
 pub fn cost(
     remaining: &Quantiles,
     cache: &Quantiles,
@@ -122,28 +122,28 @@ pub fn cost(
     per_second.is_finite().then(|| remaining.plus(cache).in_money(per_second).plus(spent))
 }
 
-/// An estimate and what it is compared with.
+/// An estimate and its bookings.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Comparison {
-    /// Now.
+    /// Time of the estimate.
     pub at: Timestamp,
-    /// Frames that are finished.
+    /// Finished frames.
     pub frames_done: u32,
     /// Work and CPU time.
     pub estimate: Estimate,
-    /// The job in money ([`cost`]).
+    /// Cost of the job in money ([`cost`]).
     pub cost: Option<MoneyQuantiles>,
-    /// When the last frame is expected.
+    /// Expected end of the last frame.
     pub finish: Option<Timestamp>,
-    /// What is booked.
+    /// The bookings.
     pub booked: Booked,
-    /// By how many microseconds the job must end later to count as late ([`delay_that_counts`]).
+    /// Least delay that counts as late, in microseconds ([`delay_that_counts`]).
     pub delay: i64,
-    /// Whether the estimate before, under the same plan, was off.
+    /// Whether the previous estimate under the same plan was off.
     pub was_off: Off,
 }
 
-/// Whether an estimate is off what is booked.
+/// Whether an estimate exceeds its bookings.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct Off {
     /// It costs more.
@@ -153,7 +153,7 @@ pub struct Off {
 }
 
 impl Comparison {
-    /// The estimate as it is kept and shown.
+    /// The estimate as it is stored and shown.
     pub fn live(self) -> LiveForecast {
         let Self { at, frames_done, estimate: Estimate { work, cpu_seconds }, cost, finish, booked, .. } =
             self;
@@ -178,7 +178,7 @@ impl Comparison {
     }
 }
 
-/// Whether an estimate is off: it leaves what is booked by more than the margin, and is back once it is no higher.
+/// Hysteresis: an estimate turns off above the margin, and back only when it is within the booking.
 fn is_off(was: bool, expected: f64, booked: f64, margin: f64) -> bool {
     if was { expected > booked } else { expected > booked + margin }
 }

@@ -1,30 +1,30 @@
-//! The input of a quote: what workers measured of a shot.
+//! Input of a quote: what workers measured of a shot.
 
 use forelight_forecast::{Expansion, Strategy};
 use forelight_protocol::{CachePlanResult, PreviewResult, ProfileResult};
 
-/// The profile of one frame, and what is needed to read its costs.
+/// The profile of a frame, and what is needed to read its costs.
 #[derive(Clone, PartialEq, Debug)]
 pub struct MeasuredProfile {
     /// The profile.
     pub result: ProfileResult,
-    /// Speed of the node that measured it, for work of the profiled classes where the node is calibrated. A CPU second
-    /// on this node is this many CPU seconds on a node of speed 1.
+    /// Speed of the node that measured it, for the profiled classes of work if the node is calibrated. A CPU
+    /// second on this node is this many on a node of speed 1.
     pub node_speed: f64,
-    /// Camera samples a pixel that it was profiled with. The job may be rendered with others.
+    /// Camera samples per pixel of the profile. The job may use another number.
     pub spp: u32,
-    /// How the profiled pixels stand for all pixels of the frame.
+    /// How the profiled pixels represent all pixels of the frame.
     pub expansion: Expansion,
 }
 
 impl MeasuredProfile {
-    /// A profile whose pixels were chosen by [`Strategy::Snapshot`], as all of a farm's are.
+    /// A profile whose pixels were chosen by [`Strategy::Snapshot`], as always on a farm.
     pub fn new(result: ProfileResult, node_speed: f64, spp: u32) -> Self {
         Self { result, node_speed, spp, expansion: Expansion::Groups }
     }
 }
 
-/// The plan of an irradiance cache that all frames share.
+/// The plan of a shared irradiance cache.
 #[derive(Clone, Copy, Debug)]
 pub struct SharedCache<'a> {
     /// The plan.
@@ -33,31 +33,31 @@ pub struct SharedCache<'a> {
     pub node_speed: f64,
 }
 
-/// Everything that a quote rests on.
+/// All input of a quote.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured<'a> {
-    /// What every frame of the shot shows.
+    /// Preview of all frames.
     pub preview: &'a PreviewResult,
-    /// The profiled frames, ascending.
+    /// Profiled frames, ascending.
     pub profiles: &'a [MeasuredProfile],
     /// How the profiled pixels were chosen.
     pub strategy: Strategy,
-    /// The irradiance cache that frames are given; `None` if each frame builds its own.
+    /// The shared irradiance cache. `None` if each frame builds its own.
     pub shared: Option<SharedCache<'a>>,
 }
 
 impl<'a> Measured<'a> {
-    /// Pixels chosen by [`Strategy::Snapshot`], and each frame builds its own irradiance cache.
+    /// Uses [`Strategy::Snapshot`] and own caches.
     pub fn new(preview: &'a PreviewResult, profiles: &'a [MeasuredProfile]) -> Self {
         Self { preview, profiles, strategy: Strategy::Snapshot, shared: None }
     }
 
-    /// The same frames with the shared cache, or without one.
+    /// The same frames with a shared cache, or without one.
     pub fn with_cache(self, shared: Option<SharedCache<'a>>) -> Self {
         Self { shared, ..self }
     }
 
-    /// The records of each frame's irradiance cache: all that the frame reads, and those of them that it gathers itself.
+    /// Records of each frame's irradiance cache: all that it reads, and those that it gathers itself.
     pub(crate) fn records(&self) -> Vec<(&'a [u32], &'a [u32])> {
         match self.shared {
             Some(shared) => {

@@ -1,4 +1,4 @@
-//! What single pixels of a frame will cost.
+//! Forecasts the cost of single pixels.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use forelight_forecast::{Cost, Observation, PixelCosts};
 use crate::error::QuoteError;
 use crate::measured::Measured;
 
-/// Work of one pixel, by what it shows. Records of an irradiance cache are the work of no pixel.
+/// Work of a pixel by what it shows. Records of an irradiance cache are not included.
 #[derive(Clone, PartialEq, Debug)]
 pub struct PixelWork {
     by_stratum: BTreeMap<(u32, u32), f64>,
@@ -15,24 +15,20 @@ pub struct PixelWork {
 }
 
 impl PixelWork {
-    /// Of a pixel that shows this material of this object.
+    /// Work of a pixel that shows this material of this object.
     pub fn of(&self, object: u32, material: u32) -> f64 {
         self.by_stratum.get(&(object, material)).copied().unwrap_or(self.background)
     }
 
-    /// Of a pixel that shows nothing.
+    /// Work of a background pixel.
     pub fn of_background(&self) -> f64 {
         self.background
     }
 }
 
 impl Measured<'_> {
-    /// What a pixel of the frame costs by what it shows: the mean, or the value that it stays below with `probability`.
-    /// Needs the strategy Snapshot. `None` if the preview has no such frame, or if too few pixels were profiled for that
-    /// probability.
-    ///
-    /// # Errors
-    /// As of [`Measured::estimate`].
+    /// Work of a pixel of the frame: the mean, or the quantile at `probability`. Needs the strategy Snapshot.
+    /// `None` if the preview lacks the frame, or if too few pixels were profiled for that quantile.
     pub fn pixel_work(&self, frame: u32, probability: Option<f64>) -> Result<Option<PixelWork>, QuoteError> {
         let place = |number: u32| self.preview.frames.iter().position(|frame| frame.frame == number);
         let Some(at) = place(frame) else { return Ok(None) };
@@ -64,7 +60,7 @@ impl Measured<'_> {
                 let counts = |at: usize| &populations.frames[at].counts[..strata.len()];
                 let known = PixelCosts::new(strata, counts(there), &seen).at(probability);
                 let cost = |(stratum, (here, there)): (usize, (f64, f64))| match counts(at)[stratum] {
-                    // A stratum that no pixel shows needs no price.
+                    // No pixel shows this stratum, so it needs no cost.
                     0 => Some(here),
                     _ => known.of(stratum, there, here),
                 };

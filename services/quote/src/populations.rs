@@ -1,36 +1,35 @@
-//! A preview in the terms of the statistics: strata, and how many pixels of each stratum every frame shows.
+//! Turns a preview into strata, and counts the pixels of each stratum in every frame.
 
 use std::collections::BTreeMap;
 
 use forelight_forecast::{FramePopulation, RecordStrata, Strategy, Stratum};
 use forelight_protocol::{self as protocol, PreviewResult, StratumName};
 
-/// Strata and frames of a shot. The strata of pixels come first, in the order of the preview, with the background as the
-/// last of them. The strata of the irradiance cache's records follow.
+/// Strata and frames of a shot: first the pixels' strata in the order of the preview, then the background,
+/// then the strata of cache records.
 ///
-/// Workers join small strata by material, pixel count and prior cost before they choose pixels. An estimate that joined
-/// other strata would be biased. So objects, materials, prior costs and their order are those that workers report.
+/// Workers merge small strata by material, pixel count and prior cost before they choose pixels. The estimate
+/// is unbiased only if it merges the same strata. So objects, materials, prior costs and their order are as
+/// workers report them.
 #[derive(Clone, Debug)]
 pub(crate) struct Populations {
-    /// What the strategy tells apart, then the records.
+    /// Strata of the strategy, then those of records.
     pub strata: Vec<Stratum>,
-    /// Every frame's pixels and records by stratum.
     pub frames: Vec<FramePopulation>,
-    /// Names of the strata of pixels, without the background.
+    /// Names of the pixels' strata, without the background.
     pub names: Vec<StratumName>,
-    /// Place in `names` by object and material.
+    /// Index into `names` by object and material.
     index: BTreeMap<(u32, u32), usize>,
-    /// For each name and the background: the stratum that the strategy puts it into.
+    /// Stratum of each name, and of the background.
     places: Vec<u32>,
-    /// Where the strata of records are.
+    /// Indices of the strata of records.
     pub records: RecordStrata,
-    /// How many strata of pixels there are.
     pub pixel_strata: usize,
 }
 
 impl Populations {
-    /// The strata of the preview and those of `more`. A profile may see an object at the edge of a pixel where the preview
-    /// saw another one, if a GPU made the preview and a CPU the profile. Such strata have no pixels.
+    /// Strata of the preview and those of `more`. At edges, a profile on a CPU may show objects that a
+    /// preview on a GPU does not. Their strata have no pixels.
     pub fn new<'a>(
         preview: &'a PreviewResult,
         more: impl IntoIterator<Item = &'a protocol::Stratum>,
@@ -73,7 +72,6 @@ impl Populations {
         Self { strata, frames, names, index, places: classes.of, records, pixel_strata }
     }
 
-    /// The stratum of a profiled pixel.
     pub fn stratum_of(&self, sample: &protocol::ProfileSample, profile: &protocol::ProfileResult) -> u32 {
         let shown = profile.strata.get(sample.stratum as usize);
         let place = shown.and_then(|stratum| self.index.get(&stratum.identity()));

@@ -2,7 +2,8 @@
 
 use forelight_protocol::{ByClass, Node};
 
-/// Mean price over the nodes of a CPU second of such work on a core of speed 1, in micro-units. `None` without nodes.
+/// Mean price over the nodes of a CPU second of such work on a core of speed 1, in micro-units. `None`
+/// without nodes.
 pub fn mean_price(nodes: &[Node], work: Option<&ByClass>) -> Option<f64> {
     let speed = |node: &Node| node.speed_for(work) * f64::from(node.cores);
     let price = |node: &Node| node.price_per_hour.micro_units() as f64 / 3600.0 / speed(node);

@@ -1,11 +1,11 @@
-//! What profiled pixels cost with other numbers of camera samples.
+//! Scales the cost of profiled pixels to other numbers of camera samples.
 
 use forelight_forecast::Cost;
 
 use crate::measured::MeasuredProfile;
 
-/// The profiles as if their pixels had been traced with `spp` camera samples. A pixel costs in proportion to its samples,
-/// but for gathers at points that no cache record covers. Records and fixed costs stay.
+/// The profiles as if traced with `spp` camera samples. A pixel costs in proportion to its samples, except
+/// for gathers at uncovered points. Records and fixed costs stay the same.
 pub fn with_samples(profiles: &[MeasuredProfile], spp: u32) -> Vec<MeasuredProfile> {
     let mut profiles = profiles.to_vec();
     for profile in &mut profiles {

@@ -1,10 +1,9 @@
-//! One irradiance cache for all frames of a shot, or one for each frame: both are priced, and the cheaper one is taken.
+//! Chooses between one irradiance cache for all frames of a shot and one per frame, by price.
 //!
-//! Both prices rest on the same measurements. Planning counts the records: the preview those of every frame's own cache,
-//! the plan of the shared cache its records and those that each frame needs beside it. The profiles measured what a
-//! record costs. A shared cache is paid for once. It is a line of its own in the quote, and no frame is charged for it.
-//!
-//! Planning the shared cache is part of what the quote itself cost, whatever the answer.
+//! Both prices use the same measurements. The preview counts the records of each frame's own cache. The plan
+//! of the shared cache counts its records, and those that each frame needs beside it. The profiles measured
+//! the cost of a record. A shared cache is paid for once, on its own line of the quote, and no frame is
+//! charged for it. Planning it counts as cost of the quote, whatever the choice.
 
 use forelight_forecast::{
     Calibration, Corrections, Cost, Expansion, Observation, ProfiledFrame, Quantity, forecast_shot,
@@ -19,7 +18,7 @@ use crate::estimate::{make_room, records_alone, surplus};
 use crate::job_forecast::{Quote, SharedCacheToBuild, quantiles};
 use crate::measured::{Measured, MeasuredProfile, SharedCache};
 
-/// Whether a cache that all frames share should be planned, so that [`quote`] can price it.
+/// True if a shared cache should be planned, so that [`quote`] can price it.
 pub fn is_shared_cache_worth_planning(asked: CacheSharing, preview: &PreviewResult) -> bool {
     let has_records = preview.frames.iter().any(|frame| frame.cache_records.iter().any(|&count| count > 0));
     has_records
@@ -30,11 +29,11 @@ pub fn is_shared_cache_worth_planning(asked: CacheSharing, preview: &PreviewResu
         }
 }
 
-/// The quote of a shot, with its caches built in the way that is asked for, or in the one that takes less work.
-/// [`Measured::shared`] is the shared cache as planned, or `None` if none was planned.
+/// The quote of a shot, with caches as asked for or the cheaper way. [`Measured::shared`] is the planned
+/// shared cache, or `None` if none was planned.
 ///
 /// # Errors
-/// As of [`Measured::estimate`]; and if a shared cache is asked for and would be too large.
+/// Those of [`Measured::estimate`], and if a shared cache is asked for and is too large.
 pub fn quote(
     asked: CacheSharing,
     settings: &RenderSettings,
@@ -89,7 +88,6 @@ pub fn quote(
     Ok(chosen)
 }
 
-/// The frames beside a shared cache, and the cache.
 struct SharedQuote {
     frames: Quote,
     cache: SharedCacheForecast,
@@ -115,7 +113,7 @@ fn price_shared(
     Ok(SharedQuote { frames, cache, price })
 }
 
-/// Chooses between the two ways, and says why in the answer.
+/// Chooses one of the two ways, and records the reason.
 fn choose(
     answer: &mut CacheQuote,
     private: Quote,
@@ -139,7 +137,6 @@ fn choose(
     Quote { shared_cache: Some(planned), ..shared.frames }
 }
 
-/// Why one way is cheaper, in a line.
 fn compared(shared: &CachePrice, private: &CachePrice) -> String {
     let less = |less: f64, more: f64| 100.0 * (1.0 - less / more.max(f64::MIN_POSITIVE));
     let (records, others) = (shared.records, private.records);
@@ -151,12 +148,11 @@ fn compared(shared: &CachePrice, private: &CachePrice) -> String {
     } else {
         let percent = less(private.work, shared.work);
         format!(
-            "a cache for each frame takes {percent:.0} % less work: a shared one has {records} records, and they have {others}"
+            "a cache for each frame takes {percent:.0} % less work: a shared cache has {records} records, the others have {others}"
         )
     }
 }
 
-/// What all frames of a quote cost.
 fn price(quote: &Quote) -> CachePrice {
     let total = &quote.job.total;
     CachePrice { records: 0, work: total.work.mean, cpu_seconds: total.cpu_seconds.mean, cost: None }
@@ -166,8 +162,8 @@ fn sum<'a>(records: impl IntoIterator<Item = &'a u32>) -> u64 {
     records.into_iter().copied().map(u64::from).sum()
 }
 
-/// What gathering the records of the shared cache costs. The statistics see one frame that shows nothing and has all of
-/// the records, of which the profiles of all frames gathered a sample.
+/// Cost of gathering the records of the shared cache. The statistics see one frame without pixels that has
+/// all of the records. The profiles of all frames gathered a sample of them.
 fn forecast_cache(
     records: &[u32],
     measured: &Measured<'_>,

@@ -1,4 +1,4 @@
-//! Quotes from previews and profiles as workers report them.
+//! Tests of quotes from previews and profiles as workers report them.
 
 use crate::*;
 use forelight_forecast::{Correction, Corrections, Strategy};
@@ -37,7 +37,7 @@ fn preview(frames: &[(u32, &[u32], u32)]) -> PreviewResult {
     }
 }
 
-/// Every stratum has one cost: 100 for walls, 900 for the vase, 10 for nothing.
+/// Every stratum has one cost: 100 for walls, 900 for the vase, 10 for the background.
 fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfile {
     let mut samples = Vec::new();
     for (stratum, &count) in counts.iter().enumerate() {
@@ -103,7 +103,7 @@ fn counts_times_unit_costs_make_the_frames_whatever_the_order_of_the_strata_and_
     assert_eq!(forecast.job.left_out[0].what, "sun 0");
     let spent = |work, cpu_nanos| Spent { work, cpu_nanos };
     assert_eq!(forecast.job.once, Some(ProcessCosts { load: spent(7, 60), build: spent(0, 80) }));
-    // Workers of before say nothing of it, which is not that it was nothing.
+    // Older workers do not report it. That does not mean zero.
     let mut silent = self::profile(3, vec![stratum(1), stratum(0)], &[8, 16, 4]);
     silent.result.once = None;
     let of_both = Measured::new(&preview, &[profile, silent.clone()]).quote(None).unwrap().job.once;

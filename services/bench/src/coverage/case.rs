@@ -1,4 +1,4 @@
-//! One shot whose every pixel's cost is known, forecast, and held against it.
+//! Forecasts one shot whose true cost per pixel is known, and compares the two.
 
 use anyhow::Result;
 use forelight_forecast::{
@@ -6,82 +6,76 @@ use forelight_forecast::{
     ProfiledFrame, Quantity, Stratum, StratumEstimate, choose_frames, estimate, forecast_shot, residual,
 };
 
-/// Quantiles at which the diagram has points; those that quotes name are among them.
+/// Quantiles in the diagram. They include those that quotes name.
 pub const NOMINAL: [f64; 13] = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98];
 
 /// A shot with the true cost of every pixel.
 pub struct Known {
-    /// What the preview can show.
     pub strata: Vec<Stratum>,
     /// Width of a frame, pixels.
     pub width: u32,
-    /// In order.
     pub frames: Vec<KnownFrame>,
 }
 
-/// One of its frames.
 pub struct KnownFrame {
-    /// Its number.
     pub number: i64,
     /// Stratum by pixel.
     pub ids: Vec<u32>,
     /// Cost by pixel.
     pub costs: Vec<Cost>,
-    /// Cost whatever its pixels show; known once it is profiled.
+    /// Fixed cost. A forecast knows it once the frame is profiled.
     pub fixed: Cost,
 }
 
-/// A forecast of work beside the truth.
+/// A forecast of work, and the truth.
 #[derive(Debug, Clone, Copy)]
 pub struct Judged {
-    /// What was forecast, not calibrated.
+    /// The forecast, not calibrated.
     pub forecast: Quantity,
-    /// What it was.
     pub actual: f64,
 }
 
 impl Judged {
-    /// How far it was off, in its own spread; none where nothing costs anything.
+    /// Error in units of the forecast's spread. `None` if nothing has a cost.
     pub fn residual(&self) -> Option<f64> {
         residual(self.forecast.mean, self.forecast.spread(Measure::Work), self.actual)
     }
 }
 
-/// Pixels, and how many of them cost at most what was promised.
+/// Pixels, and how many of them cost at most the quantile.
 #[derive(Debug, Clone, Default)]
 pub struct Tally {
-    /// All that were not profiled.
+    /// All pixels that were not profiled.
     pub pixels: u64,
-    /// By the quantile in [`NOMINAL`]: those of which it could be said.
+    /// Pixels that have a forecast, by quantile in [`NOMINAL`].
     pub promised: [u64; NOMINAL.len()],
-    /// Those of them that keep it.
+    /// Pixels at or below the forecast.
     pub held: [u64; NOMINAL.len()],
 }
 
 /// All forecasts of one quote.
 #[derive(Debug, Clone, Default)]
 pub struct Case {
-    /// Pixels of profiled frames that were not profiled.
+    /// Unprofiled pixels of profiled frames.
     pub pixels: Tally,
-    /// Strata of profiled frames with at least two profiled pixels and some that are not.
+    /// Strata of profiled frames with at least two profiled pixels and some unprofiled ones.
     pub strata: Vec<Judged>,
-    /// Every frame.
     pub frames: Vec<Judged>,
-    /// The whole.
+    /// All frames together.
     pub shot: Vec<Judged>,
 }
 
-/// How a quote is made.
+/// Size of a quote.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// Frames that are profiled.
+    /// Frames to profile.
     pub frames: usize,
-    /// Pixels in each.
+    /// Pixels to profile in each frame.
     pub samples: u32,
 }
 
 impl Known {
-    /// Makes a quote as the farm makes it, and holds it against the truth.
+    /// Makes a quote as the farm does, and compares it with the truth.
     pub fn judge(&self, effort: Effort, seed: u64) -> Result<Case> {
         let populations: Vec<FramePopulation> = self
             .frames
@@ -147,7 +141,7 @@ impl Known {
         counts
     }
 
-    /// Each stratum as if it were all of the frame.
+    /// Judges each stratum as if it were the whole frame.
     fn judge_strata(
         &self,
         frame: &KnownFrame,
@@ -173,7 +167,7 @@ impl Known {
 }
 
 impl KnownFrame {
-    /// Each pixel that was not profiled against those that were.
+    /// Judges each unprofiled pixel.
     fn judge_pixels(
         &self,
         strata: &[StratumEstimate],
@@ -194,7 +188,7 @@ impl KnownFrame {
             for (place, most) in promised[id as usize].into_iter().enumerate() {
                 let Some(most) = most else { continue };
                 tally.promised[place] += 1;
-                // By means that are as they are but for rounding.
+                // The factor allows for rounding of equal means.
                 tally.held[place] += u64::from(cost.work as f64 <= most * (1.0 + 1e-9));
             }
         }

@@ -1,30 +1,28 @@
-//! Shots of synthetic pictures, with light and with heavy tails, in any number: each has objects, materials, camera and costs of its
-//! own.
+//! Synthetic shots with light and heavy tails. Each has its own objects, materials, camera and costs.
 
 use super::case::{Known, KnownFrame};
 use forelight_forecast::{Cost, Stratum};
 use forelight_random::Random;
 use serde::Serialize;
 
-/// What makes costs vary inside an object, beside light that falls off and the edge of a shadow.
+/// Source of the variation inside an object, besides falloff of light and a shadow edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Family {
-    /// Lognormal noise of a standard deviation of 0.1 to 0.5: a light tail.
+    /// Lognormal noise with a standard deviation of 0.1 to 0.5: a light tail.
     Light,
     /// Lognormal noise of 0.6 to 1.2.
     Lognormal,
-    /// Pareto noise with an exponent of 1.6 to 3: a variance that no sample finds, or none at all.
+    /// Pareto noise with an exponent of 1.6 to 3. Below 2 its variance is infinite.
     Pareto,
-    /// In a third of the materials 1 to 5 % of the pixels cost 10 to 40 times as much.
+    /// In a third of the materials, 1 to 5 % of the pixels cost 10 to 40 times as much.
     RareStrata,
 }
 
 impl Family {
-    /// All of them.
     pub const ALL: [Family; 4] = [Family::Light, Family::Lognormal, Family::Pareto, Family::RareStrata];
 
-    /// Its name in a table.
+    /// Name in a table.
     pub const fn title(self) -> &'static str {
         match self {
             Family::Light => "synthetic: light tails",
@@ -35,7 +33,7 @@ impl Family {
     }
 }
 
-/// Edge of a picture, pixels, and frames of a shot.
+/// Width and height of a picture in pixels, and number of frames.
 const SIDE: u32 = 32;
 const FRAMES: u32 = 8;
 
@@ -61,16 +59,16 @@ struct Object {
     speed: [f64; 2],
     pull: f64,
     mean: f64,
-    /// Standard deviation of the noise, or the exponent of its tail.
+    /// Standard deviation of the noise, or exponent of its tail.
     noise: f64,
-    /// Share and factor of dear pixels.
+    /// Share and factor of expensive pixels.
     dear: (f64, f64),
     edge: [f64; 2],
-    /// How the light on it swings in time: strength and phase.
+    /// Oscillation of the light over time: amplitude and phase.
     light: (f64, f64),
 }
 
-/// The shot with this number: always the same one.
+/// The shot with this number. The same number gives the same shot.
 pub fn shot(family: Family, number: u64) -> Known {
     let seed = number.wrapping_mul(0xd134_2543_de82_ef95) ^ 0x0005_f0a7_1e1d_0000;
     let mut stream = Stream(Random::new(seed));
@@ -122,7 +120,7 @@ fn frame(family: Family, objects: &[Object], t: u32, stream: &mut Stream) -> Kno
     for pixel in 0..SIDE * SIDE {
         let at = [pixel % SIDE, pixel / SIDE].map(|place| f64::from(place) / f64::from(SIDE));
         let reach = |h: usize| libm::hypot(at[0] - places[h][0], at[1] - places[h][1]) - objects[h].pull;
-        // There are six objects at least.
+        // There are at least six objects.
         let nearest = (1..objects.len()).fold(0, |best, h| if reach(h) < reach(best) { h } else { best });
         let object = &objects[nearest];
         let from = [at[0] - places[nearest][0], at[1] - places[nearest][1]];

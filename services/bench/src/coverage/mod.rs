@@ -1,4 +1,4 @@
-//! `forelight bench coverage`: how often the truth stays below the quantiles that were promised, before calibration and after it.
+//! `forelight bench coverage`: how often the truth stays below the quantiles of a forecast.
 
 mod case;
 mod fields;
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use rows::{Coverage, Group, Level, row};
 use std::path::PathBuf;
 
-/// How often the truth stays below the quantiles that were promised, before calibration and after it
+/// Measure how often the truth stays below forecast quantiles, before and after calibration
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -31,14 +31,14 @@ Examples:
   forelight bench coverage kitchen/ corridor/ --svg reliability.svg --out coverage.json
   forelight bench coverage --fields 4000 --json
 
-A case is a shot, quoted from a few pixels of a few of its frames, of which every pixel's cost is known: synthetic shots with \
-light and heavy tails, no two alike, and with bundles some frames of theirs at several qualities and seeds. Quantiles of work \
-are judged for the strata of profiled frames, for frames and for whole shots, as the formulas make them and calibrated on \
-other cases: synthetic shots on the other half of the synthetic shots, a scene on all other scenes. Those of single pixels are \
-calibrated by the profile of their own frame, and need no others. The intervals (95 %) count shots, since frames of a shot share \
-their errors.")]
+Each case is a quote of a shot whose true cost per pixel is known. Synthetic shots have light and heavy \
+tails and are all different. Bundles add some of their frames at several qualities and seeds. Quantiles of \
+work are judged for strata of profiled frames, for frames and for whole shots, before calibration and after \
+it. Synthetic shots are calibrated on the other half of the synthetic shots, scenes on all other scenes, \
+and single pixels by the profile of their own frame. The 95 % intervals count shots, because frames of a \
+shot share their errors.")]
 pub struct Args {
-    /// Scene bundles to judge too: folders or zip files
+    /// Scene bundles to judge as well: folders or zip files
     #[arg(value_name = "BUNDLE")]
     bundles: Vec<PathBuf>,
     /// Synthetic shots; half of them calibrate the others
@@ -56,7 +56,7 @@ pub struct Args {
     /// Pixels to profile in a profiled frame
     #[arg(long, value_name = "PIXELS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
-    /// Frames to profile at most
+    /// Maximum number of frames to profile
     #[arg(long, value_name = "FRAMES", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: u32,
     /// Write a reliability diagram to this file
@@ -72,14 +72,13 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.svg.as_deref(), args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let report = measure(args, &bars, interrupt)?;
     if report.rows.is_empty() {
-        let reason = format!("--fields {}: too few shots to judge any", args.fields);
-        return Err(BadInput::new(reason).hint("ask for more, or name bundles").into());
+        let reason = format!("--fields {}: too few shots to judge", args.fields);
+        return Err(BadInput::new(reason).hint("raise --fields, or name bundles").into());
     }
     if let Some(path) = &args.svg {
         write_bytes(path, plot::svg(&report)?.as_bytes())?;
@@ -130,7 +129,7 @@ fn synthetic(args: &Args, effort: Effort, bars: &Bars, interrupt: &Interrupt) ->
         let family = Family::ALL[number as usize % Family::ALL.len()];
         let case = fields::shot(family, number.into()).judge(effort, number.into())?;
         bar.inc(1);
-        // Families alternate, so that both halves have equally many of each.
+        // Families alternate, so both halves have equally many of each.
         let calibrates = (number as usize / Family::ALL.len()).is_multiple_of(2);
         Ok(Group { calibrates, family: family.title().to_owned(), cases: vec![case] })
     };
@@ -172,14 +171,14 @@ mod tests {
         let all: Vec<&Row> = report.rows.iter().filter(|row| row.shots == "synthetic: all").collect();
         assert_eq!(all.len(), 4);
         for row in all {
-            // A pixel is held against those of its own frame.
+            // Pixels are calibrated by the profile of their own frame.
             let of_pixels = row.level == Level::Pixel;
             let teachers = if of_pixels { 0 } else { 200 };
             assert_eq!((row.cases, row.independent, row.calibrated_on), (200, 200, teachers));
             for nominal in [0.8, 0.95] {
                 let point = row.point(nominal).unwrap();
                 let share = point.calibrated.unwrap_or(point.formulas).share;
-                // Four standard errors of two hundred shots that calibrate and as many that are judged.
+                // Four standard errors, for 200 shots that calibrate and 200 that are judged.
                 let noise = 4.0 * (2.0 * nominal * (1.0 - nominal) / 200.0f64).sqrt();
                 assert!((share - nominal).abs() < noise, "{:?} P{nominal}: {share}", row.level);
             }

@@ -1,4 +1,4 @@
-//! The reliability diagram: how often the truth stayed below a quantile, over how often it was promised to.
+//! The reliability diagram: observed over nominal shares of truths below a quantile.
 
 use super::rows::{Coverage, Level, Row};
 use super::share::Share;
@@ -12,7 +12,7 @@ const FORMULAS: RGBColor = RGBColor(213, 94, 0);
 const CALIBRATED: RGBColor = RGBColor(0, 114, 178);
 const GREY: RGBColor = RGBColor(215, 215, 215);
 
-/// A row of panels, by level, for each kind of shots.
+/// One row of panels for each kind of shots, with a panel for each level.
 pub fn svg(report: &Coverage) -> Result<String> {
     let columns = Level::ALL.len();
     let lines = report.rows.len().div_ceil(columns).max(1);

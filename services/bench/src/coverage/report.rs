@@ -1,14 +1,11 @@
-//! The measurements as a table.
-
 use super::rows::{Coverage, Level, Point};
 use super::share::Share;
 use crate::report::Report;
 use forelight_terminal::table::{Align, Table};
 
-/// The quantiles that quotes name.
+/// Quantiles that quotes name.
 const NAMED: [f64; 3] = [0.50, 0.80, 0.95];
 
-/// The table and what it rests on.
 pub fn of(report: &Coverage) -> Report {
     let head = [
         ("shots", Align::Left),

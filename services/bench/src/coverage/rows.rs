@@ -1,4 +1,4 @@
-//! How often the truths of a group of shots stayed below each quantile.
+//! Counts how often the truths of a group of shots stayed below each quantile.
 
 use super::case::{Case, Judged, NOMINAL, Tally};
 use super::share::Share;
@@ -9,21 +9,20 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
-    /// A pixel of a profiled frame that was not profiled.
+    /// An unprofiled pixel of a profiled frame.
     Pixel,
     /// The pixels of one surface in a profiled frame.
     Stratum,
-    /// A frame.
     Frame,
-    /// All frames.
+    /// All frames together.
     Shot,
 }
 
 impl Level {
-    /// All levels, from the smallest unit to the largest.
+    /// All levels, smallest unit first.
     pub const ALL: [Level; 4] = [Level::Pixel, Level::Stratum, Level::Frame, Level::Shot];
 
-    /// The level's name in a table.
+    /// Name in a table.
     pub const fn title(self) -> &'static str {
         match self {
             Level::Pixel => "pixel",
@@ -33,7 +32,7 @@ impl Level {
         }
     }
 
-    /// The forecasts of a case; of pixels there is but a tally.
+    /// Forecasts of a case. Pixels have only a tally.
     fn of(self, case: &Case) -> &[Judged] {
         match self {
             Level::Pixel => &[],
@@ -44,7 +43,6 @@ impl Level {
     }
 }
 
-/// The measurements.
 #[derive(Debug, Serialize)]
 pub struct Coverage {
     pub samples: u32,
@@ -57,30 +55,28 @@ pub struct Coverage {
 pub struct Row {
     pub shots: String,
     pub level: Level,
-    /// Quotes.
+    /// Number of quotes.
     pub cases: usize,
-    /// Different shots, of which each is a witness, whatever the number of its quotes.
+    /// Number of different shots. Quotes of one shot are not independent.
     pub independent: usize,
-    /// Forecasts.
+    /// Number of forecasts.
     pub forecasts: usize,
-    /// Jobs on which the calibrated quantiles rest.
+    /// Number of quotes that calibrated the quantiles.
     pub calibrated_on: usize,
     pub points: Vec<Point>,
 }
 
-/// A quantile.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Point {
-    /// Share of the truths that are promised to be at or below it.
+    /// Nominal share of truths at or below the quantile.
     pub nominal: f64,
-    /// Share that was, with quantiles as the formulas make them.
+    /// Observed share, for uncalibrated quantiles.
     pub formulas: Share,
-    /// The same with quantiles calibrated on other cases; absent where these were too few.
+    /// Observed share, for quantiles calibrated on other cases. Absent if these were too few.
     pub calibrated: Option<Share>,
 }
 
 impl Row {
-    /// The point of this quantile.
     pub fn point(&self, nominal: f64) -> Option<&Point> {
         self.points.iter().find(|point| point.nominal == nominal)
     }
@@ -88,13 +84,13 @@ impl Row {
 
 /// Cases of one shot, or of one scene at one quality.
 pub struct Group {
-    /// Whether it may calibrate the others of its kind, or is judged.
+    /// True if it calibrates others of its kind; false if it is judged.
     pub calibrates: bool,
     pub family: String,
     pub cases: Vec<Case>,
 }
 
-/// The row of a level of the judged groups. Their quantiles are calibrated on the teachers.
+/// Row of a level of the judged groups, calibrated on the teachers.
 pub fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) -> Row {
     let mut past = Past::default();
     for case in teachers.iter().flat_map(|group| &group.cases) {
@@ -103,7 +99,7 @@ pub fn row(shots: &str, level: Level, judged: &[&Group], teachers: &[&Group]) ->
     if level == Level::Pixel {
         return row_of_pixels(shots, judged);
     }
-    // Per group, the share of its forecasts that held.
+    // By group, the share of forecasts that held.
     let held = |holds: &dyn Fn(&Judged) -> bool| -> Vec<f64> {
         let share = |group: &&Group| {
             let all = || group.cases.iter().flat_map(|case| level.of(case));

@@ -1,4 +1,4 @@
-//! Shots of real scenes, small, with the true cost of every pixel.
+//! Small shots of real scenes, with the true cost of every pixel.
 
 use super::case::{Known, KnownFrame};
 use anyhow::Result;
@@ -10,17 +10,16 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::output::Bars;
 
-/// A quality at which a scene is rendered: its name, camera samples and ambient bounces.
+/// A quality to render a scene at.
 #[derive(Debug, Clone, Copy)]
 pub struct Quality {
-    /// Its name in a table.
     pub title: &'static str,
     spp: u32,
     bounces: u32,
 }
 
-/// The qualities: direct light, where costs are as uneven as materials and mirrors make them, one bounce, where the gathers make them even,
-/// and several camera samples a pixel.
+/// Direct light has uneven costs, by material and mirror. With one bounce, gathers make costs even. The last
+/// has several camera samples per pixel.
 pub const QUALITIES: [Quality; 3] = [
     Quality { title: "direct light", spp: 1, bounces: 0 },
     Quality { title: "one bounce", spp: 1, bounces: 1 },
@@ -41,7 +40,7 @@ impl Quality {
     }
 }
 
-/// The shot at a quality: `views` of its frames, evenly spaced.
+/// The shot at a quality, with `views` evenly spaced frames.
 pub fn shot(
     local: &Local,
     quality: Quality,
@@ -57,7 +56,7 @@ pub fn shot(
     let bar = bars.bar("rendering", views.into());
     let mut frames = Vec::with_capacity(views as usize);
     for view in 0..views {
-        // The middle of each of as many equal parts.
+        // The middle of each of `views` equal parts.
         let number = ((2 * u64::from(view) + 1) * u64::from(all) / (2 * u64::from(views))) as u32;
         frames.push(local.pool.install(|| frame(local, number, &settings, interrupt))?);
         bar.inc(1);

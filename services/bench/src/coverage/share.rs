@@ -1,23 +1,22 @@
-//! A share with its interval.
+//! A share with its confidence interval.
 
 use forelight_forecast::share_interval;
 use serde::Serialize;
 use std::fmt;
 
-/// A mean of shares, with an interval that holds the true one in nineteen of twenty cases.
+/// A mean of shares, with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Share {
     /// From 0 to 1.
     pub share: f64,
-    /// Lower end of the interval.
     pub low: f64,
-    /// Its upper end.
     pub high: f64,
 }
 
 impl Share {
-    /// Of shares of independent groups, all of one weight. The interval is the binomial one for as many trials as would vary
-    /// as the groups do: for groups of one trial each, that is their number; where trials of a group go together, hardly more.
+    /// Mean of the shares of independent groups with equal weights. The interval is binomial (Wilson). Its
+    /// number of trials gives the same variance as the groups have: their number if each is one trial, hardly
+    /// more if trials of a group agree.
     pub fn of(groups: &[f64]) -> Self {
         let count = groups.len() as f64;
         if groups.is_empty() {
@@ -47,7 +46,7 @@ mod tests {
     fn the_interval_is_the_binomial_one_of_single_trials() {
         let groups: Vec<f64> = (0..100).map(|i| f64::from(u8::from(i < 80))).collect();
         let found = Share::of(&groups);
-        // Wilson: 80 of 100.
+        // Wilson interval of 80 in 100.
         assert!((found.low - 0.7112).abs() < 2e-3 && (found.high - 0.8666).abs() < 2e-3, "{found:?}");
         assert_eq!(found.to_string(), "80.0 % (71-87)");
     }

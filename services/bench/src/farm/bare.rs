@@ -1,8 +1,9 @@
-//! What a claim, a renewal and a completion take at least: the statements written by hand, on a database file of its own.
+//! Measures the least cost of a claim, a renewal and a completion, as hand-written SQL on a separate
+//! database.
 //!
-//! The file has the farm's schema, with its constraints, indexes and triggers, the farm's pragmas and the farm's transactions: what is read and written here
-//! is what has to be for the three of them to be true after a power cut. What the farm does beside that (the living estimate, what it learns about
-//! nodes, sharing a flush among writers) is left out.
+//! The database has the farm's schema, constraints, indexes, triggers, pragmas and transactions. So it reads
+//! and writes only what keeps the three durable after a power cut. It leaves out the rest of the farm's work,
+//! such as estimates, learning about nodes and shared flushes.
 
 use anyhow::{Context, Result, anyhow};
 use forelight_protocol::{NodeId, TaskResult, Timestamp};
@@ -13,26 +14,26 @@ use uuid::Uuid;
 
 use super::filling::{LEASE, image, rendered};
 
-/// Numbers of threads that are tried.
+/// Numbers of threads to try.
 const THREADS: [u32; 3] = [1, 2, 4];
 
-/// A database file, and how many threads get most out of it.
+/// A database file, and the best number of threads on it.
 pub struct Bare {
     path: PathBuf,
     node: NodeId,
     result: String,
-    /// Threads that do best: set by [`Bare::try_threads`].
+    /// Best number of threads, set by [`Bare::try_threads`].
     pub threads: u32,
 }
 
 impl Bare {
-    /// A database that the farm has filled, and does not use any more.
+    /// Takes a database that the farm has filled and no longer uses.
     pub fn new(database: &Path, node: NodeId) -> Result<Self> {
         let result: TaskResult = rendered(0, 1);
         Ok(Self { path: database.to_owned(), node, result: serde_json::to_string(&result)?, threads: 1 })
     }
 
-    /// Finds out how many threads do best, each number in so much time.
+    /// Finds the best number of threads, with `time` for each.
     pub fn try_threads(&mut self, time: Duration) -> Result<()> {
         let mut best = 0.0;
         for threads in THREADS {
@@ -44,7 +45,7 @@ impl Bare {
         Ok(())
     }
 
-    /// Calls a second of as many threads as do best.
+    /// Calls per second with the best number of threads.
     pub fn best_round(&self, time: Duration) -> Result<f64> {
         self.round(self.threads, time)
     }
@@ -61,7 +62,7 @@ impl Bare {
         Ok(f64::from(calls?) / start.elapsed().as_secs_f64())
     }
 
-    /// Takes frames one after the other until the time is over; says how many calls that were.
+    /// Takes frames one by one until the time is over. Returns the number of calls.
     fn work(&self, start: Instant, time: Duration) -> Result<u32> {
         let mut connection = Connection::open(&self.path)?;
         connection.busy_timeout(Duration::from_secs(5))?;
@@ -90,7 +91,7 @@ impl Bare {
             "SELECT id FROM leases WHERE state = 'active' AND expires_at <= ? ORDER BY expires_at, id";
         let expired: Option<Vec<u8>> =
             write.0.prepare_cached(expired)?.query_row([now], |row| row.get(0)).optional()?;
-        anyhow::ensure!(expired.is_none(), "a lease has run out: fewer seconds, please");
+        anyhow::ensure!(expired.is_none(), "a lease expired: lower --seconds");
         let next = "SELECT id, job_id, frame, spec FROM tasks INDEXED BY tasks_ready_any WHERE state = 'ready' AND kind IN ('cache_fill', 'render') \
                     AND held = 0 AND not_before <= ? ORDER BY due_at, priority DESC, job_id, frame, part LIMIT 1";
         let found = write.0.prepare_cached(next)?.query_row([now], |row| {
@@ -101,8 +102,7 @@ impl Bare {
                 row.get::<_, String>(3)?,
             ))
         });
-        let (task, job, frame, spec) =
-            found.optional()?.context("there are no frames left: fewer rounds, please")?;
+        let (task, job, frame, spec) = found.optional()?.context("no frames left: lower --rounds")?;
         let taken = "UPDATE tasks SET state = 'leased', fence = fence + 1, progress = 0, node_id = ?, started_at = ? \
                      WHERE id = ? AND state = 'ready' RETURNING fence";
         let fence: i64 =
@@ -177,7 +177,7 @@ impl Bare {
     }
 }
 
-/// A frame that a thread has.
+/// A frame leased by a thread.
 struct Held {
     lease: Vec<u8>,
     task: Vec<u8>,
@@ -186,12 +186,12 @@ struct Held {
     fence: i64,
 }
 
-/// When a lease of now ends.
+/// Expiry of a lease granted now.
 fn expiry(now: i64) -> i64 {
     now.saturating_add(i64::try_from(LEASE.as_micros()).unwrap_or(i64::MAX))
 }
 
-/// A transaction that has the write lock from its beginning.
+/// A transaction that takes the write lock at its beginning.
 struct Write<'c>(Transaction<'c>);
 
 impl<'c> Write<'c> {
@@ -204,7 +204,7 @@ impl<'c> Write<'c> {
         Ok(())
     }
 
-    /// The lease is still ours.
+    /// Checks that the lease is still valid.
     fn check(&self, held: &Held) -> Result<()> {
         let read = "SELECT l.state, l.fence FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id WHERE l.id = ?";
         let (state, fence): (String, i64) = self
@@ -256,7 +256,7 @@ mod tests {
         let none_left = bare.claim(&mut connection).err().unwrap();
         assert!(none_left.to_string().contains("no frames left"), "{none_left}");
         drop(connection);
-        // The lock of the folder goes with the last clone of the store, of which one may still end in the background.
+        // The folder is locked until the last clone of the store is dropped, perhaps in the background.
         let mut store = Store::open(folder.path()).await;
         for _ in 0..200 {
             if !matches!(store, Err(StoreError::InUse(_))) {

@@ -1,4 +1,4 @@
-//! A farm's worth of made-up jobs, written straight into the store.
+//! Writes made-up jobs for a whole farm into a store.
 
 use anyhow::{Result, anyhow, bail};
 use bytes::Bytes;
@@ -12,23 +12,23 @@ use forelight_store::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// Duration of leases: long, so that none runs out while calls are measured.
+/// Duration of leases. Long, so that none expires during a measurement.
 pub const LEASE: Duration = Duration::from_secs(30);
 
-/// The images of frames that nobody rendered.
+/// Content of all images.
 const IMAGE: &[u8] = b"an image";
 
-/// The name of a simulated worker's node.
+/// Name of a simulated worker's node.
 pub fn name_of(worker: u32) -> String {
     format!("node-{worker}")
 }
 
-/// Puts jobs of so many frames in all into a farm, ready to be rendered, all booked on nobody who asks; and the nodes of so many workers, before them: a
-/// node that joins later calls for a new plan of all frames, and that is not what is measured.
+/// Registers a node for each worker, then adds jobs with `frames` frames in total, ready to render. All are
+/// booked on another node. Nodes come first: a node that joins later causes a new plan.
 pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>> {
-    /// Frames of a job.
+    /// Frames per job.
     const FRAMES: u32 = 1000;
-    /// What a frame takes, in microseconds: as `frame_forecasts` and `rendered` say.
+    /// Time of a frame in microseconds, as in `frame_forecasts` and `rendered`.
     const SECOND: i64 = 1_000_000;
     let now = Timestamp::now();
     let mut nodes = Vec::new();
@@ -44,14 +44,15 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
         left -= count;
         let job = submit(store, count).await?;
         let lease = store.claim(node.id, LEASE, None, now).await?;
-        let Some(Answered::Fresh(preview)) = lease else { bail!("the preview was not handed out") };
+        let Some(Answered::Fresh(preview)) = lease else { bail!("the farm leased no preview task") };
         if preview.spec.kind() != TaskKind::Preview {
-            bail!("a {} came before the preview", preview.spec.kind());
+            bail!("the farm leased a {} task before the preview", preview.spec.kind());
         }
         store.commit_result(preview.lease_id, preview.fence, &previewed(&preview.spec)?, now).await?;
-        // No frame is profiled: the forecast is made up, and the plan puts all on one node.
+        // No frame is profiled. The forecast is made up, and the plan uses one node.
         store.start_profiling(job.id, &[], false, now).await?;
-        // One after the other from an hour on, each for as long as it is forecast to take: whatever comes is in time, and no news to the plan.
+        // Bookings follow each other from an hour on, as long as forecast. So every result is in time and
+        // calls for no new plan.
         let bookings: Vec<_> = (job.frames.iter().zip(i64::from(frames - left - count)..))
             .map(|(frame, place)| {
                 let start = now.plus_micros((3600 + place) * SECOND);
@@ -81,7 +82,7 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
     Ok(nodes)
 }
 
-/// A node of this name.
+/// Registers a node.
 async fn register(store: &Store, name: &str) -> Result<Node> {
     match store.register_node(&registration(name), None, Timestamp::now()).await? {
         Answered::Fresh(node) => Ok(node),
@@ -89,7 +90,7 @@ async fn register(store: &Store, name: &str) -> Result<Node> {
     }
 }
 
-/// What a simulated worker says of its node.
+/// Registration of a simulated worker's node.
 pub fn registration(name: &str) -> NodeRegistration {
     NodeRegistration {
         name: name.to_owned(),
@@ -124,12 +125,12 @@ async fn submit(store: &Store, frames: u32) -> Result<Job> {
     }
 }
 
-/// The artefact that stands for all images.
+/// The artefact of all images.
 pub fn image() -> ArtifactHash {
     ArtifactHash(*blake3::hash(IMAGE).as_bytes())
 }
 
-/// A preview in which nothing is seen.
+/// An empty preview.
 fn previewed(spec: &TaskSpec) -> Result<TaskResult> {
     let TaskSpec::Preview(spec) = spec else { bail!("the task is a {}", spec.kind()) };
     let frames: Vec<serde_json::Value> = spec
@@ -143,7 +144,7 @@ fn previewed(spec: &TaskSpec) -> Result<TaskResult> {
     }}))?)
 }
 
-/// The result of a frame that nobody rendered, as large as a real one.
+/// A made-up result of a frame, as large as a real one.
 pub fn rendered(frame: u32, spp: u32) -> TaskResult {
     TaskResult::Render(RenderResult {
         stats: RenderStats {

@@ -1,11 +1,11 @@
-//! `forelight bench leases`: how many lease calls a second the service answers, beside what the same transactions take without a
+//! `forelight bench leases`: lease calls per second over HTTP, and of the same transactions without the
 //! service.
 //!
-//! Both sides do the same: a frame is claimed, its lease renewed once with progress, its result committed; every call is a
-//! transaction that is flushed to disk before it is answered. *Bare* is SQL written by hand on a database file of its own (`bare`), with as many threads as do
-//! best: no HTTP, no tokens, no JSON on the wire, no store. *HTTP* is the service in a process of its own, and in this process
-//! as many workers at a time as asked for, with the client that real workers have. The two take turns, so that what else the
-//! machine does meets both; medians of the rounds are compared.
+//! Both sides claim a frame, renew its lease once with progress, and commit its result. Every call is a
+//! transaction that is flushed to disk before it returns. *Bare* is hand-written SQL on a separate database
+//! (`bare`), with the best number of threads and no HTTP, tokens, JSON or store. *HTTP* is the service in its
+//! own process, with the real client for each worker in this one. The sides alternate, so other load on the
+//! machine affects both. Medians of the rounds are compared.
 
 use super::bare::Bare;
 use super::filling::{LEASE, fill, name_of, registration, rendered};
@@ -34,19 +34,19 @@ Examples:
   forelight bench leases
   forelight bench leases --workers 32 --rounds 9 --seconds 3 --json
 
-A call is a claim, a renewal or a completion; each is on disk before it is answered. Bare is the same \
-transactions as SQL written by hand, without service and HTTP, by as many threads as do best.")]
+A call is a claim, a renewal or a completion. Each is flushed to disk before its answer. Bare means the \
+same transactions as hand-written SQL, without service and HTTP, with the best number of threads.")]
 pub struct Args {
-    /// Workers that call at the same time
+    /// Concurrent workers
     #[arg(long, value_name = "COUNT", default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1000))]
     workers: u16,
-    /// Rounds of each side, which take turns
+    /// Rounds of each side; the sides alternate
     #[arg(long, value_name = "COUNT", default_value_t = 7, value_parser = clap::value_parser!(u16).range(1..=100))]
     rounds: u16,
     /// Seconds of each side in a round
     #[arg(long, value_name = "SECONDS", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=60))]
     seconds: u16,
-    /// Folder for the databases: on the disk that is to be measured [default: a temporary folder]
+    /// Folder for the databases, on the disk to measure [default: a temporary folder]
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
     /// Print the measurements as JSON to standard output
@@ -54,35 +54,33 @@ pub struct Args {
     json: bool,
 }
 
-/// What was measured.
 #[derive(Debug, Serialize)]
 struct Document {
     workers: u16,
-    /// Threads that do best without the service.
+    /// Best number of threads without the service.
     bare_threads: u32,
-    /// Calls a second, by round.
+    /// Calls per second, by round.
     bare: Vec<f64>,
     http: Vec<f64>,
     bare_median: f64,
     http_median: f64,
     /// Median of HTTP over median of bare.
     ratio: f64,
-    /// Of a call over HTTP, in milliseconds.
+    /// Latency of calls over HTTP, in milliseconds.
     latency_p50_ms: f64,
     latency_p99_ms: f64,
 }
 
-/// Frames that a side can at most get through in a second, with room to spare.
+/// Generous upper bound of frames per second on a side.
 const FRAMES_A_SECOND: u32 = 4000;
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let document = runtime.block_on(measure(args, interrupt))?;
     report(&document).printed(args.json, &document)
 }
 
-/// A new farm in this folder.
+/// Makes a new farm in this folder.
 async fn prepare(data: &Path, frames: u32, workers: u16) -> Result<Vec<Node>> {
     let store = Store::open(data).await?;
     let nodes = fill(&store, frames, u32::from(workers)).await?;
@@ -90,7 +88,7 @@ async fn prepare(data: &Path, frames: u32, workers: u16) -> Result<Vec<Node>> {
     Ok(nodes)
 }
 
-/// Something that takes its thread for a while.
+/// Runs blocking work on a thread of its own.
 async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
     tokio::task::spawn_blocking(work).await.map_err(|error| anyhow!(error))?
 }
@@ -103,7 +101,7 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     let spinner = bars.spinner(format!("two farms of {frames} frames each"));
     let bare_data = folder.path().join("bare");
     let nodes = prepare(&bare_data, frames, args.workers).await?;
-    let node = nodes.first().context("there are no workers")?.id;
+    let node = nodes.first().context("no workers")?.id;
     let mut bare_side = Bare::new(&bare_data.join(DATABASE), node)?;
     let data = folder.path().join("http");
     prepare(&data, frames, args.workers).await?;
@@ -150,7 +148,7 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     })
 }
 
-/// Calls a second of the service, all workers together; adds the seconds that each call took.
+/// Calls per second of all workers together. Adds the seconds of each call to `latencies`.
 async fn http_round(workers: &[(Client, NodeId)], time: Duration, latencies: &mut Vec<f64>) -> Result<f64> {
     let start = Instant::now();
     let mut set = JoinSet::new();
@@ -180,7 +178,7 @@ async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()>
     };
     let claim = ClaimRequest { node_id: node, wait_ms: 0, task_id: None, worker: None };
     let lease = client.claim(&claim, Uuid::now_v7()).await.context("claim")?.lease();
-    let lease = lease.context("there are no frames left: fewer rounds, please")?;
+    let lease = lease.context("no frames left: lower --rounds")?;
     lap(took);
     let renewal = RenewRequest { fence: lease.fence, progress: 0.5, ..RenewRequest::default() };
     client.renew(lease.lease_id, &renewal, LEASE).await.context("renewal")?;
@@ -195,7 +193,7 @@ async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()>
 fn result_of(spec: &TaskSpec) -> Result<forelight_protocol::TaskResult> {
     match spec {
         TaskSpec::Render(spec) => Ok(rendered(spec.frame, spec.settings.spp)),
-        other => bail!("a {} was handed out", other.kind()),
+        other => bail!("the service leased a {} task instead of a frame", other.kind()),
     }
 }
 

@@ -1,4 +1,4 @@
-//! The service in a process of its own.
+//! Runs the service in its own process.
 
 use anyhow::{Context, Result, bail};
 use forelight_protocol::Role;
@@ -9,24 +9,23 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// A temporary folder for databases: below `parent`, or where the system keeps temporary files.
+/// A temporary folder for databases, below `parent` or the system's default.
 pub fn temporary_folder(parent: Option<&Path>) -> Result<TempDir> {
     let Some(parent) = parent else { return Ok(tempfile::tempdir()?) };
     let folder = tempfile::tempdir_in(parent);
     Ok(folder.map_err(|error| BadInput::new(format!("--folder {}: {error}", parent.display())))?)
 }
 
-/// A service in a process of its own. It dies with this value.
+/// The service in its own process. Dropping this value kills it.
 pub struct ServiceProcess {
     child: Child,
-    /// `http://host:port`.
     pub address: String,
     /// A worker's token.
     pub token: String,
 }
 
 impl ServiceProcess {
-    /// Starts `forelight serve` with the data in this folder, and waits until it listens.
+    /// Starts `forelight serve` with this data folder, and waits until it listens.
     pub fn start(data: &Path) -> Result<Self> {
         let output = data.with_extension("out");
         let child = Command::new(std::env::current_exe().context("cannot find this program")?)
@@ -42,10 +41,10 @@ impl ServiceProcess {
         let start = Instant::now();
         while service.address.is_empty() {
             if let Some(status) = service.child.try_wait()? {
-                bail!("the service ended: {status}");
+                bail!("the service exited: {status}");
             }
             if start.elapsed() > Duration::from_secs(60) {
-                bail!("the service does not listen after a minute");
+                bail!("the service did not listen within a minute");
             }
             std::thread::sleep(Duration::from_millis(20));
             let printed = fs::read_to_string(&output)?;
@@ -58,23 +57,23 @@ impl ServiceProcess {
         Ok(service)
     }
 
-    /// A number of `/proc/PID/status`, in bytes.
+    /// A value of `/proc/PID/status`, in bytes.
     pub fn status_bytes(&self, name: &str) -> Result<u64> {
         let status = fs::read_to_string(format!("/proc/{}/status", self.child.id()))?;
         let line = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
         let kibibytes = line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
-        Ok(kibibytes.with_context(|| format!("the system does not say {name}"))? * 1024)
+        Ok(kibibytes.with_context(|| format!("/proc has no {name} of the service"))? * 1024)
     }
 
-    /// CPU seconds that the process has used.
+    /// CPU seconds used by the process.
     pub fn cpu_seconds(&self) -> Result<f64> {
         let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id()))?;
-        // After the name in brackets, which may hold anything, come the state and then numbers.
+        // The name in brackets may hold anything. The state and then numbers follow it.
         let rest = stat.rsplit_once(')').map_or("", |(_, rest)| rest);
         let ticks: Vec<f64> =
             rest.split_whitespace().skip(11).take(2).filter_map(|n| n.parse().ok()).collect();
-        let [user, system] = ticks[..] else { bail!("the system does not say CPU times") };
-        /// Linux counts in hundredths of a second, whatever its kernel ticks in.
+        let [user, system] = ticks[..] else { bail!("/proc has no CPU times of the service") };
+        /// Linux reports hundredths of a second, whatever the kernel's tick.
         const TICKS: f64 = 100.0;
         Ok((user + system) / TICKS)
     }
@@ -82,7 +81,6 @@ impl ServiceProcess {
 
 impl Drop for ServiceProcess {
     fn drop(&mut self) {
-        // It may have ended by itself.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,8 +1,8 @@
-//! `forelight bench workers`: thousands of workers with one service.
+//! `forelight bench workers`: one service with thousands of workers.
 //!
-//! Every simulated worker holds the lease of a frame, has a connection of its own that it keeps open, and renews its lease at the interval
-//! asked for, with progress: the heartbeat that brings orders back. They begin at even distances over the interval. The
-//! service is a process of its own; workers and service share the machine.
+//! Each simulated worker holds the lease of a frame, keeps one connection open, and renews its lease at the
+//! given interval with progress. The workers start evenly spread over the interval. The service runs in its
+//! own process on the same machine.
 
 use super::filling::{LEASE, fill};
 use super::service::{ServiceProcess, temporary_folder};
@@ -29,18 +29,19 @@ Examples:
   forelight bench workers
   forelight bench workers --workers 1000 --heartbeat 2s --time 30s --json
 
-Each worker has a connection of its own. Latency is what the worker sees, from the request to the whole answer.")]
+Each worker has its own connection. Latency is measured by the worker, from the request to the complete \
+answer.")]
 pub struct Args {
-    /// Workers
+    /// Number of workers
     #[arg(long, value_name = "COUNT", default_value_t = 5000, value_parser = clap::value_parser!(u32).range(1..=20_000))]
     workers: u32,
-    /// Time between two heartbeats of a worker
+    /// Interval between heartbeats of a worker
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
     heartbeat: Duration,
-    /// How long to measure
+    /// Duration of the measurement
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = duration)]
     time: Duration,
-    /// Folder for the database: on the disk that is to be measured [default: a temporary folder]
+    /// Folder for the database, on the disk to measure [default: a temporary folder]
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
     /// Print the measurements as JSON to standard output
@@ -48,7 +49,6 @@ pub struct Args {
     json: bool,
 }
 
-/// What was measured.
 #[derive(Debug, Serialize)]
 struct Document {
     workers: u32,
@@ -57,24 +57,22 @@ struct Document {
     heartbeats: usize,
     heartbeats_per_second: f64,
     errors: usize,
-    /// The first error, if there was one.
     first_error: Option<String>,
     p50_ms: f64,
     p99_ms: f64,
     longest_ms: f64,
     server_peak_bytes: u64,
-    /// Of the server, over the time that was measured: 1 is one core.
+    /// Mean CPU use of the server in cores.
     server_cores: f64,
 }
 
-/// What one worker saw.
+/// Measurements of one worker.
 #[derive(Default)]
 struct Seen {
     seconds: Vec<f64>,
     errors: Vec<String>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let document = runtime.block_on(measure(args, interrupt))?;
@@ -82,7 +80,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
 }
 
 async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
-    // A connection at each worker; the service raises its own limit when it starts.
+    // One connection per worker. The service raises its own limit at start.
     forelight_terminal::open_files::allow(u64::from(args.workers) + 256)?;
     let folder = temporary_folder(args.folder.as_deref())?;
     let bars = Bars::new(args.json);
@@ -134,16 +132,16 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     })
 }
 
-/// A farm on which so many nodes hold a lease each; made without the service, which has not begun.
+/// Makes a farm whose nodes hold one lease each, before the service starts.
 async fn lease(data: &std::path::Path, workers: u32, bars: &Bars) -> Result<Vec<Lease>> {
     let bar = bars.bar("leases", u64::from(workers));
     let store = Store::open(data).await?;
     let nodes = fill(&store, workers, workers).await?;
     let mut leases = Vec::new();
     for node in nodes {
-        // Long enough for the slowest machine to be ready; the service gives each another term when it starts.
+        // Long enough for slow machines. The service extends each lease when it starts.
         let claimed = store.claim(node.id, Duration::from_secs(3600), None, Timestamp::now()).await?;
-        let Some(Answered::Fresh(lease)) = claimed else { bail!("a frame was not handed out") };
+        let Some(Answered::Fresh(lease)) = claimed else { bail!("the farm leased no frame") };
         leases.push(lease);
         bar.inc(1);
     }
@@ -153,7 +151,7 @@ async fn lease(data: &std::path::Path, workers: u32, bars: &Bars) -> Result<Vec<
 }
 
 async fn worker(client: &Client, lease: &Lease, first: Instant, end: Instant, heartbeat: Duration) -> Seen {
-    /// Progress of a heartbeat: two hundred of them are a frame.
+    /// Progress per heartbeat: a frame takes 200.
     const STEP: f64 = 0.005;
     let mut seen = Seen::default();
     let mut next = first;
@@ -170,7 +168,7 @@ async fn worker(client: &Client, lease: &Lease, first: Instant, end: Instant, he
             Ok(renewed) => seen.errors.push(format!("the order was {:?}", renewed.order)),
             Err(error) => seen.errors.push(error.to_string()),
         }
-        // At the same beat, however long the answer took.
+        // Keep the beat, however long the answer took.
         next += heartbeat;
     }
     seen

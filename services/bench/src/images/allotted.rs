@@ -1,4 +1,5 @@
-//! Rungs whose camera samples follow from an error: all that `forelight render --error` does after a bundle is loaded.
+//! Rungs whose camera samples follow from an error. Does all that `forelight render --error` does after
+//! loading.
 
 use super::picture::Picture;
 use super::rendered::Rendered;
@@ -13,17 +14,16 @@ use forelight_tracer::process_cpu_nanos;
 use std::path::Path;
 use std::time::Instant;
 
-/// Pixels that are profiled.
+/// Number of profiled pixels.
 const SAMPLES: u32 = 256;
 
-/// A bundle as a farm's worker opens it.
+/// A bundle, opened as by a farm's worker.
 pub struct Allotted {
     shot: OwnShot,
     frame: u32,
 }
 
 impl Allotted {
-    /// Loads the bundle and builds its tree.
     pub fn open(bundle: &Path, frame: u32, settings: &RenderSettings) -> Result<Self> {
         let shot = OwnRenderer::new(Choice::Cpu).open(bundle);
         let shot = shot.with_context(|| format!("bundle {}", bundle.display()))?;
@@ -31,7 +31,7 @@ impl Allotted {
         Ok(Self { shot, frame })
     }
 
-    /// Renders it with an even chance of this error, on the current thread pool.
+    /// Renders on the current thread pool, with an even chance of at most this error.
     pub fn render(&self, settings: &RenderSettings, error: f64, interrupt: &Interrupt) -> Result<Rendered> {
         let (start, used) = (Instant::now(), process_cpu_nanos());
         let options =

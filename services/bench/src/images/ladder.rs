@@ -1,27 +1,26 @@
-//! What a given error costs, read off a ladder of measured settings.
+//! Interpolates the cost of a given error from measured settings.
 
-/// A measured rung.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rung {
     /// Distance from the reference.
     pub error: f64,
-    /// What it took, in any unit.
+    /// Cost in any unit.
     pub cost: f64,
 }
 
-/// What an error costs.
+/// Cost of an error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cost {
-    /// So much, between two rungs.
+    /// Between two rungs.
     Is(f64),
-    /// At most so much: the cheapest rung of all is better than that.
+    /// An upper bound: the cheapest rung is better than asked for.
     AtMost(f64),
-    /// No rung is that good.
+    /// No rung is good enough.
     Unknown,
 }
 
-/// The cost of an error, interpolated along the rungs that are worth taking (no other is both better and cheaper), linearly in the
-/// logarithms of both: the error of random sampling is a power of its cost.
+/// Cost of an error, interpolated between the rungs that no other beats in both error and cost. The
+/// interpolation is linear in the logarithms, because the error of random sampling is a power of its cost.
 pub fn cost_at(rungs: impl Iterator<Item = Rung>, error: f64) -> Cost {
     let mut sorted: Vec<Rung> = rungs.filter(|rung| rung.error > 0.0 && rung.cost > 0.0).collect();
     sorted.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.error.total_cmp(&b.error)));
@@ -43,7 +42,7 @@ pub fn cost_at(rungs: impl Iterator<Item = Rung>, error: f64) -> Cost {
 }
 
 impl Cost {
-    /// How many times this cost `other` is; a lower bound where this is an upper one.
+    /// `other` over this cost. A lower bound if this is an upper one.
     pub fn ratio(self, other: f64) -> Option<f64> {
         match self {
             Self::Is(cost) | Self::AtMost(cost) => Some(other / cost),
@@ -51,7 +50,7 @@ impl Cost {
         }
     }
 
-    /// Whether a ratio to it is a lower bound.
+    /// True if ratios to it are lower bounds.
     pub fn is_bound(self) -> bool {
         matches!(self, Self::AtMost(_))
     }
@@ -67,7 +66,7 @@ mod tests {
 
     #[test]
     fn between_two_rungs_the_cost_is_a_power_of_the_error() {
-        // Halving the error costs four times as much.
+        // Half the error costs four times as much.
         let rungs = [(0.1, 1.0), (0.025, 16.0)];
         let Cost::Is(cost) = at(&rungs, 0.05) else { panic!() };
         assert!((cost - 4.0).abs() < 1e-12, "{cost}");

@@ -1,4 +1,4 @@
-//! Renders everything that is measured of a bundle.
+//! Renders and measures a bundle.
 
 use super::allotted::Allotted;
 use super::args::{Args, base};
@@ -21,12 +21,12 @@ use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
-/// Seed of the converged image: its noise must have nothing to do with that of a rung.
+/// Seed of the converged image. Its noise must be independent of a rung's.
 const OTHER_SEED: u64 = 0x5eed;
 /// Range of a difference picture, relative to the image's mean.
 const DIFFERENCE_RANGE: f64 = 0.1;
 
-/// A bundle, ready to be rendered at any quality.
+/// A bundle, ready to render at any quality.
 pub struct Bench<'a> {
     args: &'a Args,
     bars: &'a Bars,
@@ -34,15 +34,14 @@ pub struct Bench<'a> {
     name: String,
     frame: Frame,
     base: RenderSettings,
-    /// Holds the tree that all share.
+    /// Owns the tree that all renders share.
     tracer: Tracer,
     pool: rayon::ThreadPool,
-    /// For rungs whose camera samples are allotted.
+    /// For rungs with allotted camera samples.
     allotted: Option<Allotted>,
 }
 
 impl<'a> Bench<'a> {
-    /// Loads the bundle and builds its tree.
     pub fn open(
         args: &'a Args,
         bundle: &Path,
@@ -51,7 +50,7 @@ impl<'a> Bench<'a> {
         interrupt: &'a Interrupt,
     ) -> Result<Self> {
         if !bundle.exists() {
-            let missing = format!("bundle {}: there is no such file or folder", bundle.display());
+            let missing = format!("bundle {}: no such file or folder", bundle.display());
             return Err(BadInput::new(missing).into());
         }
         let spinner = bars.spinner(format!("loading {}", bundle.display()));
@@ -71,7 +70,6 @@ impl<'a> Bench<'a> {
         Ok(Self { args, bars, interrupt, name, frame, base, tracer, pool, allotted })
     }
 
-    /// Everything that is measured on this bundle.
     pub fn measure(&self, rungs: &[Quality]) -> Result<Measured> {
         let settings: Vec<Settings> =
             rungs.iter().map(|rung| rung.settings(&self.base)).collect::<Result<_, _>>()?;
@@ -107,7 +105,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// All rungs, one after the other and then again, so that what else the machine does meets all of them.
+    /// Renders all rungs in turns, so that other load on the machine affects all of them.
     fn rungs(&self, rungs: &[Quality], settings: &[Settings]) -> Result<Vec<Vec<Rendered>>> {
         let bar = self.bars.bar("rendering", rungs.len() as u64 * u64::from(self.args.repeats));
         let mut renders: Vec<Vec<Rendered>> = rungs.iter().map(|_| Vec::new()).collect();
@@ -149,7 +147,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// A converged image: from its folder, or rendered and put there.
+    /// A converged image, from its folder or rendered and stored there.
     fn reference(&self, quality: &Quality, seed: u64) -> Result<Picture> {
         let settings = Settings { seed: self.base.seed ^ seed, ..quality.settings(&self.base)? };
         let kept = self.args.references.as_ref().map(|folder| {
@@ -173,9 +171,9 @@ impl<'a> Bench<'a> {
         Ok(picture)
     }
 
-    /// What the samples of a rung see with gathers of very many rays; and how noisy that still is. A quarter of the rays
-    /// leaves twice the noise, or more, as the rays are stratified; so the two differ by √3 times the noise or more, even where
-    /// the few are among the many.
+    /// The samples of a rung with gathers of very many rays, and an upper estimate of the remaining noise. A
+    /// quarter of the rays has at least twice the noise, because rays are stratified. So the difference of
+    /// the two is at least √3 times the noise, even if they share rays.
     fn gathered(&self) -> Result<(Picture, Gathered)> {
         let (spp, rays) = (self.args.gather_spp, self.args.gather_rays);
         let quality = Quality::gathered(spp, rays).map_err(BadInput::new)?;
@@ -185,7 +183,8 @@ impl<'a> Bench<'a> {
         Ok((best, Gathered { flags: quality.to_string(), noise }))
     }
 
-    /// The last cached and the last other rung of the compared samples on one thread and on two, in turns.
+    /// Measures the last cached and the last uncached rung of the compared samples on one and two threads, in
+    /// turns.
     fn second_thread(&self, rungs: &[Quality], settings: &[Settings]) -> Result<Vec<SpeedUp>> {
         let (one, two) = (thread_pool(Some(1))?, thread_pool(Some(2))?);
         let mut speed_ups = Vec::new();
@@ -231,7 +230,7 @@ impl<'a> Bench<'a> {
         Ok(peers)
     }
 
-    /// Writes the images, and what the cache changes in them.
+    /// Writes the images and their differences due to the cache.
     fn draw<'p>(
         &self,
         folder: &Path,

@@ -1,5 +1,3 @@
-//! The measurements.
-
 use super::ladder::{Cost, Rung, cost_at};
 use super::picture::{Distance, Picture};
 use super::quality::Quality;
@@ -18,19 +16,18 @@ pub struct Measured {
     pub repeats: u32,
     pub reference: Converged,
     pub rungs: Vec<MeasuredRung>,
-    /// How often every cached rung that is compared on the same samples is cheaper than gathering at an equal error.
+    /// Savings of each cached rung over gathering at an equal error, on the same samples.
     pub cached: Vec<Saved>,
-    /// Wall time on one thread / on two.
+    /// Wall time on one thread over wall time on two.
     pub second_thread: Vec<SpeedUp>,
     pub peers: Vec<MeasuredPeer>,
 }
 
-/// The converged image.
 #[derive(Debug, Serialize)]
 pub struct Converged {
     pub flags: String,
     pub mean: f64,
-    /// Gathering on the same samples: its flags, and an upper estimate of its own noise, relative to its mean.
+    /// Flags of the gathered reference, and an upper estimate of its noise, relative to its mean.
     pub gathered: Option<Gathered>,
 }
 
@@ -46,21 +43,21 @@ pub struct MeasuredRung {
     pub cached: bool,
     /// Distance from the converged image.
     pub error: Distance,
-    /// Distance from what the same camera samples see with gathers of very many rays.
+    /// Distance from the same camera samples with gathers of very many rays.
     pub indirect_error: Option<Distance>,
     /// Deterministic.
     pub work: u64,
-    /// Shares of it that went into planning and filling the cache.
+    /// Share of the work that planned and filled the cache.
     pub plan_share: f64,
     pub fill_share: f64,
     pub records: Vec<u64>,
-    /// User and system time of the process while it rendered (loading the bundle and building the tree were before): the median.
+    /// Median user and system time of rendering, without loading and building.
     pub cpu_seconds: f64,
     /// (highest − lowest) / median.
     pub cpu_spread: f64,
 }
 
-/// A cached rung against gathering at an equal error, on the same samples.
+/// A cached rung compared with gathering at an equal error, on the same samples.
 #[derive(Debug, Serialize)]
 pub struct Saved {
     pub flags: String,
@@ -78,21 +75,21 @@ pub struct SpeedUp {
     pub highest: f64,
 }
 
-/// Another program's image, and how often its CPU time ours is at an equal error.
+/// Another program's image, and its CPU time relative to ours at an equal error.
 #[derive(Debug, Serialize)]
 pub struct MeasuredPeer {
     pub name: String,
     pub cpu_seconds: f64,
     pub error: Distance,
-    /// Its converged image against ours.
+    /// Distance of its converged image from ours.
     pub reference: Option<Distance>,
     pub ratio: Option<f64>,
     pub ratio_lit: Option<f64>,
-    /// Whether our cheapest rung is better than it, so that the ratio is a lower bound.
+    /// True if our cheapest rung is better, so that the ratio is a lower bound.
     pub bound: bool,
 }
 
-/// A rung's renders in numbers.
+/// Summarises the renders of a rung.
 pub fn summary(
     rung: &Quality,
     renders: &[Rendered],
@@ -117,7 +114,7 @@ pub fn summary(
     })
 }
 
-/// Every cached rung against the gathering ones at its error, on the same samples.
+/// Compares each cached rung with gathering at its error, on the same samples.
 pub fn saved(rungs: &[MeasuredRung]) -> Vec<Saved> {
     let of = |cost: fn(&MeasuredRung) -> f64, error: f64| -> Cost {
         let gathering = rungs.iter().filter(|rung| !rung.cached);
@@ -129,7 +126,7 @@ pub fn saved(rungs: &[MeasuredRung]) -> Vec<Saved> {
             let error = rung.indirect_error?.rmse;
             let times = |cost: fn(&MeasuredRung) -> f64| match of(cost, error) {
                 Cost::Is(gathering) => Some(gathering / cost(rung)),
-                // Nothing is known about gathering at so great an error, or so small a one.
+                // The ladder of gathering does not reach this error.
                 Cost::AtMost(_) | Cost::Unknown => None,
             };
             Some(Saved {

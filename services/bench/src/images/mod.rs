@@ -1,4 +1,5 @@
-//! `forelight bench images`: what an image error costs, with an irradiance cache, without one, and in other programs.
+//! `forelight bench images`: the cost of an image error with an irradiance cache, without one, and in other
+//! programs.
 
 mod allotted;
 mod args;
@@ -21,10 +22,9 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::output::{self, Bars};
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     if args.bundles.len() > 1 && !args.peer.is_empty() {
-        return Err(BadInput::new("--peer: an image belongs to one bundle, and there are several").into());
+        return Err(BadInput::new("--peer: an image belongs to one bundle, so name only one").into());
     }
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
@@ -36,7 +36,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
         let scene = bench.measure(&rungs)?;
         let own = report::of(&scene);
         if !args.json {
-            // The next bundle may take hours.
+            // Print each bundle at once: the next may take hours.
             output::print(&own.for_terminal())?;
         }
         report = report.then(own);

@@ -1,18 +1,18 @@
-//! Images that other programs made of the same scene.
+//! Images of the same scene by other programs.
 
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// An image, what making it took, and what it should have become.
+/// An image, its cost and its reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Peer {
-    /// Who made it, and how.
+    /// Program and settings.
     pub name: String,
     /// EXR file.
     pub image: PathBuf,
     /// CPU time of rendering, seconds.
     pub cpu_seconds: f64,
-    /// The same program's converged image, for programs whose transport is not quite ours.
+    /// The program's own converged image, if its light transport differs from ours.
     pub reference: Option<PathBuf>,
 }
 

@@ -1,4 +1,4 @@
-//! Images as plain numbers, and how far one is from another.
+//! Images as plain numbers, and distances between them.
 
 use anyhow::{Context, Result, bail};
 use forelight_tracer::Image;
@@ -12,7 +12,7 @@ pub struct Picture {
     pub width: u32,
     /// Pixels.
     pub height: u32,
-    /// One colour a pixel.
+    /// One colour per pixel.
     pub pixels: Vec<[f32; 3]>,
 }
 
@@ -21,18 +21,17 @@ pub struct Picture {
 pub struct Distance {
     /// Root mean square over pixels and channels.
     pub rmse: f64,
-    /// The same without the pixels that see a light in the reference and those beside them, relative to the mean of the rest: the
-    /// edge of a light weighs a thousand times as much as what it lights.
+    /// The same without pixels that see a light in the reference, or are next to one, relative to the mean of
+    /// the rest. Edges of lights would outweigh all else.
     pub lit: f64,
     /// Mean of the image / mean of the reference − 1.
     pub bias: f64,
 }
 
-/// A pixel this many times as bright as the median of those that are not black sees a light.
+/// A pixel sees a light if it is this many times as bright as the median of the non-black ones.
 const LIGHT: f32 = 10.0;
 
 impl Picture {
-    /// Of a rendered image.
     pub fn of(image: &Image) -> Self {
         let pixels = image.pixels.iter().map(|pixel| pixel.color).collect();
         Self { width: image.width, height: image.height, pixels }
@@ -59,11 +58,11 @@ impl Picture {
         mean(self.pixels.iter())
     }
 
-    /// How far it is from a reference of the same size.
+    /// Distance from a reference of the same size.
     pub fn distance(&self, reference: &Self) -> Result<Distance> {
         if (self.width, self.height) != (reference.width, reference.height) {
             bail!(
-                "an image of {} x {} pixels cannot be held against one of {} x {}",
+                "cannot compare an image of {} x {} pixels with a reference of {} x {}",
                 self.width,
                 self.height,
                 reference.width,
@@ -80,9 +79,9 @@ impl Picture {
         })
     }
 
-    /// Which pixels neither see a light nor lie beside one that does.
+    /// Pixels that neither see a light nor are next to one that does.
     fn lit(&self) -> Vec<bool> {
-        // Of a scene that fills less than half of the image the median is that of nothing.
+        // Black pixels are left out, because the scene may fill less than half of the image.
         let mut sorted: Vec<f32> = self.pixels.iter().map(brightness).filter(|&sum| sum > 0.0).collect();
         sorted.sort_unstable_by(f32::total_cmp);
         let limit = LIGHT * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
@@ -94,10 +93,10 @@ impl Picture {
         (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| dark(x, y)).collect()
     }
 
-    /// The signed difference from a reference, for looking at: mid grey is none, black and white are −`range` and +`range`,
-    /// relative to the reference's mean.
+    /// Signed difference from a reference, for display: mid grey is none, black and white are −`range` and
+    /// +`range`, relative to the reference's mean.
     pub fn difference(&self, reference: &Self, range: f64) -> RgbImage {
-        // In the dark nothing differs, whatever the scale.
+        // Black images do not differ, whatever the scale.
         let scale = 127.5 / (range * reference.mean()).max(1e-300);
         RgbImage::from_fn(self.width, self.height, |x, y| {
             let (own, known) = (self.at(x, y), reference.at(x, y));
@@ -122,7 +121,7 @@ fn mean<'a>(pixels: impl Iterator<Item = &'a [f32; 3]>) -> f64 {
     sum / count.max(1) as f64
 }
 
-/// No distance is none, of whatever.
+/// A distance of zero is zero relative to any mean.
 fn relative(distance: f64, mean: f64) -> f64 {
     if distance == 0.0 { 0.0 } else { distance / mean }
 }

@@ -1,4 +1,4 @@
-//! Settings of a render as one line of flags, and the ladders of them that are measured.
+//! Parses settings of a render from a line of flags, and lists the default ladder.
 
 use clap::Parser;
 use forelight_protocol::{CacheMode, Integrator, RenderSettings};
@@ -19,12 +19,12 @@ struct Flags {
     error: Option<f64>,
 }
 
-/// One rung: flags of `forelight render`, and what they mean.
+/// One rung: its flags and their settings.
 #[derive(Debug, Clone)]
 pub struct Quality {
     text: String,
     options: QualityOptions,
-    /// Noise for which camera samples are allotted, in percent of the image's mean.
+    /// Noise to allot camera samples for, in percent of the image's mean.
     error: Option<f64>,
 }
 
@@ -39,7 +39,7 @@ impl FromStr for Quality {
             format!("`{text}`: {}", first.trim_start_matches("error: "))
         })?;
         if flags.quality.width.is_some() || flags.quality.height.is_some() {
-            return Err(format!("`{text}`: all images have the same size, which --size says"));
+            return Err(format!("`{text}`: all images have the same size; use --size"));
         }
         Ok(Self { text: words.join(" "), options: flags.quality, error: flags.error })
     }
@@ -52,35 +52,36 @@ impl fmt::Display for Quality {
 }
 
 impl Quality {
-    /// Whether indirect light is interpolated.
+    /// True if indirect light is interpolated.
     pub fn is_cached(&self) -> bool {
         self.options.cache == Some(CacheMode::On)
     }
 
-    /// Whether it takes this many camera samples, and gathers indirect light at them or interpolates it: another rung of which this
-    /// holds sees the same direct light, and differs by the indirect light alone.
+    /// True if it has this many camera samples and gathers or interpolates indirect light. Two such rungs
+    /// differ only in the indirect light.
     pub fn samples_like(&self, spp: u32) -> bool {
         self.error.is_none()
             && self.options.spp == Some(spp)
             && self.options.integrator != Some(Integrator::Path)
     }
 
-    /// The noise that camera samples are allotted for, as a share of the image's mean; `None` if all pixels have the same number.
+    /// Noise to allot camera samples for, as a share of the image's mean. `None` for the same number in all
+    /// pixels.
     pub fn error(&self) -> Option<f64> {
         self.error.map(|percent| percent / 100.0)
     }
 
-    /// The settings of gathering with so many rays at the same camera samples.
+    /// Settings with gathers of `rays` rays at the same camera samples.
     pub fn gathered(spp: u32, rays: u32) -> Result<Self, String> {
         format!("--spp {spp} --ambient-divisions {rays}").parse()
     }
 
-    /// The whole settings as the tracer takes them.
+    /// The settings for the tracer.
     pub fn settings(&self, base: &RenderSettings) -> Result<Settings, BadInput> {
         Ok(Settings::from(&self.asked(base)?))
     }
 
-    /// The whole settings. What the flags leave open is as in `base`.
+    /// The full settings. Flags that are missing are as in `base`.
     pub fn asked(&self, base: &RenderSettings) -> Result<RenderSettings, BadInput> {
         let size = (base.width, base.height);
         self.options.check()?;
@@ -99,7 +100,7 @@ impl Quality {
     }
 }
 
-/// The rungs that are measured if the user names none: from quick to good, without a cache and with one.
+/// The default rungs from quick to good, without a cache and with one.
 pub fn ladder() -> Vec<Quality> {
     let gathered = [(1, 4), (1, 16), (4, 4), (4, 16), (4, 64), (4, 256), (16, 4), (16, 16)];
     let cached = [
@@ -131,7 +132,7 @@ pub fn ladder() -> Vec<Quality> {
     let allotted = allotted.iter().map(|(error, accuracy, rays)| {
         format!("--error {error} --cache on --cache-accuracy {accuracy} --cache-rays {rays}")
     });
-    // The lines are constant, and a test reads them all.
+    // The lines are constant, and a test parses them all.
     gathered.chain(cached).chain(allotted).filter_map(|line| line.parse().ok()).collect()
 }
 

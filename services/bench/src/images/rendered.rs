@@ -1,8 +1,6 @@
-//! A finished image and what it took.
-
 use super::picture::Picture;
 
-/// A finished image and what it took.
+/// A finished image and its cost.
 pub struct Rendered {
     pub picture: Picture,
     pub work: u64,

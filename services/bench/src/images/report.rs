@@ -1,11 +1,8 @@
-//! The measurements for people.
-
 use super::measured::{Measured, MeasuredPeer};
 use crate::report::Report;
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 
-/// All tables of a bundle.
 pub fn of(measured: &Measured) -> Report {
     let Measured { bundle, size, ambient_bounces, threads, reference, .. } = measured;
     let mut report = Report::default().text(format!(
@@ -117,7 +114,7 @@ fn share(fraction: f64) -> String {
     format!("{:.2} %", fraction * 100.0)
 }
 
-/// `12.3 x`, or a dash where nothing can be said.
+/// `12.3 x`, or a dash if unknown.
 fn times(ratio: Option<f64>, least: &str) -> String {
     ratio.map_or("-".into(), |ratio| format!("{least}{ratio:.1} x"))
 }

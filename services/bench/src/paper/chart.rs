@@ -1,4 +1,4 @@
-//! Error against the number of profiled pixels, both in logarithms.
+//! Plots the error against the number of profiled pixels, both logarithmic.
 
 use super::study::{Curve, CurvePoint};
 use anyhow::Result;
@@ -10,10 +10,10 @@ use plotters::prelude::*;
 /// Size of a panel, pixels.
 const PANEL: (u32, u32) = (520, 460);
 
-/// Panels beside each other.
+/// Panels per row.
 const COLUMNS: usize = 2;
 
-/// The panels, two in a row: the title of each, and its curves.
+/// Draws the panels from their titles and curves.
 pub fn draw(panels: &[(&str, Vec<&Curve>)]) -> Result<String> {
     let rows = panels.len().div_ceil(COLUMNS).max(1);
     drawing::svg((PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32), |root| {
@@ -32,7 +32,7 @@ fn panel(area: &Area<'_>, title: &str, curves: &[&Curve]) -> Drawn {
     let (fewest, most) = range(&mut points().map(|point| point.0));
     let (least, greatest) = range(&mut points().map(|point| point.1));
     if fewest > most || least > greatest {
-        // Nothing was ever off: there is no logarithm to draw.
+        // All errors are zero and have no logarithm.
         area.titled(&format!("{title}: no errors"), ("sans-serif", 15))?;
         return Ok(());
     }
@@ -54,7 +54,7 @@ fn panel(area: &Area<'_>, title: &str, curves: &[&Curve]) -> Drawn {
         .x_label_formatter(&|samples| format!("{samples:.0}"))
         .y_label_formatter(&|percent| format!("{percent}"))
         .draw()?;
-    // What a simple random sample would do.
+    // Error of a simple random sample.
     let random = curves.iter().find(|curve| curve.strategy == Strategy::Random);
     if let Some((samples, error)) = random.and_then(|curve| curve.points().next()) {
         let root = [fewest, most].map(|n| (n, 100.0 * error * (samples / n).sqrt()));
@@ -70,7 +70,7 @@ fn panel(area: &Area<'_>, title: &str, curves: &[&Curve]) -> Drawn {
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], stroke));
         chart.draw_series(line().map(|point| Circle::new(point, 1 + width, colour.filled())))?;
         if curve.strategy == Strategy::Snapshot {
-            // What profiling takes, by our own.
+            // Profiling time of our strategy.
             let font = ("sans-serif", 11).into_font().color(&colour);
             let label = |point: &CurvePoint| {
                 let at = (point.pixels as f64, 100.0 * point.error.root_mean_square);
@@ -90,13 +90,13 @@ fn panel(area: &Area<'_>, title: &str, curves: &[&Curve]) -> Drawn {
     Ok(())
 }
 
-/// A time in a word; most are far below a second.
+/// A short form of a time. Most are far below a second.
 fn short(time: f64) -> String {
     if time < 1.0 { format!("{:.1} ms", time * 1e3) } else { seconds(time) }
 }
 
-/// Colour and width of a strategy's line: the blind ones thin, ours the thickest. The colours are told apart by those who do not see
-/// all of them (Okabe, Ito 2008).
+/// Colour and width of a strategy's line: thin for blind ones, thickest for ours. The colours suit
+/// colour-blind readers (Okabe, Ito 2008).
 fn style(strategy: Strategy) -> (RGBColor, u32) {
     match strategy {
         Strategy::RegularGrid => (RGBColor(86, 180, 233), 1),

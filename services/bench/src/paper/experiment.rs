@@ -1,4 +1,4 @@
-//! All forecasts of one frame.
+//! Makes all forecasts of one frame.
 
 use super::figures::{self, File};
 use super::level::{LADDER, Level, Seen, Task, Truth};
@@ -13,7 +13,7 @@ use forelight_terminal::output::Bars;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Measures the frame, forecasts it, and adds its figures, in `folder`, to `files`.
+/// Measures and forecasts the frame, and adds its figures, below `folder`, to `files`.
 pub fn study(
     task: Task<'_>,
     folder: &str,
@@ -62,7 +62,6 @@ pub fn study(
     })
 }
 
-/// Forecasts of one frame.
 struct Trials<'a> {
     task: Task<'a>,
     seen: &'a Seen,
@@ -70,7 +69,7 @@ struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// All seeds, in their order.
+    /// Forecasts of all seeds, in order.
     fn all(
         &self,
         strategy: Strategy,

@@ -16,26 +16,23 @@ use std::path::{Path, PathBuf};
 /// A file of the report.
 #[derive(Debug)]
 pub struct File {
-    /// Within the report's folder.
+    /// Relative to the report's folder.
     pub path: PathBuf,
-    /// What is in it.
     pub contents: Vec<u8>,
 }
 
-/// What a map shows.
+/// Quantity that a map shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shown {
-    /// Work.
     Cost,
     /// Rays of all categories.
     Rays,
 }
 
 impl Shown {
-    /// Both.
     pub const ALL: [Shown; 2] = [Shown::Cost, Shown::Rays];
 
-    /// Its name in a file's.
+    /// Name in a file name.
     pub const fn slug(self) -> &'static str {
         match self {
             Shown::Cost => "cost",
@@ -51,13 +48,13 @@ impl Shown {
     }
 }
 
-/// Strategies whose maps are shown at a level: with a cache, as in the paper, those by preview alone.
+/// Strategies with maps at a level. With a cache they are those that use the preview, as in the paper.
 pub fn mapped(level: Level) -> &'static [Strategy] {
     let all = &Strategy::ALL;
     if level.is_cached() { &all[all.len() - 3..] } else { all }
 }
 
-/// File name of a map: of a strategy's prediction, or of the truth.
+/// File name of a map of a strategy's prediction, or of the truth.
 pub fn map_file(shown: Shown, level: Level, strategy: Option<Strategy>) -> String {
     format!("{}-{}-{}.png", shown.slug(), level.slug(), strategy.map_or("truth", Strategy::name))
 }
@@ -67,7 +64,7 @@ pub fn positions_file(strategy: Strategy) -> String {
     format!("positions-{}.png", strategy.name())
 }
 
-/// All figures of a frame, in `folder`; of the strategies with seed 0.
+/// All figures of a frame, below `folder`. Strategies use seed 0.
 pub fn of(
     folder: &Path,
     seen: &Seen,
@@ -111,7 +108,7 @@ pub fn of(
         }
         let one_record = mean_record(&truth.sampled(samples)[..truth.sampled(samples).len().min(1)]);
         for &strategy in mapped(truth.level) {
-            // Ours reads the planned cache and knows where its records are; the others meet an empty one.
+            // Our strategy knows the planned records and reads them. The others meet an empty cache.
             let ours = Records::of(strategy) == Records::Planned;
             let costs = if ours { &truth.pixels } else { &truth.cold };
             let design = strategy.design(&seen.strata, &seen.ids, size, samples, 0, 0)?;

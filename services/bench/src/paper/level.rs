@@ -1,4 +1,4 @@
-//! The paper's four ambient levels, each a full render with the cost of every pixel.
+//! The paper's four ambient levels, each with a full render and the cost of every pixel.
 
 use crate::statistics::upper_median;
 use anyhow::Result;
@@ -19,29 +19,29 @@ use image::RgbImage;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Numbers of profiled pixels at which errors are compared.
+/// Numbers of profiled pixels to compare errors at.
 pub const LADDER: [u32; 5] = [16, 64, 256, 1024, 4096];
 
-/// How indirect light is simulated (the paper, section 5).
+/// How indirect light is simulated (section 5 of the paper).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
-    /// Not at all.
+    /// No indirect light.
     NoAmbient,
     /// One bounce, gathered by every pixel.
     OneBounce,
-    /// One bounce, by way of an irradiance cache.
+    /// One bounce with an irradiance cache.
     OneBounceCached,
-    /// Two bounces, by way of an irradiance cache.
+    /// Two bounces with an irradiance cache.
     TwoBouncesCached,
 }
 
 impl Level {
-    /// All of them, in the paper's order.
+    /// All levels, in the paper's order.
     pub const ALL: [Level; 4] =
         [Level::NoAmbient, Level::OneBounce, Level::OneBounceCached, Level::TwoBouncesCached];
 
-    /// Its name in a report.
+    /// Name in a report.
     pub const fn title(self) -> &'static str {
         match self {
             Level::NoAmbient => "no ambient bounce",
@@ -51,7 +51,7 @@ impl Level {
         }
     }
 
-    /// Its name in a file's.
+    /// Name in a file name.
     pub const fn slug(self) -> &'static str {
         match self {
             Level::NoAmbient => "none",
@@ -61,7 +61,6 @@ impl Level {
         }
     }
 
-    /// Whether indirect light is interpolated.
     pub const fn is_cached(self) -> bool {
         matches!(self, Level::OneBounceCached | Level::TwoBouncesCached)
     }
@@ -74,7 +73,8 @@ impl Level {
         }
     }
 
-    /// One camera ray a pixel, as in the paper. A gather takes the same rays with a cache as without one.
+    /// One camera ray per pixel, as in the paper. Gathers have the same number of rays with and without a
+    /// cache.
     pub fn settings(self, size: u32, gather_rays: u32) -> RenderSettings {
         let request = RenderSettingsRequest {
             spp: Some(1),
@@ -88,14 +88,13 @@ impl Level {
     }
 }
 
-/// What the preview says of the frame, which is the same at every level.
+/// The preview of the frame, equal at all levels.
 #[derive(Debug, Clone)]
 pub struct Seen {
-    /// The shot's strata.
     pub strata: Vec<Stratum>,
-    /// The stratum of every pixel.
+    /// Stratum of every pixel.
     pub ids: Vec<u32>,
-    /// What the preview shows of them: where.
+    /// Position that every pixel shows.
     pub positions: Vec<Vec3>,
     /// The ID preview, in the paper's colours.
     pub picture: RgbImage,
@@ -104,35 +103,34 @@ pub struct Seen {
 /// A full render at one level.
 #[derive(Debug, Clone)]
 pub struct Truth {
-    /// The level.
     pub level: Level,
-    /// What each pixel cost.
+    /// Cost of every pixel.
     pub pixels: Vec<Cost>,
-    /// What a pixel costs that is profiled as the paper does it, into a cache that is still empty: see [`cold`].
+    /// Cost of every pixel if profiled with an empty cache, as in the paper: see [`cold`].
     pub cold: Vec<Cost>,
-    /// What planning the cache took; known when a forecast is made.
+    /// Cost of planning the cache. Known when a forecast is made.
     pub plan: Cost,
-    /// What gathering all records took.
+    /// Cost of gathering all records.
     pub fill: Cost,
     /// Records by level.
     pub records: Vec<u32>,
-    /// The records of the first level that are seen, each with its pixel and what gathering it cost: for pictures.
+    /// Visible records of the first level, each with its pixel and cost, for pictures.
     pub seen_records: Vec<(u32, Cost)>,
-    /// What a record is thought to cost before any is gathered, in pixels.
+    /// Prior cost of a record, in pixels.
     pub record_prior_cost: f64,
-    /// By number of profiled pixels and by seed, the level and cost of the records that a forecast gathers; without a cache none.
+    /// Level and cost of the records that a forecast gathers, by number of profiled pixels and by seed. Empty
+    /// without a cache.
     pub sampled_records: BTreeMap<u32, Vec<Vec<(u32, Cost)>>>,
-    /// The image.
     pub picture: RgbImage,
 }
 
 impl Truth {
-    /// By seed, the records that a forecast gathers that profiles so many pixels.
+    /// By seed, the records gathered by a forecast with so many profiled pixels.
     pub fn sampled(&self, samples: u32) -> &[Vec<(u32, Cost)>] {
         self.sampled_records.get(&samples).map_or(&[], Vec::as_slice)
     }
 
-    /// What the frame cost: pixels, records and their plan.
+    /// Cost of the frame: pixels, records and their plan.
     pub fn total(&self) -> Cost {
         self.pixels.iter().chain([&self.plan, &self.fill]).fold(Cost::default(), |sum, cost| plus(&sum, cost))
     }
@@ -146,11 +144,11 @@ fn plus(one: &Cost, other: &Cost) -> Cost {
     }
 }
 
-/// A record lies on what its pixel shows if it is no farther from it than this share of its distance from the camera: it was
-/// planned for a ray that met the pixel elsewhere than at its centre.
+/// A record is visible in a pixel if it lies within this share of its camera distance from the pixel's
+/// position. Rays of the plan meet pixels away from their centres.
 const NEAR: f32 = 0.03;
 
-/// The records of the cache's first level at the pixels where they are seen.
+/// Records of the first level at the pixels that show them.
 fn seen_records(ready: &OwnFrame<'_>, positions: &[Vec3]) -> Result<Vec<(u32, Cost)>> {
     let Some(bytes) = ready.profile(&[]).cache else { return Ok(Vec::new()) };
     let cache = Cache::from_bytes(&bytes)?;
@@ -168,13 +166,13 @@ fn seen_records(ready: &OwnFrame<'_>, positions: &[Vec3]) -> Result<Vec<(u32, Co
     Ok(seen)
 }
 
-/// What each pixel costs with an empty cache, as the paper's profiling finds it: since it has no record near, it gathers for
-/// itself, as it does without a cache.
+/// Cost of every pixel with an empty cache, as the paper profiles it. No record is near, so each pixel
+/// gathers for itself.
 ///
-/// With one bounce that is what it costs at the level without a cache. With two, the rays of its gather also read the second level,
-/// which is cheap once its records are there; so the gather, which is what it costs more at one bounce than at none, costs in
-/// proportion what a record of the first level costs more with two bounces than with one. What it takes to begin the second level
-/// is left out, in favour of the paper's strategies.
+/// With one bounce this is the cost without a cache. With two, gather rays also read the second level, which
+/// is cheap once filled. So the cost of the gather is scaled by the cost of first-level records at two
+/// bounces over that at one. The cost of starting the second level is left out, in favour of the paper's
+/// strategies.
 fn cold(level: Level, before: &[Truth], samples: u32, own_records: &[Vec<(u32, Cost)>]) -> Option<Vec<Cost>> {
     let at = |level| before.iter().find(|truth| truth.level == level);
     let (none, one) = (at(Level::NoAmbient)?, at(Level::OneBounce)?);
@@ -213,22 +211,20 @@ pub fn mean_record(sampled: &[Vec<(u32, Cost)>]) -> Costs<f64> {
     }
 }
 
-/// What is to be traced.
+/// What to trace.
 #[derive(Clone, Copy)]
 pub struct Task<'a> {
-    /// The opened bundle.
     pub local: &'a Local,
-    /// Frame number.
     pub frame: u32,
     /// Width and height, pixels.
     pub size: u32,
     /// Rays of a gather.
     pub gather_rays: u32,
-    /// Pixels that a forecast profiles, which says how many records it gathers.
+    /// Pixels that a forecast profiles. They determine the number of records that it gathers.
     pub samples: u32,
     /// Forecasts at each level.
     pub seeds: u32,
-    /// Renders at each level, of whose times the median counts.
+    /// Renders at each level. The median of their times counts.
     pub repeats: u32,
 }
 
@@ -285,7 +281,7 @@ impl Task<'_> {
         let CacheTotals { plan, plan_rays, fill, fill_rays, records, .. } = cache;
         let mut times = Times::new(&pixels, &cache_times(plan, fill));
         for _ in 1..self.repeats {
-            // All again, for its times alone: the rest is the same to the last bit.
+            // Render again for the times. All else is equal to the last bit.
             let (image, cache) = render(&self.local.shot.frame(self.frame, &settings)?)?;
             let again: Vec<Cost> = image.pixels.iter().map(cost_of).collect();
             times.add(&again, &cache_times(cache.plan, cache.fill));
@@ -298,7 +294,7 @@ impl Task<'_> {
             seen_records,
             plan: Cost { work: plan.work, cpu_nanos: plan_nanos, rays: plan_rays },
             fill: Cost { work: fill.work, cpu_nanos: fill_nanos, rays: fill_rays },
-            // There are fewer than the plan's rays, of which a frame cannot have 2³².
+            // There are fewer records than rays of the plan, and those are fewer than 2³².
             records: records.iter().map(|&count| u32::try_from(count).unwrap_or(u32::MAX)).collect(),
             record_prior_cost: record_prior_cost(&settings).unwrap_or(1.0),
             sampled_records,
@@ -324,7 +320,7 @@ fn cache_times(plan: forelight_tracer::Cost, fill: forelight_tracer::Cost) -> [u
     [plan.cpu_nanos, fill.cpu_nanos]
 }
 
-/// Times of several renders of one image: a processor that was taken away for a moment is not what a pixel takes.
+/// Times of several renders of one image. Medians remove moments when the processor was busy elsewhere.
 struct Times {
     pixels: Vec<Vec<u64>>,
     cache: [Vec<u64>; 2],

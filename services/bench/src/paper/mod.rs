@@ -1,4 +1,4 @@
-//! `forelight bench paper`: the paper's experiment, whole: seven strategies and two of ours, at four ambient levels, with many seeds.
+//! `forelight bench paper`: the paper's experiment with seven strategies of the paper and two of ours.
 
 mod chart;
 mod experiment;
@@ -25,7 +25,7 @@ use level::Task;
 use std::path::PathBuf;
 use study::Study;
 
-/// The paper's experiment: nine ways to forecast a frame, at four ambient levels, with many seeds
+/// Repeat the paper's experiment: nine ways to forecast a frame, at four ambient levels, with many seeds
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -33,9 +33,10 @@ Examples:
   forelight bench paper kitchen/ --size 128 --seeds 100 --out kitchen-report/
   forelight bench paper kitchen/ --out report/ --json > paper.json
 
-The frame is rendered once at each level, with one camera ray a pixel, and every strategy forecasts it from the costs of its pixels, \
-once with each seed. The folder gets report.md, with tables like the paper's 1 to 5 and the ones that it does not print, the \
-pictures of its figures 1 to 9, and the error against the number of profiled pixels as SVG.")]
+The frame is rendered once at each level, with one camera ray per pixel. Every strategy forecasts it from \
+the costs of its pixels, once with each seed. The folder gets report.md, with tables like 1 to 5 of the \
+paper and further ones, the pictures of its figures 1 to 9, and the error against the number of profiled \
+pixels as SVG.")]
 pub struct Args {
     /// Scene bundles: folders or zip files
     #[arg(required = true, value_name = "BUNDLE")]
@@ -52,10 +53,10 @@ pub struct Args {
     /// Forecasts by each strategy at each level
     #[arg(long, value_name = "COUNT", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: u32,
-    /// Renders at each level, of whose CPU times the median counts, pixel by pixel
+    /// Renders at each level; the median CPU time of each pixel counts
     #[arg(long, value_name = "TIMES", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=99))]
     repeats: u32,
-    /// Rays of a gather of indirect light, with a cache and without one: 48, 192, 432, 768, ...
+    /// Rays of a gather, with a cache and without one: 48, 192, 432, 768, ...
     #[arg(long, value_name = "RAYS", default_value_t = 192, value_parser = clap::value_parser!(u32).range(48..=65_536))]
     gather_rays: u32,
     /// Folder for the report
@@ -68,7 +69,6 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let bars = Bars::new(args.json);
     let mut studies = Vec::with_capacity(args.bundles.len());
@@ -79,7 +79,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
         let study = study(task(args, &local), &folder, &mut files, &bars, interrupt);
         studies.push((folder, study.with_context(|| format!("bundle {}", bundle.display()))?));
     }
-    // Nothing is written before all is measured.
+    // Write nothing before all is measured.
     files.push(File { path: "report.md".into(), contents: report::markdown(&studies).into_bytes() });
     for File { path, contents } in &files {
         write_bytes(&args.out.join(path), contents)?;
@@ -87,7 +87,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let studies: Vec<Study> = studies.into_iter().map(|(_, study)| study).collect();
     let report = report::summary(&studies).printed(args.json, &studies)?;
     if !args.json {
-        output::line(format!("\nThe report is {}.", args.out.join("report.md").display()))?;
+        output::line(format!("\nWrote the report to {}.", args.out.join("report.md").display()))?;
     }
     Ok(report)
 }
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
     use forelight_terminal::options::parsed;
 
-    /// Runs the experiment on a floor with a block on it, under a lamp or in the dark; the report, and the measurements.
+    /// Runs the experiment on a floor with a block, lit or dark. Returns the report and the measurements.
     fn experiment(lamp: &str, flags: &[&str]) -> (tempfile::TempDir, Vec<(String, Study)>) {
         let folder = tempfile::tempdir().unwrap();
         let scene = format!(

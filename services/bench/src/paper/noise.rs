@@ -1,13 +1,14 @@
-//! What no forecast from a preview can do better than.
+//! A lower bound of the error of forecasts from a preview.
 
 use forelight_forecast::Cost;
 
-/// The root mean square error of a frame's work, relative to it, of the best possible allocation of `samples` pixels to the surfaces
-/// that the preview shows, if it knew all but the noise between neighbouring pixels of one surface: Σ N_h σ_h / √n (Neyman 1934), where
-/// 2 σ_h² is the mean square of the difference of two neighbours that show the same.
+/// Least relative root mean square error of a frame's work, for `samples` pixels allocated to the surfaces
+/// that the preview shows. Everything but the noise between neighbouring pixels of a surface counts as known.
+/// The bound is Σ N_h σ_h / √n (Neyman 1934), where 2 σ_h² is the mean squared difference of two neighbours
+/// of the same surface.
 ///
-/// That noise is what chance makes of a pixel that is traced with few samples (which light it asks, whether its mirror ray
-/// survives), and detail finer than pixels. The preview shows neither.
+/// This noise is chance in pixels with few samples (choice of light, survival of mirror rays) and detail
+/// below pixel size. The preview shows neither.
 pub fn floor(ids: &[u32], width: u32, pixels: &[Cost], samples: u32, actual: f64) -> f64 {
     let width = width as usize;
     let strata = ids.iter().max().map_or(0, |&most| most as usize + 1);
@@ -26,7 +27,7 @@ pub fn floor(ids: &[u32], width: u32, pixels: &[Cost], samples: u32, actual: f64
     let deviation = |h: usize| if pairs[h] == 0 { 0.0 } else { (squares[h] / (2 * pairs[h]) as f64).sqrt() };
     let sum: f64 = (0..strata).map(|h| sizes[h] as f64 * deviation(h)).sum();
     let samples = f64::from(samples).min(ids.len() as f64);
-    // Without the correction for a finite population the whole of it would still be uncertain.
+    // Finite population correction.
     let unseen = (1.0 - samples / ids.len().max(1) as f64).max(0.0);
     if actual > 0.0 && samples > 0.0 { sum * (unseen / samples).sqrt() / actual } else { 0.0 }
 }

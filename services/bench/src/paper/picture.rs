@@ -1,14 +1,14 @@
-//! Pictures of where pixels are profiled.
+//! Draws the positions of profiled pixels.
 
 use image::{Rgb, RgbImage};
 
-/// Pixels of a picture for one of the image.
+/// Enlargement of the image.
 const ZOOM: u32 = 2;
 
-/// Brightness of what lies behind the marks.
+/// Brightness of the image behind the dots.
 const DIMMED: f32 = 0.45;
 
-/// The profiled pixels as white dots on a darkened picture (the paper's figure 3), enlarged so that each can be seen.
+/// The profiled pixels as white dots on a darkened, enlarged picture (figure 3 of the paper).
 pub fn positions(behind: &RgbImage, pixels: impl Iterator<Item = u32>) -> RgbImage {
     let (width, height) = behind.dimensions();
     let dim = |Rgb(colour): &Rgb<u8>| Rgb(colour.map(|channel| (f32::from(channel) * DIMMED) as u8));

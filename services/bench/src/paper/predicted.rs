@@ -1,18 +1,18 @@
-//! What a strategy takes each pixel to cost.
+//! Predicts the cost of each pixel by a strategy.
 
 use anyhow::Result;
 use forelight_forecast::{
     Calibration, Costs, Design, Observation, Pick, Strategy, Stratum, estimate, nearest,
 };
 
-/// The predicted cost of every pixel, in row order, for a picture of it. A strategy that uses the preview predicts the mean of
-/// what the pixel shows. A blind strategy predicts the cost of the nearest profiled pixel.
+/// Predicted cost of every pixel, in row order. Strategies that use the preview predict the mean of what the
+/// pixel shows. Blind strategies predict the cost of the nearest profiled pixel.
 ///
-/// `strata`, `ids` (the stratum of every pixel) and `width` (pixels) are those that `design` was made for. `observations` has
+/// `strata`, `ids` (stratum of every pixel) and `width` (pixels) are those of `design`. `observations` has
 /// one entry for each of `picks`.
 ///
 /// # Errors
-/// If nothing was profiled, or the observations are not those of all picks.
+/// If nothing was profiled, or if observations and picks do not match.
 pub fn map(
     strategy: Strategy,
     design: &Design,
@@ -27,7 +27,7 @@ pub fn map(
         return Ok(nearest(width, ids.len(), &pixels).into_iter().map(cost).collect());
     }
     let means = if strategy == Strategy::Systematic {
-        // The strategy expands by class, but the preview shows the strata of its pixels.
+        // The strategy expands by class, but the map shows strata.
         let mut counts = vec![0; strata.len()];
         ids.iter().for_each(|&id| counts[id as usize] += 1);
         let shown: Vec<Observation> = picks
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn a_map_adds_up_to_the_estimate_where_objects_are_known() {
-        // Sixteen objects of four materials, each a square, with costs that differ between them and within.
+        // Sixteen square objects of four materials, with costs that differ between and within them.
         let strata: Vec<Stratum> = (0..16)
             .map(|object| Stratum { object, material: object % 4, prior_cost: 1.0, apart: false })
             .collect();
@@ -69,7 +69,7 @@ mod tests {
             assert_eq!(map.len(), 1024);
             let total: f64 = map.iter().map(|costs| costs.work).sum();
             let estimate = design.estimate(&observations, Calibration::NONE).unwrap().total.work.mean;
-            // The systematic strategy expands by classes, and its map shows objects.
+            // The systematic strategy expands by class, while its map shows objects.
             let sums = !strategy.is_blind() && strategy != Strategy::Systematic;
             if sums || strategy == Strategy::RandomArea {
                 assert!((total / estimate - 1.0).abs() < 1e-9, "{strategy:?}");

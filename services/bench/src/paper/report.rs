@@ -1,4 +1,4 @@
-//! The report, in Markdown, and its summary on a terminal.
+//! Writes the report in Markdown, and its summary for a terminal.
 
 use super::figures::{Shown, map_file, mapped, positions_file};
 use super::level::Level;
@@ -11,10 +11,10 @@ use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use std::fmt::Write;
 
-/// Pictures beside each other.
+/// Pictures per row.
 const COLUMNS: usize = 3;
 
-/// The whole report; each study with the folder of its pictures.
+/// The whole report. Each study comes with the folder of its pictures.
 pub fn markdown(studies: &[(String, Study)]) -> String {
     let mut text = String::from(INTRODUCTION);
     text += "\n## In short\n\nRoot mean square error of a frame's work over the seeds, in percent. \
@@ -107,7 +107,7 @@ fn share(fraction: f64) -> String {
 fn scene(text: &mut String, folder: &str, study: &Study) {
     let Study { bundle, frame, size, samples, seeds, gather_rays, strata_seen, .. } = study;
     let profiled = f64::from(*samples) / (f64::from(*size) * f64::from(*size));
-    // Writing to a string does not fail.
+    // Writing to a string cannot fail.
     let _ = write!(
         text,
         "\n## {bundle}\n\nFrame {frame}, {size} × {size} pixels, of which {samples} are profiled ({}); {strata_seen} pairs of object \
@@ -151,7 +151,7 @@ fn scene(text: &mut String, folder: &str, study: &Study) {
     }
 }
 
-/// Pictures in a table, each below its title.
+/// A table of pictures with their titles.
 fn pictures<'a>(text: &mut String, folder: &str, all: impl IntoIterator<Item = (&'a str, String)>) {
     let all: Vec<(&str, String)> = all.into_iter().collect();
     for row in all.chunks(COLUMNS) {
@@ -203,7 +203,7 @@ fn capital(title: &str) -> String {
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// One run, seed 0, in the form of the paper's tables 1 to 5.
+/// One run with seed 0, in the form of tables 1 to 5 of the paper.
 fn one_run(level: &LevelStudy, outcomes: &[Outcome]) -> Table {
     let mut head = vec![("method", Align::Left)];
     for (predicted, actual) in [("rays pred", "act"), ("work pred", "act"), ("CPU pred", "act")] {

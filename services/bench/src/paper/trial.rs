@@ -1,4 +1,4 @@
-//! Forecasts from pixels whose cost is known, and how far they were off.
+//! Makes forecasts from known pixel costs, and scores them.
 
 use super::level::{Seen, Truth};
 use crate::statistics::{mean_absolute, relative_error};
@@ -8,7 +8,7 @@ use forelight_forecast::{
 };
 use serde::Serialize;
 
-/// One number for each of the three columns of the tables.
+/// A value for each of the three columns of the tables.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Columns<T> {
     /// Rays of all categories.
@@ -20,14 +20,12 @@ pub struct Columns<T> {
 }
 
 impl<T: Copy> Columns<T> {
-    /// The same of every column.
     pub fn map<U>(self, mut f: impl FnMut(T) -> U) -> Columns<U> {
         Columns { rays: f(self.rays), work: f(self.work), cpu_seconds: f(self.cpu_seconds) }
     }
 }
 
 impl Columns<f64> {
-    /// Of a known cost.
     pub fn of(cost: &Cost) -> Self {
         Self {
             rays: cost.rays.iter().sum::<u64>() as f64,
@@ -38,24 +36,23 @@ impl Columns<f64> {
 }
 
 impl Columns<Quantity> {
-    /// Of a forecast.
     fn of(costs: &Costs<Quantity>) -> Self {
         Self { rays: costs.all_rays, work: costs.work, cpu_seconds: costs.cpu_nanos }
     }
 }
 
-/// How a strategy deals with an irradiance cache. Without one the two are the same.
+/// How a strategy treats an irradiance cache. Without one, both are the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Records {
-    /// As the paper: not at all. Its profiled pixels meet an empty cache, and are expanded as they come.
+    /// As in the paper: profiled pixels meet an empty cache and are expanded as they are.
     Unknown,
-    /// Planned: their number is known, some are gathered, and pixels only read.
+    /// The number of records is known, some are gathered, and pixels only read.
     Planned,
 }
 
 impl Records {
-    /// How a strategy does it if it is left as it is: ours plan, the paper's do not.
+    /// Default of a strategy: ours plan, the paper's do not.
     pub fn of(strategy: Strategy) -> Self {
         match strategy {
             Strategy::Systematic | Strategy::Snapshot => Records::Planned,
@@ -67,13 +64,13 @@ impl Records {
 /// A forecast of the frame's total.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Forecast {
-    /// The means; CPU time in seconds.
+    /// Means. CPU time is in seconds.
     pub mean: Columns<f64>,
-    /// The variance of work.
+    /// Forecast of work, with its variance.
     pub work: Quantity,
-    /// Pixels that were profiled.
+    /// Number of profiled pixels.
     pub picks: usize,
-    /// CPU seconds of these, and of the records that were gathered.
+    /// CPU seconds of these pixels and of the gathered records.
     pub profiling_seconds: f64,
 }
 
@@ -124,14 +121,13 @@ pub struct Score {
     pub deviation: f64,
     /// Mean of forecast / actual − 1.
     pub bias: f64,
-    /// Root of the mean square: deviation and bias together.
+    /// Deviation and bias together.
     pub root_mean_square: f64,
     /// Largest |forecast / actual − 1|.
     pub largest: f64,
 }
 
 impl Score {
-    /// Of these forecasts.
     pub fn new(forecasts: impl Iterator<Item = f64>, actual: f64) -> Self {
         let errors: Vec<f64> = forecasts.map(|forecast| relative_error(forecast, actual)).collect();
         let count = errors.len().max(1) as f64;
@@ -148,28 +144,27 @@ impl Score {
     }
 }
 
-/// What a strategy came to at one level.
+/// Results of a strategy at one level.
 #[derive(Debug, Clone, Serialize)]
 pub struct Outcome {
-    /// The strategy.
     pub strategy: Strategy,
     /// What it knows of the cache's records.
     pub records: Records,
-    /// Pixels that it profiles.
+    /// Number of profiled pixels.
     pub samples: usize,
-    /// Its forecast with seed 0: one run, as the paper reports.
+    /// Forecast with seed 0: one run, as in the paper.
     pub one_run: Columns<f64>,
-    /// Over all seeds.
+    /// Errors over all seeds.
     pub error: Columns<Score>,
-    /// The standard deviation of work that it estimates itself, over the one that is seen (the root mean square of its errors);
-    /// none if it knows no variance.
+    /// Estimated standard deviation of work over the observed one (root mean square error). `None` if the
+    /// strategy estimates no variance.
     pub estimated_over_seen: Option<f64>,
-    /// Share of the seeds whose P80 and P95 of work were not exceeded; of ours alone.
+    /// Share of the seeds whose work was at or below P80 and P95. `None` for the paper's strategies.
     pub covered: Option<[f64; 2]>,
 }
 
 impl Outcome {
-    /// Of the forecasts of all seeds, of which there is one at least.
+    /// Scores the forecasts of all seeds. There must be at least one.
     pub fn new(strategy: Strategy, records: Records, forecasts: &[Forecast], actual: Columns<f64>) -> Self {
         let score = |column: fn(&Columns<f64>) -> f64| {
             Score::new(forecasts.iter().map(|forecast| column(&forecast.mean)), column(&actual))

@@ -1,4 +1,4 @@
-//! Triangles, rays and what the rays meet in one file, for programs that trace the same.
+//! Writes triangles, rays and their hits to a file for other programs.
 //!
 //! All numbers are little-endian, 32 bits, without padding:
 //!
@@ -9,13 +9,14 @@
 //! | vertices | 3 × f32 each |
 //! | triangles | 3 × u32 each: indices of vertices |
 //! | sets, each: | |
-//! | – name | 16 bytes of ASCII, filled up with zeros |
-//! | – query | u32: 0 the closest hit, 1 whether there is any |
+//! | – name | 16 bytes of ASCII, padded with zeros |
+//! | – query | u32: 0 the closest hit, 1 any hit |
 //! | – number of rays | u32 |
 //! | – rays, each: origin, t_min, direction, t_max, triangle, t | 8 × f32, u32, f32 |
 //!
-//! Hits count that lie at t in (t_min, t_max]; t_max may be infinite. `triangle` is the index of the triangle that was found, in
-//! sets of query 1 just 0, or 2³² − 1 if there is none; `t` is the distance of the closest hit, otherwise 0.
+//! A hit has t in (t_min, t_max]; t_max may be infinite. `triangle` is 2³² − 1 without a hit. Otherwise it is
+//! the index of the closest triangle (query 0) or 0 (query 1). `t` is the distance of the closest hit (query
+//! 0) or 0.
 
 use super::workload::{Query, RaySet};
 use anyhow::Result;
@@ -29,7 +30,7 @@ use std::path::Path;
 const MAGIC: &[u8; 8] = b"FLRAYS1\n";
 const NAME_BYTES: usize = 16;
 
-/// What a ray meets, as the file says it.
+/// The result of a ray, as in the file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Answer {
     pub triangle: u32,
@@ -37,16 +38,15 @@ pub struct Answer {
 }
 
 impl Answer {
-    /// No hit.
     pub const NOTHING: Self = Self { triangle: u32::MAX, t: 0.0 };
-    /// A hit, of which nothing else was asked.
+    /// A hit of an any-hit query.
     pub const SOMETHING: Self = Self { triangle: 0, t: 0.0 };
 }
 
-/// Writes the file; `answers` by set and ray.
+/// Writes the file. `answers` are by set and ray.
 pub fn write(path: &Path, geometry: &Geometry, sets: &[RaySet], answers: &[Vec<Answer>]) -> Result<()> {
     if path.is_dir() {
-        return Err(BadInput::new(format!("{}: is a folder, not a file", path.display())).into());
+        return Err(BadInput::new(format!("{} is a folder, not a file", path.display())).into());
     }
     write_with(path, |temporary| {
         let mut out = BufWriter::new(File::create(temporary)?);

@@ -1,4 +1,4 @@
-//! `forelight bench rays`: how fast rays find what they meet, alone or beside another program that traces the very same rays.
+//! `forelight bench rays`: speed of ray queries, alone or compared with another program on the same rays.
 
 mod export;
 mod peer;
@@ -20,7 +20,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use workload::{Query, RaySet, workload};
 
-/// Measure how fast rays find what they meet
+/// Measure the speed of ray queries
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -28,16 +28,17 @@ Examples:
   forelight bench rays kitchen/ --rays 1000000 --export kitchen.rays --json
   forelight bench rays kitchen/ --peer target/embree
 
-One thread traces the rays of each kind several times over; the median of the CPU times counts. Every surface is opaque. \
-A peer is a program that traces the rays of an exported file, turn by turn with this one; tests/peers/embree.cpp is one.")]
+One thread traces the rays of each kind several times, and the median CPU time counts. Every surface is \
+opaque. A peer is a program that traces the rays of an exported file, in turns with this one, such as \
+tests/peers/embree.cpp.")]
 pub struct Args {
     /// Scene bundles: folders or zip files
     #[arg(required = true)]
     bundles: Vec<PathBuf>,
-    /// Rays of each kind, about
+    /// Approximate number of rays of each kind
     #[arg(long, value_name = "NUMBER", default_value_t = 200_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
     rays: u32,
-    /// How often the rays of each kind are traced
+    /// Number of times to trace the rays of each kind
     #[arg(long, value_name = "NUMBER", default_value_t = 9, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeats: u32,
     /// Seed of the rays
@@ -46,7 +47,7 @@ pub struct Args {
     /// Frame of the shot
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     frame: u32,
-    /// Also write the triangles, the rays and what they meet to this file, for other programs; of one bundle
+    /// Also write the triangles, rays and hits of the only bundle to this file, for other programs
     #[arg(long, value_name = "FILE")]
     export: Option<PathBuf>,
     /// Program to compare with
@@ -57,10 +58,9 @@ pub struct Args {
     json: bool,
 }
 
-/// What was measured.
 #[derive(Debug, Serialize)]
 struct Measured {
-    /// What the peer calls itself.
+    /// Name that the peer reports.
     #[serde(skip_serializing_if = "Option::is_none")]
     peer: Option<String>,
     scenes: Vec<MeasuredScene>,
@@ -86,7 +86,7 @@ struct Kind {
     kind: &'static str,
     query: &'static str,
     rays: usize,
-    /// Share of the rays that meet something.
+    /// Share of the rays that hit something.
     hits: f64,
     rays_per_second: f64,
     nodes_per_ray: f64,
@@ -100,16 +100,15 @@ struct Kind {
 #[derive(Debug, Serialize)]
 struct Beside {
     peer_rays_per_second: f64,
-    /// Median over the repeats of the peer's time by ours: above 1 we are faster.
+    /// Median over the repeats of the peer's time over ours. Above 1 we are faster.
     ratio: f64,
-    /// Rays on which the two disagree.
+    /// Number of rays with different results.
     differing: usize,
 }
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     if args.export.is_some() && args.bundles.len() > 1 {
-        return Err(BadInput::new("--export: one file holds the rays of one bundle; name one").into());
+        return Err(BadInput::new("--export: a file holds the rays of one bundle, so name only one").into());
     }
     let bars = Bars::new(args.json);
     let mut measured = Measured { peer: None, scenes: Vec::new() };
@@ -142,7 +141,7 @@ fn measure(
     if let Some(path) = &args.export {
         export::write(path, geometry, &sets, &answers)?;
     }
-    // The peer reads what we found, to say where it disagrees.
+    // The peer reads our hits to compare them.
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
     let mut peer = None;
     if let Some(program) = &args.peer {
@@ -211,7 +210,6 @@ fn measure(
     })
 }
 
-/// Traces all rays of a set.
 fn trace(bvh: &Bvh, set: &RaySet, answers: &mut [Answer]) -> Traversal {
     let mut steps = Traversal::default();
     match set.query {
@@ -240,7 +238,7 @@ fn geometry_bytes(geometry: &Geometry) -> usize {
         + size_of_val(geometry.triangle_stratum.as_slice())
 }
 
-/// The upper median; 0 of none.
+/// Upper median. Zero without values.
 fn median(values: Vec<f64>) -> f64 {
     upper_median(&sorted(values)).unwrap_or(0.0)
 }

@@ -1,14 +1,15 @@
-//! Another program that traces the same rays, turn by turn with this one, so that both see the machine in the same state.
+//! Another program that traces the same rays, in turns with this one, so that both see the machine in the
+//! same state.
 //!
-//! It is started with the path of an exported file as its only argument, and speaks in lines:
+//! Its only argument is the path of an exported file. It communicates in lines:
 //!
-//! | we write | it answers |
+//! | request | answer |
 //! | --- | --- |
-//! | | once, when it is ready: its name |
-//! | `trace K` | the nanoseconds of CPU time that one thread took for all rays of set K |
-//! | `differ K` | the number of rays of set K on which it does not agree with the file, as it was last traced |
+//! | | its name, once, when it is ready |
+//! | `trace K` | nanoseconds of CPU time on one thread for all rays of set K |
+//! | `differ K` | number of rays of set K whose last result differs from the file |
 //!
-//! It ends when its input does.
+//! It exits at the end of its input.
 
 use anyhow::{Context, Result, bail};
 use forelight_terminal::failure::BadInput;
@@ -16,21 +17,20 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// The running program.
 pub struct Peer {
     program: PathBuf,
     process: Child,
-    /// Closed before the end is waited for.
+    /// Closed before waiting for the exit.
     input: Option<ChildStdin>,
     output: BufReader<ChildStdout>,
 }
 
 impl Peer {
-    /// Starts it, waits until it is ready, and returns it with its name.
+    /// Starts the program, waits until it is ready, and returns it with its name.
     pub fn start(program: &Path, file: &Path) -> Result<(Self, String)> {
         let mut process =
             Command::new(program).arg(file).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().map_err(
-                |error| BadInput::new(format!("--peer {}: cannot be started: {error}", program.display())),
+                |error| BadInput::new(format!("--peer {}: cannot start: {error}", program.display())),
             )?;
         let (input, output) = (process.stdin.take(), process.stdout.take());
         let output = BufReader::new(output.context("the peer has no output")?);
@@ -39,17 +39,17 @@ impl Peer {
         Ok((peer, name))
     }
 
-    /// Seconds that it takes for the rays of a set.
+    /// CPU seconds for the rays of a set.
     pub fn trace(&mut self, set: usize) -> Result<f64> {
         Ok(self.ask(&format!("trace {set}"))? as f64 * 1e-9)
     }
 
-    /// Rays of a set on which it disagrees.
+    /// Number of rays of a set with different results.
     pub fn differing(&mut self, set: usize) -> Result<usize> {
         Ok(self.ask(&format!("differ {set}"))? as usize)
     }
 
-    /// Lets it end.
+    /// Ends the program.
     pub fn finish(mut self) -> Result<()> {
         drop(self.input.take());
         let status = self.process.wait().context("cannot wait for the peer")?;
@@ -63,18 +63,20 @@ impl Peer {
         let input = self.input.as_mut().context("the peer was told to end")?;
         writeln!(input, "{question}")
             .and_then(|()| input.flush())
-            .with_context(|| format!("the peer {} went away", self.program.display()))?;
+            .with_context(|| format!("the peer {} closed its input", self.program.display()))?;
         let answer = self.line()?;
         answer.parse().ok().with_context(|| {
-            format!("the peer {} answers `{question}` by `{answer}`", self.program.display())
+            format!("the peer {} answered `{question}` with `{answer}`, not a number", self.program.display())
         })
     }
 
     fn line(&mut self) -> Result<String> {
         let mut line = String::new();
         let read = self.output.read_line(&mut line);
-        match read.with_context(|| format!("cannot read what the peer {} says", self.program.display()))? {
-            0 => bail!("the peer {} ended without an answer", self.program.display()),
+        match read
+            .with_context(|| format!("cannot read the output of the peer {}", self.program.display()))?
+        {
+            0 => bail!("the peer {} exited without an answer", self.program.display()),
             _ => Ok(line.trim_end().to_owned()),
         }
     }
@@ -82,7 +84,7 @@ impl Peer {
 
 impl Drop for Peer {
     fn drop(&mut self) {
-        // After `finish` it has ended, and this does nothing; after an error nobody needs it.
+        // After `finish` the process has ended and this does nothing.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }

@@ -1,25 +1,22 @@
-//! The rays that are measured: what a renderer asks for, drawn from a seed, the same on every machine.
+//! Draws the rays to measure from a seed: the rays of a renderer, the same on every machine.
 
 use forelight_bvh::{Bvh, Ray, Traversal, offset_origin, size_of};
 use forelight_random::hash;
 use forelight_scene::{Environment, Frame, Geometry};
 use glam::{Vec2, Vec3};
 
-/// What is asked about a ray.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Query {
     /// The closest hit.
     Closest,
-    /// Whether there is any hit.
+    /// Any hit.
     Any,
 }
 
 /// Rays of one kind.
 #[derive(Debug, Clone)]
 pub struct RaySet {
-    /// Name of the kind.
     pub name: &'static str,
-    /// What is asked about them.
     pub query: Query,
     /// In the order of the image's pixels, as a renderer asks.
     pub rays: Vec<Ray>,
@@ -27,22 +24,22 @@ pub struct RaySet {
 
 /// Draws about `count` rays of every kind:
 ///
-/// | kind | from | to | asked |
+/// | kind | from | to | query |
 /// | --- | --- | --- | --- |
 /// | `primary` | the camera | a random point of each pixel, row by row | closest |
-/// | `bounce 1` | what a primary ray meets | cosine-weighted about the normal | closest |
+/// | `bounce 1` | the hit of a primary ray | cosine-weighted about the normal | closest |
 /// | `bounce 3` | the third surface of such a path | cosine-weighted about the normal | closest |
-/// | `shadow` | what a primary ray meets | a point on a light, or else the sky | any |
-/// | `occlusion` | what a primary ray meets | cosine-weighted about the normal | any |
+/// | `shadow` | the hit of a primary ray | a point on a light, or else the sky | any |
+/// | `occlusion` | the hit of a primary ray | cosine-weighted about the normal | any |
 ///
-/// Every surface counts as opaque and diffuse. A path that leaves the scene has no further rays, so that the later kinds
-/// may have fewer.
+/// Every surface counts as opaque and diffuse. A path that leaves the scene has no further rays, so later
+/// kinds may have fewer.
 pub fn workload(frame: &Frame, bvh: &Bvh, count: u32, seed: u64) -> Vec<RaySet> {
     let geometry = &*frame.geometry;
     let lights = Lights::new(frame);
     let (mut primary, mut shadow, mut bounces) =
         (Vec::new(), Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
-    // An image in the camera's shape of about as many pixels as rays are wanted.
+    // An image of the camera's shape with about as many pixels as rays.
     let shape = f64::from(frame.camera.tan_half_x) / f64::from(frame.camera.tan_half_y);
     let height = (f64::from(count) / shape).sqrt().round().clamp(1.0, f64::from(count.max(1))) as u32;
     let width = (count / height).max(1);
@@ -76,9 +73,9 @@ pub fn workload(frame: &Frame, bvh: &Bvh, count: u32, seed: u64) -> Vec<RaySet> 
     ]
 }
 
-/// Where shadow rays go.
+/// Targets of shadow rays.
 struct Lights {
-    /// Emitting triangles, and the sum of the areas up to and with each.
+    /// Emitting triangles, with cumulative areas.
     triangles: Vec<u32>,
     areas: Vec<f64>,
     points: Vec<Vec3>,
@@ -108,11 +105,12 @@ impl Lights {
         }
     }
 
-    /// A ray towards one of the lights: all surfaces together, the sky, each point and each sun are chosen alike.
+    /// A ray towards one of the lights, chosen uniformly: all surfaces together, the sky, each point and each
+    /// sun.
     fn towards(&self, geometry: &Geometry, origin: Vec3, choice: Vec2, place: Vec2) -> Ray {
         let surfaces = usize::from(!self.triangles.is_empty());
         let known = surfaces + self.points.len() + self.suns.len();
-        // A scene without any light is asked as if under a sky.
+        // A scene without lights is treated as if under a sky.
         let sky = usize::from(self.sky || known == 0);
         let mut chosen = (choice.x * (known + sky) as f32) as usize;
         if chosen < surfaces {
@@ -133,16 +131,16 @@ impl Lights {
     }
 }
 
-/// The piece of a line from `origin` to just before `target`; its direction is not normalised.
+/// The segment from `origin` to just before `target`. Its direction is not normalised.
 fn up_to(origin: Vec3, target: Vec3) -> Ray {
     let direction = target - origin;
-    // A light may have a shading point on itself.
+    // The shading point may lie on the light.
     let direction = if direction == Vec3::ZERO { Vec3::Y } else { direction };
     Ray { t_max: 0.9999, ..Ray::new(origin, direction) }
 }
 
-/// Cosine-weighted direction about a unit normal: towards a uniform point of the unit sphere that touches the surface. The sphere is
-/// a little smaller, so that there is always a direction.
+/// Cosine-weighted direction about a unit normal: towards a uniform point of the unit sphere that touches the
+/// surface. The sphere is slightly smaller, so that there is always a direction.
 fn cosine_about(normal: Vec3, random: Vec2) -> Vec3 {
     (normal + 0.9999 * sphere(random)).normalize()
 }
@@ -155,7 +153,7 @@ fn sphere(random: Vec2) -> Vec3 {
     Vec3::new((radius * libm::cos(angle)) as f32, (radius * libm::sin(angle)) as f32, z as f32)
 }
 
-/// A point of the unit square: a hash of the seed and what it is for.
+/// A point of the unit square: a hash of the arguments.
 fn unit_square(seed: u64, pixel: u32, dimension: u64) -> Vec2 {
     let bits = hash(hash(seed ^ dimension << 48) ^ u64::from(pixel));
     let unit = |bits: u64| (bits & 0xff_ffff) as f32 / (1 << 24) as f32;
@@ -189,7 +187,7 @@ mod tests {
         let normal = Vec3::new(0.36, 0.48, -0.8);
         let cosines: Vec<f64> =
             (0..20_000).map(|i| f64::from(cosine_about(normal, unit_square(7, i, 0)).dot(normal))).collect();
-        // The density of the cosine c is 2c: its mean is 2/3, its square's mean 1/2.
+        // The cosine c has density 2c, so the mean of c is 2/3 and that of c² is 1/2.
         let mean = |power: i32| cosines.iter().map(|c| c.powi(power)).sum::<f64>() / cosines.len() as f64;
         assert!(cosines.iter().all(|&c| c > 0.0));
         assert!((mean(1) - 2.0 / 3.0).abs() < 0.005, "{}", mean(1));

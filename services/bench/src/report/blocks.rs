@@ -5,40 +5,39 @@ use forelight_terminal::output;
 use forelight_terminal::table::Table;
 use serde::Serialize;
 
-/// What a bench says.
+/// Output of a bench.
 #[derive(Debug, Default)]
 pub struct Report(Vec<Block>);
 
 #[derive(Debug)]
 enum Block {
-    /// As a terminal shows it, every line ended.
+    /// As a terminal shows it. Every line ends with a newline.
     Text(String),
     Table(Table),
 }
 
 impl Report {
-    /// Adds a table.
     #[must_use]
     pub fn table(mut self, table: Table) -> Self {
         self.0.push(Block::Table(table));
         self
     }
 
-    /// Adds text as a terminal shows it, every line ended.
+    /// Adds text as a terminal shows it. Every line must end with a newline.
     #[must_use]
     pub fn text(mut self, text: impl Into<String>) -> Self {
         self.0.push(Block::Text(text.into()));
         self
     }
 
-    /// Adds everything that another report says.
+    /// Appends another report.
     #[must_use]
     pub fn then(mut self, other: Report) -> Self {
         self.0.extend(other.0);
         self
     }
 
-    /// Prints the document as JSON if `json` is set, and the report if not. Returns the report.
+    /// Prints the document as JSON if `json` is set, and otherwise the report. Returns the report.
     pub fn printed(self, json: bool, document: &impl Serialize) -> Result<Self> {
         if json {
             output::json(document)?
@@ -48,7 +47,7 @@ impl Report {
         Ok(self)
     }
 
-    /// The report as a terminal shows it.
+    /// The report for a terminal.
     pub fn for_terminal(&self) -> String {
         let block = |block: &Block| match block {
             Block::Text(text) => text.clone(),

@@ -1,4 +1,4 @@
-//! What a bench reports: for people on a terminal, and as a section of a Markdown file.
+//! Reports of benches: on a terminal, and as a section of a Markdown file.
 
 mod blocks;
 mod origin;

@@ -1,5 +1,3 @@
-//! Where measurements come from: command, time, commit and machine.
-
 use anyhow::Result;
 use forelight_protocol::Timestamp;
 use forelight_worker::machine;
@@ -9,23 +7,23 @@ use std::process::Command;
 /// Where measurements come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
-    /// The command as it was typed, quoted for a shell.
+    /// The command as typed, quoted for a shell.
     pub command: String,
-    /// When the measurements ended, UTC to the minute.
+    /// End of the measurements, UTC to the minute.
     pub date: String,
-    /// The commit of the repository that holds the file, with `-dirty` if other files of it were changed.
+    /// Commit of the repository that holds the file, with `-dirty` if other files of it were changed.
     pub commit: String,
-    /// The name of the processor.
+    /// Name of the processor.
     pub processor: String,
     /// Processor cores that this process may use.
     pub cores: usize,
 }
 
-/// What stands for a commit or a processor whose name is not available.
+/// Used if the commit or the processor is unknown.
 const UNKNOWN: &str = "unknown";
 
 impl Origin {
-    /// The origin of measurements of this process that end now and are written into `file`.
+    /// Origin of measurements that end now and are written into `file`.
     pub fn of(file: &Path) -> Result<Self> {
         let program = std::env::args().next().unwrap_or_default();
         let program = Path::new(&program).file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -47,8 +45,8 @@ fn date(at: Timestamp) -> String {
     at.strftime("%Y-%m-%d %H:%M UTC").to_string()
 }
 
-/// The commit of the repository that holds `file`. The file itself does not count as a change: benches that follow each
-/// other write into it. `None` without a repository or without git.
+/// Commit of the repository that holds `file`. Changes of the file itself do not count, because successive
+/// benches write into it. `None` without a repository or git.
 fn commit(file: &Path) -> Option<String> {
     let folder = file.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
     let git = |args: &[&str]| {
@@ -81,7 +79,7 @@ mod tests {
             let done = Command::new("git").current_dir(folder.path()).args(who).args(args).output().unwrap();
             assert!(done.status.success(), "{done:?}");
         };
-        // Git looks for a repository in the folders above, too: there is none above a new one.
+        // Git also searches parent folders. A new folder's parents have no repository.
         git(&["init", "-q"]);
         assert_eq!(commit(&path("page.md")), None, "there is no commit yet");
         std::fs::write(path("page.md"), "a").unwrap();

@@ -27,7 +27,7 @@ const END: &str = "<!-- end -->";
 /// Returns the file that a path stands for: the path itself, or the page in a folder.
 ///
 /// # Errors
-/// If the path is neither a folder nor the name of a Markdown file.
+/// If the path is neither a folder nor a Markdown file.
 pub fn file(path: &Path) -> Result<PathBuf, BadInput> {
     if path.is_dir() || path.to_string_lossy().ends_with('/') {
         return Ok(path.join(NAME));
@@ -35,7 +35,7 @@ pub fn file(path: &Path) -> Result<PathBuf, BadInput> {
     match path.extension() {
         Some(end) if end.eq_ignore_ascii_case("md") => Ok(path.to_owned()),
         _ => {
-            let reason = format!("--write {}: the name of a Markdown file ends in .md", path.display());
+            let reason = format!("--write {}: a Markdown file must end in .md", path.display());
             Err(BadInput::new(reason).hint("name such a file, or a folder that exists"))
         }
     }

@@ -1,5 +1,3 @@
-//! The measurements of a shot.
-
 use super::practice::Practice;
 use crate::statistics::{mean_absolute, relative_error};
 use forelight_protocol::{CacheMode, Quantiles, RenderSettings, RenderStats, Spent};
@@ -18,36 +16,37 @@ pub struct Measured {
     pub samples: u32,
     /// Work of all frames.
     pub actual_work: f64,
-    /// CPU seconds of all frames, as measured when they were rendered.
+    /// Measured CPU seconds of all frames.
     pub actual_cpu_seconds: f64,
-    /// Over all quotes.
+    /// Mean over all quotes.
     pub forecast: Outcome,
-    /// What farms do instead.
+    /// Current practice of farms.
     pub practices: Vec<PracticeOutcome>,
-    /// One for each seed.
+    /// By seed.
     pub quotes: Vec<Trial>,
-    /// The first quote, frame by frame.
+    /// The first quote, by frame.
     pub frames: Vec<Frame>,
 }
 
 impl Measured {
-    /// The error of the total over that which the mean of first, middle and last frame has; absent where that has none.
+    /// Error of the total, relative to the mean of first, middle and last frame. `None` if that has no error.
     pub fn against_first_middle_last(&self) -> Option<f64> {
         let theirs = self.practices.iter().find(|p| p.practice == Practice::FirstMiddleLast)?.outcome;
         (theirs.total_error > 0.0).then(|| self.forecast.total_error / theirs.total_error)
     }
 }
 
-/// How good a way to say what a shot costs was, and what it took.
+/// Accuracy and cost of one method.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Outcome {
-    /// |forecast / actual − 1| of the work of the whole shot; of several quotes the mean.
+    /// |forecast / actual − 1| of the work of the whole shot; the mean over quotes.
     pub total_error: f64,
-    /// Σ |forecast − actual| / Σ actual over the frames' work (weighted absolute percentage error); of several quotes the mean.
+    /// Σ |forecast − actual| / Σ actual over the frames' work (weighted absolute percentage error); the mean
+    /// over quotes.
     pub wape: f64,
-    /// Work that it takes as a share of the shot's.
+    /// Work of the method, relative to the shot's.
     pub spent: f64,
-    /// The part of it that renders do not get back.
+    /// The part of it that renders cannot reuse.
     pub spent_for_good: f64,
 }
 
@@ -58,7 +57,6 @@ pub struct PracticeOutcome {
     pub outcome: Outcome,
 }
 
-/// One quote.
 #[derive(Debug, Serialize)]
 pub struct Trial {
     pub seed: u64,
@@ -69,7 +67,7 @@ pub struct Trial {
     /// Mean over frames of |forecast mean / actual − 1|.
     pub frame_error_work: f64,
     pub frame_error_cpu_seconds: f64,
-    /// Share of the frames whose actual work was at or below the quantile.
+    /// Share of the frames whose work was at or below the quantile.
     pub frames_within_p80: f64,
     pub frames_within_p95: f64,
     pub spent: Shares,
@@ -90,7 +88,7 @@ impl Total {
     }
 }
 
-/// Of the actual total.
+/// Shares of the actual total.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Shares {
     pub work: f64,
@@ -105,7 +103,7 @@ pub struct Frame {
     pub cpu_seconds: Total,
 }
 
-/// Quotes of a shot, each with its seed, against the full render of its frames.
+/// Compares quotes of a shot, one per seed, with the full render of its frames.
 pub fn compare(
     bundle: &str,
     settings: &RenderSettings,
@@ -120,7 +118,7 @@ pub fn compare(
     let practices = Practice::ALL.map(|practice| {
         let said = practice.forecast(&work);
         let spent = practice.rendered(work.len()).iter().map(|&t| work[t]).sum::<f64>() / total;
-        // Rendered frames are finished frames.
+        // This practice renders finished frames, so nothing is lost.
         let outcome = Outcome {
             total_error: relative_error(said.iter().sum(), total).abs(),
             wape: wape(&said, &work),
@@ -193,7 +191,7 @@ fn trial(seed: u64, quote: &Quote, actual: &[RenderStats]) -> Trial {
     }
 }
 
-/// Σ |forecast − actual| / Σ actual; 0 where nothing was forecast and nothing was to be.
+/// Σ |forecast − actual| / Σ actual. Zero if both are zero.
 fn wape(forecast: &[f64], actual: &[f64]) -> f64 {
     let off: f64 = forecast.iter().zip(actual).map(|(forecast, actual)| (forecast - actual).abs()).sum();
     if off == 0.0 { 0.0 } else { off / actual.iter().sum::<f64>() }

@@ -1,5 +1,5 @@
-//! `forelight bench shots`: all frames of shots, forecast from a few of them, against the full render of each, and against what farms
-//! do instead.
+//! `forelight bench shots`: forecasts shots from a few of their frames, and compares with full renders and
+//! current practice.
 
 mod measured;
 mod plot;
@@ -22,7 +22,7 @@ use forelight_terminal::watching::QuoteWatcher;
 use measured::{Measured, compare};
 use std::path::PathBuf;
 
-/// Forecast shots from a few of their frames, against the full render of all, and against what farms do instead
+/// Forecast shots from a few of their frames, and compare with full renders and with current practice
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -30,13 +30,13 @@ Examples:
   forelight bench shots kitchen/ --frames 0-47 --width 192 --spp 16 --truth rendered/ --svg plots/
   forelight bench shots corridor/ --profile-frames 12 --samples 128 --seeds 10 --json > shots.json
 
-Every frame is previewed, a few are profiled, all are forecast, as by `forelight forecast`; then every frame is rendered whole. \
-Beside the forecast stands what farms do today: render one frame, the first, the middle and the last, or every tenth, and \
-take the others to be like these; at the price of the same full renders.
+Every frame is previewed, a few are profiled, and all are forecast, as by `forelight forecast`. Then every \
+frame is rendered in full. The forecast is compared with current practice: render one frame, the first, the \
+middle and the last, or every tenth, and extrapolate. Both use the same full renders.
 
-The profiled pixels are finished pixels, which a render takes over. What the quote takes \"for good\" is the rest: previews, and \
-setting up the profiled frames. Images are small unless a size is asked for, so that the truth is known in minutes; the share of the shot that a quote \
-takes falls with the size of the image.")]
+Profiled pixels are finished pixels, which a render takes over. \"Not reused\" is the rest of the quote: \
+previews, and setting up the profiled frames. Images are small by default, so that the truth takes minutes. \
+The relative cost of a quote falls with the size of the image.")]
 pub struct Args {
     /// Scene bundles: folders or zip files
     #[arg(required = true, value_name = "BUNDLE")]
@@ -47,16 +47,17 @@ pub struct Args {
     /// Pixels to profile in a profiled frame, 1 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = QuoteOptions::default().samples, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
-    /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
+    /// Maximum number of frames to profile
+    /// [default: 5, or up to 16 if the forecast stays uncertain and more cost less than 1 % of the shot]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: Option<u32>,
     /// Quotes to make, each with another choice of pixels
     #[arg(long, value_name = "COUNT", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     seeds: u32,
-    /// Keep what full renders took in this folder, and render no frame whose cost lies there already
+    /// Folder for the costs of full renders; frames found there are not rendered
     #[arg(long, value_name = "DIR")]
     truth: Option<PathBuf>,
-    /// Write a plot of every shot into this folder: cost by frame, with the forecast's band and the truth
+    /// Folder for a plot of each shot: cost by frame, with the forecast's band and the truth
     #[arg(long, value_name = "DIR")]
     svg: Option<PathBuf>,
     /// Also write the measurements to this file as JSON
@@ -71,13 +72,12 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Image width, camera samples and ambient bounces unless others are asked for.
+/// Default image width, camera samples and ambient bounces.
 const SMALL: (u32, u32, u32) = (128, 4, 1);
 
-/// Frames of a shot unless others are asked for.
+/// Default number of frames.
 const FRAMES: usize = 48;
 
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
@@ -170,7 +170,7 @@ mod tests {
         assert!(first.forecast.spent >= first.forecast.spent_for_good);
         let files: Vec<_> = std::fs::read_dir(&kept).unwrap().map(|file| file.unwrap().path()).collect();
         assert_eq!(files.len(), 48);
-        // Whoever changes what was kept is believed: so it was read.
+        // The second run must read the changed file.
         let mut stats: RenderStats = stats(&files[0]);
         stats.work *= 1000;
         std::fs::write(&files[0], serde_json::to_string(&stats).unwrap()).unwrap();

@@ -1,4 +1,4 @@
-//! Cost by frame: the forecast with its band, the truth, and what farms would have said.
+//! Plots cost by frame: the forecast with its band, the truth, and current practice.
 
 use super::measured::{Frame, Measured};
 use super::practice::Practice;
@@ -20,8 +20,8 @@ pub fn svg(shot: &Measured) -> Result<String> {
     drawing::svg(SIZE, |area| draw(area, shot))
 }
 
-/// Below and above what costs stay in so many cases of a hundred: the quantiles of a quote that is not calibrated lie as far below its mean, by
-/// factor, as above.
+/// Bounds of a central interval, from its upper quantile. Uncalibrated quantiles are symmetric about the mean
+/// by factor.
 fn band(work: &Quantiles, above: f64) -> [f64; 2] {
     [if above > 0.0 { work.mean * work.mean / above } else { 0.0 }, above]
 }

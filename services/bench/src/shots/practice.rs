@@ -1,8 +1,8 @@
-//! What farms do today instead of a forecast: render some frames, and take the rest to be like these.
+//! Current practice of farms: render some frames, and extrapolate from them.
 
 use serde::Serialize;
 
-/// A way to say what a shot costs from some of its frames, rendered whole.
+/// A way to extrapolate from some full frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Practice {
@@ -10,18 +10,18 @@ pub enum Practice {
     OneFrame,
     /// The mean of the first, the middle and the last frame, times the number of frames.
     FirstMiddleLast,
-    /// The same three frames, and straight lines between them.
+    /// Straight lines between the same three frames.
     FirstMiddleLastLines,
-    /// Every tenth frame, and straight lines between them.
+    /// Straight lines between every tenth frame.
     EveryTenth,
 }
 
 impl Practice {
-    /// All of them, the cheapest first.
+    /// All practices, cheapest first.
     pub const ALL: [Practice; 4] =
         [Practice::OneFrame, Practice::FirstMiddleLast, Practice::FirstMiddleLastLines, Practice::EveryTenth];
 
-    /// Its name in a table.
+    /// Name in a table.
     pub const fn title(self) -> &'static str {
         match self {
             Practice::OneFrame => "one frame times all",
@@ -31,7 +31,7 @@ impl Practice {
         }
     }
 
-    /// The places of the frames that it renders, of a shot of so many; ascending, none twice.
+    /// Indices of the rendered frames of a shot, ascending and distinct.
     pub fn rendered(self, frames: usize) -> Vec<usize> {
         let Some(last) = frames.checked_sub(1) else { return Vec::new() };
         let mut places = match self {
@@ -43,7 +43,7 @@ impl Practice {
         places
     }
 
-    /// What it says of every frame, if the frames that it renders cost what `actual` says of them.
+    /// Forecast of every frame, from `actual` costs of the rendered ones.
     pub fn forecast(self, actual: &[f64]) -> Vec<f64> {
         let rendered = self.rendered(actual.len());
         match self {
@@ -59,7 +59,7 @@ impl Practice {
     }
 }
 
-/// The value at place `t` on the straight line between the known places around it; beyond the last, that of the last.
+/// Linear interpolation at `t` between the known indices around it. Constant beyond the last.
 fn on_line(known: &[usize], actual: &[f64], t: usize) -> f64 {
     let after = known.partition_point(|&place| place < t);
     match (after.checked_sub(1).map(|before| known[before]), known.get(after)) {

@@ -1,12 +1,10 @@
-//! The measurements as a table for people.
-
 use super::measured::{Measured, Outcome};
 use crate::report::Report;
 use forelight_protocol::CacheMode;
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 
-/// All shots, each with its forecast and what farms do instead.
+/// All shots, each with its forecast and current practice.
 pub fn of(shots: &[Measured]) -> Report {
     let head = [
         ("shot", Align::Left),
@@ -14,7 +12,7 @@ pub fn of(shots: &[Measured]) -> Report {
         ("|error| of all", Align::Right),
         ("of a frame", Align::Right),
         ("takes", Align::Right),
-        ("for good", Align::Right),
+        ("not reused", Align::Right),
         ("error / f-m-l", Align::Right),
     ];
     let mut table = Table::new(&head);
@@ -51,7 +49,7 @@ fn row<'a>(
     .into_iter()
 }
 
-/// What was measured, in a line.
+/// Summary of a shot.
 fn line(shot: &Measured) -> String {
     let Measured { bundle, width, height, spp, ambient_bounces, samples, .. } = shot;
     let cache = if shot.cache == CacheMode::On { ", cached" } else { "" };

@@ -1,4 +1,4 @@
-//! The full render of every frame, whose costs can be kept for the next time.
+//! Renders every frame in full, and can keep the costs.
 
 use anyhow::Result;
 use forelight_protocol::{RenderSettings, RenderStats};
@@ -10,8 +10,8 @@ use forelight_terminal::local::Local;
 use forelight_terminal::output::Bars;
 use std::path::{Path, PathBuf};
 
-/// What each of these frames takes. Of an image whose cost lies in the folder `kept`, under a name that everything that the image
-/// depends on has a part in, nothing is rendered; what is rendered is kept there.
+/// Costs of these frames. Costs found in the folder `kept` are reused, others are rendered and stored there.
+/// File names depend on everything that affects the image.
 pub fn of_frames(
     local: &Local,
     frames: &[u32],
@@ -39,7 +39,7 @@ fn of_frame(
 ) -> Result<RenderStats> {
     let ready = local.shot.frame(frame, settings)?;
     let path = kept.map(|folder| -> PathBuf {
-        // The fingerprint knows the tracer's version; what else counts as a frame's cost is this program's.
+        // The fingerprint covers the tracer's version. This program defines the rest of a frame's cost.
         let image: String = ready.profile(&[]).fingerprint.iter().map(|byte| format!("{byte:02x}")).collect();
         folder.join(format!("{image}-{}.json", env!("CARGO_PKG_VERSION")))
     });

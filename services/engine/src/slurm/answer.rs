@@ -1,53 +1,46 @@
-//! What Slurm's programs answer.
+//! Parses the output of Slurm's programs.
 //!
-//! `squeue --json` changed between versions: numbers became objects of `set`, `infinite` and `number` (23.02), states became lists
-//! (23.11). All forms are read. What is not needed is not looked at.
+//! `squeue --json` differs between versions. Since 23.02 numbers are objects of `set`, `infinite` and
+//! `number`; since 23.11 states are lists. All forms are read, and unknown fields are ignored.
 
 use std::ops::RangeInclusive;
 
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-/// A job of Slurm: an element of an array that runs or ran, or all of an array's elements that do not run yet.
+/// A Slurm job: one element that has started, or all elements of an array that still wait.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct SlurmJob {
-    /// The array's number.
     pub array: u32,
-    /// Which elements of it this is about.
+    /// Elements of the array that this entry covers. Empty if the job is not an array.
     pub elements: Vec<RangeInclusive<u32>>,
-    /// What Slurm says of them, such as `RUNNING`; several words joined by `+`.
+    /// Slurm's state, such as `RUNNING`. Several are joined by `+`.
     pub state: String,
-    /// Why they wait.
+    /// Why the elements wait.
     pub reason: String,
-    /// Exit code, or signal.
     pub ending: Ending,
-    /// What whoever submitted it wrote beside it.
     pub comment: String,
 }
 
-/// How a process ended.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct Ending {
-    /// Its exit code.
     pub code: u32,
     /// The signal that ended it, or 0.
     pub signal: u32,
 }
 
-/// What an element is at.
+/// Stage of an element.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Stage {
-    /// It waits for a node.
     Pending,
-    /// It waits, and will for ever: Slurm could not start it and holds it for a person to look at.
+    /// Waits until a person releases it: Slurm failed to start it and holds it.
     Stuck,
-    /// A process runs, or is being started or ended.
+    /// Running, starting or ending.
     Running,
-    /// It is over.
     Ended,
 }
 
-/// States that do not change any more.
+/// States that never change again.
 const FINAL: [&str; 12] = [
     "BOOT_FAIL",
     "CANCELLED",
@@ -64,7 +57,6 @@ const FINAL: [&str; 12] = [
 ];
 
 impl SlurmJob {
-    /// What its elements are at.
     pub fn stage(&self) -> Stage {
         let mut words = self.state.split('+');
         if words.clone().all(|word| FINAL.contains(&word)) {
@@ -80,12 +72,12 @@ impl SlurmJob {
         }
     }
 
-    /// Whether this is about that element.
+    /// True if this entry covers the element.
     pub fn is_about(&self, position: u32) -> bool {
         self.elements.iter().any(|range| range.contains(&position))
     }
 
-    /// How it ended, for people and for the record: Slurm's word, and what goes with it.
+    /// Slurm's final state, with the exit code or signal of a failure.
     pub fn outcome(&self) -> String {
         match (self.state.as_str(), self.ending) {
             (state @ "FAILED", Ending { signal: 0, code }) => format!("{state} with exit code {code}"),
@@ -95,20 +87,17 @@ impl SlurmJob {
     }
 }
 
-/// A node as `sinfo` tells of it.
+/// A node as `sinfo` reports it.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct SlurmNode {
-    /// Its name.
     pub name: String,
-    /// Its processors.
     pub cpus: u32,
-    /// Whether it takes jobs.
     pub up: bool,
 }
 
-/// Why an answer cannot be used.
+/// Output of a Slurm program that could not be parsed.
 #[derive(Debug, thiserror::Error)]
-#[error("{program} answered what cannot be understood: {reason}")]
+#[error("cannot read the output of {program}: {reason}")]
 pub struct AnswerError {
     program: &'static str,
     reason: String,
@@ -145,7 +134,7 @@ struct QueueJob {
     comment: Option<String>,
 }
 
-/// A number in any of the forms that Slurm has for it; `None` for "not set".
+/// A number in any of Slurm's forms. `None` means "not set".
 #[derive(Deserialize, Default, Clone, Copy)]
 #[serde(from = "NumberForm")]
 struct Number(Option<u64>);
@@ -168,7 +157,6 @@ impl From<NumberForm> for Number {
 }
 
 impl Number {
-    /// The number, if it is one of Slurm's ids.
     fn id(self) -> Option<u32> {
         u32::try_from(self.0?).ok()
     }
@@ -181,7 +169,7 @@ enum Words {
     Several(Vec<String>),
 }
 
-/// A wait status, as the kernel packs it (signal below, code above), or the same taken apart.
+/// A packed wait status (signal in the low byte, exit code above), or its separate parts.
 #[derive(Deserialize, Default)]
 #[serde(untagged)]
 enum ExitCode {
@@ -214,15 +202,15 @@ impl ExitCode {
     }
 }
 
-/// The jobs that `squeue --json` tells of.
+/// Parses the jobs from `squeue --json`.
 pub fn jobs(output: &[u8]) -> Result<Vec<SlurmJob>, AnswerError> {
     let queue: Queue = serde_json::from_slice(output).map_err(|error| AnswerError::new("squeue", error))?;
     queue
         .jobs
         .into_iter()
         .map(|job| {
-            let own = job.job_id.id().ok_or_else(|| AnswerError::new("squeue", "a job without a number"))?;
-            // Jobs that are no arrays say 0.
+            let own = job.job_id.id().ok_or_else(|| AnswerError::new("squeue", "a job has no number"))?;
+            // Slurm reports 0 for jobs that are not arrays.
             let array = job.array_job_id.id().filter(|&array| array != 0);
             let elements = match (array, job.array_task_id.id(), &job.array_task_string) {
                 (Some(_), Some(element), _) => vec![element..=element],
@@ -247,9 +235,9 @@ pub fn jobs(output: &[u8]) -> Result<Vec<SlurmJob>, AnswerError> {
         .collect()
 }
 
-/// The elements of an expression such as `0,2-5,7-9:2%4`.
+/// Elements of an expression such as `0,2-5,7-9:2%4`.
 fn ranges(text: &str) -> Result<Vec<RangeInclusive<u32>>, String> {
-    let wrong = || format!("`{text}` are no elements of an array");
+    let wrong = || format!("`{text}` is not a list of array elements");
     let list = text.split('%').next().unwrap_or_default();
     let mut found = Vec::new();
     for part in list.split(',').filter(|part| !part.is_empty()) {
@@ -269,32 +257,32 @@ fn ranges(text: &str) -> Result<Vec<RangeInclusive<u32>>, String> {
     Ok(found)
 }
 
-/// The number that `sbatch --parsable` prints: `12`, or `12;cluster`.
+/// Parses the job number from `sbatch --parsable`: `12` or `12;cluster`.
 pub fn submitted(output: &[u8]) -> Result<u32, AnswerError> {
     let text = String::from_utf8_lossy(output);
     let number = text.lines().last().unwrap_or_default().split(';').next().unwrap_or_default().trim();
-    number.parse().map_err(|_| AnswerError::new("sbatch", format!("`{}` is no job's number", text.trim())))
+    number.parse().map_err(|_| AnswerError::new("sbatch", format!("`{}` is no job number", text.trim())))
 }
 
-/// The nodes of a partition, or of the default one, by `sinfo --Node --format='%N|%c|%T|%P'`.
+/// Parses the nodes of a partition, or of the default one, from `sinfo --Node --format='%N|%c|%T|%P'`.
 pub fn nodes(output: &[u8], partition: Option<&str>) -> Result<Vec<SlurmNode>, AnswerError> {
     let text = String::from_utf8_lossy(output);
     let mut nodes = Vec::new();
     for line in text.lines().filter(|line| !line.trim().is_empty()) {
         let fields: Vec<&str> = line.trim().split('|').collect();
         let [name, cpus, state, of] = fields[..] else {
-            return Err(AnswerError::new("sinfo", format!("`{line}` is no node")));
+            return Err(AnswerError::new("sinfo", format!("`{line}` does not describe a node")));
         };
         let cpus = cpus
             .trim_end_matches('+')
             .parse()
-            .map_err(|_| AnswerError::new("sinfo", format!("`{cpus}` processors of {name}")))?;
-        // The default partition has a star.
+            .map_err(|_| AnswerError::new("sinfo", format!("bad CPUs `{cpus}` of {name}")))?;
+        // The default partition ends with a star.
         if partition.map_or(!of.ends_with('*'), |partition| of.trim_end_matches('*') != partition) {
             continue;
         }
-        // A mark behind the state says more: `*` does not answer, `$` and `@` are being maintained or restarted; `~` and `#` sleep or wake up,
-        // and will take jobs.
+        // Suffixes: `*` does not answer, `$` and `@` mean maintenance or reboot. Nodes with `~` or `#` sleep
+        // or wake up, and take jobs.
         let marked = state.ends_with(['*', '$', '@', '%', '!']);
         let bare = state.trim_end_matches(|c: char| !c.is_ascii_alphabetic());
         let up = !marked && matches!(bare, "idle" | "allocated" | "mixed" | "completing" | "reserved");
@@ -309,8 +297,8 @@ pub fn nodes(output: &[u8], partition: Option<&str>) -> Result<Vec<SlurmNode>, A
 mod tests {
     use super::*;
 
-    /// Four jobs as a Slurm 22.05 tells of them: one that runs, what is left of its array, one that a person cancelled, and one that is no
-    /// array.
+    /// `squeue --json` of Slurm 22.05: a running job, the rest of its array, a cancelled job and one that is
+    /// not an array.
     const OLD: &str = include_str!("recorded/squeue-22.05.json");
 
     #[test]
@@ -344,7 +332,7 @@ mod tests {
             "job_state": ["FAILED"], "exit_code": {"return_code": {"set": true, "number": 0}, "signal": {"id": {"set": true, "number": 9}}}}]}"#;
         let jobs = jobs(new.as_bytes()).unwrap();
         assert_eq!((jobs[0].elements.clone(), jobs[0].stage()), (vec![0..=2, 5..=5], Stage::Pending));
-        // It is being cancelled: the process may still be there.
+        // `CANCELLED` with `COMPLETING`: the process may still run.
         assert_eq!((jobs[1].elements.clone(), jobs[1].stage()), (vec![3..=3], Stage::Running));
         assert_eq!((jobs[2].stage(), jobs[2].outcome()), (Stage::Ended, "FAILED by signal 9".to_owned()));
     }
@@ -361,7 +349,7 @@ mod tests {
         };
         assert_eq!(held("launch_failed_requeued_held").stage(), Stage::Stuck);
         assert_eq!(held("launch failed requeued held").stage(), Stage::Stuck);
-        // A person holds it: that is the person's business.
+        // A person holds it and will release it.
         assert_eq!(held("JobHeldUser").stage(), Stage::Pending);
         assert_eq!(SlurmJob { state: "SOMETHING_NEW".to_owned(), ..held("") }.stage(), Stage::Running);
     }
@@ -377,7 +365,7 @@ mod tests {
     fn a_submitted_array_has_a_number_and_anything_else_is_refused() {
         assert_eq!(submitted(b"12\n").unwrap(), 12);
         assert_eq!(submitted(b"sbatch: a word of the site\n13;north\n").unwrap(), 13);
-        assert!(submitted(b"").unwrap_err().to_string().contains("no job's number"));
+        assert!(submitted(b"").unwrap_err().to_string().contains("no job number"));
     }
 
     #[test]
@@ -402,6 +390,6 @@ mod tests {
             let error = jobs(text.as_bytes()).unwrap_err().to_string();
             assert!(error.starts_with("squeue answered") && !error.contains('\n'), "{error}");
         }
-        assert!(nodes(b"a|b", None).unwrap_err().to_string().contains("`a|b` is no node"));
+        assert!(nodes(b"a|b", None).unwrap_err().to_string().contains("`a|b` does not describe a node"));
     }
 }

@@ -1,74 +1,73 @@
-//! Which tasks become which arrays.
+//! Groups tasks into Slurm arrays.
 //!
-//! All elements of a Slurm array share its options, so tasks go together that want the same: those of one job and kind that were not handed
-//! out before, in the order in which the plan has booked them; those that were lost go again in an array of their own.
+//! All elements of a Slurm array share its options. So an array holds tasks of one job and one kind, in the
+//! order of their bookings. Lost tasks go into an array of their own.
 //!
-//! * **Begin** is the first of their bookings. Within an array Slurm starts elements in order as nodes become free.
-//! * **Limit**: a limit, not a prediction. The 95 % quantile of the longest of the frames on the slowest node, times [`SAFETY`], and
-//!   [`START_UP`]; twice as much each time that a task ran out of it.
-//! * **Deadline** is the job's, if the plan holds it and the last of the frames, started as booked, could take its whole limit before it.
-//!   Slurm cancels what cannot: a frame that is late by a forecast's error is still wanted.
-//! * **Reservation**: the booked nodes, from the first booking to the last one's end, for a job whose deadline the plan holds.
+//! * **Begin**: the start of the first booking. Within an array, Slurm starts elements in order as nodes
+//!   become free.
+//! * **Limit**: the longest frame's P95 on the slowest node, times [`SAFETY`], plus [`START_UP`]. It doubles
+//!   each time a task runs out of it.
+//! * **Deadline**: the job's, if the plan keeps it and the last frame, started as booked, could use its whole
+//!   limit. Otherwise none, because Slurm cancels what would miss it, and late frames are still wanted.
+//! * **Reservation**: the booked nodes from the first booking to the end of the last, for jobs whose deadline
+//!   the plan keeps.
 
 use std::collections::BTreeMap;
 
 use forelight_protocol::{JobId, TaskKind, Timestamp};
 use forelight_store::{NewArray, Waiting};
 
-/// What the 95 % quantile of a frame's time is multiplied with: a node that does other things as well, a cold file system, memory that is
-/// full of another scene. Four times too long at most costs a hanging frame's slot; too short costs the whole frame.
+/// Factor on the P95 of a frame's time. It covers busy nodes, a cold file system and full memory. A long
+/// limit costs the slot of a hanging frame; a short one costs the whole frame.
 pub const SAFETY: f64 = 4.0;
 
-/// Seconds for fetching and loading a scene, measuring the node, and writing images.
+/// Seconds to fetch and load a scene, measure the node and write images.
 pub const START_UP: f64 = 120.0;
 
-/// The longest limit, in minutes: 30 days.
+/// Longest limit, in minutes: 30 days.
 const LONGEST: f64 = 43_200.0;
 
-/// Elements of an array: Slurm takes no more than 1000 unless it is told to (`MaxArraySize`).
+/// Most elements in an array. Slurm's default limit is 1000 (`MaxArraySize`).
 pub const MOST_ELEMENTS: usize = 1000;
 
-/// Losses of a task that its job survives, plus one.
+/// Losses of one task after which its job fails.
 pub const MAX_LOST: usize = 6;
 
-/// The first pause before a task that was lost is handed out again; it doubles each time.
+/// First pause before a lost task is submitted again, microseconds. It doubles with each loss.
 const FIRST_PAUSE: i64 = 5_000_000;
 
-/// A begin that is nearer than this is now, microseconds.
+/// An array that begins sooner than this begins at once, microseconds.
 const NOW: i64 = 2_000_000;
 
-/// What time limits are made from.
+/// Inputs of time limits.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Pricing {
-    /// Seconds of a core of speed 1 that the slowest node does in a second.
+    /// Speed of the slowest node, relative to the reference core.
     pub slowest: f64,
-    /// Limit of previews and profiles, of which there is no forecast yet, in minutes.
+    /// Limit of previews and profiles, in minutes. They have no forecast.
     pub quote_minutes: u32,
 }
 
-/// Tasks that are to be submitted together.
+/// Tasks to submit as one array.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Batch {
     /// The array, without a reservation.
     pub array: NewArray,
-    /// What they do.
     pub kind: TaskKind,
-    /// What people call their job.
     pub job_name: String,
-    /// Nodes to be kept free, from when until when.
+    /// Nodes to reserve, with start and end.
     pub keep_free: Option<(Vec<String>, Timestamp, Timestamp)>,
 }
 
-/// What is to be done about the tasks that wait.
+/// What to do with the waiting tasks.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Due {
-    /// To be submitted.
     pub batches: Vec<Batch>,
-    /// To be given up, with the reason.
+    /// Tasks to give up, with the reason.
     pub hopeless: Vec<(Waiting, String)>,
 }
 
-/// Sorts the tasks that wait into arrays; those that were lost a moment ago wait on.
+/// Groups waiting tasks into arrays. Recently lost tasks keep waiting.
 pub fn due(waiting: &[Waiting], pricing: Pricing, now: Timestamp) -> Due {
     let mut due = Due::default();
     let mut groups: BTreeMap<(usize, JobId, TaskKind, bool), Vec<&Waiting>> = BTreeMap::new();
@@ -86,7 +85,7 @@ pub fn due(waiting: &[Waiting], pricing: Pricing, now: Timestamp) -> Due {
         {
             continue;
         }
-        // Jobs keep the order in which the store names them: by deadline, then priority.
+        // Jobs keep the store's order: deadline, then priority.
         let next = order.len();
         let place = *order.entry(task.job).or_insert(next);
         groups.entry((place, task.job, task.kind, !task.lost.is_empty())).or_default().push(task);
@@ -139,7 +138,7 @@ fn batch(
     }
 }
 
-/// The minutes that a task is given.
+/// Time limit of a task, in minutes.
 fn limit(task: &Waiting, pricing: Pricing) -> u32 {
     let minutes = match task.cpu_p95 {
         Some(cpu) if task.kind.is_booked() => {
@@ -203,7 +202,7 @@ mod tests {
         let expected: Vec<TaskId> = (0..10).map(|number| frame(number).task).collect();
         assert_eq!(batch.array.tasks, expected);
         assert_eq!(batch.array.begin, Some(at(600)));
-        // 60 s on two cores are 30 s, four times that are 2 minutes, and two for the start.
+        // 60 s on two cores take 30 s. Four times that is 2 minutes, plus 2 minutes of start-up.
         assert_eq!(batch.array.limit_minutes, 4);
         assert_eq!(batch.array.deadline, Some(at(7200)));
         assert_eq!(batch.keep_free, Some((vec!["n0".to_owned(), "n1".to_owned()], at(600), at(900))));
@@ -217,7 +216,7 @@ mod tests {
 
     #[test]
     fn slurm_is_told_a_deadline_only_if_it_cannot_kill_a_frame_that_goes_as_planned() {
-        // The last frame is booked from 600 s on and has a limit of 240 s.
+        // The last frame is booked at 600 s and has a limit of 240 s.
         for (deadline, told) in [(839, false), (840, true)] {
             let frame = Waiting { deadline: Some(at(deadline)), ..frame(0) };
             let batch = only(due(&[frame], PRICING, at(0)));

@@ -10,55 +10,55 @@ use tokio::process::Command;
 use super::answer::{self, AnswerError, SlurmJob, SlurmNode};
 use super::command;
 
-/// For how long a program may run: the controller's own patience is ten seconds.
+/// Longest run of a program. The controller's own timeout is 10 s.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Environment variables that the programs get, and with them the processes on the nodes. Nothing else: the service's environment may
-/// hold secrets.
+/// Environment variables passed to the programs, and so to the processes on nodes. Others are dropped: the
+/// service's environment may hold secrets.
 const PASSED: [&str; 8] = ["PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "TMPDIR", "LD_LIBRARY_PATH"];
 
-/// Beginnings of the names of more such variables.
+/// Prefixes of further variables that are passed.
 const PASSED_FAMILIES: [&str; 5] = ["SLURM_", "SBATCH_", "SQUEUE_", "SINFO_", "SCONTROL_"];
 
-/// Why Slurm did not do what it was told.
+/// Why Slurm did not do what the engine asked.
 #[derive(Debug, thiserror::Error)]
 pub enum ClusterError {
-    /// A program is not there.
+    /// A program is missing or cannot start.
     #[error(
         "cannot run {program} ({source}); install Slurm's client programs (Debian: slurm-client) or add their folder to PATH"
     )]
     Missing {
-        /// Which one.
+        /// Its name.
         program: &'static str,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// The controller does not answer: whether it did anything is not known.
+    /// The controller does not answer. The command may or may not have been done.
     #[error("Slurm's controller does not answer: {0}")]
     Away(String),
-    /// Slurm says no.
+    /// Slurm refused.
     #[error("{program}: {reason}")]
     Refused {
-        /// Which program said so.
+        /// Name of the program.
         program: &'static str,
-        /// What it said, in one line.
+        /// Its message, in one line.
         reason: String,
     },
-    /// The answer makes no sense.
+    /// The output could not be parsed.
     #[error(transparent)]
     Answer(#[from] AnswerError),
 }
 
-/// What the engine asks of Slurm.
+/// Operations that the engine needs from Slurm.
 #[allow(async_fn_in_trait, reason = "used within this crate alone")]
 pub trait Cluster {
-    /// All jobs that Slurm knows.
+    /// Lists all jobs that Slurm knows.
     async fn jobs(&self) -> Result<Vec<SlurmJob>, ClusterError>;
-    /// The nodes of a partition, or of the default one.
+    /// Lists the nodes of a partition, or of the default one.
     async fn nodes(&self, partition: Option<&str>) -> Result<Vec<SlurmNode>, ClusterError>;
-    /// Submits a script; the number of the job.
+    /// Submits a script and returns the job's number.
     async fn submit(&self, arguments: Vec<String>, script: String) -> Result<u32, ClusterError>;
-    /// Cancels.
+    /// Cancels elements.
     async fn cancel(&self, arguments: Vec<String>) -> Result<(), ClusterError>;
     /// Changes jobs and reservations.
     async fn control(&self, arguments: Vec<String>) -> Result<(), ClusterError>;
@@ -69,7 +69,7 @@ pub trait Cluster {
 pub struct Programs;
 
 impl Programs {
-    /// Whether all programs are there.
+    /// Checks that all programs can be started.
     pub async fn check() -> Result<(), ClusterError> {
         for program in ["sbatch", "squeue", "scancel", "scontrol", "sinfo"] {
             run(program, vec!["--version".to_owned()], String::new()).await?;
@@ -108,7 +108,7 @@ async fn run(program: &'static str, arguments: Vec<String>, input: String) -> Re
         .args(arguments)
         .env_clear()
         .envs(passed)
-        // Times are in UTC, words in English, and lists of elements not cut off.
+        // UTC times, English messages, complete lists of elements.
         .envs([("TZ", "UTC"), ("LC_ALL", "C"), ("SLURM_BITSTR_LEN", "0")])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -119,7 +119,7 @@ async fn run(program: &'static str, arguments: Vec<String>, input: String) -> Re
     let stdin = child.stdin.take();
     let written = async {
         if let Some(mut stdin) = stdin {
-            // A program that does not read its input says why by itself.
+            // A program that ignores its input explains itself on stderr.
             let _ = stdin.write_all(input.as_bytes()).await;
         }
     };
@@ -138,7 +138,7 @@ fn is_passed(name: &OsString) -> bool {
     })
 }
 
-/// What a program that failed said: whether nobody was there, or somebody said no.
+/// Tells an absent controller from a refusal, by the program's message.
 fn refusal(program: &'static str, stderr: &[u8]) -> ClusterError {
     const NOBODY: [&str; 7] = [
         "unable to contact slurm controller",
@@ -156,7 +156,7 @@ fn refusal(program: &'static str, stderr: &[u8]) -> ClusterError {
     if NOBODY.iter().any(|words| lower.contains(words)) {
         return ClusterError::Away(reason);
     }
-    let reason = if reason.is_empty() { "it failed without a word".to_owned() } else { reason };
+    let reason = if reason.is_empty() { "it failed and printed nothing".to_owned() } else { reason };
     ClusterError::Refused { program, reason }
 }
 
@@ -176,7 +176,7 @@ mod tests {
             no.to_string(),
             "sbatch: sbatch: error: invalid partition specified: x sbatch: error: Batch job"
         );
-        assert!(refusal("scancel", b"").to_string().contains("without a word"));
+        assert!(refusal("scancel", b"").to_string().contains("printed nothing"));
     }
 
     #[test]

@@ -1,6 +1,6 @@
-//! What is said to Slurm's programs: words only, nothing is run here.
+//! Builds the arguments for Slurm's programs. Nothing runs here.
 //!
-//! Times are written without a zone, as Slurm wants them; the programs are run with `TZ=UTC`, so they mean UTC.
+//! Slurm takes times without a zone. The programs run with `TZ=UTC`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,41 +8,41 @@ use forelight_protocol::{Money, TaskId, TaskKind, Timestamp};
 use forelight_store::NewArray;
 use uuid::Uuid;
 
-/// What marks our arrays, before their id.
+/// Prefix of our arrays' comments; the id follows.
 const MARK: &str = "forelight:";
 
-/// The longest part of a job's name that Slurm is told.
+/// Longest part of a job's name that Slurm gets, in characters.
 const LONGEST_NAME: usize = 60;
 
-/// How every array of this farm is submitted.
+/// How this farm's arrays are submitted.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Submitting {
-    /// Partition, if not the default one.
+    /// Partition. `None` for the default one.
     pub partition: Option<String>,
-    /// Account, if not the user's default.
+    /// Account. `None` for the user's default.
     pub account: Option<String>,
-    /// The `forelight` that nodes run.
+    /// Path of the `forelight` binary on the nodes.
     pub program: PathBuf,
-    /// Where nodes reach the service.
+    /// Address of the service, as nodes reach it.
     pub server: String,
     /// File on the nodes that holds a worker's token.
     pub token_file: PathBuf,
-    /// Folder on the nodes for fetched bundles, if not the default one.
+    /// Folder on the nodes for fetched bundles. `None` for the default one.
     pub bundles: Option<PathBuf>,
-    /// Who makes previews: `auto`, `gpu` or `cpu`.
+    /// Where previews are made: `auto`, `gpu` or `cpu`.
     pub preview: &'static str,
-    /// What an hour of a node costs.
+    /// Price of a node per hour.
     pub price_per_hour: Money,
-    /// Folder for what processes say, the same on all nodes.
+    /// Folder for the logs of processes, the same path on all nodes.
     pub logs: PathBuf,
 }
 
-/// The comment of an array.
+/// Comment of an array.
 pub fn mark(array: Uuid) -> String {
     format!("{MARK}{array}")
 }
 
-/// The arguments of `sbatch`. The script comes by standard input.
+/// Arguments of `sbatch`. The script goes to standard input.
 pub fn sbatch(
     submitting: &Submitting,
     array: Uuid,
@@ -59,18 +59,18 @@ pub fn sbatch(
         format!("--array=0-{last}"),
         format!("--comment={}", mark(array)),
         format!("--job-name=forelight-{kind}-{name}"),
-        // A frame has a node to itself: that is what the plan has booked.
+        // A frame has a node to itself, as booked.
         "--nodes=1".to_owned(),
         "--ntasks=1".to_owned(),
         "--exclusive".to_owned(),
-        // All of its memory too.
+        // All of the node's memory.
         "--mem=0".to_owned(),
         "--requeue".to_owned(),
         format!("--time={}", new.limit_minutes),
         "--chdir=/".to_owned(),
         "--input=/dev/null".to_owned(),
         format!("--output={}/%A_%a.log", submitting.logs.display()),
-        // What a process said before Slurm started it again is worth reading.
+        // Keep the log of a process that Slurm starts again.
         "--open-mode=append".to_owned(),
     ];
     let mut option = |name: &str, value: Option<String>| {
@@ -85,7 +85,7 @@ pub fn sbatch(
     arguments
 }
 
-/// The script of an array: each element becomes the process of its task.
+/// Script of an array. Each element runs the worker for its task.
 pub fn script(submitting: &Submitting, tasks: &[TaskId]) -> String {
     let mut words = vec![quoted_path(&submitting.program), "worker".to_owned()];
     words.extend(["--server".to_owned(), quoted(&submitting.server)]);
@@ -108,32 +108,28 @@ pub fn script(submitting: &Submitting, tasks: &[TaskId]) -> String {
     )
 }
 
-/// The arguments of `scancel` for elements of an array.
+/// Arguments of `scancel` for elements of an array.
 pub fn scancel(array: u32, positions: &[u32]) -> Vec<String> {
     let mut arguments = vec!["--quiet".to_owned()];
     arguments.extend(positions.iter().map(|position| format!("{array}_{position}")));
     arguments
 }
 
-/// The arguments of `sinfo`.
 pub fn sinfo() -> Vec<String> {
     ["--noheader", "--Node", "--format=%N|%c|%T|%P"].map(str::to_owned).into()
 }
 
-/// Nodes kept free for an array.
+/// Nodes reserved for an array.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Reservation {
-    /// Its name.
     pub name: String,
-    /// The nodes, by name: asked for a number of them, Slurm quietly gives fewer.
+    /// Names of the nodes. Asked for a number of nodes instead, Slurm may silently give fewer.
     pub nodes: Vec<String>,
-    /// From when.
     pub start: Timestamp,
-    /// Until when.
     pub end: Timestamp,
 }
 
-/// The arguments of `scontrol` that make a reservation.
+/// Arguments of `scontrol` that create a reservation.
 pub fn reserve(
     reservation: &Reservation,
     user: &str,
@@ -148,36 +144,36 @@ pub fn reserve(
     arguments.push(format!("EndTime={}", time(*end)));
     arguments.push(format!("Users={user}"));
     arguments.push(format!("Nodes={}", nodes.join(",")));
-    // Its jobs may run elsewhere as well: a node never stands idle because a frame is booked on another.
+    // Jobs of the reservation may also run on other nodes, so no free node idles.
     arguments.push("Flags=FLEX".to_owned());
     arguments.extend(partition.map(|partition| format!("PartitionName={partition}")));
     arguments
 }
 
-/// The arguments of `scontrol` that give up a reservation.
+/// Arguments of `scontrol` that delete a reservation.
 pub fn give_up(name: &str) -> Vec<String> {
     vec!["delete".to_owned(), format!("ReservationName={name}")]
 }
 
-/// The arguments of `scontrol` that let elements of an array run outside of its reservation.
+/// Arguments of `scontrol` that take elements of an array out of its reservation.
 pub fn leave_reservation(array: u32, positions: &[u32]) -> Vec<String> {
     let elements: Vec<String> = positions.iter().map(|position| format!("{array}_{position}")).collect();
     vec!["update".to_owned(), format!("JobId={}", elements.join(",")), "ReservationName=".to_owned()]
 }
 
-/// A time as Slurm wants it, in UTC and to the second, never later than it is.
+/// A time in Slurm's form, in UTC, rounded down to the second.
 fn time(at: Timestamp) -> String {
-    // Before the fraction of the second there are always 19 characters.
+    // 19 characters precede the fraction of the second.
     at.to_string().chars().take(19).collect()
 }
 
-/// An amount of money as the command line takes it.
+/// An amount of money in the command line's form.
 fn decimal(micro_units: i64) -> String {
     format!("{}.{:06}", micro_units / 1_000_000, micro_units.rem_euclid(1_000_000))
 }
 
 fn quoted(text: &str) -> String {
-    // What cannot be quoted holds a NUL, which no path and no address does.
+    // Quoting fails only for NUL, which no path or address contains.
     shlex::try_quote(text).map_or_else(|_| String::new(), |word| word.into_owned())
 }
 

@@ -1,4 +1,4 @@
-//! The loop: looks at what Slurm has of ours, and hands it what waits.
+//! The loop. Each round compares Slurm's jobs with the store and submits waiting tasks.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -14,27 +14,27 @@ use super::cluster::{Cluster, ClusterError, Programs};
 use super::command::{self, Reservation, Submitting};
 use super::next_step::{Step, next_step};
 
-/// How long an array that was announced may be unknown to Slurm before it counts as never submitted: longer than the controller and
-/// `sbatch` are patient with each other. One minute, in microseconds.
+/// An announced array that Slurm has not known for this long was never submitted. One minute, in
+/// microseconds; longer than the timeouts of the controller and `sbatch`.
 const UNSURE: i64 = 60_000_000;
 
-/// How long nothing is submitted after Slurm said no: half a minute, in microseconds.
+/// Pause in submitting after a refusal: 30 s, in microseconds.
 const AFTER_REFUSAL: i64 = 30_000_000;
 
-/// After a task became ready others often follow at once, and one array is better than two.
+/// Tasks often become ready together. This delay puts them into one array.
 const GATHER: Duration = Duration::from_millis(300);
 
-/// A node that was not seen for this long is not counted on: five minutes, in microseconds. As for bookings.
+/// A node not seen for this long is ignored, as in bookings: five minutes, in microseconds.
 const SILENCE: i64 = 300_000_000;
 
-/// Elements leave their reservation when it lasts no longer than their limit and this: a minute, in microseconds. Slurm
-/// kills what still runs in a reservation when that ends.
+/// Elements leave a reservation that ends sooner than their limit plus this: one minute, in microseconds.
+/// Slurm kills jobs that still run when a reservation ends.
 const LEAVE_AHEAD: i64 = 60_000_000;
 
-/// How often nodes that are as they were are noted as alive: half a minute, in microseconds.
+/// Interval between heartbeats of unchanged nodes: 30 s, in microseconds.
 const NODES_AGAIN: i64 = 30_000_000;
 
-/// Why elements wait when all is well; any other reason is told.
+/// Normal reasons to wait. Any other reason is reported.
 const WELL: [&str; 9] = [
     "",
     "None",
@@ -47,19 +47,19 @@ const WELL: [&str; 9] = [
     "NodeDown",
 ];
 
-/// Elements that are cancelled by one command.
+/// Most elements in one `scancel`.
 const CANCELLED_AT_ONCE: usize = 500;
 
-/// How the engine is run.
+/// Settings of the engine.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// How arrays are submitted.
     pub submitting: Submitting,
     /// Limit of previews and profiles, in minutes.
     pub quote_minutes: u32,
-    /// Whose reservations they are; `None`: nothing is reserved.
+    /// User of the reservations. `None` for no reservations.
     pub reserve_for: Option<String>,
-    /// Pause between two looks at Slurm.
+    /// Pause between rounds.
     pub poll: Duration,
 }
 
@@ -71,17 +71,16 @@ pub struct Engine<C> {
     quote_minutes: u32,
     reserve_for: Option<String>,
     poll: Duration,
-    /// Nothing is submitted before.
+    /// No submission before this time.
     refused_until: Option<Timestamp>,
-    /// What is wrong, as it was last told.
+    /// Last reported trouble.
     trouble: Option<String>,
-    /// Arrays that wait for a reason that was told.
+    /// Arrays already reported as stuck, with the reason.
     stuck: BTreeSet<(Uuid, String)>,
-    /// The nodes as they were last noted, and when.
+    /// Nodes last written to the store, and when.
     noted: Option<(Timestamp, Vec<SeenNode>)>,
 }
 
-/// Why a round ended early.
 #[derive(Debug, thiserror::Error)]
 enum RoundError {
     #[error(transparent)]
@@ -91,7 +90,7 @@ enum RoundError {
 }
 
 impl Engine<Programs> {
-    /// An engine with Slurm's own programs, which have to be there. Whether the controller is does not matter yet.
+    /// An engine that uses Slurm's own programs. Fails if one is missing; the controller may be away.
     pub async fn start(store: Store, options: Options) -> Result<Self, ClusterError> {
         Programs::check().await?;
         Ok(Self::new(store, Programs, options))
@@ -99,7 +98,7 @@ impl Engine<Programs> {
 }
 
 impl<C: Cluster> Engine<C> {
-    /// An engine with this cluster.
+    /// An engine on the given cluster.
     pub fn new(store: Store, cluster: C, options: Options) -> Self {
         Self {
             store,
@@ -115,7 +114,7 @@ impl<C: Cluster> Engine<C> {
         }
     }
 
-    /// Goes on until `stop` is cancelled. What Slurm has goes on without us, and is found again at the next start.
+    /// Runs until `stop` is cancelled. Jobs in Slurm continue and are found again at the next start.
     pub async fn run(mut self, stop: CancellationToken) {
         let mut work = self.store.watch_work();
         loop {
@@ -136,7 +135,6 @@ impl<C: Cluster> Engine<C> {
         }
     }
 
-    /// Looks at everything once.
     async fn round(&mut self, now: Timestamp) -> Result<(), RoundError> {
         let nodes = self.cluster.nodes(self.submitting.partition.as_deref()).await?;
         self.note_nodes(&nodes, now).await?;
@@ -149,7 +147,7 @@ impl<C: Cluster> Engine<C> {
         self.hand_over(&nodes, now).await
     }
 
-    /// Makes Slurm's nodes that are up the farm's.
+    /// Writes Slurm's nodes that are up to the store.
     async fn note_nodes(&mut self, nodes: &[SlurmNode], now: Timestamp) -> Result<(), RoundError> {
         let up = nodes.iter().filter(|node| node.up);
         let there: Vec<SeenNode> =
@@ -163,7 +161,7 @@ impl<C: Cluster> Engine<C> {
         Ok(())
     }
 
-    /// Brings an array up to date with what Slurm says of it.
+    /// Updates an array from Slurm's jobs.
     async fn look_after(
         &mut self,
         array: &OpenArray,
@@ -175,19 +173,19 @@ impl<C: Cluster> Engine<C> {
             Some(number) => number,
             None => match jobs.iter().find(|job| job.comment == mark) {
                 Some(job) => {
-                    tracing::info!(array = %array.id, slurm = job.array, "an array was submitted before it could be written down");
+                    tracing::info!(array = %array.id, slurm = job.array, "found an array whose submission was not yet recorded");
                     self.store.slurm_array_submitted(array.id, job.array, now).await?;
                     job.array
                 }
                 None if now.micros_since(array.announced) < UNSURE => return Ok(()),
                 None => {
-                    tracing::info!(array = %array.id, "an array never reached Slurm; its tasks wait again");
+                    tracing::info!(array = %array.id, "an array never reached Slurm; its tasks wait for the next submission");
                     self.give_up_reservation(array).await?;
                     return Ok(self.store.slurm_array_refused(array.id).await?);
                 }
             },
         };
-        // A number alone may be another's: a controller that lost its state counts from one again.
+        // A number alone may belong to another job: a controller that lost its state counts from one again.
         let own: Vec<&SlurmJob> =
             jobs.iter().filter(|job| job.array == slurm_id && job.comment == mark).collect();
         for job in
@@ -216,13 +214,14 @@ impl<C: Cluster> Engine<C> {
             }
         }
         for positions in unwanted.chunks(CANCELLED_AT_ONCE) {
-            tracing::info!(slurm = slurm_id, elements = ?positions, "cancelled: nobody wants them any more");
+            tracing::info!(slurm = slurm_id, elements = ?positions, "cancelled elements whose tasks are done or withdrawn");
             self.cluster.cancel(command::scancel(slurm_id, positions)).await?;
         }
         self.look_after_reservation(array, slurm_id, &live, now).await
     }
 
-    /// Gives a reservation up when all is done, and has what is left leave it in time.
+    /// Deletes a reservation when its elements are done. Elements that would outlast it leave it before it
+    /// ends.
     async fn look_after_reservation(
         &self,
         array: &OpenArray,
@@ -238,17 +237,21 @@ impl<C: Cluster> Engine<C> {
         if !live.is_empty() {
             let leave = command::leave_reservation(slurm_id, live);
             if taken(self.cluster.control(leave).await)? {
-                tracing::info!(slurm = slurm_id, "runs late: its rest leaves the reservation");
+                tracing::info!(
+                    slurm = slurm_id,
+                    "the array runs late; its remaining elements leave the reservation"
+                );
             }
         }
-        // It is in use for a moment longer than its jobs run. What cannot be given up at all ends by itself.
+        // Slurm keeps the reservation busy for a moment after its jobs end. A reservation that cannot be
+        // deleted expires.
         if self.give_up_reservation(array).await? || *until <= now {
             self.store.slurm_reservation_ended(array.id).await?;
         }
         Ok(())
     }
 
-    /// Whether Slurm let go of the array's reservation.
+    /// Returns true if the array has no reservation left in Slurm.
     async fn give_up_reservation(&self, array: &OpenArray) -> Result<bool, RoundError> {
         match &array.array.reservation {
             Some((name, _)) => taken(self.cluster.control(command::give_up(name)).await),
@@ -256,7 +259,7 @@ impl<C: Cluster> Engine<C> {
         }
     }
 
-    /// Submits the tasks that wait.
+    /// Submits the waiting tasks.
     async fn hand_over(&mut self, nodes: &[SlurmNode], now: Timestamp) -> Result<(), RoundError> {
         let waiting = self.store.waiting_for_slurm().await?;
         let slowest = self.store.slowest_node(now.plus_micros(-SILENCE)).await?;
@@ -264,7 +267,7 @@ impl<C: Cluster> Engine<C> {
         let due = due(&waiting, pricing, now);
         for (task, reason) in due.hopeless {
             let reason =
-                format!("{reason}; what the processes said is in {}", self.submitting.logs.display());
+                format!("{reason}; see the logs of its processes in {}", self.submitting.logs.display());
             tracing::error!(task = %task.task, reason, "given up");
             self.store.fail_unrunnable(task.task, &reason, now).await?;
         }
@@ -275,7 +278,7 @@ impl<C: Cluster> Engine<C> {
         closed.retain(|name| nodes.iter().any(|node| node.name == *name));
         for batch in due.batches {
             match self.submit(batch, &closed, now).await {
-                // Somebody took one of its tasks meanwhile; the next round looks again.
+                // A task was taken in the meantime. The next round looks again.
                 Err(RoundError::Store(StoreError::Conflict(reason))) => {
                     tracing::debug!(reason, "not submitted")
                 }
@@ -310,12 +313,12 @@ impl<C: Cluster> Engine<C> {
                 }
                 Err(error.into())
             }
-            // It may have been taken: what is written down is looked up by its comment.
+            // The submission may have succeeded. The next round looks it up by its comment.
             Err(error @ (ClusterError::Away(_) | ClusterError::Answer(_))) => Err(error.into()),
         }
     }
 
-    /// Has nodes kept free, if that is wanted and allowed; the reservation's name.
+    /// Reserves nodes if wanted and allowed, and returns the reservation's name.
     async fn reserve(
         &mut self,
         nodes: Vec<String>,
@@ -337,11 +340,11 @@ impl<C: Cluster> Engine<C> {
                 if lower.contains("permission") || lower.contains("privilege") || lower.contains("access") {
                     self.reserve_for = None;
                     let message = format!(
-                        "Slurm does not let this user reserve nodes; jobs run without reservations ({reason})"
+                        "Slurm does not let this user reserve nodes, so jobs run without reservations ({reason})"
                     );
                     self.store.tell_of_engine(&message, now).await?;
                 } else {
-                    tracing::info!(reason, "not reserved; the array waits its turn like any other");
+                    tracing::info!(reason, "Slurm refused the reservation; the array waits in the queue");
                 }
                 Ok(None)
             }
@@ -349,19 +352,19 @@ impl<C: Cluster> Engine<C> {
         }
     }
 
-    /// Tells of trouble once, and once of its end.
+    /// Reports trouble once, and its end once.
     async fn tell(&mut self, outcome: Result<(), RoundError>, now: Timestamp) {
         let (trouble, message) = match outcome {
             Ok(()) if self.trouble.is_none() => return,
-            // What was refused is not tried again at once: that is no sign of its end.
+            // No submission was tried, so the trouble may go on.
             Ok(()) if self.refused_until.is_some_and(|until| now < until) => return,
-            Ok(()) => (None, "Slurm answers again; tasks are handed to it".to_owned()),
+            Ok(()) => (None, "Slurm answers again; tasks are submitted".to_owned()),
             Err(RoundError::Store(error)) => {
-                tracing::warn!(%error, "the store cannot just now; the next round tries again");
+                tracing::warn!(%error, "the store failed; the next round tries again");
                 return;
             }
             Err(RoundError::Cluster(error)) => {
-                // Silence has many words, and is one thing.
+                // An absent controller counts as one trouble, whatever the message says.
                 let kind = match &error {
                     ClusterError::Away(_) => "away".to_owned(),
                     other => other.to_string(),
@@ -378,12 +381,12 @@ impl<C: Cluster> Engine<C> {
         }
         self.trouble = trouble;
         if let Err(error) = self.store.tell_of_engine(&message, now).await {
-            tracing::warn!(%error, "what became of Slurm could not be written down");
+            tracing::warn!(%error, "cannot record the event about Slurm");
         }
     }
 }
 
-/// Whether Slurm did what it was told. That it refused is worth no more than a line in the log, where nothing depends on it.
+/// True if Slurm did what it was told. A refusal is only logged: nothing depends on it.
 fn taken(outcome: Result<(), ClusterError>) -> Result<bool, RoundError> {
     match outcome {
         Ok(()) => Ok(true),

@@ -1,28 +1,29 @@
-//! What an element's state in Slurm and its task's state here call for.
+//! Decides what to do about an element from its state in Slurm and its task's state in the store.
 
 use forelight_store::Holding;
 
 use super::answer::{SlurmJob, Stage};
 
-/// What is to be done about an element.
+/// What to do about an element.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum Step {
-    /// Nothing, for now.
+    /// Nothing yet.
     Leave,
-    /// Take it back from Slurm.
+    /// Cancel it in Slurm.
     Cancel,
-    /// Write down that it ended, and how.
+    /// Record how it ended.
     End(String),
 }
 
-/// What Slurm does not know any more. It forgets jobs minutes after they ended (`MinJobAge`), and all of them if its state is lost.
+/// Outcome of elements that Slurm no longer knows. Slurm forgets ended jobs after minutes (`MinJobAge`), and
+/// all jobs if it loses its state.
 pub const UNKNOWN: &str = "unknown to Slurm";
 
-/// What is to be done about an element of which Slurm says this. `None`: it says nothing of it.
+/// Decides the next step. `seen` is `None` if Slurm does not know the element.
 pub fn next_step(held: Holding, seen: Option<&SlurmJob>) -> Step {
     let Some(job) = seen else {
         return match held {
-            // Somebody works on it, whatever Slurm knows. When the lease ends the task is over or ready.
+            // A worker holds the lease, whatever Slurm knows. When the lease ends, the task is done or ready.
             Holding::Leased => Step::Leave,
             Holding::Ready | Holding::Done | Holding::Withdrawn => Step::End(UNKNOWN.to_owned()),
         };
@@ -30,11 +31,11 @@ pub fn next_step(held: Holding, seen: Option<&SlurmJob>) -> Step {
     match (job.stage(), held) {
         (Stage::Ended, Holding::Leased) => Step::Leave,
         (Stage::Ended, Holding::Ready | Holding::Done | Holding::Withdrawn) => Step::End(job.outcome()),
-        // Put back into the queue after its task was done by a process that Slurm had lost sight of; or not wanted any more.
+        // Requeued although its task is done, or withdrawn.
         (Stage::Pending | Stage::Stuck, Holding::Done | Holding::Withdrawn) => Step::Cancel,
         (Stage::Stuck, Holding::Ready) => Step::Cancel,
         (Stage::Running, Holding::Withdrawn) => Step::Cancel,
-        // It has brought its result and is about to end.
+        // It has delivered its result and is about to end.
         (Stage::Running, Holding::Done) => Step::Leave,
         (Stage::Pending | Stage::Running, Holding::Ready | Holding::Leased) => Step::Leave,
         (Stage::Stuck, Holding::Leased) => Step::Leave,

@@ -1,4 +1,4 @@
-//! The numbers that an explanation is made of.
+//! The numbers of an explanation.
 
 use forelight_forecast::{Strategy, StratumSum};
 use forelight_protocol::{FixedCosts, StratumName, UncoveredGathers};
@@ -6,29 +6,24 @@ use forelight_protocol::{FixedCosts, StratumName, UncoveredGathers};
 use crate::error::QuoteError;
 use crate::measured::Measured;
 
-/// Pixels that are alike, and what a quote expects of them.
+/// Pixels of one kind, and their expected work.
 #[derive(Clone, PartialEq, Debug)]
 pub(super) struct ShownWork {
-    /// Object and material; `None` for the background.
+    /// Object and material. `None` for the background.
     pub shows: Option<StratumName>,
-    /// Number of pixels.
     pub pixels: u64,
-    /// How many of them were profiled.
     pub samples: u64,
-    /// Their expected work.
     pub work: f64,
-    /// What the profiled ones cost.
     pub profiled: ProfiledWork,
 }
 
-/// What profiled pixels cost, in parts. Only the proportions count.
+/// Cost of profiled pixels in parts. Only the proportions count.
 #[derive(Clone, Copy, PartialEq, Debug, Default)]
 pub(super) struct ProfiledWork {
     /// By the ray that caused it, in the order of [`forelight_protocol::Rays::NAMES`].
     pub by_ray: [f64; 7],
-    /// All of it.
     pub work: f64,
-    /// The part that is not in proportion to the camera samples: see [`UncoveredGathers`].
+    /// Work that does not grow with the camera samples: see [`UncoveredGathers`].
     pub extra: f64,
 }
 
@@ -40,36 +35,34 @@ impl ProfiledWork {
     }
 }
 
-/// What is explained.
+/// Input of an explanation.
 #[derive(Clone, PartialEq, Debug)]
 pub(super) struct Amounts {
-    /// The frame; `None` for all frames.
+    /// The frame. `None` for all frames.
     pub frame: Option<u32>,
-    /// All work.
     pub work: f64,
-    /// The pixels by what they show. Each pixel is in one entry.
+    /// Pixels by what they show. Each pixel is in one entry.
     pub pixels: Vec<ShownWork>,
-    /// Whether the entries are objects. Blind strategies do not tell objects apart.
+    /// True if the entries are objects. Blind strategies do not tell objects apart.
     pub told_apart: bool,
-    /// Work of filling the irradiance cache by level, the level of the camera's hits first. Empty without a cache.
+    /// Work of filling the irradiance cache by level, starting with the level of the camera's hits. Empty
+    /// without a cache.
     pub records_work: Vec<f64>,
-    /// What a frame costs whatever its pixels show, in parts.
     pub fixed: Option<FixedCosts>,
-    /// Whether frames share an irradiance cache. Building it is in none of these numbers.
+    /// True if the frames share an irradiance cache. No number here includes building it.
     pub shares_cache: bool,
     /// Expected rays by category, in the order of [`forelight_protocol::Rays::NAMES`].
     pub rays: [f64; 7],
-    /// Gathers at points that no record covers, if there is a cache.
+    /// Gathers at uncovered points. `None` without a cache.
     pub uncovered: Option<UncoveredGathers>,
 }
 
 impl Amounts {
-    /// A part of the work as a share of all of it, 0 to 1.
+    /// Share of the total work, 0 to 1.
     pub fn share(&self, part: f64) -> f64 {
         if self.work > 0.0 { part / self.work } else { 0.0 }
     }
 
-    /// Work of all pixels.
     pub fn pixel_work(&self) -> f64 {
         self.pixels.iter().map(|shown| shown.work).sum()
     }
@@ -115,8 +108,8 @@ impl Measured<'_> {
         })
     }
 
-    /// Adds what the profiled pixels cost to the entries that they belong to. `sampled` is the stratum of each profiled
-    /// pixel, profile by profile.
+    /// Adds the cost of the profiled pixels to their entries. `sampled` is the stratum of each profiled
+    /// pixel, by profile.
     fn add_profiled(&self, pixels: &mut [ShownWork], sampled: &[Vec<u32>]) {
         for (profile, strata) in self.profiles.iter().zip(sampled) {
             for (place, (sample, &stratum)) in profile.result.samples.iter().zip(strata).enumerate() {
@@ -135,8 +128,8 @@ impl Measured<'_> {
     }
 }
 
-/// The pixels' work by the ray that causes it, in the proportions of the profiled pixels of the same entry, or of all
-/// profiled pixels where an entry has none. `None` if no proportion is known.
+/// Work of the pixels by ray. Each entry is divided like its profiled pixels, or like all profiled pixels if
+/// it has none. `None` if no proportion is known.
 pub(super) fn work_by_ray(pixels: &[ShownWork]) -> Option<[f64; 7]> {
     let sum = |of: &ProfiledWork| of.by_ray.iter().sum::<f64>();
     let all = all_profiled(pixels);
@@ -151,7 +144,7 @@ pub(super) fn work_by_ray(pixels: &[ShownWork]) -> Option<[f64; 7]> {
     (sum(&all) > 0.0).then_some(work)
 }
 
-/// The part of the pixels' work that is not in proportion to the camera samples, by the same proportions.
+/// Work of the pixels that does not grow with the camera samples, by the same proportions.
 pub(super) fn extra_work(pixels: &[ShownWork]) -> f64 {
     let all = all_profiled(pixels);
     let of = |shown: &ShownWork| {

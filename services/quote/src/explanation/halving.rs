@@ -1,22 +1,19 @@
-//! Which settings would halve the work of a quote.
+//! Finds the settings that would halve the work of a quote.
 
 use forelight_protocol::{Halving, RenderSettings, UncoveredGathers};
 
 /// Work of the pixels as a function of the camera samples.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Samples {
-    /// Work with the present number of samples.
     pub work: f64,
-    /// The part of it that is not in proportion to the samples.
+    /// Work that does not grow with the samples.
     pub extra: f64,
-    /// The present number of samples a pixel.
     pub now: u32,
-    /// Gathers at points that no record covers.
     pub uncovered: Option<UncoveredGathers>,
 }
 
 impl Samples {
-    /// Work with this many samples a pixel.
+    /// Work at this number of samples per pixel.
     pub fn with(&self, samples: u32) -> f64 {
         let growth = self.uncovered.map_or(1.0, |gathers| gathers.growth(self.now, samples));
         (self.work - self.extra) * (f64::from(samples) / f64::from(self.now)) + self.extra * growth
@@ -25,32 +22,29 @@ impl Samples {
 
 /// Work by the settings that change it.
 pub(super) struct Work {
-    /// All of it.
     pub whole: f64,
-    /// The pixels.
     pub samples: Samples,
-    /// The part of the pixels' work that is in proportion to the rays of a gather.
+    /// Work of the pixels that grows with the rays of a gather.
     pub ambient: f64,
-    /// Filling the irradiance cache, by level.
     pub levels: Vec<f64>,
 }
 
-/// A setting halves the work if at most this share is left. The margin is worth less than one camera sample.
+/// Largest share that counts as half. The margin is worth less than one camera sample.
 const HALF: f64 = 0.505;
 
-/// The number of records grows with the number of pixels to this power. Measured: a quarter of the pixels leaves 38 to
-/// 40 % of the records on the scenes that ship with the project.
+/// The records grow with the pixels to this power. Measured on the scenes in this repository: a quarter of
+/// the pixels leaves 38 to 40 % of the records.
 const RECORDS_BY_PIXELS: f64 = 0.65;
 
-/// Records of a level gather this share of the rays of the level before.
+/// Rays of a record, relative to the level before.
 const RAYS_BY_LEVEL: f64 = 0.25;
 
 impl Work {
     /// The settings that halve the work, each by itself.
     ///
-    /// The model: the pixels' work is in proportion to the pixels and, but for gathers at points that no record covers,
-    /// to the camera samples. Its ambient part is in proportion to the rays of a gather. Filling a cache is in proportion
-    /// to the records and their rays. Everything else stays.
+    /// The model: work of the pixels is proportional to the pixels and, except for gathers at uncovered
+    /// points, to the camera samples. Its ambient part is proportional to the rays of a gather. The work of
+    /// filling a cache is proportional to the records and their rays. All other work is constant.
     pub fn halving(&self, settings: &RenderSettings) -> Vec<Halving> {
         if self.whole <= 0.0 {
             return Vec::new();
@@ -58,7 +52,7 @@ impl Work {
         let way = |setting: &str, from: u32, to: Option<f64>| {
             to.map(|to| Halving { setting: setting.into(), from: f64::from(from), to })
         };
-        // The largest value below the present one that leaves little enough.
+        // Largest value below the present one that leaves at most half.
         let most_at = |from: u32, left: &dyn Fn(u32) -> f64| {
             (1..from).rev().find(|&to| left(to) <= HALF * self.whole).map(f64::from)
         };
@@ -100,7 +94,7 @@ impl Work {
     }
 }
 
-/// The rays that a record really uses if this many are asked for: 48 times a square, and at least 48.
+/// Rays that a record uses when `asked` are asked for: 48 times a square, and at least 48.
 fn rays_used(asked: f64) -> f64 {
     let side = (asked / 48.0).sqrt().round().max(1.0);
     48.0 * side * side
@@ -126,13 +120,13 @@ mod tests {
         let told = |ways: &[(&str, f64)]| -> Vec<(String, f64)> {
             ways.iter().map(|(setting, to)| ((*setting).to_owned(), *to)).collect()
         };
-        // 20 + 80 x 24 / 64 = 50; 20 + 80 x 0.617^2 = 50.5; 40 + 60 x 5 / 32 = 49.4.
+        // 20 + 80 × 24 / 64 = 50; 20 + 80 × 0.617² = 50.5; 40 + 60 × 5 / 32 = 49.4.
         let plain = ways(whole, pixels, 60.0, &[], &settings);
         assert_eq!(plain, told(&[("spp", 24.0), ("width", 617.0), ("ambient-divisions", 2.0)]));
-        // Of 768 rays 296 are allowed; the next fewer that are ever used are 192.
+        // 296 of 768 rays are allowed. The next lower number in use is 192.
         let cached = ways(100.0, 10.0, 0.0, &[80.0], &settings);
         assert_eq!(cached, told(&[("width", 557.0), ("cache-rays", 192.0)]));
-        // The second bounce gathers with a quarter: 48 of 192, and not less.
+        // The second bounce gathers with a quarter: 48 of 192, which is the minimum.
         assert_eq!(ways(100.0, 10.0, 0.0, &[40.0, 40.0], &settings)[1], ("cache-rays".to_owned(), 192.0));
         let few = RenderSettings { cache_rays: 192, ..settings.clone() };
         assert_eq!(
@@ -143,21 +137,22 @@ mod tests {
         assert_eq!(ways(100.0, 10.0, 0.0, &[80.0], &few)[1], ("cache-rays".to_owned(), 48.0));
         assert_eq!(ways(100.0, 40.0, 0.0, &[], &settings), told(&[]), "no single part is more than half");
         assert_eq!(ways(0.0, 0.0, 0.0, &[], &settings), told(&[]));
-        // Two samples of four leave a little more than half, and are half all the same.
+        // Two samples of four leave slightly more than half, within the margin.
         let four = RenderSettings { spp: 4, ..settings };
         assert_eq!(ways(100.0, 99.2, 0.0, &[], &four)[0], ("spp".to_owned(), 2.0));
     }
 
     #[test]
     fn gathers_that_the_first_samples_of_a_pixel_have_are_in_no_further_one() {
-        // 24 rays in the first sample, 12 in the second, 8, 6, 4, and 4 in all others: 20, 28, 32, 34, 34 above those.
+        // Gather rays: 24 in the first sample, then 12, 8, 6, 4, and 4 in all others. The surplus over 4: 20,
+        // 28, 32, 34, 34.
         let uncovered = Some(UncoveredGathers { first: 24, least: 4 });
         let samples = |now| Samples { work: 80.0, extra: 40.0, now, uncovered };
         assert!((samples(1).with(2) - (80.0 + 56.0)).abs() < 1e-9);
         assert!((samples(8).with(9) - 85.0).abs() < 1e-9, "one more is an eighth of what is in proportion");
         let profiled = |work, extra| ProfiledWork { work, extra, ..ProfiledWork::default() };
         let shown = |work, profiled| ShownWork { shows: None, pixels: 1, samples: 1, work, profiled };
-        // The last is like both others together.
+        // The last entry has the proportions of the other two together.
         let pixels = [
             shown(10.0, profiled(4.0, 2.0)),
             shown(30.0, profiled(6.0, 0.0)),

@@ -1,11 +1,11 @@
-//! Why a quote is what it is: its work by part, by object and by ray, and the settings that would halve it.
+//! Explains a quote: its work by part, by object and by ray, and the settings that would halve it.
 //!
-//! The explanation is worked out from the profile that the quote rests on. Nothing is traced for it.
+//! It uses the profile of the quote. Nothing more is traced.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `amounts` | the numbers that are explained, read from an estimate |
-//! | `halving` | which settings halve the work |
+//! | `amounts` | the numbers to explain, from an estimate |
+//! | `halving` | settings that halve the work |
 //! | `words` | the sentences |
 
 mod amounts;
@@ -21,24 +21,23 @@ use self::halving::{Samples, Work};
 use crate::error::QuoteError;
 use crate::measured::Measured;
 
-/// Objects with a smaller share of the pixels' work are not listed.
+/// Smallest share of the pixels' work that is listed.
 const LEAST_SHARE: f64 = 0.01;
 
-/// Index of ambient rays in [`Rays::NAMES`]. The irradiance cache stands for them.
+/// Index of ambient rays in [`Rays::NAMES`]. The work of the irradiance cache counts as theirs.
 const AMBIENT: usize = 5;
 
 impl Measured<'_> {
-    /// What the work of all frames goes into, or of one of them. Building an irradiance cache that frames share is no
-    /// frame's work; it is a line of its own in the quote.
+    /// Explains the work of all frames, or of one. The work of a shared irradiance cache is not included: the
+    /// quote lists it separately.
     ///
     /// # Errors
-    /// As of [`Measured::estimate`], and if there is no such frame.
+    /// Those of [`Measured::estimate`], and if there is no such frame.
     pub fn explain(&self, settings: &RenderSettings, frame: Option<u32>) -> Result<Explanation, QuoteError> {
         Ok(explain(self.amounts(frame)?, settings))
     }
 }
 
-/// Explains the work of a quote at these settings.
 fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
     let by_ray = work_by_ray(&amounts.pixels);
     let samples = Samples {
@@ -48,7 +47,7 @@ fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
         uncovered: amounts.uncovered,
     };
     let (parts, planning) = parts(&amounts);
-    // With a cache the records gather, and the path integrator does not gather.
+    // With a cache, only records gather. The path integrator never gathers.
     let gathers = settings.cache == CacheMode::Off && settings.integrator == Integrator::Ambient;
     let ambient = by_ray.filter(|_| gathers).map_or(0.0, |by_ray| by_ray[AMBIENT]);
     let of_cache = amounts.records_work.iter().sum::<f64>() + planning;
@@ -68,7 +67,7 @@ fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
     explanation
 }
 
-/// The kinds of work, the largest first, and the work of planning the irradiance cache.
+/// Kinds of work, largest first, and the work of planning the irradiance cache.
 fn parts(amounts: &Amounts) -> (Vec<PartShare>, f64) {
     let part = |name: &str, work: f64| PartShare { part: name.into(), work, share: amounts.share(work) };
     let pixels = amounts.pixel_work();
@@ -91,7 +90,7 @@ fn parts(amounts: &Amounts) -> (Vec<PartShare>, f64) {
     (parts, planning)
 }
 
-/// The pixels' work by what they show, the largest first. Empty if the strategy does not tell objects apart.
+/// Work of the pixels by object, largest first. Empty if the strategy does not tell objects apart.
 fn objects(amounts: &Amounts) -> Vec<ObjectShare> {
     if !amounts.told_apart {
         return Vec::new();
@@ -114,8 +113,8 @@ fn objects(amounts: &Amounts) -> Vec<ObjectShare> {
     objects
 }
 
-/// Rays by category, those that cause the most work first. `of_cache` is the work of planning and filling the
-/// irradiance cache, which is the work of ambient rays.
+/// Rays by category, most work first. `of_cache` is the work of planning and filling the irradiance cache. It
+/// counts as work of ambient rays.
 fn rays(amounts: &Amounts, by_ray: Option<[f64; 7]>, of_cache: f64) -> Vec<RayShare> {
     let all_rays: f64 = amounts.rays.iter().sum();
     let ray_share = |(kind, (name, rays)): (usize, (&&str, f64))| {
@@ -130,7 +129,7 @@ fn rays(amounts: &Amounts, by_ray: Option<[f64; 7]>, of_cache: f64) -> Vec<RaySh
         }
     };
     let all = Rays::NAMES.iter().zip(amounts.rays).enumerate().map(ray_share);
-    // Reading a cache that exists takes no ray.
+    // Reading an existing cache needs no ray.
     let mut rays: Vec<RayShare> = all.filter(|ray| ray.rays > 0.0 || ray.work > Some(0.0)).collect();
     let cost = |ray: &RayShare| ray.work.unwrap_or(ray.rays);
     rays.sort_by(|a, b| cost(b).total_cmp(&cost(a)));
@@ -153,7 +152,7 @@ mod tests {
         let amounts = |by_ray: [f64; 7]| Amounts {
             frame: None,
             work: 200.0,
-            // The second was not profiled: it is like all that were.
+            // The second entry was not profiled and is divided like all profiled pixels.
             pixels: vec![shown(10, 2, 80.0, by_ray), shown(5, 0, 40.0, [0.0; 7])],
             told_apart: true,
             records_work: vec![50.0],

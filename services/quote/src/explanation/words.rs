@@ -1,11 +1,11 @@
-//! An explanation in sentences.
+//! Writes an explanation in sentences.
 
 use forelight_protocol::{Explanation, Halving, ObjectShare, PartShare, RenderSettings};
 
-/// How many objects, and how many categories of rays, are named.
+/// Number of objects, and of categories of rays, that are named.
 const NAMED: usize = 3;
 
-/// The sentences, the most important first.
+/// The sentences, most important first.
 pub(super) fn sentences(
     explanation: &Explanation,
     settings: &RenderSettings,
@@ -58,7 +58,7 @@ fn object(object: &ObjectShare) -> String {
     )
 }
 
-/// The categories with the most work, or with the most rays if the profiles do not say what work they cause.
+/// Categories with the most work, or with the most rays if the profiles lack their work.
 fn rays(explanation: &Explanation) -> Option<String> {
     let known = explanation.rays.iter().all(|ray| ray.share_of_work.is_some());
     let mut named = explanation.rays.iter().take(NAMED);

@@ -1,16 +1,16 @@
-//! A job's frames as the living estimate needs them.
+//! Frames of a job as input of an estimate.
 
 use forelight_forecast::{Band, Known, LiveFrame};
 use forelight_protocol::Quantiles;
 
-/// One kind of cost of a frame: work, or CPU time.
+/// Cost of a frame: work, or CPU time.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct FrameCost {
-    /// What was quoted.
+    /// Its quote.
     pub quote: Quantiles,
-    /// What the frame took; `None` until it is finished.
+    /// Its true cost. `None` until it is finished.
     pub actual: Option<f64>,
-    /// What its finished pixels took; `None` if its worker has not said.
+    /// Cost of its finished pixels. `None` if its worker has not reported it.
     pub part: Option<f64>,
 }
 
@@ -29,39 +29,39 @@ impl FrameCost {
     }
 }
 
-/// A frame as it stands.
+/// State of a frame.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct FrameState {
     /// Its number.
     pub number: u32,
-    /// When it is on the shot's own clock; `None` for a job that was quoted without one.
+    /// Time on the shot's own clock. `None` if the job was quoted without one.
     pub clock: Option<f64>,
-    /// The share of its pixels that is finished, 0 to 1; `None` if no worker has it, or has said.
+    /// Share of its pixels that is finished, 0 to 1. `None` if no worker has reported it.
     pub share: Option<f64>,
-    /// Deterministic count of operations.
+    /// Count of operations.
     pub work: FrameCost,
     /// CPU seconds on a node of speed 1.
     pub cpu_seconds: FrameCost,
 }
 
-/// A job's frames.
+/// Frames of a job.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Frames {
-    /// What is known of their work.
+    /// Work.
     pub(super) work: Vec<LiveFrame>,
-    /// What is known of their CPU time.
+    /// CPU time.
     pub(super) cpu_seconds: Vec<LiveFrame>,
-    /// How many of them are finished.
+    /// Finished frames.
     pub done: u32,
-    /// Whether all of them are.
+    /// True if all frames are finished.
     pub all_done: bool,
-    /// The share of the quoted CPU time whose frames, or pixels, are not finished.
+    /// Unfinished share of the quoted CPU time. Finished pixels count as finished.
     pub share_left: f64,
 }
 
 impl Frames {
-    /// The frames of a job, ascending. `lights` says which lights shine in each, as a number that frames with the same
-    /// lights share; frames beyond its end have 0.
+    /// Frames of a job, ascending. `lights` has a number for each frame; frames with equal numbers have the
+    /// same lights. Frames beyond its end have 0.
     pub fn new(states: &[FrameState], lights: &[u32]) -> Self {
         let first = states.first().map_or(0, |state| state.number);
         let mut frames = Self {
@@ -98,7 +98,7 @@ impl Frames {
         frames
     }
 
-    /// How many frames there are.
+    /// Number of frames.
     pub fn count(&self) -> usize {
         self.cpu_seconds.len()
     }

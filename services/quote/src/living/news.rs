@@ -1,19 +1,18 @@
-//! What is reported of a living estimate: that it left what is booked, or came back; and when plans should know.
+//! Reports estimates that exceed their bookings or are back within them, and those that call for a new plan.
 
 use forelight_protocol::{BookedQuantity, LiveForecast, Money, OffForecast, Timestamp};
 
 use super::Off;
 
-/// An estimate calls for a new plan once its factor differs from the plan's by more than this, as a logarithm: a tenth.
+/// A new plan is due if the factors differ by more than this logarithm, about a tenth.
 const NEWS: f64 = 0.1;
 
-/// Whether a factor on a job's forecast is so far from the one that its plan was made with that the plan should know.
+/// True if a factor on the job's forecast differs enough from that of its plan.
 pub fn is_news(found: f64, planned: f64) -> bool {
     found > 0.0 && planned > 0.0 && (found / planned).ln().abs() > NEWS
 }
 
-/// Why a new plan is called for, in words; `None` if it is not. `planned` is the factor that the present plan was made
-/// with.
+/// Why a new plan is due, or `None`. `planned` is the factor of the present plan.
 pub fn cause_of_plan(live: &LiveForecast, was_off: Off, planned: f64, job: &str) -> Option<String> {
     let factor = live.cpu_seconds.factor;
     let is_late = live.finish_is_off && !was_off.finish;
@@ -23,18 +22,18 @@ pub fn cause_of_plan(live: &LiveForecast, was_off: Off, planned: f64, job: &str)
     })
 }
 
-/// That an estimate left what is booked, or came back to it.
+/// An estimate now exceeds its booking, or is back within it.
 #[derive(Clone, PartialEq, Debug)]
 pub struct News {
-    /// Whether it left.
+    /// True if it exceeds the booking.
     pub is_off: bool,
-    /// In words.
+    /// As a sentence.
     pub message: String,
-    /// In numbers.
+    /// As numbers.
     pub off: OffForecast,
 }
 
-/// What changed since the estimate before.
+/// Changes since the previous estimate.
 pub fn news(live: &LiveForecast, was_off: Off) -> Vec<News> {
     [
         (BookedQuantity::Cost, was_off.cost, live.cost_is_off),
@@ -52,19 +51,23 @@ fn news_of(live: &LiveForecast, quantity: BookedQuantity, is_off: bool) -> News 
     let level = confidence.name().to_uppercase();
     let numbers = match quantity {
         BookedQuantity::Cost => format!(
-            "at {level} it takes {expected:.1} CPU seconds in all, {:.1} are booked",
+            "at {level} {expected:.1} CPU seconds are expected, {:.1} are booked",
             live.booked.cpu_seconds
         ),
         BookedQuantity::Finish => {
             let time = |at: Option<Timestamp>| at.map_or("-".to_owned(), |at| at.to_string());
-            format!("at {level} it ends at {}, booked until {}", time(live.finish), time(live.booked.finish))
+            format!(
+                "at {level} its end is expected at {}, booked is {}",
+                time(live.finish),
+                time(live.booked.finish)
+            )
         }
     };
     let what = quantity.name();
     let message = if is_off {
-        format!("the {what} has left what is booked: {numbers}")
+        format!("the {what} exceeds its booking: {numbers}")
     } else {
-        format!("the {what} is back within what is booked: {numbers}")
+        format!("the {what} is back within its booking: {numbers}")
     };
     let cost =
         live.booked.cost.filter(|_| live.booked.cpu_seconds > 0.0).map(|cost| {
@@ -112,7 +115,7 @@ mod tests {
         assert_eq!(news(&live(12.0, 1.2, [true, false]), dear), []);
         let left = news(&live(12.0, 1.2, [true, false]), within);
         assert_eq!((left.len(), left[0].is_off, left[0].off.cost), (1, true, Some(Money(120))));
-        assert!(left[0].message.contains("at P80 it takes 12.0 CPU seconds in all, 10.0 are booked"));
+        assert!(left[0].message.contains("at P80 12.0 CPU seconds are expected, 10.0 are booked"));
         let back = news(&live(9.0, 0.9, [false, false]), dear);
         assert!(!back[0].is_off && back[0].message.contains("the cost is back"));
     }

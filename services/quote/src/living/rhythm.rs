@@ -1,4 +1,4 @@
-//! When a new living estimate is due.
+//! Decides when a new estimate is due.
 //!
 //! An estimate reads all frames of a job, so its cost grows with their number. It is made
 //!
@@ -6,51 +6,50 @@
 //! * then with every 256th part of the job ([`PARTS`]), but not twice within [`BETWEEN_FRAMES`];
 //! * with the last frame.
 //!
-//! A job of n frames so reads at most about 270 n rows for its estimates. Finished pixels of frames under way also call
-//! for one, [`BETWEEN_PIXELS`] after the last. So do frames that were left out since then.
+//! So a job of n frames reads at most about 270 n rows for its estimates. Finished pixels, and frames left
+//! out by these rules, also call for an estimate, [`BETWEEN_PIXELS`] after the last.
 
 use forelight_protocol::Timestamp;
 
-/// There is a new estimate with each of this many first frames.
+/// Each of this many first frames gets an estimate.
 const FIRST: u32 = 16;
 
-/// Parts of a job after each of which there is a new estimate, once the first frames are finished.
+/// Number of parts of a job. After the first frames, each part gets an estimate.
 const PARTS: u32 = 256;
 
 /// Least time between two estimates, except the first and the last: a second, in microseconds.
 const BETWEEN_FRAMES: i64 = 1_000_000;
 
-/// Time between two estimates that rest only on more finished pixels, or on fewer frames than a part: ten seconds, in
-/// microseconds.
+/// Time between estimates for finished pixels, or for fewer frames than a part: ten seconds, in microseconds.
 pub const BETWEEN_PIXELS: i64 = 10_000_000;
 
-/// Why there may be a new estimate.
+/// Why an estimate may be due.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Occasion {
     /// The job was booked.
     Booked,
-    /// A frame was finished.
+    /// A frame finished.
     Frame,
-    /// The job was cancelled, or failed.
+    /// The job was cancelled or failed.
     Ended,
-    /// Some pixels of a frame were finished, or frames wait for the next estimate.
+    /// Pixels of a frame finished, or finished frames wait for an estimate.
     Meanwhile,
 }
 
-/// The estimate before.
+/// The previous estimate.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Last {
-    /// When it was made.
+    /// Its time.
     pub at: Timestamp,
-    /// Frames that were finished then.
+    /// Frames finished then.
     pub frames_done: u32,
-    /// Frames that were finished since, without the present one.
+    /// Frames finished since, without the present one.
     pub frames_since: u32,
     /// Frames of the job.
     pub frames_total: u32,
 }
 
-/// Whether a new estimate is due on this occasion.
+/// True if a new estimate is due on this occasion.
 pub fn is_due(last: &Last, occasion: Occasion, now: Timestamp) -> bool {
     let age = now.micros_since(last.at);
     match occasion {

@@ -1,15 +1,15 @@
 //! The ladders of a job.
 //!
-//! *Camera samples*: a profiled pixel costs in proportion to its samples, and the cost of records and fixed costs stay. So
-//! every rung is the job's forecast with the profiled costs scaled. The error follows from the variance between the
-//! camera samples of the profiled pixels, frame by frame.
+//! *Camera samples*: a profiled pixel costs in proportion to its samples; records and fixed costs stay the
+//! same. So every rung is the job's forecast with scaled costs. The error follows from the variance between
+//! the camera samples of the profiled pixels, frame by frame.
 //!
-//! *Resolution*: each stratum has more or fewer pixels, with the cost and the error of those that were profiled.
+//! *Resolution*: each stratum has more or fewer pixels, with the cost and the error of the profiled ones.
 //!
-//! The profile does not tell what another integrator or other gathers cost. With an irradiance cache it does not tell
-//! the image's error either, because pixels are profiled before the cache is filled, nor what other accuracies and
-//! resolutions cost, because their records were not counted. If the job asks for these ladders, one of its frames was
-//! profiled with such settings too. If not, they are listed as missing.
+//! The profile cannot price other integrators or gathers. With an irradiance cache it also lacks the image's
+//! error, because pixels are profiled before the cache is filled, and the records of other accuracies and
+//! resolutions. If the job asks for these ladders, one frame was profiled with such settings too. Otherwise
+//! they are listed as missing.
 
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, Integrator, LadderKind, MissingLadder, PreviewResult, RenderSettings,
@@ -22,26 +22,22 @@ use crate::error::QuoteError;
 use crate::measured::Measured;
 use crate::samples::with_samples;
 
-/// What the ladders of a job rest on.
 struct Known<'a> {
     asked: &'a RenderSettings,
     measured: &'a Measured<'a>,
     noise: Noise,
-    /// The ladders that were profiled in one frame, if the job asked for them.
+    /// Ladders that were profiled in one frame, if the job asked for them.
     profiled: Option<&'a AccuracyDoc>,
-    /// The same, brought to all frames. `None` where its prices are too small to compare.
+    /// The same for all frames. `None` if its costs are too small to compare.
     frame: Option<OneFrame<'a>>,
 }
 
-/// A ladder's rungs, and what is missing of it.
+/// Rungs of a ladder, and why some are missing.
 type Rungs = (Vec<AccuracyRung>, Vec<String>);
 
 impl Measured<'_> {
-    /// The ladders of a job with the settings `asked`, as far as its profiles know them. With a shared cache, the cost of
-    /// building it is not included.
-    ///
-    /// # Errors
-    /// As of [`Measured::estimate`].
+    /// The ladders of a job with the settings `asked`, as far as its profiles know them. The cost of building
+    /// a shared cache is not included.
     pub fn qualities(&self, asked: &RenderSettings) -> Result<AccuracyDoc, QuoteError> {
         let whole = self.quote(None)?;
         let mut document = AccuracyDoc {
@@ -83,7 +79,7 @@ impl Measured<'_> {
 }
 
 impl Known<'_> {
-    /// A ladder that the job's profiles tell.
+    /// A ladder from the job's profiles.
     fn own(&self, kind: LadderKind, rungs: Vec<RenderSettings>) -> Result<Rungs, QuoteError> {
         let mut missing = Vec::new();
         if let (Some(reason), None) = (self.noise.missing(), &self.frame) {
@@ -112,7 +108,7 @@ impl Known<'_> {
         Ok((rungs.into_iter().map(rung).collect::<Result<_, _>>()?, missing))
     }
 
-    /// A ladder that only the profile of one frame tells.
+    /// A ladder from the profile of one frame.
     fn other(&self, kind: LadderKind) -> Rungs {
         let reason = unknown(kind, self.asked);
         if let Some(reason) = never(kind, self.measured.shared.is_some()) {
@@ -126,20 +122,20 @@ impl Known<'_> {
         let reasons = profiled.missing.iter().filter(|missing| missing.ladder == kind);
         let mut reasons: Vec<String> = reasons.map(|missing| missing.reason.clone()).collect();
         if rungs.is_empty() && reasons.is_empty() {
-            reasons.push(format!("{reason}, and the frame profiled for it does not tell either"));
+            reasons.push(format!("{reason}, and the frame profiled for it has no cost either"));
         }
         (rungs, reasons)
     }
 }
 
-/// Why nothing tells what a ladder costs if the frames share a cache.
+/// Why no profile can price the ladder if the frames share a cache.
 fn never(kind: LadderKind, shared: bool) -> Option<&'static str> {
     let is_of_cache = matches!(kind, LadderKind::Cache | LadderKind::Resolution);
     (shared && is_of_cache)
         .then_some("the frames share a cache, which is filled for its own accuracy and resolution")
 }
 
-/// Why the job's own profile does not tell what a ladder costs.
+/// Why the job's own profile cannot price the ladder.
 fn unknown(kind: LadderKind, asked: &RenderSettings) -> &'static str {
     match (kind, asked.integrator) {
         (LadderKind::Ambient, Integrator::Ambient) => "the job is profiled with an irradiance cache",
@@ -157,7 +153,7 @@ fn enlarged(preview: &PreviewResult, factor: f64) -> PreviewResult {
     let mut preview = preview.clone();
     for frame in &mut preview.frames {
         for pixels in frame.pixels.iter_mut().chain([&mut frame.background]) {
-            // A stratum that is seen stays seen. Conversion to an integer saturates at the end of its range.
+            // A visible stratum stays visible. Conversion to an integer saturates.
             let least = u32::from(*pixels > 0);
             *pixels = ((f64::from(*pixels) * factor).round() as u32).max(least);
         }

@@ -1,4 +1,4 @@
-//! The ladders of qualities: which settings are on each of them, and which of these are worth taking.
+//! Defines the settings on each ladder, and marks those worth taking.
 
 use forelight_forecast::accuracy::front_of_known;
 use forelight_protocol::{
@@ -6,10 +6,10 @@ use forelight_protocol::{
     RenderSettings, SpentOnForecast,
 };
 
-/// Accuracy of an irradiance cache on a ladder of a job that has none, in thousandths.
+/// Cache accuracy on a ladder of a job without a cache, in thousandths.
 const USUAL_ACCURACY: u32 = 200;
 
-/// Whether a profile with the settings `asked` also says what the rungs of this ladder cost
+/// True if a profile with the settings `asked` also prices the rungs of this ladder
 /// ([`forelight_protocol::Ladders::Own`]).
 pub fn is_own(kind: LadderKind, asked: &RenderSettings) -> bool {
     let cached = asked.cache == CacheMode::On;
@@ -21,11 +21,10 @@ pub fn is_own(kind: LadderKind, asked: &RenderSettings) -> bool {
     }
 }
 
-/// The qualities of a ladder, from the cheapest to the most expensive. The settings `asked` are among them if they are of
-/// the ladder's kind.
+/// Qualities of a ladder, cheapest first. They include `asked` if it is of the ladder's kind.
 ///
 /// # Errors
-/// If these settings have no such ladder: why, in words.
+/// The reason, if these settings have no such ladder.
 pub fn ladder(kind: LadderKind, asked: &RenderSettings) -> Result<Vec<RenderSettings>, String> {
     let gathered = RenderSettings { integrator: Integrator::Ambient, cache: CacheMode::Off, ..asked.clone() };
     let spp = |like: RenderSettings| {
@@ -79,7 +78,7 @@ fn along(usual: &[u32], own: u32) -> impl DoubleEndedIterator<Item = u32> + use<
     all.into_iter()
 }
 
-/// The document of one frame that has no ladders, for this reason.
+/// The document of a frame without ladders, with the reason.
 pub fn without_ladders(frame: u32, settings: &RenderSettings, reason: &str) -> AccuracyDoc {
     let missing = LadderKind::ALL.map(|ladder| MissingLadder { ladder, reason: reason.to_owned() });
     AccuracyDoc {
@@ -93,8 +92,8 @@ pub fn without_ladders(frame: u32, settings: &RenderSettings, reason: &str) -> A
     }
 }
 
-/// Median CPU seconds and median error of each rung. `None` for rungs that cannot be compared with the others: those
-/// without an error, and other resolutions.
+/// Median CPU seconds and median error of each rung. `None` for rungs without an error, and for other
+/// resolutions.
 pub fn points(document: &AccuracyDoc) -> Vec<Option<(f64, f64)>> {
     let point = |rung: &AccuracyRung| {
         let error = rung.error.filter(|_| rung.ladder != LadderKind::Resolution)?;
@@ -103,8 +102,8 @@ pub fn points(document: &AccuracyDoc) -> Vec<Option<(f64, f64)>> {
     document.rungs.iter().map(point).collect()
 }
 
-/// Marks the rungs that are worth taking, on every ladder that they are on: no other rung is both cheaper and better.
-/// Each gets the index of the next better one.
+/// Marks the rungs worth taking, on all their ladders: no other rung is both cheaper and better. Each gets
+/// the index of the next better one.
 pub fn mark(document: &mut AccuracyDoc) {
     let points = points(document);
     for (own, next) in front_of_known(&points) {
@@ -116,7 +115,7 @@ pub fn mark(document: &mut AccuracyDoc) {
             times_cpu_seconds: next_cost / cost,
             times_error: next_error / error,
         });
-        // The settings that were asked for are on several ladders.
+        // The settings asked for are on several ladders.
         let settings = document.rungs[own].settings.clone();
         let same = document.rungs.iter_mut().zip(&points);
         for (rung, _) in same.filter(|(rung, point)| point.is_some() && rung.settings == settings) {

@@ -1,12 +1,11 @@
-//! What other qualities of a job cost, and how far their images are from converged: from its profile alone. Nothing is
-//! traced for it.
+//! Forecasts the cost and error of other qualities of a job, from its profile alone. Nothing more is traced.
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `ladder` | which settings are on a ladder, and which rungs are worth taking |
-//! | `job` | the ladders of a job |
-//! | `one_frame` | ladders that were profiled in one frame, brought to all frames |
-//! | `noise` | what the profiles say of the image's error |
+//! | `ladder` | settings on a ladder, and rungs worth taking |
+//! | `job` | ladders of a job |
+//! | `one_frame` | ladders profiled in one frame, applied to all frames |
+//! | `noise` | error of the images, from the profiles |
 
 mod job;
 mod ladder;

@@ -1,4 +1,4 @@
-//! What the profiles of a job say of its images' error.
+//! The error of a job's images, from its profiles.
 
 use forelight_forecast::Calibration;
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, PixelNoise};
@@ -6,7 +6,7 @@ use forelight_protocol::{self as protocol, ImageError};
 
 use crate::measured::MeasuredProfile;
 
-/// The noise of every profiled frame, or why it is not known.
+/// Noise of every profiled frame, or why it is unknown.
 pub(super) struct Noise(Result<Vec<ImageNoise>, String>);
 
 impl Noise {
@@ -14,12 +14,12 @@ impl Noise {
         Self(profiles.iter().map(image).collect())
     }
 
-    /// Why errors are not known. `None` if they are.
+    /// Why errors are unknown. `None` if they are known.
     pub fn missing(&self) -> Option<&str> {
         self.0.as_ref().err().map(String::as_str)
     }
 
-    /// The error with `spp` camera samples a pixel: root mean square over the profiled frames.
+    /// Error at `spp` camera samples per pixel: root mean square over the profiled frames.
     pub fn error(&self, spp: u32) -> Option<ImageError> {
         let images = self.0.as_ref().ok()?;
         let frames: Vec<MeanSquare> = images.iter().map(|image| image.at(spp)).collect();

@@ -1,46 +1,44 @@
-//! Ladders that were profiled in one frame of a job, brought to all of its frames.
+//! Applies ladders that were profiled in one frame to all frames of a job.
 //!
-//! The settings that were asked for are priced twice: for the job, by all of its profiles, and for the frame, as a rung.
-//! The ratio of another rung to that one, in the frame, is applied to the job (ratio estimator: Cochran, *Sampling
-//! Techniques*, 3rd edition 1977, section 6.2). The speed of the node cancels, and so does most of what sets the frame
-//! apart from the others.
+//! The settings asked for are priced twice: for the job by all of its profiles, and for the frame as a rung.
+//! The frame's ratio of another rung to that one is applied to the job (ratio estimator: Cochran, *Sampling
+//! Techniques*, 3rd edition 1977, section 6.2). The node's speed cancels, and so do most differences between
+//! this frame and others.
 //!
-//! The three uncertainties are taken as independent: relative distances of quantiles from their medians add up as
-//! squares. The two of the frame rest partly on the same pixels, so the true error of their ratio is smaller. How much
-//! ratios differ between frames is in no interval. For the settings that were asked for, the job's profiles are used.
+//! The three uncertainties count as independent: relative distances of quantiles from their medians add as
+//! squares. The two of the frame share pixels, so the true error of their ratio is smaller. No interval
+//! covers how ratios differ between frames. The settings asked for use the job's profiles.
 
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind, Quantiles, RenderSettings};
 
-/// Smaller amounts (operations, seconds or shares) are too small for a ratio.
+/// Least amount (operations, seconds or shares) for a ratio.
 const LEAST: f64 = 1e-12;
 
-/// Quantiles lie at most this many medians from their median.
+/// Largest distance of a quantile from its median, in medians.
 const WIDEST: f64 = 1e12;
 
-/// The ladders of a frame, and what is known of the job with the settings that were asked for.
+/// Ladders of a frame, and the job's cost at the settings asked for.
 pub(super) struct OneFrame<'a> {
     ladders: &'a AccuracyDoc,
     asked: &'a AccuracyRung,
     job: Job,
 }
 
-/// A job with the settings that were asked for.
 pub(super) struct Job {
     pub work: Quantiles,
     pub cpu_seconds: Quantiles,
-    /// `None` where its profiles do not tell.
+    /// `None` if its profiles do not know it.
     pub error: Option<ImageError>,
 }
 
 impl<'a> OneFrame<'a> {
-    /// `None` if the ladders have no price for the settings that were asked for, or one that is too small.
+    /// `None` if the ladders have no cost for the settings asked for, or one that is too small.
     pub fn new(ladders: &'a AccuracyDoc, job: Job) -> Option<Self> {
         let asked = ladders.rungs.iter().find(|rung| rung.settings == ladders.settings)?;
         let prices = [asked.work.mean, asked.work.p50, asked.cpu_seconds.mean, asked.cpu_seconds.p50];
         prices.iter().all(|&price| price >= LEAST).then_some(Self { ladders, asked, job })
     }
 
-    /// The rungs of a ladder, for all frames.
     pub fn rungs(&self, kind: LadderKind) -> impl Iterator<Item = AccuracyRung> {
         self.of(kind).map(|rung| {
             let asked_for = self.is_asked_for(rung);
@@ -60,7 +58,7 @@ impl<'a> OneFrame<'a> {
         })
     }
 
-    /// The error of a rung. In another resolution each pixel has the error of the pixels that were asked for.
+    /// Error of a rung. Pixels of another resolution have the error of those asked for.
     pub fn error_like(&self, kind: LadderKind, settings: &RenderSettings) -> Option<ImageError> {
         let own = || self.of(kind).find(|rung| rung.settings == *settings);
         self.error(if kind == LadderKind::Resolution { self.asked } else { own()? })
@@ -74,7 +72,7 @@ impl<'a> OneFrame<'a> {
         rung.settings == self.ladders.settings
     }
 
-    /// The error of a rung for the job; that of the frame where the job's error is not known.
+    /// Error of a rung for the job, or for the frame if the job's error is unknown.
     fn error(&self, rung: &AccuracyRung) -> Option<ImageError> {
         let own = rung.error?;
         match (self.asked.error, self.job.error) {
@@ -97,7 +95,7 @@ impl<'a> OneFrame<'a> {
     }
 }
 
-/// So many times `job` as `rung` is `asked`.
+/// `job` times the ratio of `rung` to `asked`.
 fn ratio(rung: &Quantiles, asked: &Quantiles, job: &Quantiles) -> Quantiles {
     let p50 = job.p50 * (rung.p50 / asked.p50);
     let at = |quantile: fn(&Quantiles) -> f64| {
@@ -112,7 +110,7 @@ fn ratio(rung: &Quantiles, asked: &Quantiles, job: &Quantiles) -> Quantiles {
     }
 }
 
-/// How far quantiles, over their medians, lie from these together; a number whatever they are.
+/// Joint distance of quantiles, relative to their medians. Always finite.
 fn spread(relative: [f64; 3]) -> f64 {
     let squares = relative.map(|relative| (relative - 1.0).powi(2));
     squares.iter().sum::<f64>().sqrt().min(WIDEST)
@@ -130,7 +128,7 @@ mod tests {
 
     #[test]
     fn ratios_are_brought_over_and_uncertainties_add_up_as_squares() {
-        // 0.1, 0.2 and 0.2 of the medians; twice that.
+        // 0.1, 0.2 and 0.2 of the medians, then twice that.
         let (asked, rung) = (quantiles(11.0, 10.0, 11.0, 12.0), quantiles(33.0, 20.0, 24.0, 28.0));
         let found = ratio(&rung, &asked, &quantiles(110.0, 100.0, 120.0, 140.0));
         assert!((found.mean - 330.0).abs() < 1e-9 && (found.p50 - 200.0).abs() < 1e-9, "{found:?}");
@@ -181,7 +179,7 @@ mod tests {
                 "{found:?}"
             );
         }
-        // Other resolutions err as what was asked for does, and not as the first of them that comes along.
+        // Other resolutions have the error of the settings asked for, not of their first rung.
         let larger = RenderSettings { width: 16, ..settings.clone() };
         assert_eq!(known.error_like(LadderKind::Resolution, &larger), Some(error(0.2)));
         assert_eq!(frame(None).error_like(LadderKind::Resolution, &larger), Some(error(0.1)));

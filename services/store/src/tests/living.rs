@@ -165,7 +165,7 @@ async fn leaving_the_booking_and_coming_back_are_said_once_each_with_numbers() {
     assert_eq!(numbers.booked.cpu_seconds, quoted(12).total.cpu_seconds.p80);
     assert!(numbers.cpu_seconds > 1.02 * numbers.booked.cpu_seconds, "{numbers:?}");
     assert!(numbers.cost.unwrap() > numbers.booked.cost.unwrap(), "{numbers:?}");
-    assert!(off.message.as_deref().unwrap().starts_with("the cost has left what is booked: at P80"));
+    assert!(off.message.as_deref().unwrap().starts_with("the cost exceeds its booking: at P80"));
     assert!(live(&farm, job).await.cost_is_off);
     // A duplicate says nothing again.
     let (lease, result) = render(&farm, &node, 900, 6.0, at(17)).await;

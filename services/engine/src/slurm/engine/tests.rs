@@ -1,4 +1,4 @@
-//! The loop against a cluster that does as it is told, or not.
+//! Tests of the loop against a fake cluster.
 
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
@@ -13,14 +13,14 @@ use forelight_store::{Answered, NewJob};
 use super::*;
 use crate::slurm::answer::Ending;
 
-/// What a fake Slurm holds, and how it behaves.
+/// State and behaviour of the fake cluster.
 #[derive(Default)]
 struct Fake {
     jobs: Vec<SlurmJob>,
-    /// The programs' arguments, in order, program first.
+    /// Arguments of all calls, in order, with the program first.
     said: Vec<Vec<String>>,
     away: bool,
-    /// The next submission is taken, but its answer gets lost.
+    /// The next submission succeeds, but its answer is lost.
     lose_answer: bool,
     refuse: Option<String>,
 }
@@ -33,7 +33,7 @@ impl FakeCluster {
         change(&mut self.0.lock())
     }
 
-    /// Slurm says this of all elements from now on.
+    /// Sets Slurm's state of all elements.
     fn all(&self, state: &str) {
         self.with(|fake| fake.jobs.iter_mut().for_each(|job| job.state = state.to_owned()));
     }
@@ -105,7 +105,7 @@ impl Cluster for FakeCluster {
     }
 }
 
-/// A farm whose memory is real, and whose Slurm is not.
+/// A farm with a real store and a fake Slurm.
 struct Farm {
     folder: tempfile::TempDir,
     store: Store,
@@ -142,7 +142,7 @@ impl Farm {
         Self { folder, store, slurm, engine }
     }
 
-    /// The service dies and is started again; Slurm goes on.
+    /// Restarts the service. Slurm keeps its jobs.
     async fn restarted(self) -> Self {
         let Self { folder, store, slurm, engine: old } = self;
         drop(old);
@@ -153,7 +153,7 @@ impl Farm {
         Self { folder, store, slurm, engine }
     }
 
-    /// A job whose preview is ready.
+    /// A job whose preview task is ready.
     async fn job(&self) -> Job {
         let request: JobRequest = serde_json::from_value(
             serde_json::json!({"name": "a", "bundle": {"path": "/scenes/a"}, "frames": "0-3"}),
@@ -178,7 +178,6 @@ impl Farm {
         }
     }
 
-    /// One round, and what it makes known.
     async fn round(&mut self, seconds: i64) {
         let outcome = self.engine.round(at(seconds)).await;
         self.engine.tell(outcome, at(seconds)).await;
@@ -262,7 +261,7 @@ async fn an_array_whose_answer_was_lost_is_found_again_by_its_comment_and_not_su
     farm.job().await;
     farm.slurm.with(|fake| fake.lose_answer = true);
     farm.round(0).await;
-    // The service dies before it can write anything down.
+    // The service dies before it can record anything.
     let mut farm = farm.restarted().await;
     farm.round(5).await;
     farm.round(500).await;
@@ -337,7 +336,6 @@ async fn an_element_that_somebody_cancels_is_handed_out_again_until_it_was_lost_
         "{error}"
     );
     assert_eq!(farm.told(EventKind::SubmissionLost).await.len(), 6);
-    // Nothing of it is submitted any more.
     farm.round(20_000).await;
     assert_eq!(farm.slurm.said("sbatch").len(), 6);
 }
@@ -350,17 +348,17 @@ async fn what_slurm_starts_twice_waits_while_the_first_lives_and_nothing_is_subm
     let task = farm.only_task().await;
     let (first, second) = (farm.node("n1").await, farm.node("n2").await);
     assert!(farm.lease(task, first, 10).await);
-    // The first one's node is lost from sight; Slurm queues its job again, and starts it elsewhere.
+    // The first node is lost. Slurm requeues its job and starts it elsewhere.
     for state in ["PENDING", "RUNNING"] {
         farm.slurm.all(state);
         farm.round(20).await;
         assert!(!farm.lease(task, second, 25).await);
     }
-    // Slurm gives up on it, while the first one still works: that is waited for.
+    // Slurm reports a node failure while the first process still works.
     farm.slurm.all("NODE_FAIL");
     farm.round(30).await;
     assert_eq!(farm.slurm.said("sbatch").len(), 1);
-    // It dies. Its lease runs out, and only then is the task handed out again.
+    // Its lease expires. Only then is the task submitted again.
     farm.store.sweep(at(41)).await.unwrap();
     farm.round(42).await;
     farm.round(60).await;
@@ -387,7 +385,7 @@ async fn another_jobs_number_is_not_taken_for_ours_after_the_controller_lost_its
     let mut farm = Farm::new().await;
     farm.job().await;
     farm.round(0).await;
-    // Somebody else's job has our number now, and runs.
+    // Another user's running job now has our number.
     farm.slurm.with(|fake| fake.jobs[0].comment = "a simulation".to_owned());
     farm.slurm.all("RUNNING");
     farm.round(5).await;
