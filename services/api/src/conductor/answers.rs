@@ -45,109 +45,142 @@ pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<An
         farm.jobs[job].job.deadline = Some(deadline);
         farm.input.jobs[job].deadline = Some(deadline.micros());
     }
-    let farm = &farm;
-    let standing = &farm.standing[..];
-    let asked = &farm.jobs[job];
-    let around = farm.around(job, standing);
-    let mut document = AnswersDoc {
-        job_id: asked.job.id,
-        plan_id: None,
-        at: Timestamp::from_micros(farm.input.now),
-        deadline: asked.job.deadline,
-        outlook: outlook(farm, job, &around)?,
-        cheapest: None,
-        for_budget: None,
-        curve: Vec::new(),
-        qualities: Vec::new(),
-        what_if: Vec::new(),
-        pushes_back: Vec::new(),
-        why_not: Vec::new(),
-        ways_out: Vec::new(),
-        left_out: Vec::new(),
-    };
-    let plan = planner::plan(&around)?;
-    let finish = end(farm, &plan, job);
-    let kept = asked.is_kept(finish);
-    let entry = plan.job(job as u64);
-    let budget = question.budget.or(farm.input.jobs[job].budget.map(Money));
-    let affordable = entry.is_none_or(|entry| budget.is_none_or(|budget| entry.cost <= budget.micro_units()));
-    if kept && let (Some(finish), Some(deadline)) = (finish, asked.job.deadline) {
-        document.cheapest = Some(PriceOffer {
-            deadline,
-            finish: Timestamp::from_micros(finish),
-            cost: Money(plan.cost),
-            cost_at_least: Money(plan.cost_bound),
-        });
+    let asking = Asking::new(&farm, job, question.budget)?;
+    let mut document = asking.about_its_plan()?;
+    asking.about_changes(&mut document, question, &|| begun.elapsed() < question.patience)?;
+    Ok(document)
+}
+
+/// A job whose plan is asked about.
+struct Asking<'a> {
+    farm: &'a Farm,
+    job: usize,
+    /// The farm around the existing bookings of other jobs.
+    around: planner::Input,
+    /// The job's plan there.
+    plan: planner::Plan,
+    finish: Option<i64>,
+    budget: Option<Money>,
+    affordable: bool,
+    /// Whether the plan keeps deadline and budget.
+    kept: bool,
+}
+
+impl<'a> Asking<'a> {
+    fn new(farm: &'a Farm, job: usize, budget: Option<Money>) -> Result<Self, AdvanceError> {
+        let around = farm.around(job, &farm.standing);
+        let plan = planner::plan(&around)?;
+        let finish = end(farm, &plan, job);
+        let budget = budget.or(farm.input.jobs[job].budget.map(Money));
+        let cost = plan.job(job as u64).map(|entry| entry.cost);
+        let affordable = cost.is_none_or(|cost| budget.is_none_or(|budget| cost <= budget.micro_units()));
+        let kept = farm.jobs[job].is_kept(finish) && affordable;
+        Ok(Self { farm, job, around, plan, finish, budget, affordable, kept })
     }
-    if !kept || !affordable {
-        document.why_not = why_not(farm, &around, &plan, job, budget);
-    }
-    if asked.held {
-        let project = &asked.job.project;
-        document.why_not.insert(0, format!("the budget of project {project} is used up: work continues when it is raised or its next period begins"));
-    }
-    let mut ask = |name: &str, answer: &mut dyn FnMut() -> Result<(), AdvanceError>| {
-        if begun.elapsed() < question.patience {
-            answer()
-        } else {
-            document.left_out.push(name.to_owned());
-            Ok(())
+
+    /// Answers what the plan itself says.
+    fn about_its_plan(&self) -> Result<AnswersDoc, AdvanceError> {
+        let Self { farm, job, around, plan, .. } = self;
+        let asked = &farm.jobs[*job];
+        let mut document = AnswersDoc {
+            job_id: asked.job.id,
+            plan_id: None,
+            at: Timestamp::from_micros(farm.input.now),
+            deadline: asked.job.deadline,
+            outlook: outlook(farm, *job, around)?,
+            cheapest: None,
+            for_budget: None,
+            curve: Vec::new(),
+            qualities: Vec::new(),
+            what_if: Vec::new(),
+            pushes_back: Vec::new(),
+            why_not: Vec::new(),
+            ways_out: Vec::new(),
+            left_out: Vec::new(),
+        };
+        if asked.is_kept(self.finish)
+            && let (Some(finish), Some(deadline)) = (self.finish, asked.job.deadline)
+        {
+            document.cheapest = Some(PriceOffer {
+                deadline,
+                finish: Timestamp::from_micros(finish),
+                cost: Money(plan.cost),
+                cost_at_least: Money(plan.cost_bound),
+            });
         }
-    };
-    let (mut ways_out, mut for_budget, mut curve) = (Vec::new(), None, Vec::new());
-    let (mut offers, mut pushes_back, mut what_if) = (Vec::new(), Vec::new(), Vec::new());
-    let mut is_cut_short = false;
-    ask("ways_out", &mut || {
-        if !kept || !affordable {
+        if !self.kept {
+            document.why_not = why_not(farm, around, plan, *job, self.budget);
+        }
+        if asked.held {
+            let project = &asked.job.project;
+            document.why_not.insert(0, format!("the budget of project {project} is used up: work continues when it is raised or its next period begins"));
+        }
+        Ok(document)
+    }
+
+    /// Answers what changes would bring, one question after the other. Those that `there_is_time` leaves out are
+    /// listed.
+    fn about_changes(
+        &self,
+        document: &mut AnswersDoc,
+        question: &Question,
+        there_is_time: &dyn Fn() -> bool,
+    ) -> Result<(), AdvanceError> {
+        let &Self { farm, job, ref around, budget, .. } = self;
+        let mut left_out = Vec::new();
+        let mut reach = |name: &str| {
+            let reached = there_is_time();
+            if !reached {
+                left_out.push(name.to_owned());
+            }
+            reached
+        };
+        if reach("ways_out") && !self.kept {
             let mut limited = farm.clone();
             limited.input.jobs[job].budget = budget.map(Money::micro_units);
-            ways_out = limited.ways_out(job, standing, affordable)?;
+            document.ways_out = limited.ways_out(job, &farm.standing, self.affordable)?;
         }
-        Ok(())
-    })?;
-    ask("for_budget", &mut || {
-        if let Some(budget) = budget {
-            let offer = planner::earliest_for_budget(&around, job as u64, budget.micro_units())?;
+        if reach("for_budget")
+            && let Some(budget) = budget
+        {
+            let offer = planner::earliest_for_budget(around, job as u64, budget.micro_units())?;
             let offer = offer.map(|offer| own_offer(farm, job, &offer));
-            for_budget = Some(BudgetAnswer { budget, offer });
+            document.for_budget = Some(BudgetAnswer { budget, offer });
         }
-        Ok(())
-    })?;
-    ask("curve", &mut || {
-        let found = planner::curve(&around, job as u64, POINTS)?;
-        curve = found.iter().map(|offer| own_offer(farm, job, offer)).collect();
-        Ok(())
-    })?;
-    ask("qualities", &mut || {
-        let mut best_first = qualities(farm, job, standing, &question.rungs);
-        while begun.elapsed() < question.patience {
-            let Some(offer) = best_first.next() else { return Ok(()) };
-            offers.push(offer?);
+        if reach("curve") {
+            let found = planner::curve(around, job as u64, POINTS)?;
+            document.curve = found.iter().map(|offer| own_offer(farm, job, offer)).collect();
         }
-        is_cut_short = true;
+        let mut offers = Vec::new();
+        let mut is_cut_short = false;
+        if reach("qualities") {
+            let mut best_first = qualities(farm, job, &farm.standing, &question.rungs);
+            is_cut_short = loop {
+                if !there_is_time() {
+                    break true;
+                }
+                let Some(offer) = best_first.next() else { break false };
+                offers.push(offer?);
+            };
+        }
+        if reach("pushes_back") {
+            document.pushes_back = pushed_back(farm, job)?;
+        }
+        if reach("what_if") {
+            document.what_if = effects(farm, job)?;
+        }
+        if is_cut_short {
+            left_out.push("qualities".to_owned());
+        }
+        if let Some(way) = offers.iter().find_map(|offer| (!self.kept).then(|| offer.way(self.plan.cost))?) {
+            document.ways_out.push(way);
+            document.ways_out.sort_by_key(|way| way.added_cost);
+            document.ways_out.truncate(3);
+        }
+        document.qualities = offers.into_iter().map(|offer| offer.offer).collect();
+        document.left_out = left_out;
         Ok(())
-    })?;
-    ask("pushes_back", &mut || {
-        pushes_back = pushed_back(farm, job)?;
-        Ok(())
-    })?;
-    ask("what_if", &mut || {
-        what_if = effects(farm, job)?;
-        Ok(())
-    })?;
-    document.ways_out = ways_out;
-    if let Some(way) = offers.iter().find_map(|offer| (!kept || !affordable).then(|| offer.way(plan.cost))?) {
-        document.ways_out.push(way);
-        document.ways_out.sort_by_key(|way| way.added_cost);
-        document.ways_out.truncate(3);
     }
-    if is_cut_short {
-        document.left_out.push("qualities".to_owned());
-    }
-    document.qualities = offers.into_iter().map(|offer| offer.offer).collect();
-    (document.for_budget, document.curve) = (for_budget, curve);
-    (document.pushes_back, document.what_if) = (pushes_back, what_if);
-    Ok(document)
 }
 
 fn outlook(farm: &Farm, job: usize, around: &planner::Input) -> Result<Vec<OutlookLine>, AdvanceError> {

@@ -153,45 +153,8 @@ fn measure(
     }
     let mut kinds = Vec::new();
     for (index, (set, answers)) in sets.iter().zip(&mut answers).enumerate() {
-        let (mut ours, mut theirs, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
-        let mut steps = Traversal::default();
-        for _ in 0..args.repeats {
-            if interrupt.is_set() {
-                return Err(Interrupted.into());
-            }
-            let (traced, nanos) = clocked(|| trace(&bvh, set, answers));
-            steps = traced;
-            let own = nanos as f64 * 1e-9;
-            ours.push(own);
-            if let Some(peer) = &mut peer {
-                let other = peer.trace(index)?;
-                theirs.push(other);
-                ratios.push(other / own);
-            }
-        }
-        let rays = set.rays.len();
-        let beside = match &mut peer {
-            None => None,
-            Some(peer) => Some(Beside {
-                peer_rays_per_second: rays as f64 / median(theirs),
-                ratio: median(ratios),
-                differing: peer.differing(index)?,
-            }),
-        };
-        let per_ray = |count: u64| count as f64 / rays.max(1) as f64;
-        kinds.push(Kind {
-            kind: set.name,
-            query: match set.query {
-                Query::Closest => "closest",
-                Query::Any => "any",
-            },
-            rays,
-            hits: per_ray(answers.iter().filter(|a| **a != Answer::NOTHING).count() as u64),
-            rays_per_second: rays as f64 / median(ours),
-            nodes_per_ray: per_ray(steps.nodes),
-            triangles_per_ray: per_ray(steps.triangles),
-            beside,
-        });
+        let peer = peer.as_mut().map(|peer| (peer, index));
+        kinds.push(measure_kind(args.repeats, &bvh, set, answers, peer, interrupt)?);
     }
     if let Some(peer) = peer {
         peer.finish()?;
@@ -207,6 +170,56 @@ fn measure(
         tree_bytes_per_triangle: bvh.bytes() as f64 / triangles.max(1) as f64,
         geometry_bytes_per_triangle: geometry_bytes(geometry) as f64 / triangles.max(1) as f64,
         kinds,
+    })
+}
+
+/// Traces a set of rays several times. The peer, if there is one, takes turns, with the set of this index.
+fn measure_kind(
+    repeats: u32,
+    bvh: &Bvh,
+    set: &RaySet,
+    answers: &mut [Answer],
+    mut peer: Option<(&mut Peer, usize)>,
+    interrupt: &Interrupt,
+) -> Result<Kind> {
+    let (mut ours, mut theirs, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
+    let mut steps = Traversal::default();
+    for _ in 0..repeats {
+        if interrupt.is_set() {
+            return Err(Interrupted.into());
+        }
+        let (traced, nanos) = clocked(|| trace(bvh, set, answers));
+        steps = traced;
+        let own = nanos as f64 * 1e-9;
+        ours.push(own);
+        if let Some((peer, index)) = &mut peer {
+            let other = peer.trace(*index)?;
+            theirs.push(other);
+            ratios.push(other / own);
+        }
+    }
+    let rays = set.rays.len();
+    let beside = match peer {
+        None => None,
+        Some((peer, index)) => Some(Beside {
+            peer_rays_per_second: rays as f64 / median(theirs),
+            ratio: median(ratios),
+            differing: peer.differing(index)?,
+        }),
+    };
+    let per_ray = |count: u64| count as f64 / rays.max(1) as f64;
+    Ok(Kind {
+        kind: set.name,
+        query: match set.query {
+            Query::Closest => "closest",
+            Query::Any => "any",
+        },
+        rays,
+        hits: per_ray(answers.iter().filter(|a| **a != Answer::NOTHING).count() as u64),
+        rays_per_second: rays as f64 / median(ours),
+        nodes_per_ray: per_ray(steps.nodes),
+        triangles_per_ray: per_ray(steps.triangles),
+        beside,
     })
 }
 

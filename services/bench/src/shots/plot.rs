@@ -6,6 +6,7 @@ use anyhow::Result;
 use forelight_protocol::Quantiles;
 use forelight_terminal::drawing::{self, Area, Drawn};
 use forelight_terminal::quantities::count;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 const SIZE: (u32, u32) = (980, 460);
@@ -27,9 +28,6 @@ fn band(work: &Quantiles, above: f64) -> [f64; 2] {
 }
 
 fn draw(area: &Area<'_>, shot: &Measured) -> Drawn {
-    let at = |place: usize| f64::from(shot.frames[place].frame);
-    let actual: Vec<f64> = shot.frames.iter().map(|frame| frame.work.actual).collect();
-    let theirs = Practice::FirstMiddleLastLines.forecast(&actual);
     let highest = shot.frames.iter().flat_map(|f| [f.work.actual, f.work.forecast.p95]).fold(0.0, f64::max);
     let lowest = shot.frames.iter().flat_map(|f| {
         let work = &f.work.forecast;
@@ -67,39 +65,8 @@ fn draw(area: &Area<'_>, shot: &Measured) -> Drawn {
         .x_label_formatter(&|frame| format!("{frame:.0}"))
         .y_label_formatter(&|work| count(*work))
         .draw()?;
-    for (name, of, opacity) in [
-        ("P5 to P95", (|q: &Quantiles| q.p95) as fn(&Quantiles) -> f64, 0.15),
-        ("P20 to P80", |q: &Quantiles| q.p80, 0.25),
-    ] {
-        let side = |edge: usize| {
-            move |(place, frame): (usize, &Frame)| {
-                let work = &frame.work.forecast;
-                (at(place), band(work, of(work))[edge])
-            }
-        };
-        let mut outline: Vec<(f64, f64)> = shot.frames.iter().enumerate().map(side(1)).collect();
-        outline.extend(shot.frames.iter().enumerate().rev().map(side(0)));
-        let style = BAND.mix(opacity).filled();
-        chart
-            .draw_series([Polygon::new(outline, style)])?
-            .label(name)
-            .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 22, y + 5)], style));
-    }
-    let line =
-        |values: Vec<f64>| values.into_iter().enumerate().map(|(place, value)| (at(place), value)).collect();
-    type Line = Vec<(f64, f64)>;
-    let curves: [(&str, Line, RGBColor, u32); 3] = [
-        ("lines between first, middle and last", line(theirs), THEIRS, 1),
-        ("forecast", line(shot.frames.iter().map(|f| f.work.forecast.mean).collect()), FORECAST, 2),
-        ("full render", line(actual), TRUTH, 2),
-    ];
-    for (name, points, colour, width) in curves {
-        let style = colour.stroke_width(width);
-        chart
-            .draw_series([PathElement::new(points, style)])?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 22, y)], style));
-    }
+    draw_bands(&mut chart, shot)?;
+    draw_curves(&mut chart, shot)?;
     let profiled = shot.frames.iter().filter(|frame| frame.profiled);
     chart
         .draw_series(
@@ -114,5 +81,53 @@ fn draw(area: &Area<'_>, shot: &Measured) -> Drawn {
         .border_style(GREY)
         .label_font(("sans-serif", 12))
         .draw()?;
+    Ok(())
+}
+
+type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// Draws the central intervals of the frames.
+fn draw_bands(chart: &mut Chart<'_, '_>, shot: &Measured) -> Drawn {
+    for (name, of, opacity) in [
+        ("P5 to P95", (|q: &Quantiles| q.p95) as fn(&Quantiles) -> f64, 0.15),
+        ("P20 to P80", |q: &Quantiles| q.p80, 0.25),
+    ] {
+        let side = |edge: usize| {
+            move |frame: &Frame| {
+                let work = &frame.work.forecast;
+                (f64::from(frame.frame), band(work, of(work))[edge])
+            }
+        };
+        let mut outline: Vec<(f64, f64)> = shot.frames.iter().map(side(1)).collect();
+        outline.extend(shot.frames.iter().rev().map(side(0)));
+        let style = BAND.mix(opacity).filled();
+        chart
+            .draw_series([Polygon::new(outline, style)])?
+            .label(name)
+            .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 22, y + 5)], style));
+    }
+    Ok(())
+}
+
+/// Draws the forecast, the truth, and lines between three frames.
+fn draw_curves(chart: &mut Chart<'_, '_>, shot: &Measured) -> Drawn {
+    let actual: Vec<f64> = shot.frames.iter().map(|frame| frame.work.actual).collect();
+    let theirs = Practice::FirstMiddleLastLines.forecast(&actual);
+    let line = |values: Vec<f64>| {
+        shot.frames.iter().zip(values).map(|(frame, value)| (f64::from(frame.frame), value)).collect()
+    };
+    type Line = Vec<(f64, f64)>;
+    let curves: [(&str, Line, RGBColor, u32); 3] = [
+        ("lines between first, middle and last", line(theirs), THEIRS, 1),
+        ("forecast", line(shot.frames.iter().map(|f| f.work.forecast.mean).collect()), FORECAST, 2),
+        ("full render", line(actual), TRUTH, 2),
+    ];
+    for (name, points, colour, width) in curves {
+        let style = colour.stroke_width(width);
+        chart
+            .draw_series([PathElement::new(points, style)])?
+            .label(name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 22, y)], style));
+    }
     Ok(())
 }
