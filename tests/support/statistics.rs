@@ -1,4 +1,4 @@
-//! The statistics by which images are compared.
+//! Statistics to compare images.
 
 /// An estimated mean.
 #[derive(Debug, Clone, Copy)]
@@ -20,7 +20,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Takes in one value.
+    /// Adds a value.
     pub fn add(&mut self, value: f64) {
         self.count += 1.0;
         let delta = value - self.mean;
@@ -28,15 +28,15 @@ impl Moments {
         self.squares += delta * (value - self.mean);
     }
 
-    /// The mean so far, with the variance of the mean.
+    /// The mean so far, with its variance.
     pub fn sample(&self) -> Sample {
         let freedom = self.count - 1.0;
         Sample { mean: self.mean, variance: self.squares / freedom / self.count, freedom }
     }
 }
 
-/// Two-sided p-value of the hypothesis that two estimates have the same mean: Welch's t-test, with a floor
-/// under the variance (`resolution`² is the variance of what rounding alone may differ by).
+/// Two-sided p-value that two estimates have the same mean: Welch's t-test. `resolution`² is a lower bound of
+/// the variance, for differences by rounding.
 pub fn welch(a: Sample, b: Sample, resolution: f64) -> f64 {
     let variance = a.variance + b.variance + resolution * resolution;
     let t = (a.mean - b.mean).abs() / variance.sqrt();
@@ -49,8 +49,7 @@ pub fn student_two_sided(t: f64, freedom: f64) -> f64 {
     incomplete_beta(freedom / (freedom + t * t), freedom / 2.0, 0.5)
 }
 
-/// Regularised incomplete beta function by its continued fraction (Abramowitz and Stegun 26.5.8), evaluated
-/// by Lentz's method.
+/// Regularised incomplete beta function: continued fraction (Abramowitz and Stegun 26.5.8) by Lentz's method.
 fn incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
     if x <= 0.0 || x >= 1.0 {
         return x.clamp(0.0, 1.0);
@@ -80,9 +79,8 @@ fn incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
     log_front.exp() * fraction / a
 }
 
-/// P(χ² > x) with this many degrees of freedom: the upper regularised incomplete gamma function Q(ν/2, x/2),
-/// by its series below the mean and by its continued fraction above (Abramowitz and Stegun 6.5.29 and
-/// 6.5.31).
+/// P(χ² > x): the upper regularised incomplete gamma function Q(ν/2, x/2). Uses the series below the mean,
+/// and the continued fraction above (Abramowitz and Stegun 6.5.29 and 6.5.31).
 pub fn chi_square_upper(x: f64, freedom: f64) -> f64 {
     let (a, x) = (freedom / 2.0, x / 2.0);
     if x <= 0.0 {
@@ -115,8 +113,8 @@ pub fn chi_square_upper(x: f64, freedom: f64) -> f64 {
     front * fraction
 }
 
-/// p-value of the hypothesis that `seen` counts come from these `expected` ones, which have the same sum
-/// (Pearson 1900). Cells in which fewer than ten are expected are joined.
+/// p-value that the counts `seen` come from `expected`, which have the same sum (Pearson 1900). Cells with
+/// fewer than ten expected counts are merged.
 pub fn pearson(seen: &[f64], expected: &[f64]) -> f64 {
     let (mut square, mut cells) = (0.0, 0.0);
     let mut rest = (0.0, 0.0);
