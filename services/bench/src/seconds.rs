@@ -305,7 +305,7 @@ fn report(cases: &[Case]) -> Report {
     }
     let mean = |error: fn(&Case) -> f64| 100.0 * mean_absolute(cases.iter().map(error));
     Report::default().table(table).text(format!(
-        "\nmean absolute error: {:.1} % here, {:.1} % there, of which carrying it over makes {:.1} %\n",
+        "\nmean absolute error: {:.1} % here, {:.1} % there, of which {:.1} % by carrying the quote over\n",
         mean(|case| case.error.here),
         mean(|case| case.error.there),
         mean(|case| case.carried),
