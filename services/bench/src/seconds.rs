@@ -129,7 +129,6 @@ fn calibration(program: &Path) -> Result<NodeCalibration> {
     Ok(calibration)
 }
 
-/// Standard output of a program.
 fn answer(command: &mut Command) -> Result<Vec<u8>> {
     let program = command.get_program().to_string_lossy().into_owned();
     let done = command
@@ -144,7 +143,6 @@ fn answer(command: &mut Command) -> Result<Vec<u8>> {
     Ok(done.stdout)
 }
 
-/// What to quote and render.
 struct Trial<'a> {
     bundle: &'a Path,
     settings: &'a RenderSettings,

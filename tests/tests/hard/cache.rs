@@ -31,7 +31,6 @@ pub fn wall(albedo: f32) -> forelight_scene::Material {
     material(lambert(albedo), 0.0)
 }
 
-/// Records of all levels.
 pub fn records(tracer: &Tracer) -> u64 {
     tracer.cache().map_or(0, |cache| cache.records().iter().sum())
 }

@@ -59,8 +59,8 @@ impl Ggx {
     }
 
     /// Calls `visit` for each cell of the unit square, with its facet normal, its position (ξ, φ/2π) and the
-    /// probability of a visible facet within it. The variable ξ is the GGX distribution function of the facets'
-    /// angle: tan²θ = α² ξ / (1 − ξ).
+    /// probability of a visible facet within it. The variable ξ is the GGX distribution function of the
+    /// facets' angle: tan²θ = α² ξ / (1 − ξ).
     fn facets(self, wi: DVec3, cells: u32, mut visit: impl FnMut(DVec3, [f64; 2], f64)) {
         let n = f64::from(cells);
         for i in 0..cells {

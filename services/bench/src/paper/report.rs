@@ -11,7 +11,6 @@ use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use std::fmt::Write;
 
-/// Pictures per row.
 const COLUMNS: usize = 3;
 
 /// The whole report. Each study comes with the folder of its pictures.

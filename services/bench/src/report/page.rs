@@ -9,10 +9,8 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-/// Name of the file in a folder.
 const NAME: &str = "benchmarks.md";
 
-/// Head of a new file.
 const HEAD: &str = "\
 # Benchmarks
 
@@ -46,7 +44,6 @@ pub fn write(file: &Path, bench: &str, origin: &Origin, report: &Report) -> Resu
     write_bytes(file, replaced(&page, bench, &section(bench, origin, report)).as_bytes())
 }
 
-/// Heading, origin and tables of the section.
 fn section(bench: &str, origin: &Origin, report: &Report) -> String {
     let Origin { command, date, commit, processor, cores } = origin;
     let mut table = Table::new(&[
