@@ -19,11 +19,11 @@ if [ -z "${FORELIGHT_BIN:-}" ]; then
 fi
 
 scenes=(deploy/scenes/kitchen deploy/scenes/corridor)
-# The paper's bench also writes a report of its own, with pictures.
+# `bench paper` also writes its own report with pictures.
 report=${CARGO_TARGET_DIR:-target}/benchmarks/paper
 mkdir -p docs
 
-# Runs one bench, if it was asked for, and writes its section.
+# Runs one bench if asked for, and writes its section.
 bench() {
   [ "${#wanted[@]}" -eq 0 ] || [[ " ${wanted[*]} " == *" $1 "* ]] || return 0
   printf '\n== %s (%d s)\n' "$1" "$SECONDS"

@@ -6,7 +6,6 @@ use anyhow::Result;
 use forelight_terminal::drawing::{self, Area, Drawn};
 use plotters::prelude::*;
 
-/// Size of a panel, pixels.
 const PANEL: (u32, u32) = (420, 440);
 const FORMULAS: RGBColor = RGBColor(213, 94, 0);
 const CALIBRATED: RGBColor = RGBColor(0, 114, 178);

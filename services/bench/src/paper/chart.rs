@@ -7,10 +7,8 @@ use forelight_terminal::drawing::{self, Area, Drawn};
 use forelight_terminal::quantities::seconds;
 use plotters::prelude::*;
 
-/// Size of a panel, pixels.
 const PANEL: (u32, u32) = (520, 460);
 
-/// Panels per row.
 const COLUMNS: usize = 2;
 
 /// Draws the panels from their titles and curves.

@@ -134,7 +134,6 @@ struct QueueJob {
     comment: Option<String>,
 }
 
-/// A number in any of Slurm's forms. `None` means "not set".
 #[derive(Deserialize, Default, Clone, Copy)]
 #[serde(from = "NumberForm")]
 struct Number(Option<u64>);
