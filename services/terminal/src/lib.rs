@@ -4,7 +4,6 @@
 pub mod atomic_file;
 pub mod bounded_file;
 pub mod cost_picture;
-pub mod drawing;
 pub mod failure;
 pub mod interrupt;
 pub mod json_file;

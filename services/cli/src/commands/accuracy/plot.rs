@@ -1,10 +1,9 @@
 //! The ladders as a picture: error over CPU time, both logarithmic.
 
 use super::value;
-use anyhow::Result;
+use forelight_plots::{self as plots, Area, Drawn, PlotError};
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind};
 use forelight_quote::points;
-use forelight_terminal::drawing::{self, Area, Drawn};
 use forelight_terminal::quantities::seconds;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -47,8 +46,8 @@ struct Mark<'a> {
 }
 
 /// The plot as SVG.
-pub fn svg(title: &str, document: &AccuracyDoc) -> Result<String> {
-    drawing::svg(SIZE, |area| draw(area, title, document))
+pub fn svg(title: &str, document: &AccuracyDoc) -> Result<String, PlotError> {
+    plots::svg(SIZE, |area| draw(area, title, document))
 }
 
 fn draw(area: &Area<'_>, title: &str, document: &AccuracyDoc) -> Drawn {
