@@ -1,4 +1,4 @@
-//! `forelight ask`: questions about a job's plan, answered by the farm's service.
+//! `forelight ask`: asks the service about a job's plan.
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
@@ -14,7 +14,7 @@ use forelight_terminal::quantities::{Deadline, clock, money, parse_deadline, par
 use forelight_terminal::table::{Align, Table};
 use std::path::PathBuf;
 
-/// Ask about a job's plan: deadline, price of other deadlines, and ways to be in time
+/// Ask about a job's plan: its deadline, the price of other deadlines, and ways to be in time
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
