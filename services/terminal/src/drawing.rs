@@ -4,13 +4,13 @@ use anyhow::{Result, anyhow};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-/// What is drawn on.
+/// A drawing area.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// Whether drawing worked: with any error of the drawing library.
+/// The result of drawing, with any error of the drawing library.
 pub type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// A white picture of a size, in pixels, with what is drawn on it.
+/// Draws on a white picture of this size, pixels.
 pub fn svg(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> Result<String> {
     let mut text = String::new();
     {
