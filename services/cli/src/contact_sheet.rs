@@ -21,7 +21,6 @@ const GAP: u32 = 6;
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 26]);
 const EMPTY: Rgb<u8> = Rgb([40, 40, 44]);
 
-/// Positions of the cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
     columns: u32,
@@ -54,7 +53,6 @@ impl Layout {
     }
 }
 
-/// The sheet, with the frames in the given order.
 pub fn contact_sheet(cells: &[Cell]) -> RgbImage {
     let pictures = cells.iter().flat_map(|c| [&c.image, &c.cost_map]).flatten();
     let size = pictures.map(RgbImage::dimensions).next().unwrap_or((16, 9));
@@ -90,7 +88,7 @@ const DIGITS: [[u8; 5]; 10] = [
     [0b111, 0b101, 0b111, 0b101, 0b111],
     [0b111, 0b101, 0b111, 0b001, 0b111],
 ];
-/// Pixels per dot of a digit.
+/// Pixels.
 const DOT: u32 = 2;
 
 /// Writes a number in white on a dark plate. The part outside the sheet is cut off.

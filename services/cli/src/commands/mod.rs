@@ -91,8 +91,6 @@ impl Cli {
         let service = matches!(self.command, Command::Farm(_) | Command::Serve(_) | Command::Worker(_));
         self.verbose + u8::from(service)
     }
-
-    /// Runs the command.
     pub async fn run(self) -> Result<()> {
         let interrupt = Interrupt::listen()?;
         match self.command {

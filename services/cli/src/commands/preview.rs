@@ -62,8 +62,6 @@ struct SeenStratum {
 
 /// Largest number of rows of the table. The JSON has all strata.
 const MOST_ROWS: usize = 25;
-
-/// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let bars = Bars::new(args.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;

@@ -92,8 +92,6 @@ enum Format {
     Exr,
     Png,
 }
-
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let wish = args.allot.wish(Instant::now());
     let samples_map = args.allot.check_map()?;

@@ -43,8 +43,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let client = connect(&args.connection)?;
     let job = find(&client, &args.job).await?;
@@ -89,7 +87,7 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
             report(&job, Timestamp::now())
         };
         if text != shown {
-            // Clears the whole screen, since long lines may have wrapped.
+            // Long lines may have wrapped, so the whole screen is cleared.
             let clear = if in_place { "\x1b[H\x1b[2J" } else { "" };
             output::print(&format!("{clear}{text}"))?;
             shown = text;
@@ -107,7 +105,6 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
     }
 }
 
-/// Width of the progress bar, characters.
 const CELLS: usize = 40;
 
 /// A share from 0 to 1 as a bar of `cells` characters, with per cent.
@@ -118,7 +115,6 @@ pub fn bar(share: f64, cells: usize) -> String {
     format!("[{}{}] {:3.0} %", "#".repeat(full), ".".repeat(cells - full), (share * 100.0).floor())
 }
 
-/// The job as text.
 fn report(job: &Job, now: Timestamp) -> String {
     let mut text = format!("{}  {}\n", bar(job.progress, CELLS), job.name);
     let mut line = |name: &str, what: String| text += &format!("{name:<10} {what}\n");

@@ -74,8 +74,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     if let Some(path) = args.out.as_deref().filter(|path| path.extension().is_none_or(|end| end != "svg")) {
         let reason = format!("--out {}: the plot is an SVG, so its name must end in .svg", path.display());

@@ -46,7 +46,6 @@ struct Mark<'a> {
     error: ImageError,
 }
 
-/// The plot as SVG.
 pub fn svg(title: &str, document: &AccuracyDoc) -> Result<String> {
     drawing::svg(SIZE, |area| draw(area, title, document))
 }

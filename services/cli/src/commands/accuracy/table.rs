@@ -149,7 +149,6 @@ fn described(settings: &RenderSettings) -> String {
     )
 }
 
-/// `1.23 %`
 fn share(fraction: f64) -> String {
     format!("{:.2} %", fraction * 100.0)
 }

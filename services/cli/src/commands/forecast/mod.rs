@@ -113,8 +113,6 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
         found.ok_or("this strategy does not exist")
     })
 }
-
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
     if args.cost_map.is_some() {

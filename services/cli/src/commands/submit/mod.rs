@@ -120,8 +120,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let client = connect(&args.connection)?;
