@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 /// Path of the operator's token, relative to a farm's data folder.
 pub const OPERATOR_TOKEN: &str = "tokens/operator.token";
 
-/// The service's address, and the token.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Connection")]
 pub struct ConnectionOptions {
@@ -28,8 +27,7 @@ pub struct ConnectionOptions {
     pub data: Option<PathBuf>,
 }
 
-/// A client with the given token. The token file takes precedence, then the token itself, then the farm's
-/// operator token.
+/// A client with the token from --token-file, else --token, else the farm's data folder.
 pub fn connect(options: &ConnectionOptions) -> Result<Client> {
     let token = match (&options.token_file, &options.token, &options.data) {
         (Some(file), _, _) => read_token(file)?,
@@ -44,7 +42,6 @@ pub fn connect(options: &ConnectionOptions) -> Result<Client> {
     Client::new(&options.server, Some(token)).map_err(|error| BadInput::new(error.to_string()).into())
 }
 
-/// Reads the token in a file.
 pub fn read_token(path: &Path) -> Result<Token> {
     let text =
         fs::read_to_string(path).with_context(|| format!("cannot read the token file {}", path.display()))?;

@@ -88,7 +88,6 @@ const DIGITS: [[u8; 5]; 10] = [
     [0b111, 0b101, 0b111, 0b101, 0b111],
     [0b111, 0b101, 0b111, 0b001, 0b111],
 ];
-/// Pixels.
 const DOT: u32 = 2;
 
 /// Writes a number in white on a dark plate. The part outside the sheet is cut off.

@@ -27,7 +27,6 @@ impl fmt::Display for Threatened {
 
 impl std::error::Error for Threatened {}
 
-/// The exit code of an error.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
         if cause.is::<Interrupted>() {
@@ -85,7 +84,6 @@ fn is_refused_request(cause: &(dyn std::error::Error + 'static)) -> bool {
     problem.is_some_and(|problem| matches!(problem.status, 400 | 404 | 413 | 415 | 422))
 }
 
-/// What to do about the error, if that is known.
 fn hint(error: &anyhow::Error) -> Option<String> {
     error.chain().find_map(|cause| {
         if let Some(bad) = cause.downcast_ref::<BadInput>() {

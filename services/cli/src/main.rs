@@ -33,7 +33,6 @@ fn main() -> ExitCode {
     }
 }
 
-/// Writes a last message to standard error.
 fn say(words: &str) {
     // If this write fails, there is no other place to report it.
     let _ = writeln!(std::io::stderr(), "{words}");
@@ -58,8 +57,7 @@ fn log(verbosity: u8) {
         .init();
 }
 
-/// Sets `XDG_RUNTIME_DIR` if it is missing. Graphics drivers use it to look for a display, and otherwise
-/// complain on standard error.
+/// Sets `XDG_RUNTIME_DIR` if it is missing, because graphics drivers complain on standard error without it.
 fn quiet_display_lookup() {
     const RUNTIME_FOLDER: &str = "XDG_RUNTIME_DIR";
     if std::env::var_os(RUNTIME_FOLDER).is_none() {

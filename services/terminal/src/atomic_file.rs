@@ -28,12 +28,10 @@ pub fn write_secret(path: &Path, secret: &[u8]) -> Result<()> {
     place(path, 0o600, |temporary| Ok(File::options().write(true).open(temporary)?.write_all(secret)?))
 }
 
-/// Checks that these files can be written, before the work that makes them. Leaves nothing behind.
+/// Checks before the work that its files can be written. Leaves nothing behind.
 ///
 /// # Errors
-///
-/// If one of them is a folder, write-protected, or in a folder that cannot be written, or if two are the
-/// same.
+/// If a path is a folder or write-protected, its folder cannot be written, or two paths are the same.
 pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()> {
     let mut seen: Vec<PathBuf> = Vec::new();
     for path in paths.into_iter().flatten() {

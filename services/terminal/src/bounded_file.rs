@@ -8,7 +8,6 @@ use std::path::Path;
 /// Reads a file, pipe or device of at most `most` bytes.
 ///
 /// # Errors
-///
 /// Names the file and the reason.
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, BadInput> {
     let wrong = |why: String| BadInput::new(format!("{}: {why}", path.display()));

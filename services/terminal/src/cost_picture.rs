@@ -25,7 +25,7 @@ pub struct Scale {
 const OFF_SCALE: f64 = 0.005;
 
 impl Scale {
-    /// From the least value to one that only [`OFF_SCALE`] of the values exceed.
+    /// From the least value to one that only `OFF_SCALE` of the values exceed.
     pub fn of(values: &[f64]) -> Self {
         let mut sorted = values.to_vec();
         sorted.sort_unstable_by(f64::total_cmp);

@@ -15,7 +15,6 @@ const MOST: u64 = 1 << 28;
 /// Reads a document.
 ///
 /// # Errors
-///
 /// Names the file, the field and the reason.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     parse(path, |wrong| wrong)

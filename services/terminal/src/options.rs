@@ -65,7 +65,6 @@ impl QualityOptions {
     /// The same options with an irradiance cache.
     ///
     /// # Errors
-    ///
     /// If they exclude one.
     pub fn cached(&self) -> Result<Self, BadInput> {
         if self.cache == Some(CacheMode::Off) {

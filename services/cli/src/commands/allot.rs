@@ -54,7 +54,6 @@ pub struct AllotArgs {
     samples_from: Option<PathBuf>,
 }
 
-/// The clocks of `--within`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ClockName {
     /// Wall time, from start to end.
@@ -97,11 +96,7 @@ impl AllotArgs {
         write_bytes(path, &bytes)
     }
 
-    /// The file of `--samples-map`.
-    ///
-    /// # Errors
-    ///
-    /// If no flag varies the samples: all pixels would have the same number.
+    /// The file of `--samples-map`. Fails if no flag varies the samples.
     pub fn check_map(&self) -> Result<Option<&Path>> {
         let allots = self.within.is_some()
             || self.within_money.is_some()
@@ -118,8 +113,7 @@ impl AllotArgs {
 }
 
 impl Wish<'_> {
-    /// The options of the choice of samples, or `None` without a goal. `rehearse` writes an image to measure
-    /// how long writing takes.
+    /// `None` without a goal. `rehearse` writes an image, to measure how long writing takes.
     pub fn options<'a>(
         &self,
         rehearse: &'a (dyn Fn(&Image, &Frame) + Sync),
@@ -139,7 +133,6 @@ impl Wish<'_> {
         Ok(Some(AllotOptions { aim, confidence, samples, seed: 0 }))
     }
 
-    /// Seconds that an amount of money pays for.
     fn affordable(&self, amount: i64) -> Result<f64> {
         match self.args.price {
             Some(price) if price > 0 && amount > 0 => Ok(3600.0 * amount as f64 / price as f64),
@@ -147,11 +140,7 @@ impl Wish<'_> {
         }
     }
 
-    /// Checks the image's noise against `--error`.
-    ///
-    /// # Errors
-    ///
-    /// If the noise is higher, although a pixel has the most samples that it can have.
+    /// Fails if the noise exceeds `--error`, although a pixel has the most samples that it can have.
     pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
         let Some(percent) = self.args.error else { return Ok(()) };
         let reached = 100.0 * allotted.error.at(self.args.confidence);
@@ -197,7 +186,6 @@ fn read_samples(path: &Path, width: u32, height: u32) -> Result<SampleCounts> {
     }
 }
 
-/// The choice of samples as text.
 pub fn report(allotted: &AllottedStats) -> String {
     let AllottedStats { least, most, mean, error, .. } = allotted;
     let mut text = format!(

@@ -109,7 +109,6 @@ impl Written {
 struct Held {
     /// The frame of the records' positions.
     frame: u32,
-    /// By level.
     records: Vec<u64>,
     filled: u64,
     /// Records with infinite or undefined values. They are never used.
@@ -187,10 +186,7 @@ pub fn read_cache(path: &Path) -> Result<Cache> {
     Cache::from_bytes(&bytes).map_err(RenderError::from).with_context(|| path.display().to_string())
 }
 
-/// Reads a cache for frames to share.
-///
-/// # Errors
-/// If it is not full.
+/// Reads a cache for frames to share. Fails if it is not full.
 pub fn read_full_cache(path: &Path) -> Result<Cache> {
     let cache = read_cache(path)?;
     if !cache.is_complete() {

@@ -11,7 +11,6 @@ const SHOWN: usize = 10;
 pub const WORK_FOR_RAYS: &str =
     "the work for a ray is its traversal and the shading of its hit; all rays of a gather count as ambient\n";
 
-/// Rays and their work, by category.
 fn rays(rays: &[RayShare], percent: impl Fn(f64) -> String) -> String {
     let mut table = Table::new(&[
         ("rays", Align::Left),
@@ -26,7 +25,6 @@ fn rays(rays: &[RayShare], percent: impl Fn(f64) -> String) -> String {
     format!("\n{}{WORK_FOR_RAYS}", table.render())
 }
 
-/// The explanation as text.
 pub fn text(explanation: &Explanation) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let mut text = String::from("\nWhy it costs this much\n\n");

@@ -158,7 +158,7 @@ mod tests {
             let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
             let help = help.replace("\\\n", " ");
             for line in help.lines().map(str::trim).filter(|line| line.starts_with("forelight ")) {
-                // What follows three spaces is an explanation.
+                // Three spaces precede an explanation.
                 let typed = line.split("   ").next().unwrap_or(line);
                 let typed = typed.split(" > ").next().unwrap_or(typed);
                 parse(typed).unwrap_or_else(|error| panic!("{typed}: {error}"));

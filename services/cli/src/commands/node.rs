@@ -73,7 +73,7 @@ enum Order {
     Pause,
     /// Take tasks again after `drain` or `pause`.
     Resume,
-    /// Drop the current task for another node to start again, and take the next task
+    /// Drop the current task for another node to start again. A drained node takes no next task
     Cancel,
     /// Drop the current task and take no more.
     Stop,

@@ -77,7 +77,6 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// The effects in the code that traces a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum EffectsSwitch {
     /// Only the effects that the frame needs
@@ -86,7 +85,6 @@ enum EffectsSwitch {
     All,
 }
 
-/// Image formats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Format {
     Exr,
@@ -173,7 +171,6 @@ fn read_profile(path: &Path) -> Result<Profile> {
         .with_context(|| format!("--profile {}", path.display()))
 }
 
-/// The files to write an image to.
 struct Files<'a> {
     image: Option<(&'a Path, Format)>,
     cost_map: Option<&'a Path>,
@@ -210,7 +207,6 @@ fn write_image(image: &Image, frame: &Frame, path: &Path, format: Format) -> Res
     }
 }
 
-/// The cost of a frame as text.
 fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     let mut table = Table::new(&[
         ("rays", Align::Left),

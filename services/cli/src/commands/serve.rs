@@ -77,13 +77,11 @@ pub struct ServiceOptions {
     pub slurm: SlurmOptions,
 }
 
-/// What starts the processes that do the tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Executor {
     /// People start workers: `forelight worker`, or `forelight farm` on its own machine.
     Workers,
-    /// Slurm starts them: tasks become job arrays, bookings start times and reservations, forecasts time
-    /// limits
+    /// Slurm starts them: tasks are job arrays, bookings reservations, and forecasts time limits.
     Slurm,
 }
 
@@ -110,7 +108,6 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     Ok(())
 }
 
-/// A running service.
 pub struct Running {
     pub service: Service,
     pub worker_token: Token,

@@ -58,7 +58,6 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The job with this id, or the newest job with this name.
 async fn find(client: &Client, wanted: &str) -> Result<Job> {
     let id = match wanted.parse::<JobId>() {
         Ok(id) => id,
@@ -75,7 +74,6 @@ async fn find(client: &Client, wanted: &str) -> Result<Job> {
     client.job(id).await.with_context(|| format!("cannot read job {wanted}"))
 }
 
-/// Shows the job whenever it changes, until it ends.
 async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt) -> Result<Job> {
     let stopped = interrupt.token();
     let in_place = !args.json && std::io::stdout().is_terminal();
@@ -194,7 +192,6 @@ fn ready(job: &Job, now: Timestamp) -> String {
     said + &against
 }
 
-/// The cost so far and in total, beside the budget.
 fn cost(job: &Job) -> String {
     let mut parts: Vec<String> = job.spent.iter().map(|spent| format!("{spent} so far")).collect();
     if let Some(whole) = job.live.as_ref().and_then(|live| live.cost).filter(|_| !job.state.is_final()) {

@@ -145,10 +145,8 @@ pub fn task_limits(memory: Option<u64>, time: Option<Duration>) -> TaskLimits {
     TaskLimits { memory_bytes: memory, wall_ms: time.map(millis) }
 }
 
-/// A client with this machine's own token: the known one in the token file, or a new one for the one-time
-/// token.
-///
-/// The new token is on disk before the service gets it, so that a crash loses nothing.
+/// A client with this machine's own token: the one in the token file if the service knows it, else a new one,
+/// which uses up the one-time token. The new one is on disk before it is sent, so that a crash loses nothing.
 async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegistration) -> Result<Client> {
     let file = connection
         .token_file

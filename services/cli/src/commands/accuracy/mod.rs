@@ -87,7 +87,6 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The ladders in the quote of a job.
 async fn of_job(args: &Args, id: JobId) -> Result<()> {
     let client = connect(&args.connection)?;
     let document =
@@ -96,7 +95,6 @@ async fn of_job(args: &Args, id: JobId) -> Result<()> {
     show(args, &format!("job {}, frames {}", job.name, job.frames), &document)
 }
 
-/// The ladders of a frame of a bundle, forecast on this machine.
 fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let local = Local::open(bundle, &args.machine, &bars)?;
@@ -124,7 +122,6 @@ fn show(args: &Args, title: &str, document: &AccuracyDoc) -> Result<()> {
     if args.json { output::json(document) } else { output::print(&table::text(document)) }
 }
 
-/// A progress bar, with the user's wish to stop.
 struct Watcher<'a> {
     bar: ProgressBar,
     interrupt: &'a Interrupt,

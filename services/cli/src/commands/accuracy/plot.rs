@@ -18,7 +18,6 @@ const MARGIN: f64 = 1.35;
 const FRONT: RGBColor = RGBColor(235, 200, 90);
 const GREY: RGBColor = RGBColor(90, 90, 90);
 
-/// A ladder's colour and its text in the legend.
 struct Look {
     kind: LadderKind,
     colour: RGBColor,
@@ -202,8 +201,7 @@ fn ladder(chart: &mut Chart<'_, '_>, look: &Look, marks: &[Mark<'_>]) -> Drawn {
     Ok(())
 }
 
-/// Positions of a label relative to its point: pixels right and down, and the side of the label that is
-/// there.
+/// Positions of a label: pixels right and down of its point, and the label's side that is there.
 const PLACES: [(i32, i32, HPos, VPos); 8] = [
     (8, -6, HPos::Left, VPos::Bottom),
     (-8, 6, HPos::Right, VPos::Top),

@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
     let forecast: Option<ForecastDoc> = args.forecast.as_deref().map(quote).transpose()?;
     let stats = |path| json_file::read_written_by("forelight render --stats", path);
     let stats: Option<RenderStats> = args.stats.as_deref().map(stats).transpose()?;
-    // Nothing is traced or previewed here.
+    // Nothing is traced here.
     let machine = MachineOptions { threads: Some(1), preview: PreviewBackend::Cpu };
     let local = Local::open(&args.bundle, &machine, &Bars::new(args.out.is_none()))?;
     let settings = local.settings(&args.quality)?;
@@ -112,11 +112,7 @@ pub fn run(args: &Args) -> Result<()> {
     output::print(&report)
 }
 
-/// The shot for the template.
-///
-/// # Errors
-///
-/// If a template cannot hold it, or --forecast or --stats belongs to something else.
+/// Fails if a template cannot hold the shot, or if --forecast or --stats belongs to something else.
 fn exported(
     args: &Args,
     scene: &SceneSummary,
@@ -204,8 +200,8 @@ fn job_name(name: &str) -> Result<&str> {
         .into())
 }
 
-/// The path of the bundle from the template's folder. `None` if it is outside that folder, because a template
-/// may not hold such a path.
+/// The bundle's path from the template's folder. `None` if it leads out of that folder, which a template may
+/// not.
 fn bundle_default(bundle: &Path, out: Option<&Path>) -> Result<Option<String>> {
     let folder = match out.and_then(Path::parent) {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -227,7 +223,7 @@ fn bundle_default(bundle: &Path, out: Option<&Path>) -> Result<Option<String>> {
     Ok(Some(if below.is_empty() { ".".to_owned() } else { below.to_owned() }))
 }
 
-/// Time limits of tasks, seconds.
+/// Seconds.
 #[derive(Debug, PartialEq, Eq)]
 struct Limits {
     frame: Option<u64>,
@@ -236,11 +232,8 @@ struct Limits {
 
 impl Limits {
     /// The requested limit, or limits from a forecast. A frame's limit is that of the most expensive frame.
-    /// The cache's limit follows from all frames together.
-    ///
-    /// # Errors
-    ///
-    /// If the forecast is of other frames, or a time is out of range.
+    /// The cache's follows from all frames together. Fails if the forecast is of other frames, or out of
+    /// range.
     fn new(asked: Option<Duration>, forecast: Option<&ForecastDoc>, frames: &FrameSet) -> Result<Self> {
         let mut limits = Self { frame: None, cache: None };
         if let Some(quote) = forecast {

@@ -9,7 +9,6 @@ use clap::ValueEnum;
 use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
 use forelight_terminal::options::PreviewBackend;
 
-/// The shot to export.
 #[derive(Debug, Clone)]
 pub struct ExportedShot {
     pub name: String,
@@ -25,9 +24,8 @@ pub struct ExportedShot {
     pub threads: Option<u16>,
     /// Memory of a task, MiB, if it is known.
     pub memory_mib: Option<u64>,
-    /// Seconds after which a frame's task is stopped.
+    /// Time limits of tasks, seconds.
     pub frame_limit: Option<u64>,
-    /// Seconds after which a task of the cache is stopped.
     pub cache_limit: Option<u64>,
 }
 
@@ -200,7 +198,6 @@ impl ExportedShot {
         steps
     }
 
-    /// The flags of all commands that trace light.
     fn how(&self) -> Vec<String> {
         let quality = self.quality().into_iter();
         let mut flags: Vec<String> =

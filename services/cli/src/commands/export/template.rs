@@ -1,6 +1,5 @@
-//! The parts of an Open Job Description template that an exported shot uses, without extensions, so that
-//! every reader of templates accepts it: <https://github.com/OpenJobDescription/openjd-specifications>,
-//! revision 2023-09.
+//! The parts of an Open Job Description template that a shot uses, without extensions. Specification:
+//! <https://github.com/OpenJobDescription/openjd-specifications>, revision 2023-09.
 //!
 //! In a *format string*, `{{Param.Name}}` stands for a value, and two braces cannot be escaped. So no name
 //! from a user is in a format string. Names and paths are defaults of parameters, which are taken literally.
@@ -15,7 +14,6 @@ pub const LONGEST_VALUE: usize = 1024;
 /// Largest integer that every reader of templates can hold.
 pub const GREATEST_INTEGER: u64 = i64::MAX as u64;
 
-/// A job: steps, and parameters that are set at submission.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub struct JobTemplate {
@@ -109,7 +107,6 @@ pub struct Step {
     pub name: String,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub dependencies: Vec<Dependency>,
-    /// `None` is one task.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub parameter_space: Option<ParameterSpace>,
     pub host_requirements: HostRequirements,
@@ -128,7 +125,6 @@ pub struct ParameterSpace {
     pub task_parameter_definitions: [TaskParameter; 1],
 }
 
-/// A parameter with a different value for each task.
 #[derive(Debug, Serialize)]
 pub struct TaskParameter {
     /// The name in `{{Task.Param.…}}`.

@@ -12,7 +12,6 @@ use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::count;
 use image::RgbImage;
 
-/// What the cost map shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum At {
     /// The mean cost of a pixel
@@ -36,8 +35,7 @@ impl At {
     }
 }
 
-/// Checks that the strategy knows what each pixel shows, and that enough pixels are profiled for the
-/// quantile.
+/// Checks that the strategy knows what each pixel shows, with enough profiled pixels for the quantile.
 pub fn check(at: At, strategy: Strategy, samples: u32) -> Result<()> {
     if strategy != Strategy::Snapshot {
         let reason = format!(

@@ -105,7 +105,6 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Reads the name of a strategy.
 fn strategies() -> impl TypedValueParser<Value = Strategy> {
     let possible = |strategy: Strategy| PossibleValue::new(strategy.name()).help(strategy.summary());
     PossibleValuesParser::new(Strategy::ALL.map(possible)).try_map(|name| {
@@ -166,7 +165,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     }
 }
 
-/// The quote's document, and the explanation if it was requested.
 #[derive(serde::Serialize)]
 struct Explained<'a> {
     #[serde(flatten)]
@@ -221,7 +219,6 @@ fn save_profiles(quote: &Quote, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The quote as text.
 fn report(quote: &ForecastDoc) -> String {
     let head = [
         ("frame", Align::Right),

@@ -12,11 +12,7 @@ use forelight_terminal::options::QualityOptions;
 use forelight_terminal::output::Bars;
 use std::path::Path;
 
-/// Checks that caches can be compared for this quote, before anything is traced.
-///
-/// # Errors
-///
-/// If the quote has no cache, or uses another strategy than snapshot.
+/// Fails if this quote has no cache, or uses another strategy than snapshot.
 pub fn check(sharing: CacheSharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
     if sharing == CacheSharing::Private {
         return Ok(());

@@ -43,11 +43,9 @@ pub fn gantt(input: &Input, plan: &Plan) -> Result<String> {
 
 struct Chart<'a> {
     plan: &'a Plan,
-    /// Id and name, by id.
     nodes: Vec<(u64, &'a str)>,
     /// Id, name, and the deadline if it is within the chart.
     jobs: Vec<(u64, &'a str, Option<i64>)>,
-    /// Height of a row, pixels.
     row: f64,
     from: i64,
     until: i64,

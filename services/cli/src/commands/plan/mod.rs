@@ -186,9 +186,8 @@ fn answers(args: &Args, input: &Input, name: &str) -> Result<Answers> {
     })
 }
 
-/// Whether a job was late in more scenarios than its confidence allows, beyond three standard errors. This
-/// happens if frames vary much: the last of the parallel frames then ends later than all work at that
-/// confidence.
+/// Whether a job was late in more scenarios than its confidence allows, by over three standard errors. Frames
+/// that vary much cause this: the last of the parallel frames ends later than planned.
 fn is_beyond((late, scenarios): (f64, u32), confidence: Confidence) -> bool {
     let allowed: f64 = match confidence {
         Confidence::P50 => 0.5,
@@ -368,7 +367,7 @@ fn job_name(input: &Input, id: u64) -> String {
     input.jobs.iter().find(|job| job.id == id).map(|job| job.name.clone()).unwrap_or_default()
 }
 
-/// Day and time, UTC.
+/// UTC.
 fn clock(instant: i64) -> String {
     jiff::Timestamp::from_microsecond(instant)
         .map_or_else(|_| "never".to_owned(), |at| at.strftime("%d %b %H:%M").to_string())

@@ -113,7 +113,7 @@ enum Case {
     Month,
     /// 1,000 promises at 80 % and 1,000 at 95 %: share of promises kept
     Promises,
-    /// Three weeks of frames of fifteen hours: what it gains to fill caches in parts
+    /// Three weeks of frames of fifteen hours: the gain from caches that are filled in parts
     Shots,
 }
 
@@ -186,8 +186,7 @@ const POOLS: [u32; 9] = [100, 60, 40, 30, 25, 22, 20, 18, 16];
 const MONTH_SAVES: f64 = 0.15;
 const PROMISES: [(Confidence, f64); 2] = [(Confidence::P80, 0.80 - 0.03), (Confidence::P95, 0.95 - 0.02)];
 
-/// For long frames: work of a frame's own cache relative to the shared one, and required share of more
-/// promises.
+/// For long frames: a frame's own cache relative to the shared one, and the required gain in promises.
 const OWN_CACHE: f64 = 0.5;
 const SHOTS_MORE: f64 = 0.0;
 

@@ -18,8 +18,7 @@ const QUIET: Duration = Duration::from_secs(20);
 /// Time between two reads of the job's estimate.
 const BETWEEN_ESTIMATES: Duration = Duration::from_secs(1);
 
-/// Follows a job until it is done, failed or cancelled. Survives lost connections and restarts of the
-/// service.
+/// Follows a job until it ends, through lost connections and restarts of the service.
 pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrupt) -> Result<Job> {
     let id = job.id;
     let stopped = interrupt.token();
@@ -66,8 +65,7 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
     }
 }
 
-/// Reads events until the stream ends or falls silent, or the job is booked or over. Returns the last event's
-/// id.
+/// Reads events until the stream ends or falls silent, or the job is booked or over. Returns the last id.
 async fn listen(
     mut stream: EventStream,
     mut last: Option<EventId>,
@@ -82,7 +80,6 @@ async fn listen(
         if event.job_state.is_some_and(|state| state.is_final() || state == JobState::Booked) {
             break;
         }
-        // Finished frames change the job's estimate.
         if stages.is_behind && asked.elapsed() >= BETWEEN_ESTIMATES {
             asked = Instant::now();
             if let Ok(job) = client.job(stages.id).await {
@@ -98,8 +95,7 @@ struct Stages {
     bars: Bars,
     previews: ProgressBar,
     profiling: ProgressBar,
-    /// The irradiance cache that the frames wait for, in hundredths of a part. `None` until the job shows
-    /// one.
+    /// The irradiance cache that the frames wait for, in hundredths of a part.
     cache: Option<ProgressBar>,
     /// Progress of each leased part, 0 to 1.
     parts: BTreeMap<TaskId, f64>,
@@ -224,7 +220,6 @@ impl Stages {
     }
 }
 
-/// The finished and the expected CPU time as text.
 fn expected(live: &LiveForecast) -> String {
     let cpu = &live.cpu_seconds;
     format!("{} of {} CPU time (P80 {})", seconds(cpu.spent), seconds(cpu.whole.p50), seconds(cpu.whole.p80))

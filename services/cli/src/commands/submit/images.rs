@@ -73,7 +73,6 @@ pub async fn fetch(
     tokio::task::spawn_blocking(move || write_sheet(&rows, &folder)).await?
 }
 
-/// A picture of a frame, and the path that it is written to.
 struct File {
     frame: u32,
     picture: FramePicture,
@@ -81,7 +80,6 @@ struct File {
     path: PathBuf,
 }
 
-/// The files of a frame's available pictures.
 fn files(row: &FrameRow, folder: &Path) -> Vec<File> {
     let hash = |picture: FramePicture| match picture {
         FramePicture::Preview => row.artifacts.preview_png,

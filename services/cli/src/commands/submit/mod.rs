@@ -154,7 +154,6 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// Sends the bundle and the job.
 async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Result<Job> {
     let key = args.idempotency_key.unwrap_or_else(Uuid::now_v7);
     let (reference, scene) = if args.shared {

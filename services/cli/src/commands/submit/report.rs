@@ -9,16 +9,13 @@ use forelight_terminal::quantities::{clock, count, money, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 
-/// The report as JSON.
 #[derive(Debug, Serialize)]
 pub struct Document<'a> {
     pub job: &'a Job,
-    /// The quote, if there is one.
     pub forecast: Option<&'a ForecastDoc>,
     pub frames: &'a [FrameRow],
 }
 
-/// The table and the verdict as text.
 pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
     let head = [
         ("frame", Align::Right),
