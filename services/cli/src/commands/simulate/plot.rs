@@ -5,7 +5,6 @@ use forelight_simulator::{PolicyKind, Report};
 use plotters::prelude::*;
 
 const WIDTH: u32 = 1100;
-/// Height of one picture.
 const HEIGHT: u32 = 340;
 const GREY: RGBColor = RGBColor(90, 90, 90);
 
