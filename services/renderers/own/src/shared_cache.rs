@@ -167,7 +167,7 @@ pub struct Filled {
     pub spent: Spent,
 }
 
-/// As [`Renderer::fill_cache`], with its cost.
+/// As [`OwnShot::fill_cache`], with its cost.
 ///
 /// # Errors
 /// If the cache belongs to another scene or other settings.
