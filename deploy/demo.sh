@@ -24,8 +24,8 @@ deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev
 command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
 if [ -z "${FORELIGHT_BIN:-}" ]; then
   command -v cargo >/dev/null || { echo 'error: Rust is missing; install it from https://rustup.rs and run this again' >&2; exit 1; }
-  cargo build --release --package forelight-cli
-  FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/release/forelight
+  cargo build --profile demo --package forelight-cli
+  FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/demo/forelight
 fi
 
 data=${FORELIGHT_DATA:-farm-data}
