@@ -8,17 +8,17 @@ use crate::database::Store;
 use crate::error::StoreError;
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 
-/// A bundle that was uploaded and found to be a scene.
+/// An uploaded bundle that contains a valid scene.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewBundle {
     /// Its zip file, stored as an artefact.
     pub hash: ArtifactHash,
-    /// What is in it.
+    /// Its content.
     pub scene: SceneSummary,
 }
 
 impl Store {
-    /// Remembers a bundle.
+    /// Stores a bundle.
     pub async fn create_bundle(
         &self,
         new: NewBundle,

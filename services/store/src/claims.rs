@@ -25,8 +25,8 @@ use crate::policy::availability::{Opening, forecast_seconds_within, opening};
 use crate::writing::{ask, later};
 
 impl Store {
-    /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that a task whose
-    /// worker is gone can be handed out at once. The node counts as heard of.
+    /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that the
+    /// task of a lost worker can be handed out at once. The node counts as heard of.
     pub async fn claim(
         &self,
         node: NodeId,
@@ -37,8 +37,8 @@ impl Store {
         self.hand_out(node, None, ttl, key, now).await
     }
 
-    /// Hands the node exactly this task, whatever was planned for the node: nothing while another holds it, a
-    /// [`StoreError::Conflict`] once it is over.
+    /// Hands the node exactly this task, whatever is planned for the node. `None` while another worker holds
+    /// it; a [`StoreError::Conflict`] once it is over.
     pub async fn claim_task(
         &self,
         node: NodeId,
@@ -50,8 +50,9 @@ impl Store {
         self.hand_out(node, Some(task), ttl, key, now).await
     }
 
-    /// What a claim gets while no task is to be handed out: the lease that the same request got before, or nothing. The node counts as heard of; a
-    /// task that is over is a [`StoreError::Conflict`] as ever.
+    /// Answers a claim while no task may be handed out: with the lease that the same request got before, or
+    /// `None`. The node counts as heard of. A task that is over is a [`StoreError::Conflict`], as in
+    /// [`Store::claim_task`].
     pub async fn claim_nothing_new(
         &self,
         node: NodeId,
@@ -157,7 +158,8 @@ impl Store {
         Ok(Some(Answered::Fresh(lease)))
     }
 
-    /// Whether a claim could find something for the node, or exactly this task: asked by those who wait, so that they need not take the write lock.
+    /// Whether a claim could find a task for the node, or exactly this task. Waiting claims ask this, because
+    /// it needs no write lock.
     pub async fn may_have_work(
         &self,
         node: NodeId,
@@ -175,7 +177,7 @@ impl Store {
         match wanted {
             Some(task) => match this_task(&mut connection, task, now).await {
                 Ok(task) => Ok(task.is_some()),
-                // There is an answer, though no task.
+                // The claim gets an answer, although no task.
                 Err(StoreError::Conflict(_)) => Ok(true),
                 Err(error) => Err(error),
             },
@@ -186,7 +188,7 @@ impl Store {
         }
     }
 
-    /// Until when the node sleeps; `None` if it is awake.
+    /// When the node wakes up; `None` if it is awake.
     pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
         let mut connection = self.readers().acquire().await?;
         let has_calendar = sqlx::query_scalar!(
@@ -199,12 +201,13 @@ impl Store {
     }
 }
 
-/// What a claim has to know before it looks for a task: one question, for nearly always nothing comes of the other two.
+/// What a claim reads before it looks for a task. One query answers all three, because the last two are
+/// nearly always negative.
 struct Asker {
     node: Node,
-    /// What the request of this key was answered before.
+    /// The earlier answer to the request with this key.
     answered: Option<RecordedAnswer>,
-    /// Whether there are leases that have run out.
+    /// Whether any leases have expired.
     some_ran_out: bool,
 }
 
@@ -241,22 +244,23 @@ async fn asker(
     Ok(Asker { node: node.into(), answered, some_ran_out })
 }
 
-/// The task that the node should do next, if it may be given any.
+/// The task that the node should do next, if it may have one.
 ///
-/// 1. Previews and profiles of any job, and plans and merges of irradiance caches: they are short, and every quote, and with it every
-///    booking, waits for them. By priority, then deadline, then age of the job.
-/// 2. The node's own bookings, earliest planned start first: frames, and parts of irradiance caches.
-/// 3. Any of these, by the job's deadline, then priority, then age of the job, then frame, as far as that is not against what the plan
-///    wanted: see [`work_stealing`].
+/// 1. Previews and profiles of any job, and plans and merges of irradiance caches. They are short, and every
+///    quote and booking waits for them. By priority, then deadline, then age of the job.
+/// 2. The node's own bookings, by planned start: frames, and parts of irradiance caches.
+/// 3. Any other frames and parts, by the job's deadline, then priority, then age of the job, then frame, as
+///    far as the plan allows it: see [`work_stealing`].
 ///
-/// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
-/// all ready tasks and sorts them; later ones are taken only if those before found nothing. Only if the first of the third kind is not for everybody, the
-/// booked jobs are looked at one by one.
+/// Each of the three is one step into an index of its own. The index is named because SQLite would otherwise
+/// sort all ready tasks. A later step runs only if the earlier ones found nothing. Booked jobs are examined
+/// one by one only if the first task of the third kind is not free for every node.
 ///
-/// A task that failed is passed over while it waits, and for a while longer on the nodes that it failed on. Such tasks are few, so
-/// the steps over them are.
+/// A failed task is skipped while it waits, and for longer on the nodes on which it failed. Such tasks are
+/// few, so these steps are few.
 ///
-/// Before the node's window ends, frames are passed over that would not be done by then in one case of twenty.
+/// Before the node's window ends, frames are skipped that would run past its end in more than one case of
+/// twenty.
 async fn offer(
     connection: &mut SqliteConnection,
     node: &Node,
@@ -281,7 +285,7 @@ async fn offer(
     Ok(Some(first).into())
 }
 
-/// A task by its id, if it is ready; nothing while it is leased, or waits after a failure.
+/// A task by its id, if it is ready; `None` while it is leased, or waits after a failure.
 async fn this_task(
     connection: &mut SqliteConnection,
     task: TaskId,
@@ -314,8 +318,8 @@ async fn this_task(
     }
 }
 
-/// By job, in JSON, how many of its forecast's CPU seconds the node does in so many microseconds: as plans have it, for work of the job's classes, and after what
-/// finished frames took.
+/// JSON object by job: forecast CPU seconds that the node does in so many microseconds. As in plans, it is
+/// for the job's classes of work and corrected by finished frames.
 async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String, StoreError> {
     let rows = sqlx::query!(
         "SELECT hex(id) AS \"name!: String\", work_by_class, factor FROM jobs \
@@ -333,7 +337,7 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
     Ok(serde_json::to_string(&limits)?)
 }
 
-/// What the node is given if nothing is against it; and whether there may be.
+/// The next task of the node by the three steps of [`offer`], and whether it is booked elsewhere.
 pub(crate) const NEXT: &str = concat!(
     "SELECT ",
     task_columns!(),

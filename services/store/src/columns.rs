@@ -1,5 +1,5 @@
-//! Types of columns. `sqlx.toml` says which column has which of them, so that `query!` and its kin decode a row of any
-//! table into these.
+//! Types of columns. `sqlx.toml` assigns them, so that `query!` and its relatives decode the rows of any
+//! table into them.
 
 use std::marker::PhantomData;
 
@@ -16,7 +16,7 @@ use uuid::Uuid;
 
 use crate::error::StoreError;
 
-/// A column holds something that this program never writes there.
+/// The error for a column value that this program never writes.
 pub(crate) fn corrupt(column: &str, reason: impl std::fmt::Display) -> StoreError {
     StoreError::Corrupt(format!("column {column}: {reason}"))
 }
@@ -44,7 +44,7 @@ impl<'q, T: Serialize> Encode<'q, Sqlite> for Json<T> {
     }
 }
 
-/// A wire type as JSON that is long, and read only where it is needed.
+/// A long JSON value that is parsed only where it is needed.
 #[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Unread<T> {
     text: String,
@@ -52,7 +52,6 @@ pub(crate) struct Unread<T> {
 }
 
 impl<T: DeserializeOwned> Unread<T> {
-    /// Reads it.
     pub fn read(self) -> Result<T, StoreError> {
         serde_json::from_str(&self.text).map_err(|error| StoreError::Corrupt(named::<T>(error).to_string()))
     }
@@ -70,7 +69,7 @@ impl<'r, T> Decode<'r, Sqlite> for Unread<T> {
     }
 }
 
-/// A value of an enumeration, by the name that it has in JSON.
+/// A value of an enumeration, by its JSON name.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Word<T>(pub T);
 
@@ -88,7 +87,7 @@ impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Word<T> {
     }
 }
 
-/// An error of decoding with the name of the type that was expected.
+/// A decoding error with the name of the expected type.
 fn named<T>(error: serde_json::Error) -> BoxDynError {
     let name = std::any::type_name::<T>();
     format!("{}: {error}", name.rsplit("::").next().unwrap_or(name)).into()
@@ -105,7 +104,7 @@ impl From<Time> for Timestamp {
     }
 }
 
-/// An id, 16 bytes. It becomes the id of whatever is asked for.
+/// An id, 16 bytes. It converts into the id of any kind of thing.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, sqlx::Type)]
 #[sqlx(transparent)]
 pub(crate) struct Id(pub Uuid);

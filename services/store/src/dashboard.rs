@@ -21,15 +21,15 @@ use crate::policy::projection::{Projection, project};
 use crate::quotes::track_record;
 use crate::shared_cache::parts;
 
-/// How much of everything the dashboard shows.
+/// Most rows of each kind that the dashboard shows.
 const JOBS: u32 = 200;
 const NODES: u32 = 1000;
 const BOOKINGS: usize = 1000;
 const EVENTS: u32 = 50;
 
 impl Store {
-    /// Everything a dashboard shows, read in one transaction. A node is alive if it was heard of within the last three
-    /// lease times.
+    /// Everything that a dashboard shows, read in one transaction. A node is alive if it was heard of within
+    /// the last three lease times.
     pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard, StoreError> {
         let silent_since = now.plus_micros(-silent_after(ttl));
         let mut transaction = self.read().await?;
@@ -53,7 +53,7 @@ impl Store {
         })
     }
 
-    /// The farm in numbers.
+    /// The farm's counts.
     pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts, StoreError> {
         let silent_since = now.plus_micros(-silent_after(ttl));
         let mut transaction = self.read().await?;

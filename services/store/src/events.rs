@@ -1,4 +1,4 @@
-//! What happened, in one order.
+//! The farm's events, in one order.
 
 use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, Timestamp};
 use sqlx::SqliteConnection;
@@ -9,10 +9,10 @@ use crate::database::Write;
 use crate::error::StoreError;
 use crate::writing::later;
 
-/// For how long reports of progress are kept: an hour, in microseconds. All other events are kept for good.
+/// How long progress events are kept: an hour, in microseconds. All other events are kept permanently.
 const PROGRESS_KEPT: i64 = 3_600_000_000;
 
-/// An event of which only kind and time are known.
+/// An event with only its kind and time.
 pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
     Event {
         id: 0,
@@ -32,7 +32,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
     }
 }
 
-/// Appends an event; its id is given by the database.
+/// Appends an event. The database assigns its id.
 pub(crate) fn append(write: &mut Write, event: Event) -> Result<(), StoreError> {
     later!(
         write,
@@ -46,7 +46,7 @@ pub(crate) fn append(write: &mut Write, event: Event) -> Result<(), StoreError> 
     Ok(())
 }
 
-/// Appends the event that a job went into a state.
+/// Appends the event of a job's new state.
 pub(crate) fn job_state(
     write: &mut Write,
     job: JobId,
@@ -70,7 +70,6 @@ pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Re
     Ok(())
 }
 
-/// A row of the events.
 pub(crate) struct EventRow {
     id: EventId,
     body: Json<Event>,

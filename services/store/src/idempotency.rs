@@ -1,9 +1,10 @@
 //! Requests that may be sent twice.
 //!
-//! The hazard: a client sends a job, the answer is lost, it sends the job again, and the farm renders it twice. A
-//! client that can repeat a request names it with an idempotency key, and the answer is recorded *in the transaction
-//! that creates*. Then either both are on disk or neither, and a repetition, at any later time and after any crash,
-//! finds the first answer. There is no state "in flight" here that a crash could leave behind.
+//! The hazard: a client submits a job, the answer is lost, the client submits again, and the farm renders the
+//! job twice. A client that may repeat a request names it with an idempotency key. The answer is recorded *in
+//! the transaction that creates*: either both are on disk, or neither. So a repetition finds the first
+//! answer, at any later time and after any crash. There is no state "in flight" that a crash could leave
+//! behind.
 
 use serde::Serialize;
 use sqlx::SqliteConnection;
@@ -16,13 +17,13 @@ use crate::database::Write;
 use crate::error::StoreError;
 use crate::writing::later;
 
-/// For how long an answer is remembered: a day, in microseconds.
+/// How long an answer is kept: a day, in microseconds.
 const REMEMBERED: i64 = 24 * 3_600_000_000;
 
 /// A client's name for one of its requests.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct IdempotencyKey {
-    /// Hash of the client's token: keys of different clients have nothing to do with each other.
+    /// Hash of the client's token: clients do not share keys.
     pub principal: [u8; 32],
     /// The key, 1 to 255 characters.
     pub key: String,
@@ -39,17 +40,17 @@ pub struct RecordedAnswer {
     pub body: String,
 }
 
-/// Either something was created now, or the request had been answered before.
+/// The answer to a request that may be a repetition.
 #[derive(Clone, PartialEq, Debug)]
 pub enum Answered<T> {
-    /// Created now.
+    /// The request was carried out now.
     Fresh(T),
-    /// This was the answer then.
+    /// The request was answered before, with this.
     Repeated(RecordedAnswer),
 }
 
 impl Store {
-    /// What was answered to this request, if it was. [`StoreError::KeyReused`] if the key stands for another one.
+    /// The earlier answer to this request. [`StoreError::KeyReused`] if the key was used for another request.
     pub async fn recorded_answer(&self, key: &IdempotencyKey) -> Result<Option<RecordedAnswer>, StoreError> {
         let mut connection = self.readers().acquire().await?;
         lookup(&mut connection, key).await
@@ -74,7 +75,7 @@ async fn lookup(
     Ok(Some(RecordedAnswer { status: row.status, body: row.body }))
 }
 
-/// As [`Store::recorded_answer`], inside a write; nothing without a key.
+/// As [`Store::recorded_answer`], inside a write. `None` without a key.
 pub(crate) async fn earlier_answer(
     write: &mut Write,
     key: Option<&IdempotencyKey>,
@@ -85,7 +86,7 @@ pub(crate) async fn earlier_answer(
     }
 }
 
-/// Records the answer inside the write that creates; nothing without a key.
+/// Records the answer inside the write that creates. Does nothing without a key.
 pub(crate) fn record(
     write: &mut Write,
     key: Option<&IdempotencyKey>,
@@ -108,7 +109,7 @@ pub(crate) fn record(
     Ok(())
 }
 
-/// Forgets answers of more than a day ago.
+/// Deletes answers that are more than a day old.
 pub(crate) async fn forget_old(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
     sqlx::query!("DELETE FROM idempotency WHERE created_at < ?", now.plus_micros(-REMEMBERED).micros())
         .execute(write.connection().await?)

@@ -1,4 +1,4 @@
-//! Jobs, as they are read.
+//! Reading jobs.
 
 pub(crate) mod ending;
 pub(crate) mod frames;
@@ -31,7 +31,7 @@ pub struct JobFilter {
     pub name: Option<String>,
 }
 
-/// A job's row, without what only claims need of it.
+/// A job's row, without the columns that only claims read.
 pub(crate) struct JobRow {
     pub id: Id,
     pub name: String,
@@ -115,7 +115,7 @@ impl Store {
         Ok(jobs)
     }
 
-    /// The jobs for which the service itself may have something to do: those before `booked`, oldest first.
+    /// The jobs that the service itself may have to move on: those before `booked`, oldest first.
     pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>, StoreError> {
         let ids =
             sqlx::query_scalar!("SELECT id FROM jobs WHERE state IN ('previewing', 'profiling') ORDER BY id")
@@ -125,14 +125,12 @@ impl Store {
     }
 }
 
-/// A job's state, by one look-up.
 pub(crate) async fn state(connection: &mut SqliteConnection, job: JobId) -> Result<JobState, StoreError> {
     let state = sqlx::query_scalar!("SELECT state FROM jobs WHERE id = ?", job.0);
     let state = state.fetch_optional(connection).await?;
     Ok(state.ok_or(StoreError::NotFound("job"))?.0)
 }
 
-/// A job's row.
 pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<JobRow, StoreError> {
     let row = job_rows!("WHERE id = ?", job.0).fetch_optional(connection).await?;
     row.ok_or(StoreError::NotFound("job"))
@@ -150,8 +148,8 @@ impl JobRow {
         self.frames.parse().map_err(|error| corrupt("frames", error))
     }
 
-    /// A job from its row. Its `eta` depends on what else the farm has to do: whoever needs it fills it in from
-    /// [`crate::project`].
+    /// A job from its row. Its `eta` depends on the other work of the farm; callers that need it compute it
+    /// with [`crate::project`].
     pub fn job(self, progress: Progress) -> Result<Job, StoreError> {
         let frames = self.frame_set()?;
         let (state, outlook) = (self.state.0, self.outlook.0);
@@ -181,8 +179,8 @@ impl JobRow {
             progress: progress.fraction,
             verdict: self.verdict.map(|it| it.0),
             plan_id: self.plan_id.map(Into::into),
-            // Who has a frame with a worker does not wait, whatever the newest plan knew.
-            // Whoever has begun may still be held for money.
+            // A job with a running frame does not wait, whatever the newest plan says. Its budget may still
+            // hold it.
             waits: outlook
                 .waits
                 .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),

@@ -1,11 +1,11 @@
-//! Leases: who works on what, and for how long. Who is given what is in `claims`.
+//! Leases: which worker holds which task, and for how long. `claims` hands tasks out.
 //!
 //! The state machine of a task and of its leases:
 //!
 //! ```text
 //! task    waiting ──what it waits for is committed──► ready
 //!         ready ──claim──► leased ──commit──► done
-//!           ▲                │ ├──error (on the third node, or permanent), tenth expiry──► failed (and with it the job)
+//!           ▲                │ ├──error (permanent or on the third node), 10th expiry──► failed with its job
 //!           └─release, error,┘ └──job cancelled or failed──► cancelled
 //!             expiry, taken away
 //! lease   active ──► committed | failed | expired | released | revoked
@@ -13,19 +13,21 @@
 //!
 //! Hazards, and what guards against them:
 //!
-//! * *A worker is paused for a minute, loses its lease, wakes up and reports.* Its task may have been done by another
-//!   worker by now. Every hand-out raises the task's `fence`; the database holds one active lease per task, with the
-//!   newest fence; what is said with another is refused ([`StoreError::LeaseLost`]) and changes nothing.
-//! * *The answer to a result is lost, and the worker sends it again.* The lease is `committed` then; the same
-//!   result is answered as a duplicate, another one is a conflict. The first commit wins for good.
-//! * *The service was down for longer than a lease lasts.* The workers could not renew, and would all lose hours of
-//!   work. So time alone ends no lease: the sweep does, in a transaction, and a service that starts gives every lease
-//!   one more term before its first sweep ([`Store::extend_leases_after_start`]).
-//! * *The job was cancelled while a worker renders it.* The lease is `revoked`: renewals answer with the order to stop.
-//! * *A task kills every worker that touches it.* Expiries are counted: the tenth fails the job. A worker that can say
-//!   what went wrong says so; what follows from that is in `failures`.
-//! * *The clock is set.* While the service runs, the caller's clock is steady, and says by how much the other one was set
-//!   ([`Store::clock_was_set`]). If it was set while the service was down, every lease has exactly one more term all the same.
+//! * *A worker is paused for a minute, loses its lease, wakes up and reports.* Another worker may have done
+//!   its task by then. Every hand-out raises the task's fencing token. The database allows one active lease
+//!   per task, with the newest token. A report with another token is refused ([`StoreError::LeaseLost`]) and
+//!   changes nothing.
+//! * *The answer to a result is lost, and the worker sends it again.* The lease is `committed` then. The same
+//!   result is answered as a duplicate; another one is a conflict. The first commit is final.
+//! * *The service was down for longer than a lease lasts.* All workers would lose hours of work. So time
+//!   alone ends no lease: the sweep does. A service that starts first gives every lease one more term
+//!   ([`Store::extend_leases_after_start`]).
+//! * *The job was cancelled while a worker renders it.* The lease is `revoked`: renewals answer with the
+//!   order to stop.
+//! * *A task kills every worker that touches it.* The tenth expiry fails the job.
+//! * *The clock is set.* While the service runs, its own clock is steady, and [`Store::clock_was_set`]
+//!   corrects times. If the clock was set while the service was down, every lease still has exactly one more
+//!   term.
 
 pub(crate) mod checkpoints;
 pub(crate) mod failing;
@@ -45,7 +47,7 @@ use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::writing::later;
 
-/// What a lease is about.
+/// The task of a lease, and its holder.
 #[derive(Clone, PartialEq, Debug)]
 pub struct LeaseInfo {
     /// The job.
@@ -56,7 +58,7 @@ pub struct LeaseInfo {
     pub node_id: NodeId,
     /// Its fencing token.
     pub fence: u64,
-    /// What is to be done.
+    /// The task's specification.
     pub spec: TaskSpec,
 }
 
@@ -66,7 +68,8 @@ pub(crate) struct LeaseRow {
     pub state: LeaseState,
     pub fence: u64,
     pub node_id: NodeId,
-    /// Speed of the node for work like the job's when it was leased: a CPU second there is this many on a node of speed 1.
+    /// Speed of the node for the job's classes of work when the lease began: CPU seconds at speed 1 per CPU
+    /// second there.
     pub node_speed: f64,
     pub task_id: TaskId,
     pub job_id: JobId,
@@ -76,10 +79,10 @@ pub(crate) struct LeaseRow {
     pub expiries: u32,
     pub progress: f64,
     pub job_state: JobState,
-    /// What the operator wants of the node.
+    /// The operator's orders for the node.
     pub pause: bool,
     pub drain: bool,
-    /// Whether there is anything by which the node might sleep.
+    /// Whether the node has a schedule or terms, so that it may sleep.
     pub has_calendar: bool,
 }
 
@@ -94,8 +97,8 @@ pub(crate) enum LeaseState {
     Revoked,
 }
 
-/// A statement for rows of leases. It is composed, and so not checked at compile time, because the same text is run
-/// by itself and asked with what was left for later.
+/// A statement for rows of leases. It is composed, so it is not checked at compile time: the same text is run
+/// by itself and as a question after deferred statements.
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
@@ -109,7 +112,7 @@ macro_rules! select_leases {
 }
 
 impl Store {
-    /// What a lease is about, whatever became of it.
+    /// The task of a lease, in any state of the lease.
     pub async fn lease(&self, lease: LeaseId) -> Result<LeaseInfo, StoreError> {
         let row = sqlx::query!(
             "SELECT l.fence, l.node_id, l.task_id, t.job_id, t.spec FROM leases l \
@@ -135,7 +138,7 @@ impl Store {
         Ok(node.ok_or(StoreError::NotFound("lease"))?.into())
     }
 
-    /// Refuses a worker that does not hold its lease any more, and remembers that it tried.
+    /// Refuses a worker that no longer holds its lease, and records the attempt.
     pub(crate) async fn refuse<T>(
         &self,
         mut write: Write,
@@ -148,7 +151,6 @@ impl Store {
     }
 }
 
-/// The active leases that have run out.
 pub(crate) async fn ran_out(write: &mut Write, now: Timestamp) -> Result<Vec<LeaseRow>, StoreError> {
     let ran_out =
         select_leases!("WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id");
@@ -179,7 +181,7 @@ pub(crate) fn back_to_ready(write: &mut Write, row: &LeaseRow, error: Option<&st
     write.made_work = true;
 }
 
-/// Ends an active lease. One whose worker was not heard of is paid for only until it ran out.
+/// Ends an active lease. If its worker fell silent, it is paid only until it expired.
 pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: Timestamp) {
     let (now, lease) = (now.micros(), row.id.0);
     if ["expired", "revoked"].contains(&state) {
@@ -202,7 +204,8 @@ pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: T
     }
 }
 
-/// Takes back the tasks of these leases: they are ready for another, and the next renewal brings each worker the order to stop.
+/// Takes back the tasks of these leases. They are ready again, and the next renewal brings each worker the
+/// order to stop.
 pub(crate) async fn take_back(
     write: &mut Write,
     leases: impl IntoIterator<Item = LeaseId>,
@@ -217,7 +220,7 @@ pub(crate) async fn take_back(
     Ok(())
 }
 
-/// Says that a node, if it is there, was heard of.
+/// Records that a node, if it exists, was heard of.
 pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
     later!(write, "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?", now.micros(), node.0);
 }

@@ -1,11 +1,12 @@
-//! The living estimate of a job: made again as its frames are finished, in the transaction that keeps what they took.
+//! The living estimate of a job. It is updated as frames are finished, in the transaction that stores their
+//! cost.
 //!
-//! What it says and when it is due is in [`forelight_quote::living`]. Here it is read from the database, compared with
-//! what is booked, and kept.
+//! [`forelight_quote::living`] computes the estimate and decides when it is due. This module reads its input,
+//! compares it with the booking, and stores it.
 //!
-//! Whether the estimate has left what is booked is kept with it. So leaving and coming back are each one event, in the
-//! same transaction. A new plan for the job books what was expected when it was made. An estimate that plans should
-//! know of calls for a new one.
+//! The row also stores whether the estimate has left the booking. So leaving and coming back are one event
+//! each, in the same transaction. A new plan books the estimate of its time. An estimate that plans should
+//! take into account calls for a new plan.
 
 mod frames;
 mod rows;
@@ -32,7 +33,7 @@ use forelight_quote::JobForecast;
 pub(crate) use self::rows::{before, newest};
 pub(crate) use forelight_quote::living::Occasion;
 
-/// Makes the estimate again inside a write, if it is due.
+/// Updates the estimate inside a write, if it is due.
 pub(crate) async fn update(
     write: &mut Write,
     job: JobId,
@@ -43,7 +44,7 @@ pub(crate) async fn update(
     update_after(before, write, job, occasion, now).await
 }
 
-/// As [`update`], for a caller that has read what there was before.
+/// As [`update`], for a caller that has read [`Before`].
 pub(crate) async fn update_after(
     before: Before,
     write: &mut Write,
@@ -88,7 +89,7 @@ pub(crate) async fn update_after(
     keep(write, job, quoted.plan, &baseline, &live).await
 }
 
-/// Makes estimates again that have not taken a finished frame into account for a while.
+/// Updates estimates that have left out a finished frame for a while.
 pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
     let behind = sqlx::query_scalar!(
         "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 \
@@ -103,10 +104,9 @@ pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), St
     Ok(())
 }
 
-/// What was quoted and is booked for a job.
 struct Quoted {
     job_name: String,
-    /// The factor on the forecast that its plan was made with.
+    /// The factor that its plan applied to the forecast.
     factor: f64,
     forecast: JobForecast,
     plan: PlanId,
@@ -146,7 +146,7 @@ impl Quoted {
     }
 }
 
-/// What the job's plan was made for: the quote, if there was no estimate before it.
+/// The cost that the job's plan was made for: the quote, if there was no estimate before the plan.
 fn baseline(before: Option<&Kept>, quoted: &Quoted, estimate: &Estimate) -> Baseline {
     match before {
         Some(kept) if kept.plan == quoted.plan => kept.baseline,
@@ -155,7 +155,8 @@ fn baseline(before: Option<&Kept>, quoted: &Quoted, estimate: &Estimate) -> Base
     }
 }
 
-/// When the job's last frame is expected if bookings are longer by this factor; `None` if frames are booked nowhere.
+/// When the job's last frame is expected if bookings are longer by this factor. `None` if frames have no
+/// booking.
 async fn expected_finish(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -171,7 +172,7 @@ async fn expected_finish(
     Ok(project(&stretched(&bookings, stretch), &parts, now).finish_of(job))
 }
 
-/// The job in money; `None` if it was quoted without a price.
+/// The job's cost in money; `None` if it was quoted without a price.
 async fn cost(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -193,7 +194,7 @@ async fn cost(
     Ok(living::cost(&estimate.cpu_seconds.remaining, &cache, (price, quoted), spent))
 }
 
-/// By how many microseconds the job must end later than booked to count as late.
+/// How many microseconds after its booked end the job counts as late.
 async fn delay_that_counts(
     connection: &mut SqliteConnection,
     plan: PlanId,
@@ -210,7 +211,7 @@ async fn delay_that_counts(
     Ok(living::delay_that_counts(begin.map(Into::into), finish))
 }
 
-/// Writes an event for what left the booking, and for what came back to it.
+/// Writes an event for each figure that left the booking or came back to it.
 fn tell(
     write: &mut Write,
     job: JobId,

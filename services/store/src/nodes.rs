@@ -15,11 +15,11 @@ use crate::error::StoreError;
 use crate::policy::availability::{Opening, opening, silence};
 use crate::policy::nodes::{Switches, state};
 
-/// A node that was not heard of for this long while it should have been awake is lost to plans: five minutes, in microseconds. Longer than a
-/// worker takes to be started again, and much shorter than a night.
+/// Plans count a node as lost if it was silent for this long while it should have been awake: five minutes,
+/// in microseconds. That is longer than a worker takes to restart, and much shorter than a night.
 pub const LOST: i64 = 300_000_000;
 
-/// A node's row, with the task that it works on.
+/// A node's row, with its current task.
 #[derive(FromRow)]
 pub(crate) struct NodeRow {
     id: Id,
@@ -63,7 +63,7 @@ macro_rules! node_rows {
 pub(crate) use node_rows;
 
 impl Store {
-    /// Refuses a process whose node was taken over by another.
+    /// Refuses a worker process whose node was taken over by another process.
     pub async fn check_worker(&self, node: NodeId, worker: uuid::Uuid) -> Result<(), StoreError> {
         let mut connection = self.readers().acquire().await?;
         if !has_another_worker(&mut connection, node, worker).await? {
@@ -71,7 +71,8 @@ impl Store {
         }
         let Node { name, .. } = read(&mut connection, node).await?;
         Err(StoreError::Conflict(format!(
-            "another worker has registered as {name:?} since, and has taken the node over; if both are to work, give each a name of its own"
+            "another worker has registered as {name:?} and taken the node over; to run both, give each its own \
+             name"
         )))
     }
 
@@ -88,7 +89,7 @@ impl Store {
     }
 }
 
-/// Whether the node was registered last by another process than this one.
+/// Whether another process registered the node last.
 pub(crate) async fn has_another_worker(
     connection: &mut SqliteConnection,
     node: NodeId,
@@ -117,7 +118,8 @@ pub(crate) async fn by_name(
     Ok(row.map(Node::from))
 }
 
-/// The nodes that have frames booked that wait, and get no tasks, or were not heard of for too long since the service is up.
+/// The nodes with booked frames that wait, and that get no tasks or were silent for too long since the
+/// service started.
 pub(crate) async fn gone(
     connection: &mut SqliteConnection,
     up_since: Timestamp,
@@ -142,10 +144,11 @@ pub(crate) async fn gone(
     Ok(gone)
 }
 
-/// A node of which nobody knows when it wakes up asks again after a day.
+/// A node with an unknown wake-up time asks again after a day.
 const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
 
-/// Until when a node sleeps. One without a calendar, as most are, is not read for it: every heartbeat asks.
+/// When a node wakes up; `None` if it is awake. A node without a calendar is not read, because every
+/// heartbeat asks.
 pub(crate) async fn sleep_of(
     connection: &mut SqliteConnection,
     node: NodeId,

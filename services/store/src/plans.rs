@@ -1,4 +1,4 @@
-//! Plans: keeping them, and booking the jobs that they name.
+//! Stores plans and books their jobs.
 
 pub(crate) mod bookings;
 pub(crate) mod farm_jobs;
@@ -28,42 +28,45 @@ use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Slot, rates};
 use crate::{jobs, nodes};
 
-/// A plan to be kept.
+/// A plan to store.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewPlan {
     /// The newest plan when this one was made.
     pub parent: Option<PlanId>,
     /// Why it was made.
     pub reason: PlanReason,
-    /// What it takes into account.
+    /// The causes that it takes into account.
     pub wanted: Wanted,
-    /// The jobs that it books. All others stay as they are booked.
+    /// The jobs that it books. All others keep their bookings.
     pub jobs: Vec<NewJobPlan>,
-    /// Why jobs wait, and what is left of promises, of all jobs of which something new is to be said.
+    /// New outlooks of jobs: why they wait, and the state of their promises.
     pub outlooks: Vec<(JobId, JobOutlook)>,
-    /// The irradiance cache that the frames of a newly booked job share and wait for; `None` if they share none.
+    /// The irradiance cache that the frames of a newly booked job share and wait for; `None` if they share
+    /// none.
     pub shared_cache: Option<NewSharedCache>,
 }
 
-/// A job in a plan to be kept.
+/// A job in a plan to store.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewJobPlan {
-    /// The plan's word on it.
+    /// The plan's verdict.
     pub verdict: JobVerdict,
-    /// Where its frames are booked that wait for a worker. All others keep the bookings that they have.
+    /// Bookings of its frames that wait for a worker. All other frames keep their bookings.
     pub bookings: Vec<NewBooking>,
-    /// Its frames that were done or with a worker when the plan was made. Should one have come back since then, it has its place still.
+    /// Its frames that were done or with a worker when the plan was made. One that waits again by now keeps
+    /// its booking.
     pub begun: BTreeSet<u32>,
-    /// What the plan multiplies its forecast by.
+    /// The factor that the plan applies to its forecast.
     pub factor: f64,
 }
 
 impl Store {
-    /// Keeps a job's forecast and the plan that books it, and makes its render tasks: all of it or nothing. The plan may book other
-    /// jobs anew, too. Without a `basis` nothing will be learnt from the forecast once the job is finished.
+    /// Stores a job's forecast and the plan that books it, and makes its render tasks, in one transaction.
+    /// The plan may rebook other jobs, too. Without a `basis`, nothing is learnt from the forecast when the
+    /// job is finished.
     ///
-    /// A [`StoreError::Conflict`] if the job is not waiting for this (it was cancelled, or was booked before), or if
-    /// another plan was kept since this one was begun, on whose bookings it may lie.
+    /// A [`StoreError::Conflict`] if the job is not `profiling` (it was cancelled or booked before), or if
+    /// another plan was stored since this one was begun: their bookings could overlap.
     pub async fn book(
         &self,
         job: JobId,
@@ -99,7 +102,7 @@ impl Store {
             sqlx::query!("UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0)
                 .execute(write.connection().await?)
                 .await?;
-            // They belong to images whose pixels all have as many samples.
+            // Profiled pixels belong to images with the same number of samples in every pixel.
             profiles.clear();
         }
         let work: BTreeMap<u32, u64> = match forecast.chosen_spp {
@@ -107,7 +110,7 @@ impl Store {
             None => BTreeMap::new(),
         };
         for frame in row.frame_set()?.iter() {
-            // What was gathered for a cache of the frame's own is of no use beside one that is shared.
+            // With a shared cache, the records of a profile's own cache are of no use.
             let profile = profiles.get(&frame).copied().filter(|_| plan.shared_cache.is_none());
             common
                 .render(
@@ -139,8 +142,8 @@ impl Store {
         Ok(plan_id)
     }
 
-    /// Keeps a plan that was made because something happened. A [`StoreError::Conflict`] if another plan was kept since it was begun, or if
-    /// one of its jobs is over.
+    /// Stores a new plan. A [`StoreError::Conflict`] if another plan was stored since it was begun, or if one
+    /// of its jobs is over.
     pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId, StoreError> {
         let mut write = self.write().await?;
         let plan_id = keep(&mut write, plan, None, now).await?;
@@ -148,11 +151,11 @@ impl Store {
         Ok(plan_id)
     }
 
-    /// Nothing has to be booked anew after what happened; only what is said of waiting and of promises changes.
+    /// Stores only new outlooks, for a plan that changes no booking.
     pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         if newest(write.connection().await?).await? != plan.parent {
-            return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
+            return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
         }
         outlooks::keep(&mut write, &plan.outlooks, now).await?;
         replans::planned(&mut write, &plan.wanted).await?;
@@ -160,8 +163,8 @@ impl Store {
     }
 }
 
-/// Keeps a plan inside a write: its bookings become those of its jobs, and their tasks know where they are booked. `fresh` is a job
-/// that has no plan yet.
+/// Stores a plan inside a write: its jobs and their tasks get its bookings. `fresh` is a job that has no plan
+/// yet.
 async fn keep(
     write: &mut Write,
     plan: &NewPlan,
@@ -169,7 +172,7 @@ async fn keep(
     now: Timestamp,
 ) -> Result<PlanId, StoreError> {
     if newest(write.connection().await?).await? != plan.parent {
-        return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
+        return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
     }
     let plan_id = PlanId::new();
     let verdicts: Vec<&JobVerdict> = plan.jobs.iter().map(|job| &job.verdict).collect();
@@ -189,7 +192,7 @@ async fn keep(
         if fresh != Some(job_id) {
             let state = jobs::state(write.connection().await?, job_id).await?;
             if !matches!(state, JobState::Booked | JobState::Rendering) {
-                return Err(StoreError::Conflict(format!("job {job_id} is {state}, and needs no plan")));
+                return Err(StoreError::Conflict(format!("job {job_id} is {state} and needs no plan")));
             }
         }
         keep_job(write, plan_id, job).await?;
@@ -206,7 +209,7 @@ async fn keep(
     Ok(plan_id)
 }
 
-/// Books one job of a plan: what waits as the plan says, everything else as it was.
+/// Books one job of a plan: waiting frames as the plan says, all others as before.
 async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Result<(), StoreError> {
     let job_id = job.verdict.job_id;
     let mut booked: BTreeMap<u32, NewBooking> = BTreeMap::new();
@@ -271,7 +274,7 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
         .execute(write.connection().await?)
         .await?;
     }
-    // Parts of a cache that the frames share stay where they are booked.
+    // Parts of a shared cache keep their bookings.
     sqlx::query!(
         "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
          SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \

@@ -1,4 +1,4 @@
-//! Shares of the farm, and what projects had of it.
+//! Shares of the farm, and what projects used of it.
 
 use std::collections::BTreeMap;
 
@@ -9,12 +9,12 @@ use crate::database::Store;
 use crate::error::StoreError;
 use crate::plans::replans;
 
-/// After this many microseconds, what a project used counts half: a week.
+/// Use counts half after this many microseconds: a week.
 pub const HALF_LIFE: i64 = 7 * 24 * HOUR;
 
 const HOUR: i64 = 3_600_000_000;
 
-/// What was used longer ago than so many half-lives counts as nothing: a thousandth is left of it.
+/// Use is forgotten after so many half-lives: less than a thousandth is left of it.
 const REMEMBERED: i64 = 10;
 
 /// A project's share, and what it used.
@@ -24,12 +24,12 @@ pub struct ProjectUse {
     pub name: String,
     /// Its share, relative to the others'.
     pub share: u32,
-    /// Node time that it had, in microseconds, by the hour in which it ended; what runs ends now.
+    /// Node time in microseconds, by the hour in which it ended. Running leases end now.
     pub used: Vec<(Timestamp, i64)>,
 }
 
 impl Store {
-    /// Sets a project's share. It calls for a new plan.
+    /// Sets a project's share, and calls for a new plan.
     pub async fn set_share(&self, request: &ProjectRequest, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         sqlx::query!(

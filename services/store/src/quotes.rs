@@ -1,4 +1,4 @@
-//! Quotes, as they are kept with their jobs and frames.
+//! Quotes, stored with their jobs and frames.
 
 pub(crate) mod calibration;
 pub(crate) mod profiling;
@@ -11,7 +11,7 @@ use crate::database::{Store, Write};
 use crate::error::StoreError;
 
 impl Store {
-    /// The job's quote; `None` until it is there.
+    /// The job's quote; `None` before it is made.
     pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>, StoreError> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!("SELECT forecast, scene, settings FROM jobs WHERE id = ?", job.0)
@@ -31,7 +31,6 @@ impl Store {
     }
 }
 
-/// Keeps the frames' forecasts inside a write.
 pub(crate) async fn keep_frames(
     write: &mut Write,
     job: JobId,

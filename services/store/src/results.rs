@@ -1,4 +1,4 @@
-//! Committing what workers bring, and reading it back.
+//! Commits results of workers, and reads them back.
 
 use std::collections::BTreeSet;
 
@@ -23,7 +23,7 @@ use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::writing::{ask, later};
 
-/// What became of a result.
+/// The outcome of committing a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Committed {
     /// Whether the same result had been committed before.
@@ -34,13 +34,13 @@ pub struct Committed {
     pub task_id: TaskId,
     /// What kind of task it was.
     pub kind: TaskKind,
-    /// Where the job stands now.
+    /// The job's state now.
     pub job_state: JobState,
 }
 
 impl Store {
-    /// Commits a result. When this returns, it is on disk. The result has to fit the lease's task; that is checked by
-    /// the caller, who can say which field is wrong.
+    /// Commits a result. On return, it is on disk. The caller checks first that the result fits the lease's
+    /// task, because it can name the wrong field.
     pub async fn commit_result(
         &self,
         lease: LeaseId,
@@ -101,7 +101,7 @@ impl Store {
         Ok(committed(false, state))
     }
 
-    /// The job's preview, if it is there.
+    /// The job's preview, if it is done.
     pub async fn preview_result(&self, job: JobId) -> Result<Option<PreviewResult>, StoreError> {
         let result = sqlx::query_scalar!(
             "SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
@@ -117,7 +117,7 @@ impl Store {
         }
     }
 
-    /// The job's profiles by frame, if all that were asked for are there; `None` while one is missing.
+    /// The job's profiles by frame; `None` while any is missing.
     pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>, StoreError> {
         let rows = sqlx::query!(
             r#"SELECT t.spec, r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id", l.node_speed AS "node_speed?"
@@ -178,7 +178,7 @@ struct NamedRow {
     artifacts: i64,
 }
 
-/// Keeps which artefacts a result names: all of them have to be there. Brings the lease's node along.
+/// Records the artefacts of a result; all must exist. Returns the lease's node, read in the same query.
 async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) -> Result<Node, StoreError> {
     let artifacts: BTreeSet<ArtifactHash> = result.artifacts().into_iter().collect();
     for artifact in &artifacts {
@@ -215,7 +215,7 @@ async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) 
     Err(corrupt("hash", format!("task {} named artefacts before it was done", row.task_id)))
 }
 
-/// Keeps what there is in a result for others to read, and moves the job on. Says where it stands then.
+/// Stores the parts of a result that others read, and moves the job on. Returns the job's state.
 async fn keep(
     write: &mut Write,
     row: &LeaseRow,
@@ -260,7 +260,8 @@ fn show_preview(write: &mut Write, job: JobId, frame: u32, image: Option<Artifac
     );
 }
 
-/// Keeps what a frame took; the last frame finishes the job, and says how far its quote was off, in the same transaction. Whether it is the last.
+/// Stores the cost of a frame. The last frame finishes the job and stores how far its quote was off, in the
+/// same transaction. Returns whether it was the last.
 async fn keep_render(
     write: &mut Write,
     row: &LeaseRow,
@@ -270,8 +271,8 @@ async fn keep_render(
 ) -> Result<bool, StoreError> {
     let stats = &render.stats;
     let speed = node.corrected_speed(stats.work_by_class.as_ref()).unwrap_or(row.node_speed);
-    // CPU seconds spent here, brought to a node of speed 1. What was taken over from the profile is counted at this
-    // node's speed as well: the profile does not say per pixel where it was made.
+    // CPU seconds converted to a node of speed 1. Pixels taken over from the profile count at this node's
+    // speed too: the profile does not record where each was traced.
     let cpu_at_speed_one = stats.cpu_seconds * speed;
     learning::learn(write, row, node, stats).await?;
     later!(

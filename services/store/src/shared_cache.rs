@@ -1,17 +1,17 @@
-//! The irradiance cache that a job's frames share: it is planned with the quote, filled in parts, put together, and then the frames that
-//! waited for it are ready.
+//! The irradiance cache that a job's frames share. It is planned with the quote, filled in parts and merged;
+//! then the frames that wait for it are ready.
 //!
 //! ```text
 //! start of profiling ──► plan (ready), profiles (waiting)
-//! plan ──► profiles (ready), with the plan's name in what they are told
+//! plan ──► profiles (ready), with the plan's name in their specification
 //! book ──► parts of round 0 (ready), frames (waiting)
 //! last part of a round ──► merge                 a cache that is filled by one task needs none
 //! merge, not full ──► parts of the next round    each round fills one level, the deepest first
-//! merge, full ──► frames (ready), with the cache's name in what they are told
+//! merge, full ──► frames (ready), with the cache's name in their specification
 //! ```
 //!
-//! Every arrow is part of the transaction that commits the result before it, and a job has each task once: a service that dies
-//! anywhere goes on where it was, and a worker that brings the same result twice changes nothing.
+//! Every arrow is part of the transaction that commits the result before it, and a job has each task once. So
+//! a restarted service continues where it stopped, and a repeated result changes nothing.
 
 pub(crate) mod parts;
 
@@ -37,30 +37,30 @@ use crate::tasks::{Common, Slot, rates};
 pub struct NewSharedCache {
     /// The cache as planned.
     pub cache: ArtifactHash,
-    /// Into how many parts it is split.
+    /// Number of parts.
     pub parts: u32,
-    /// Where and when parts are to be filled; those without a booking are for whoever is idle.
+    /// Bookings of parts. Parts without a booking are for any idle node.
     pub bookings: Vec<NewPartBooking>,
 }
 
 /// The plan of the cache that a job's frames could share.
 #[derive(Clone, PartialEq, Debug)]
 pub enum PlannedCache {
-    /// None was asked for.
+    /// No plan was asked for.
     NotAsked,
-    /// A worker has yet to bring it.
+    /// The plan is not done yet.
     Pending,
-    /// It is there.
+    /// The plan is done.
     There {
         /// The plan.
         plan: Box<CachePlanResult>,
-        /// Speed of the node that made it: a CPU second there is this many on a node of speed 1.
+        /// Speed of the node that made it: CPU seconds at speed 1 per CPU second there.
         node_speed: f64,
     },
 }
 
 impl PlannedCache {
-    /// The plan, once it is there.
+    /// The plan, once it is done.
     pub fn plan(&self) -> Option<SharedCache<'_>> {
         match self {
             PlannedCache::There { plan, node_speed } => Some(SharedCache { plan, node_speed: *node_speed }),
@@ -90,14 +90,13 @@ impl Store {
         let TaskResult::CachePlan(plan) = result else {
             return Err(corrupt("body", format!("a {} result of a cache_plan task", result.kind())));
         };
-        // For the work that the job is, as the times of its profiles are.
+        // For the job's classes of work, as the times of its profiles are.
         let work = row.work_by_class.map(|it| it.0);
         let node = self.node(node.into()).await?;
         Ok(PlannedCache::There { plan: Box::new(plan), node_speed: node.speed_for(work.as_ref()) })
     }
 }
 
-/// Makes the tasks of the first round.
 pub(crate) async fn begin(
     write: &mut Write,
     common: &Common,
@@ -117,7 +116,7 @@ pub(crate) async fn begin(
     Ok(())
 }
 
-/// What follows from a plan: profiles measure pixels with it as well, if there is a cache.
+/// Continues after a plan: profiles also measure pixels with the planned cache, if there is one.
 pub(crate) async fn planned(
     write: &mut Write,
     row: &LeaseRow,
@@ -126,7 +125,7 @@ pub(crate) async fn planned(
     make_ready(write, row.job_id, ("profile", "$.profile.cache"), planned.cache).await
 }
 
-/// Hands out what waited for a cache, with its name at this place in what it is told.
+/// Makes tasks ready that waited for a cache, with its name at this place of their specification.
 async fn make_ready(
     write: &mut Write,
     job: JobId,
@@ -147,7 +146,7 @@ async fn make_ready(
     Ok(())
 }
 
-/// What follows from a part that was filled.
+/// Continues after a filled part.
 pub(crate) async fn part_filled(
     write: &mut Write,
     row: &LeaseRow,
@@ -182,7 +181,7 @@ pub(crate) async fn part_filled(
     common.cache_merge(write, spec.round, parts).await
 }
 
-/// What follows from parts that were put together.
+/// Continues after merged parts.
 pub(crate) async fn merged(
     write: &mut Write,
     row: &LeaseRow,
@@ -196,7 +195,7 @@ pub(crate) async fn merged(
     go_on(write, row, (spec.round, parts), merged.cache, merged.full, now).await
 }
 
-/// A round is over: the next one, or the frames.
+/// Continues after a round: with the next one, or with the frames.
 async fn go_on(
     write: &mut Write,
     row: &LeaseRow,
@@ -222,7 +221,7 @@ async fn go_on(
     .fetch_all(write.connection().await?)
     .await?;
     for row in before {
-        // Each round is done where the one before was.
+        // Each part stays on the node of its last round.
         let booked = row.booked_node.zip(row.booked_at).map(|(node, start)| Slot {
             node: node.into(),
             start: start.into(),
@@ -233,7 +232,6 @@ async fn go_on(
     Ok(())
 }
 
-/// What a task was told.
 async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec, StoreError> {
     let spec = sqlx::query_scalar!("SELECT spec FROM tasks WHERE id = ?", task.0);
     let spec = spec.fetch_optional(connection).await?;

@@ -1,4 +1,4 @@
-//! A job's tasks: making them, and taking them all back.
+//! Makes a job's tasks, and takes them all back.
 
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, Money, NodeId,
@@ -13,12 +13,12 @@ use crate::error::StoreError;
 use crate::jobs::{self, JobRow};
 use crate::policy::work_stealing::{Rates, is_bounded};
 
-/// To be handed out.
+/// State of a task that may be handed out.
 const READY: &str = "ready";
-/// Not before what it waits for is done.
+/// State of a task that waits for another one.
 const WAITING: &str = "waiting";
 
-/// Where a task is booked: node, planned start, and what the plan pays there (see `0010_idle_nodes.sql`).
+/// Where a task is booked: node, planned start, and the plan's rate there (see `0010_idle_nodes.sql`).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slot {
     pub node: NodeId,
@@ -30,7 +30,7 @@ pub(crate) struct Slot {
 pub(crate) struct Common {
     pub job: JobId,
     pub bundle: BundleSource,
-    /// Of the scene, as it was when the job was submitted.
+    /// Digest of the scene when the job was submitted.
     pub digest: SceneDigest,
     pub settings: RenderSettings,
     pub deadline: Option<Timestamp>,
@@ -38,19 +38,18 @@ pub(crate) struct Common {
     pub limits: TaskLimits,
 }
 
-/// What a profile is to find out.
+/// A profile to make.
 pub(crate) struct ProfileAsked {
     pub frame: u32,
     /// Pixels to profile.
     pub samples: u32,
-    /// The ladders of qualities too.
+    /// Whether to measure the ladders of qualities, too.
     pub ladders: bool,
-    /// What the pixels take with this cache too, which all frames could share.
+    /// A planned shared cache: the pixels are also measured with it.
     pub cache: Option<ArtifactHash>,
 }
 
 impl Common {
-    /// Read from a job's row.
     pub(crate) fn of(row: &JobRow) -> Self {
         Self {
             job: row.id.into(),
@@ -63,7 +62,6 @@ impl Common {
         }
     }
 
-    /// Read from the database.
     pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
         Ok(Self::of(&jobs::row(connection, job).await?))
     }
@@ -79,7 +77,7 @@ impl Common {
         self.insert(write, TaskSpec::Preview(spec), READY, None).await
     }
 
-    /// A profile; one that waits becomes ready when the cache is planned that all frames could share.
+    /// Makes a profile task. With `waits`, it becomes ready when the shared cache is planned.
     pub(crate) async fn profile(
         &self,
         write: &mut Write,
@@ -111,7 +109,7 @@ impl Common {
         self.insert(write, TaskSpec::CachePlan(spec), READY, None).await
     }
 
-    /// One of `parts` equal parts of a round, from 0.
+    /// Makes the task of one of `parts` equal parts of a round, from 0.
     pub(crate) async fn cache_fill(
         &self,
         write: &mut Write,
@@ -149,7 +147,8 @@ impl Common {
         self.insert(write, TaskSpec::CacheMerge(spec), READY, None).await
     }
 
-    /// A frame, for so much work if that is given; one that waits becomes ready when the cache is there that it shares with the others.
+    /// Makes the task of a frame, limited to `work` if given. With `waits`, it becomes ready when the shared
+    /// cache is full.
     pub(crate) async fn render(
         &self,
         write: &mut Write,
@@ -205,8 +204,8 @@ impl Common {
     }
 }
 
-/// Takes back all tasks of a job that are not finished. Leases become `revoked`, so that the next renewal of each
-/// brings its worker the order to stop.
+/// Takes back all unfinished tasks of a job. Their leases become `revoked`, so that the next renewal brings
+/// each worker the order to stop.
 pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
     sqlx::query!(
         "UPDATE leases SET state = 'revoked', ended_at = coalesce(paid_until, min(?, expires_at)) \

@@ -187,7 +187,8 @@ impl Farm {
         }
     }
 
-    /// Takes a job through preview and profile to `booked`, all on `node`, one frame after the other from `start`.
+    /// Takes a job through preview and profile to `booked`, all on `node`, one frame after the other from
+    /// `start`.
     async fn booked_job(&self, request: JobRequest, node: NodeId, start: Timestamp) -> JobId {
         self.quoted_job(request, node, start, &job_forecast(), None).await
     }
@@ -259,7 +260,7 @@ fn renewal(fence: u64, progress: f64) -> RenewRequest {
     RenewRequest { fence, progress, ..RenewRequest::default() }
 }
 
-/// The lock goes with the last clone of the store, and the connections are closed in the background.
+/// The last clone of the store releases the lock, and connections close in the background.
 async fn reopen(folder: &std::path::Path) -> Store {
     for _ in 0..200 {
         match Store::open(folder).await {

@@ -1,4 +1,4 @@
-//! Artefacts in an object store beyond this machine.
+//! Artefacts in a remote object store.
 
 use std::sync::Arc;
 
@@ -11,16 +11,17 @@ use tokio::io::AsyncReadExt as _;
 use super::reader::ArtifactReader;
 use crate::error::StoreError;
 
-/// Bytes of a part. S3 takes at most 10,000 parts of at least 5 MiB (the last may be shorter): 80 GB with this.
+/// Bytes per part. S3 accepts at most 10,000 parts of at least 5 MiB (the last may be shorter): 80 GB with
+/// this.
 const PART: usize = 8 << 20;
 
-/// A bucket, or what stands for one in tests.
+/// A bucket, or its stand-in in tests.
 #[derive(Clone)]
 pub(super) struct Remote {
     objects: Arc<dyn ObjectStore>,
-    /// All names begin with this.
+    /// Prefix of all names.
     folder: Path,
-    /// What people call it.
+    /// Name for messages.
     name: String,
 }
 
@@ -29,8 +30,9 @@ impl Remote {
         Self { objects, folder, name }
     }
 
-    /// Whether the bucket takes and gives objects, asked with the same two requests that all the work needs. An answer that says "never"
-    /// is an error; silence is a warning, for a service that starts before its bucket does must not stay down.
+    /// Checks that the bucket stores and returns objects, with the same two requests that all work needs. A
+    /// permanent refusal is an error. No answer is only a warning: a service that starts before its bucket
+    /// must come up.
     pub async fn probe(&self) -> Result<(), StoreError> {
         const CONTENT: &[u8] = b"artefacts of a forelight farm, named by their BLAKE3 hash\n";
         let place = self.within("farm");
@@ -42,21 +44,21 @@ impl Remote {
         let refused = |reason: &str| Err(StoreError::ArtifactPlace(format!("{}: {reason}", self.name)));
         match read {
             Ok(()) => Ok(()),
-            Err(object_store::Error::NotFound { .. }) => refused("there is no such bucket; make it first"),
+            Err(object_store::Error::NotFound { .. }) => refused("there is no such bucket; create it first"),
             Err(object_store::Error::PermissionDenied { .. }) => {
-                refused("the credentials may not read and write there (s3:GetObject, s3:PutObject)")
+                refused("the credentials do not allow reading and writing (s3:GetObject, s3:PutObject)")
             }
             Err(object_store::Error::Unauthenticated { .. }) => {
                 refused("the server does not know the credentials (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY)")
             }
             Err(error) => {
-                tracing::warn!(place = self.name, %error, "the artefact store does not answer; requests wait for it");
+                tracing::warn!(place = self.name, %error, "the artefact store does not answer yet; requests for artefacts wait");
                 Ok(())
             }
         }
     }
 
-    /// Whether an object of this length is there under this name.
+    /// Whether an object of this name and length exists.
     pub async fn holds(&self, name: &Path, size: u64) -> Result<bool, StoreError> {
         match self.objects.head(&self.below(name)).await {
             Ok(meta) => Ok(meta.size == size),
@@ -65,8 +67,8 @@ impl Remote {
         }
     }
 
-    /// Copies a local file there. The object appears whole or not at all, and is durable when this returns: that is what S3 promises
-    /// of an answered PUT and of a completed upload in parts.
+    /// Uploads a local file. The object appears whole or not at all, and is durable on return: S3 promises
+    /// this for an answered PUT and for a completed multipart upload.
     pub async fn upload(&self, file: &std::path::Path, name: &Path) -> Result<(), StoreError> {
         let place = self.below(name);
         let failed = |error| StoreError::file(file, error);
@@ -90,7 +92,8 @@ impl Remote {
             Ok(_) => Ok(()),
             Err(error) => {
                 if let Err(leftover) = upload.abort().await {
-                    tracing::warn!(place = self.name, error = %leftover, "the parts of an upload that failed are left to the bucket's clean-up rule");
+                    let place = &self.name;
+                    tracing::warn!(place, error = %leftover, "could not delete the parts of a failed upload");
                 }
                 Err(error)
             }
@@ -119,7 +122,7 @@ impl Remote {
     }
 }
 
-/// Whatever went wrong out there, the bytes are still in somebody's hands: they can be sent again.
+/// The sender still has the bytes and can send them again.
 fn away(error: object_store::Error) -> StoreError {
     StoreError::ArtifactsAway(error)
 }

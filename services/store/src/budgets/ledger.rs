@@ -1,5 +1,5 @@
-//! The ledger: what was paid for each lease. Triggers write it (`migrations/0003_budgets.sql`), so what was paid is known
-//! whatever way a lease ends.
+//! The ledger: what was paid for each lease. Triggers write it (`migrations/0003_budgets.sql`), so payments
+//! are known however a lease ends.
 
 use forelight_protocol::{JobId, LedgerLine, Money, Timestamp};
 use sqlx::SqliteConnection;
@@ -9,10 +9,10 @@ use crate::database::Store;
 use crate::error::StoreError;
 use crate::policy::budgets::{self as policy, Payment};
 
-/// Rows with the columns of a line of the ledger, more columns, and which rows.
+/// Ledger rows: the columns of a line, more columns, and a condition.
 ///
-/// A lease that was not renewed since the service started again is paid until it would have run out before that. Any
-/// other active lease is paid until it runs out, unless it is renewed.
+/// A lease that was not renewed since the service restarted is paid until it would have expired before that.
+/// Any other active lease is paid until it expires, unless it is renewed.
 macro_rules! rows {
     ($more:literal, $which:literal $(, $value:expr)* $(,)?) => {
         sqlx::query!(
@@ -26,7 +26,7 @@ macro_rules! rows {
     };
 }
 
-/// The line of the ledger of such a row.
+/// The ledger line of such a row.
 macro_rules! line {
     ($row:expr) => {
         LedgerLine {
@@ -41,7 +41,7 @@ macro_rules! line {
 }
 
 impl Store {
-    /// What was paid for between two instants, in the order of leases.
+    /// Payments between two instants, in the order of leases.
     pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
         let rows = rows!(
             "",
@@ -54,13 +54,13 @@ impl Store {
         Ok(rows.into_iter().map(|row| line!(row)).collect())
     }
 
-    /// What a job's leases have cost so far, those that end at `now` and those that go on.
+    /// What a job's leases have cost so far; active leases count up to `now`.
     pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money, StoreError> {
         spent_on(&mut *self.readers().acquire().await?, job, now).await
     }
 }
 
-/// All lines of a job, each with the task that it paid for.
+/// All ledger lines of a job, each with its task.
 pub(crate) async fn payments(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -78,7 +78,7 @@ pub(crate) async fn payments(
         .collect())
 }
 
-/// What a job's leases cost, those that run up to now: its quote, its frames, and what was lost.
+/// What a job's leases cost, including its quote, its frames and lost work. Active leases count up to now.
 pub(crate) async fn spent_on(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -89,7 +89,7 @@ pub(crate) async fn spent_on(
     Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN), now))
 }
 
-/// What a project's leases cost since an instant; those that run, up to now.
+/// What a project's leases cost since an instant. Active leases count up to now.
 pub(crate) async fn spent(
     connection: &mut SqliteConnection,
     project: &str,
@@ -103,7 +103,7 @@ pub(crate) async fn spent(
     Ok(policy::cost_since(rows.into_iter().map(|row| line!(row)), from, now))
 }
 
-/// What the frames that a project has running are expected to cost from now on, at the median of their forecasts.
+/// The expected rest of the cost of a project's running frames, at the median of their forecasts.
 pub(crate) async fn committed(
     connection: &mut SqliteConnection,
     project: &str,

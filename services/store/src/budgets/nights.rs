@@ -1,4 +1,4 @@
-//! What was said of nights to come.
+//! Forecasts of nights.
 
 use forelight_protocol::{BudgetForecast, Timestamp};
 
@@ -13,13 +13,13 @@ pub struct KeptNight {
     pub from: Timestamp,
     /// The instant after the last.
     pub until: Timestamp,
-    /// What was said.
+    /// The forecast.
     pub forecast: BudgetForecast,
 }
 
 impl Store {
-    /// Keeps what is said of a night, unless something was said before and the night is past its middle. One row a night, however often
-    /// this is called.
+    /// Keeps the forecast of a night. A later forecast replaces it until the middle of the night. There is
+    /// one row per night, however often this is called.
     pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         let middle = night.from.plus_micros(night.until.micros_since(night.from) / 2);

@@ -1,4 +1,4 @@
-//! The ends of jobs other than their last frame: they are cancelled, or fail.
+//! Jobs that end before their last frame: cancelled or failed.
 
 use forelight_protocol::{Job, JobId, JobState, TaskKind, Timestamp};
 
@@ -12,8 +12,8 @@ use crate::plans::replans;
 use crate::tasks::withdraw;
 
 impl Store {
-    /// Cancels a job: its workers are told to stop at their next renewal. Cancelling it twice is one cancelling;
-    /// a job that is done or failed stays so, and that is a conflict.
+    /// Cancels a job. Its workers are told to stop at their next renewal. Repeating this changes nothing. A
+    /// job that is done or failed is a conflict.
     pub async fn cancel_job(&self, job: JobId, now: Timestamp) -> Result<Job, StoreError> {
         let mut write = self.write().await?;
         let current = read(write.connection().await?, job).await?;
@@ -45,7 +45,7 @@ impl Store {
         Ok(cancelled)
     }
 
-    /// Fails a job for a reason that lies in the job; nothing if it is final already.
+    /// Fails a job for a reason of its own. Does nothing if the job is over.
     pub async fn fail_job(&self, job: JobId, error: &str, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         fail(&mut write, job, error, now).await?;
@@ -70,7 +70,7 @@ pub(crate) async fn fail_task_and_job(
     fail_for_task(write, row.job_id, (row.kind, row.frame), error, now).await
 }
 
-/// Fails a job inside a write for what became of one of its tasks.
+/// Fails a job inside a write because of one of its tasks.
 pub(crate) async fn fail_for_task(
     write: &mut Write,
     job: JobId,
@@ -82,7 +82,7 @@ pub(crate) async fn fail_for_task(
     fail(write, job, &format!("{kind}{of_frame}: {error}"), now).await
 }
 
-/// Fails a job inside a write; nothing if it is final already.
+/// Fails a job inside a write. Does nothing if the job is over.
 pub(crate) async fn fail(
     write: &mut Write,
     job: JobId,

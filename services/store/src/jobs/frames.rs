@@ -1,4 +1,4 @@
-//! A job's frames: what was said, and what was.
+//! A job's frames: forecast and actual cost.
 
 use forelight_protocol::{
     FrameArtifacts, FrameBooking, FrameFigure, FrameForecast, FrameRow, FrameState, JobId, Quantiles,
@@ -77,7 +77,7 @@ impl Store {
 }
 
 impl Row {
-    /// As it is shown. A frame without a task is cancelled if its job is over.
+    /// The frame as the API shows it. A frame without a task is cancelled if its job is over.
     fn shown(self, job_is_final: bool) -> Result<FrameRow, StoreError> {
         let state = match self.state.as_deref() {
             None if job_is_final => FrameState::Cancelled,

@@ -1,4 +1,4 @@
-//! What is said of booked jobs between plans: why they wait, and what is left of their promises.
+//! Outlooks of booked jobs: why they wait, and the state of their promises.
 
 use forelight_protocol::{Event, JobId, Promise, Timestamp, Waits};
 use serde::{Deserialize, Serialize};
@@ -9,18 +9,18 @@ use crate::error::StoreError;
 use crate::events::{append, event};
 use crate::policy::rebooking::promise_news;
 
-/// Why a job waits, and what is left of its promise.
+/// Why a job waits, and the state of its promise.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
 pub struct JobOutlook {
     /// Why it has not begun.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits: Option<Waits>,
-    /// What is left of its promise.
+    /// The state of its promise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
 }
 
-/// Keeps what is said of jobs, and tells of promises that broke or were mended.
+/// Keeps the outlooks of jobs, and writes an event for each promise that broke or is kept again.
 pub(crate) async fn keep(
     write: &mut Write,
     outlooks: &[(JobId, JobOutlook)],
@@ -32,7 +32,7 @@ pub(crate) async fn keep(
             .await?;
         let row = row.ok_or(StoreError::NotFound("job"))?;
         let before = row.outlook.0;
-        // A job that was over before this was found out has no outlook any more.
+        // A job that ended meanwhile has no outlook.
         if before == *outlook || row.state.0.is_final() {
             continue;
         }

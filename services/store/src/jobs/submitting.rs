@@ -17,9 +17,9 @@ use crate::tasks::Common;
 /// A job that has been checked.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewJob {
-    /// What was asked for.
+    /// The request.
     pub request: JobRequest,
-    /// What is in the bundle.
+    /// The content of the bundle.
     pub scene: SceneSummary,
     /// Where workers find the bundle.
     pub source: BundleSource,
@@ -28,7 +28,7 @@ pub struct NewJob {
 }
 
 impl Store {
-    /// Remembers a job with its frames and its first task, the preview.
+    /// Stores a job with its frames and its first task, the preview.
     pub async fn create_job(
         &self,
         new: &NewJob,

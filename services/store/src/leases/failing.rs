@@ -1,4 +1,4 @@
-//! Tasks that fail: what follows is in [`crate::policy::retries`].
+//! Records failed tasks. [`crate::policy::retries`] decides what follows.
 
 use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, Timestamp};
 
@@ -15,7 +15,8 @@ use crate::plans::replans;
 use crate::policy::retries::{HEAD_START, HELD_AGAINST, is_blameless, job_error, reason_to_set_aside, wait};
 
 impl Store {
-    /// A worker could not do its task. Says whether this had been reported before, and where the job stands now.
+    /// Records that a worker could not do its task. Returns whether this was reported before, and the job's
+    /// state.
     pub async fn fail_task(
         &self,
         lease: LeaseId,
@@ -65,7 +66,8 @@ impl Store {
         Ok((false, state))
     }
 
-    /// When the next task that waits after a failure may be handed out, to whom it failed on or to others; `None` if none waits.
+    /// When the next task that waits after a failure may be handed out, to a node on which it failed or to
+    /// another. `None` if none waits.
     pub async fn next_retry(&self, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
         let at = sqlx::query_scalar!(
             "SELECT min(CASE WHEN not_before > ?1 THEN not_before ELSE not_before + ?2 END) AS \"at?: \
@@ -91,7 +93,8 @@ async fn nodes_that_failed(write: &mut Write, task: TaskId) -> Result<Vec<String
     .await?)
 }
 
-/// Sets a node aside on which too many jobs failed. Failures of tasks that failed for good are not held against it.
+/// Sets a node aside on which tasks of too many jobs failed. Tasks that failed their jobs do not count
+/// against it.
 async fn set_aside_if_at_fault(
     write: &mut Write,
     node: NodeId,

@@ -1,4 +1,4 @@
-//! What workers had to say about tasks.
+//! Logs of tasks.
 
 use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine, Timestamp};
 
@@ -7,12 +7,12 @@ use crate::database::Write;
 use crate::error::StoreError;
 use crate::leases::{LeaseRow, LeaseState, read_in};
 
-/// For how long logs are kept: thirty days, in microseconds.
+/// How long logs are kept: thirty days, in microseconds.
 const KEPT: i64 = 30 * 24 * 3_600_000_000;
 
 impl Store {
-    /// Keeps what a worker says at the end of its task, before it is told how that ended. Of a lease that is not the worker's nothing is
-    /// kept, and nothing is said: what follows will be refused.
+    /// Keeps the last log lines of a worker, before it reports how its task ended. If the worker does not
+    /// hold the lease, nothing is kept and no error is returned: the report that follows is refused.
     pub async fn keep_log(&self, lease: LeaseId, fence: u64, lines: &[LogLine]) -> Result<(), StoreError> {
         if lines.is_empty() {
             return Ok(());
@@ -58,7 +58,7 @@ impl Store {
     }
 }
 
-/// Keeps lines of a lease; those that were kept before, and those beyond the bound, are dropped.
+/// Keeps log lines of a lease. Lines that are stored already, and lines beyond [`LOG_LINES`], are dropped.
 pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -> Result<(), StoreError> {
     for line in lines.iter().filter(|line| line.number < LOG_LINES) {
         let line = line.clone().cleaned();

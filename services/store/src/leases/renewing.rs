@@ -1,4 +1,4 @@
-//! What a worker says while it holds a lease: that it goes on, or that it gives the task back.
+//! Renewing and releasing leases.
 
 use std::time::Duration;
 
@@ -15,11 +15,13 @@ use crate::living::{self, Occasion};
 use crate::nodes::sleep_of;
 use crate::writing::later;
 
-/// Progress is recorded as an event in steps of a hundredth: a worker that renews twice a second must not fill the disk.
+/// Progress events are written in steps of a hundredth: a worker that renews twice a second must not fill the
+/// disk.
 const PROGRESS_STEP: f64 = 0.01;
 
 impl Store {
-    /// A worker is still at it: its lease ends `ttl` from now. What it says is kept, and it is told what its operator wants.
+    /// Extends a worker's lease to `ttl` from now, keeps what the worker reports, and answers with the
+    /// operator's orders.
     pub async fn renew(
         &self,
         lease: LeaseId,
@@ -75,8 +77,8 @@ impl Store {
         Ok(Renewal { expires_at, order, drain: row.drain, sleep_until })
     }
 
-    /// A worker gives its task back unfinished. Counts neither as an error nor as an expiry. A lease that was released
-    /// or revoked before is a lease given back: nothing to do.
+    /// Gives a task back unfinished. This counts neither as an error nor as an expiry. Does nothing if the
+    /// lease was released or revoked before.
     pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;

@@ -1,5 +1,5 @@
-//! What the service does for leases from time to time: tasks of lost workers are taken back, clocks that were set are
-//! corrected.
+//! Maintenance of leases: taking back the tasks of lost workers, and correcting times after the clock was
+//! set.
 
 use std::time::Duration;
 
@@ -16,18 +16,18 @@ use crate::living;
 use crate::nodes::changing::stop_after_windows;
 use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
 
-/// What a sweep did.
+/// The result of a sweep.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct Swept {
-    /// Leases that had run out.
+    /// Leases that had expired.
     pub expired: u32,
     /// Jobs that failed because a task lost its worker too often.
     pub jobs_failed: u32,
 }
 
 impl Store {
-    /// Takes back the tasks whose leases have run out, makes estimates again that do not know of all frames, and forgets what is kept for a
-    /// limited time only.
+    /// Takes back the tasks of expired leases, updates overdue estimates, and deletes records that are kept
+    /// for a limited time.
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept, StoreError> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
@@ -41,10 +41,11 @@ impl Store {
         Ok(swept)
     }
 
-    /// Gives every active lease one more term, from now. Called once when a service starts, before anything is swept:
-    /// that nobody could renew while it was down is not the workers' fault. Nor does a lease last any longer because the clock was set
-    /// back in the meantime; tasks that wait after a failure wait no longer than they would at most. A worker that is not heard of any more is
-    /// paid until its lease would have run out.
+    /// Gives every active lease one more term, from now. A service calls this once when it starts, before the
+    /// first sweep: workers could not renew while it was down.
+    ///
+    /// If the clock was set back meanwhile, no lease lasts longer for it, and no failed task waits longer
+    /// than the longest wait. A worker that stays silent is paid until its lease would have expired.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64, StoreError> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         self.set_up_since(now);
@@ -67,7 +68,8 @@ impl Store {
         Ok(extended.rows_affected())
     }
 
-    /// The clock was set forward by so many microseconds (back, if negative): what was to end in a minute still does.
+    /// Corrects times after the clock was set forward by so many microseconds (back, if negative): remaining
+    /// times stay the same.
     pub async fn clock_was_set(&self, micros: i64) -> Result<(), StoreError> {
         let mut write = self.write().await?;
         sqlx::query!(
@@ -83,11 +85,11 @@ impl Store {
         )
         .execute(write.connection().await?)
         .await?;
-        // A node that was heard of in what is now the future would look alive for as long.
+        // Otherwise a node that was last heard of in what is now the future would look alive too long.
         sqlx::query!("UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0", micros)
             .execute(write.connection().await?)
             .await?;
-        // What runs is paid for the time that it took, not for that which the clock went.
+        // Running leases are paid for the time that passed, not for the step of the clock.
         sqlx::query!("UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL", micros)
             .execute(write.connection().await?)
             .await?;
@@ -99,11 +101,11 @@ impl Store {
     }
 }
 
-/// Takes back the tasks whose leases have run out.
+/// Takes back the tasks of expired leases.
 pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {
     let mut swept = Swept::default();
     for row in ran_out(write, now).await? {
-        // An earlier row of this sweep may have failed the job, and with it revoked this lease.
+        // An earlier row of this sweep may have failed the job and so revoked this lease.
         if read_in(write, row.id).await?.state != LeaseState::Active {
             continue;
         }

@@ -6,7 +6,8 @@ use sqlx::SqliteConnection;
 
 use crate::error::StoreError;
 
-/// Reads a job's frames, and the finished pixels of those under way. `lights` are those of its quote, see [`Frames::new`].
+/// Reads a job's frames, and the finished pixels of those under way. `lights` are those of its quote, see
+/// [`Frames::new`].
 pub(super) async fn read(
     connection: &mut SqliteConnection,
     job: JobId,

@@ -1,8 +1,8 @@
-//! What is kept of living estimates: the newest of each job, and its history.
+//! Rows of living estimates: the newest of each job, and its history.
 //!
-//! The history holds at most [`MOST_POINTS`] estimates of a job. Once it is full, every second one is deleted, except
-//! the first, which is the quote. So the distant past is known coarsely and the recent past finely, and the disk space
-//! of a job is bounded.
+//! The history holds at most [`MOST_POINTS`] estimates of a job. Once it is full, every second one is
+//! deleted, except the first, which is the quote. So old points are sparse, recent ones are dense, and the
+//! disk space of a job is bounded.
 
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobId, JobState, LiveFigure, LiveForecast, PlanId};
 use forelight_quote::living::{Baseline, Last, Off};
@@ -15,11 +15,11 @@ use crate::database::Write;
 use crate::error::StoreError;
 use crate::writing::{ask, later};
 
-/// Most estimates of a job that are kept.
+/// Most points in a job's history.
 const MOST_POINTS: i64 = 512;
 
 impl Store {
-    /// How the job's estimate moved; `None` before the job is booked.
+    /// The history of the job's estimate; `None` before the job is booked.
     pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>, StoreError> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!(
@@ -56,7 +56,7 @@ pub(crate) async fn newest(
     Ok(newest.map(|newest| newest.0))
 }
 
-/// What is kept beside an estimate.
+/// An estimate as stored.
 pub(super) struct Kept {
     /// The plan that it was compared with.
     pub plan: PlanId,
@@ -66,15 +66,15 @@ pub(super) struct Kept {
     pub cpu_seconds: LiveFigure,
 }
 
-/// What there is before an estimate is made.
+/// What is stored before an update.
 pub(crate) struct Before {
-    /// The estimate before, if there is one.
+    /// The last estimate, if there is one.
     pub(super) estimate: Option<Kept>,
     /// The job's state.
     pub job_state: JobState,
 }
 
-/// Reads what there is before an estimate is made.
+/// Reads what is stored before an update.
 pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, StoreError> {
     ask!(
         write,
@@ -113,12 +113,12 @@ impl FromRow<'_, SqliteRow> for Before {
     }
 }
 
-/// Counts a finished frame that is left for the next estimate.
+/// Counts a finished frame that the estimate leaves out for now.
 pub(super) fn count_frame(write: &mut Write, job: JobId) {
     later!(write, "UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?", job.0);
 }
 
-/// Keeps an estimate, as the newest and in the history.
+/// Stores an estimate, as the newest and in the history.
 pub(super) async fn keep(
     write: &mut Write,
     job: JobId,

@@ -16,8 +16,8 @@ use crate::policy::availability::{Opening, opening, silence, with_power};
 use crate::policy::nodes::{cause_of, is_same_machine, may_take_tasks_again};
 
 impl Store {
-    /// Registers a node. One of the same name is updated and keeps its id: a worker that starts again is the same node.
-    /// A speed or price that was set by hand stays in force.
+    /// Registers a node. A node of the same name is updated and keeps its id: a restarted worker is the same
+    /// node. A speed or price that was set by hand stays in force.
     pub async fn register_node(
         &self,
         registration: &NodeRegistration,
@@ -34,8 +34,8 @@ impl Store {
         Ok(Answered::Fresh(node))
     }
 
-    /// Changes a node. A speed or price that is set here stays in force until it is set again, or given up with `None`
-    /// inside `Some`: then what the node said of itself last holds.
+    /// Changes a node. A speed or price that is set here stays in force until it is set again or cleared with
+    /// `None` inside `Some`. Then the node's own last value applies.
     pub async fn change_node(
         &self,
         node: NodeId,
@@ -76,7 +76,7 @@ impl Store {
                 ..event(EventKind::NodeChanged, now)
             },
         )?;
-        // Claims that wait should look again.
+        // Waiting claims should look again.
         write.made_work |= may_take_tasks_again(change);
         if let Some(cause) = cause_of(change) {
             replans::want(&mut write, &format!("node {} {cause}", changed.name)).await?;
@@ -86,7 +86,7 @@ impl Store {
     }
 }
 
-/// Makes a node, or updates the one of the same name. If it is new, or not as it was, plans are due.
+/// Makes a node, or updates the one of the same name. Calls for a new plan if the node is new or has changed.
 pub(crate) async fn upsert(
     write: &mut Write,
     registration: &NodeRegistration,
@@ -120,7 +120,7 @@ pub(crate) async fn upsert(
     .await?
     .into();
     if is_replaced {
-        // Who had it is dead, or is about to be told.
+        // The previous worker is dead, or will be told to stop.
         take_tasks_away(write, node_id, now).await?;
     }
     let node = read(write.connection().await?, node_id).await?;
@@ -142,7 +142,7 @@ pub(crate) async fn upsert(
     Ok(with_power(node, now))
 }
 
-/// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
+/// Takes a node's tasks away. They are ready again, and the node's next renewal brings the order to stop.
 pub(crate) async fn take_tasks_away(
     write: &mut Write,
     node: NodeId,
@@ -157,7 +157,8 @@ pub(crate) async fn take_tasks_away(
     leases::take_back(write, held.into_iter().map(LeaseId::from), now).await
 }
 
-/// Takes the tasks from nodes whose window has ended, if that is what their terms say. Says how many nodes that were.
+/// Takes the tasks from nodes whose window has ended, if their terms say so. Returns the number of such
+/// nodes.
 pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
     let rows = node_rows!(
         "WHERE n.terms ->> 'window_end' = 'stop' \

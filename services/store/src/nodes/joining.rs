@@ -1,9 +1,12 @@
 //! Machines that join the farm with a one-time token.
 //!
-//! The machine makes its own bearer token and sends its hash with the one-time token, which is burnt in the same transaction that makes
-//! the node and its token. Three hazards are met by that: an answer that is lost (the machine asks again with the same hash, and is
-//! answered as before), a one-time token that someone else picked up (it is good for one hash alone, and both notice), and a machine
-//! that calls itself as another does (it takes that one's place only with a token that was made in its name).
+//! The machine makes its own bearer token and sends its hash with the one-time token. One transaction uses
+//! the one-time token up and makes the node and its token. This meets three hazards:
+//!
+//! * The answer is lost: the machine asks again with the same hash and gets the same answer.
+//! * Someone else finds the one-time token: it works for one hash only, and both machines notice.
+//! * A machine uses another machine's name: it replaces that node only with a one-time token made for the
+//!   name.
 
 use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, Timestamp};
 
@@ -22,7 +25,7 @@ impl Store {
         let token = tokens::random();
         let expires_at = now.plus_micros(valid_micros);
         let mut write = self.write().await?;
-        // Long expired ones are of no use to anyone, unless they say which node came by them.
+        // Expired unused tokens go. Used ones stay, because they record which node used them.
         sqlx::query!("DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL", now.micros())
             .execute(write.connection().await?)
             .await?;
@@ -39,7 +42,7 @@ impl Store {
         Ok(JoinToken { token, expires_at })
     }
 
-    /// Burns a one-time token: makes the node, and lets the token with the hash that the machine chose speak for it.
+    /// Uses a one-time token up: makes the node, and its bearer token with the hash that the machine chose.
     pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node, StoreError> {
         let burnt = tokens::hash(token);
         let mut write = self.write().await?;
@@ -49,7 +52,7 @@ impl Store {
         )
         .fetch_optional(write.connection().await?)
         .await?
-        .ok_or_else(|| StoreError::JoinRefused("this one-time token is not known here".to_owned()))?;
+        .ok_or_else(|| StoreError::JoinRefused("this one-time token is unknown".to_owned()))?;
         if let (Some(node), Some(chosen)) = (row.node_id, row.used_for.map(ArtifactHash::from)) {
             let node = nodes::read(write.connection().await?, node.into()).await?;
             if chosen == request.token_hash && node.name == request.node.name {
@@ -57,14 +60,15 @@ impl Store {
             }
             if chosen == request.token_hash {
                 return Err(StoreError::Conflict(format!(
-                    "this machine joined as the node {:?} with this one-time token; join under that name, or ask an operator for a new token",
+                    "this machine joined as the node {:?} with this one-time token; join under that name, or ask \
+                     an operator for a new token",
                     node.name
                 )));
             }
             let used_at = row.used_at.map_or(String::new(), |at| format!(" at {}", Timestamp::from(at)));
             return Err(StoreError::Conflict(format!(
-                "this one-time token was used{used_at} by another machine; ask an operator for a new one, and if nobody knows that machine, \
-                 have its node removed from service"
+                "this one-time token was used{used_at} by another machine; ask an operator for a new one, and \
+                 to take that machine's node out of service if it is unknown"
             )));
         }
         let expires_at = Timestamp::from(row.expires_at);
@@ -77,8 +81,8 @@ impl Store {
         let taken = nodes::by_name(write.connection().await?, &request.node.name).await?.is_some();
         if taken && made_for != request.node.name {
             return Err(StoreError::Conflict(format!(
-                "there is a node {0:?} already, and this one-time token was made for {made_for:?}: join under another name, or, if this \
-                 machine is to take that node's place, with a one-time token whose name is {0:?}",
+                "there is already a node {0:?}, and this one-time token was made for {made_for:?}; join under \
+                 another name, or, to replace that node, with a one-time token made for {0:?}",
                 request.node.name
             )));
         }
@@ -92,7 +96,7 @@ impl Store {
         )
         .execute(write.connection().await?)
         .await?;
-        // A machine that takes another's place takes its token away.
+        // A machine that replaces another one also revokes its token.
         sqlx::query!("DELETE FROM tokens WHERE node_id = ?", node.id.0)
             .execute(write.connection().await?)
             .await?;
@@ -107,7 +111,7 @@ impl Store {
         .execute(write.connection().await?)
         .await?;
         if inserted.rows_affected() == 0 {
-            return Err(StoreError::Conflict("the hash is that of a token which is in use".to_owned()));
+            return Err(StoreError::Conflict("the hash belongs to a token that is in use".to_owned()));
         }
         self.commit(write).await?;
         Ok(node)

@@ -1,7 +1,8 @@
-//! What finished frames teach about nodes: by how much longer they take there than the node's calibration says.
+//! Learns from finished frames how much longer they take on a node than its calibration says.
 //!
-//! Only frames of jobs that were profiled on other nodes say something: on its own node a profile's seconds are the node's. The jobs' means are added
-//! up in whole millionths, so that what is learnt does not depend on the order in which frames are finished.
+//! Only jobs that were profiled on other nodes count: on the profiling node itself, the profile's seconds are
+//! the node's own. The jobs' means are summed in whole millionths, so the result does not depend on the order
+//! in which frames finish.
 
 use forelight_protocol::{Node, RenderStats};
 
@@ -10,7 +11,7 @@ use crate::error::StoreError;
 use crate::leases::LeaseRow;
 use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
 
-/// Learns from a finished frame inside the write that keeps it.
+/// Learns from a finished frame inside the write that stores it.
 pub(crate) async fn learn(
     write: &mut Write,
     row: &LeaseRow,

@@ -1,7 +1,7 @@
-//! Quotes that do not go on because no node takes tasks.
+//! Quotes that wait because no node takes tasks.
 //!
-//! Plans say why a booked job waits. A job has no plan before it is quoted, and whoever forgot to start a worker would wait for ever
-//! without a word.
+//! Plans say why a booked job waits, but a job has no plan before it is quoted. Without this, a user who
+//! forgot to start a worker would wait without an explanation.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::nodes;
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::unattended::why_nobody_works;
 
-/// The quotes that nobody works on and nobody will, as things stand.
+/// The quotes that no node works on or will start, as things stand.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Unattended {
     jobs: BTreeSet<JobId>,
@@ -23,12 +23,12 @@ pub struct Unattended {
 }
 
 impl Unattended {
-    /// Why the job does not go on, if this is why.
+    /// Why the job waits, if this is the reason.
     pub fn waits(&self, job: JobId) -> Option<Waits> {
         self.why.clone().filter(|_| self.jobs.contains(&job))
     }
 
-    /// Has the jobs say so.
+    /// Fills the reason in where a job has none.
     pub fn tell<'a>(&self, jobs: impl IntoIterator<Item = &'a mut Job>) {
         for job in jobs {
             job.waits = job.waits.take().or_else(|| self.waits(job.id));
@@ -37,7 +37,7 @@ impl Unattended {
 }
 
 impl Store {
-    /// The quotes that nobody works on because no node takes tasks. A node is silent after three lease times.
+    /// The quotes that wait because no node takes tasks. A node is silent after three lease times.
     pub async fn unattended(&self, ttl: Duration, now: Timestamp) -> Result<Unattended, StoreError> {
         unattended(&mut *self.read().await?, ttl, now).await
     }
@@ -62,7 +62,7 @@ pub(crate) async fn unattended(
     Ok(Unattended { jobs, why: why_nobody_works(nodes.into_iter().map(|node| as_it_is(node, ttl, now))) })
 }
 
-/// Whether some node surely takes tasks: a look without calendars, which is enough on most farms at most times.
+/// Whether some node certainly takes tasks. Ignores nodes with calendars; this is enough on most farms.
 async fn somebody_is_there(
     connection: &mut SqliteConnection,
     ttl: Duration,

@@ -67,7 +67,7 @@ impl Store {
         open(&mut connection).await
     }
 
-    /// The open bookings that start after `after` (or with it, and have a greater id), by start, at most `limit`.
+    /// The open bookings after a place in the order of start and id, at most `limit`.
     pub async fn open_bookings_page(
         &self,
         after: Option<(Timestamp, BookingId)>,

@@ -1,4 +1,4 @@
-//! The farm's booked jobs as a plan needs them.
+//! The farm's booked jobs, as input of a plan.
 
 use forelight_protocol::{Job, JobId, Money, Timestamp};
 use sqlx::SqliteConnection;
@@ -16,14 +16,14 @@ use forelight_quote::JobForecast;
 pub struct FarmJob {
     /// The job.
     pub job: Job,
-    /// Its forecast; absent of a job that was booked before forecasts were kept.
+    /// Its forecast; `None` for a job that was booked before forecasts were stored.
     pub forecast: Option<JobForecast>,
     /// All its frames, ascending.
     pub frames: Vec<FarmFrame>,
-    /// What it has cost, its quote and what was lost included, and what that will cost which is under way or stands: frames with a worker, and the
-    /// irradiance cache that its frames share.
+    /// Its cost so far, including its quote and lost work, and the booked rest of work under way: frames with
+    /// a worker, and the shared irradiance cache.
     pub spent: Money,
-    /// What the newest plan multiplies the forecast by, after what finished frames took.
+    /// The factor that the newest plan applies to the forecast, learnt from finished frames.
     pub factor: f64,
     /// Its project's budget holds it back.
     pub held: bool,
@@ -36,9 +36,9 @@ pub struct FarmFrame {
     pub number: u32,
     /// Forecast CPU seconds, median.
     pub p50: f64,
-    /// Forecast CPU seconds that it exceeds in one case of five.
+    /// Forecast CPU seconds, 80 % quantile.
     pub p80: f64,
-    /// Forecast CPU seconds that it exceeds in one case of twenty.
+    /// Forecast CPU seconds, 95 % quantile.
     pub p95: f64,
     /// Whether it waits for a worker: neither done nor with one.
     pub waits: bool,
@@ -67,7 +67,7 @@ async fn farm_job(
     let job = JobId::from(row.id);
     let (forecast, factor) = (row.forecast.take(), row.factor);
     let done = progress::of_job(connection, job).await?;
-    // A job's frames that have a forecast, with what is booked for them.
+    // The job's frames that have a forecast, with their bookings.
     let rows = sqlx::query!(
         r#"SELECT f.frame, f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
                   t.state NOT IN ('leased', 'done') AS "waits!: bool", t.held,
@@ -106,7 +106,7 @@ async fn farm_job(
     })
 }
 
-/// What is booked for the parts of a job's shared irradiance cache, in micro-units.
+/// Booked cost of the parts of a job's shared irradiance cache, in micro-units.
 async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64, StoreError> {
     let parts = sqlx::query!(
         r#"SELECT b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
@@ -119,7 +119,8 @@ async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Resu
     Ok(parts.iter().fold(0i64, |sum, part| sum.saturating_add(booked_cost(part.length, part.price))))
 }
 
-/// What a booking of this length (microseconds) costs at this price an hour, in micro-units; 0 without a booking.
+/// Cost of a booking of this length (microseconds) at this price an hour, in micro-units; 0 without a
+/// booking.
 fn booked_cost(length: Option<i64>, price: Option<i64>) -> i64 {
     let cost = length.zip(price).map(|(length, price)| Money(price).for_micros_at_hourly_rate(length));
     cost.unwrap_or_default().micro_units()

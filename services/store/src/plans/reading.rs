@@ -1,4 +1,4 @@
-//! Plans, as they are read.
+//! Reading plans.
 
 use forelight_protocol::{Booking, JobId, JobVerdict, Plan, PlanId, PlanSummary};
 use sqlx::SqliteConnection;
@@ -34,7 +34,7 @@ impl Store {
             .collect())
     }
 
-    /// What the plans before this one booked last for each of its jobs, and said of it.
+    /// The last bookings and verdicts that earlier plans gave to each job of this plan.
     pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>), StoreError> {
         let mut transaction = self.read().await?;
         let rows = sqlx::query!(
@@ -96,7 +96,7 @@ impl Store {
 }
 
 pub(crate) async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, StoreError> {
-    // By row number, not by id: ids sort by the clock, and the clock may have been set back.
+    // By row number, not by id: ids sort by the clock, which may have been set back.
     let id = sqlx::query_scalar!("SELECT id FROM plans ORDER BY rowid DESC LIMIT 1")
         .fetch_optional(connection)
         .await?;

@@ -1,4 +1,4 @@
-//! What finished jobs teach about quotes: how far each was off, by renderer and class of features.
+//! Learns from finished jobs how far quotes are off, by renderer and class of features.
 
 use forelight_forecast::{Experience, residual};
 use forelight_protocol::{FrameForecast, JobId, Quantiles, Timestamp};
@@ -10,11 +10,12 @@ use crate::error::StoreError;
 use crate::policy::learning::{ALL_FRAMES, Residuals, experience, is_learnt_from};
 use forelight_quote::{JobForecast, QuoteBasis, QuoteKind, Spreads};
 
-/// Finished jobs that a quote learns from at most, the newest: renderers, scenes and machines change slowly, but they do.
+/// A quote learns from at most this many finished jobs, the newest: renderers, scenes and machines change
+/// slowly.
 const WINDOW: u32 = 200;
 
 impl Store {
-    /// The kinds of which jobs are finished, with how many.
+    /// The kinds of quotes with finished jobs, and the number of these jobs.
     pub async fn learnt_kinds(&self) -> Result<Vec<(QuoteKind, u64)>, StoreError> {
         let rows = sqlx::query!(
             "SELECT renderer, feature_class, count(*) AS \"jobs!: u64\" FROM quotes \
@@ -31,7 +32,7 @@ impl Store {
             .collect())
     }
 
-    /// What the newest finished jobs of this kind teach.
+    /// The experience from the newest finished jobs of this kind.
     pub async fn experience(&self, kind: &QuoteKind) -> Result<Experience, StoreError> {
         let rows = sqlx::query!(
             "SELECT s.job_id, s.frame, s.work_residual, s.cpu_residual FROM quote_spreads s \
@@ -53,7 +54,7 @@ impl Store {
     }
 }
 
-/// Remembers a quote inside the write that keeps it.
+/// Stores the basis of a quote inside the write that stores the quote.
 pub(crate) async fn keep(
     write: &mut Write,
     job: JobId,
@@ -100,7 +101,8 @@ async fn keep_one(
     Ok(())
 }
 
-/// Writes how far the job's quote was off, inside the write that finishes the job. Nothing of a job whose quote was not remembered.
+/// Stores the residuals of the job's quote, inside the write that finishes the job. Does nothing without a
+/// stored basis.
 pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
     let rows = sqlx::query!(
         r#"SELECT s.frame AS "frame!: i64", s.work_mean AS "work_mean!: f64", s.work_spread AS "work_spread!: f64",
@@ -114,7 +116,7 @@ pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Resu
     )
     .fetch_all(write.connection().await?)
     .await?;
-    // The first row is that of all frames.
+    // The first row stands for all frames.
     for (place, row) in rows.iter().enumerate() {
         if !is_learnt_from(row.frame, place, rows.len()) {
             continue;

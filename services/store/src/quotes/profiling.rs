@@ -1,4 +1,4 @@
-//! Having frames profiled for a quote.
+//! Tasks that profile frames for a quote.
 
 use forelight_protocol::{JobId, JobState, Ladders, Timestamp};
 
@@ -10,8 +10,8 @@ use crate::shared_cache::PlannedCache;
 use crate::tasks::{Common, ProfileAsked};
 
 impl Store {
-    /// Has these frames of the job profiled, and the cache planned that all of its frames could share, if that is wanted. Nothing if the job is not, or no longer, being previewed, so that doing
-    /// it again after a crash is harmless.
+    /// Makes the profile tasks of these frames and, if wanted, the plan of the cache that all frames could
+    /// share. Does nothing unless the job is `previewing`, so it may be repeated after a crash.
     pub async fn start_profiling(
         &self,
         job: JobId,
@@ -25,7 +25,7 @@ impl Store {
             return Ok(());
         }
         let common = Common::of(&row);
-        // The frame in their middle stands for all where other qualities are asked for.
+        // The middle frame represents all frames where ladders are asked for.
         let with_ladders = match row.ladders.0 {
             Ladders::All => frames.get(frames.len() / 2),
             Ladders::Own => None,
@@ -49,8 +49,9 @@ impl Store {
         self.commit(write).await
     }
 
-    /// Has more frames of the job profiled, with the cache that all of its frames could share if one was planned. Nothing if the job is not, or no
-    /// longer, being profiled, or if one of the frames was asked for already, so that doing it again after a crash is harmless.
+    /// Makes profile tasks of more frames, with the planned shared cache if there is one. Does nothing unless
+    /// the job is `profiling` and none of the frames was asked for before, so it may be repeated after a
+    /// crash.
     pub async fn profile_more(
         &self,
         job: JobId,

@@ -42,8 +42,8 @@ macro_rules! coverage {
     };
 }
 
-/// A statement over the finished jobs with the quantiles of their totals and what they took: the macro that makes it, what
-/// comes before the jobs, and what comes after them.
+/// A statement over the finished jobs, with the quantiles of their totals and their actual cost. Arguments:
+/// the macro that makes it, the text before the jobs, and the text after them.
 macro_rules! of_finished_jobs {
     ($make:ident!($($before:tt)*), $after:literal $(, $value:expr)*) => {
         $make!(
@@ -69,9 +69,9 @@ pub struct FinishedJob {
     pub finished: Timestamp,
     /// Whether its quantiles were calibrated on past jobs.
     pub calibrated: bool,
-    /// Of work; absent if it took none.
+    /// Error of work; `None` if it took none.
     pub work_error: Option<f64>,
-    /// Of CPU time; absent if it took none.
+    /// Error of CPU time; `None` if it took none.
     pub cpu_error: Option<f64>,
 }
 
@@ -100,8 +100,8 @@ impl Store {
             .collect())
     }
 
-    /// The record over all finished frames, and those of them that finished before `before` (a place in the order of
-    /// time, job and frame), newest first, at most `limit`.
+    /// The record over all finished frames, and the frames that finished before `before` (a place in the
+    /// order of time, job and frame), newest first, at most `limit`.
     pub async fn track_record(
         &self,
         before: Option<(Timestamp, JobId, u32)>,
@@ -171,7 +171,6 @@ pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRec
     })
 }
 
-/// The record by kind of quote.
 async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>, StoreError> {
     let of_frames = coverage_rows!(
         "q.renderer AS \"renderer?\", q.feature_class AS \"feature_class?\", \

@@ -1,4 +1,4 @@
-//! The parts of shared irradiance caches: where they are booked, and how far they are.
+//! The parts of shared irradiance caches: their bookings and progress.
 
 use forelight_protocol::{
     JobId, NodeId, SharedCacheBooking, SharedCacheForecast, SharedCacheProgress, Timestamp,
@@ -25,7 +25,8 @@ pub struct NewPartBooking {
 }
 
 impl Store {
-    /// The booked parts of caches that are not full yet, by start: between its rounds, and while others are filled, a part waits.
+    /// The booked parts of caches that are not full yet, by start. A part stays open between its rounds, and
+    /// while other parts are filled.
     pub async fn open_cache_parts(&self) -> Result<Vec<OpenCachePart>, StoreError> {
         let mut connection = self.readers().acquire().await?;
         open(&mut connection).await
@@ -95,7 +96,6 @@ pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenCa
     Ok(rows.into_iter().map(OpenCachePart::from).collect())
 }
 
-/// Those of one job.
 pub(crate) async fn open_of(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -119,7 +119,6 @@ pub(crate) async fn of_plan(
     .await?)
 }
 
-/// Keeps a plan's bookings of the parts.
 pub(crate) async fn keep_bookings(
     write: &mut Write,
     plan: uuid::Uuid,
@@ -143,7 +142,7 @@ pub(crate) async fn keep_bookings(
     Ok(())
 }
 
-/// How far the cache is that a job's frames share; `None` if they do not.
+/// Progress of the cache that a job's frames share; `None` if they share none.
 pub(crate) async fn progress(
     connection: &mut SqliteConnection,
     job: JobId,
