@@ -20,7 +20,7 @@ use sqlx::SqlitePool;
 use uuid::Uuid;
 
 use self::remote::Remote;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::writing::{Writer, ask};
 
 pub use self::place::{ArtifactPlace, BadPlace};
@@ -78,7 +78,7 @@ impl Artifacts {
         at: &ArtifactPlace,
         writer: Writer,
         readers: SqlitePool,
-    ) -> Result<Self, StoreError> {
+    ) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(|error| StoreError::file(folder, error))?;
         let files = LocalFileSystem::new_with_prefix(folder)?.with_fsync(true);
         let remote = match at {
@@ -98,7 +98,7 @@ impl Artifacts {
     }
 
     /// Checks that the place where artefacts are kept can be used, as far as it answers.
-    pub(crate) async fn probe(&self) -> Result<(), StoreError> {
+    pub(crate) async fn probe(&self) -> Result<()> {
         match &self.remote {
             None => Ok(()),
             Some(remote) => remote.probe().await,
@@ -111,7 +111,7 @@ impl Artifacts {
         &self,
         content: impl Stream<Item = Result<Bytes, E>>,
         limit: u64,
-    ) -> Result<Staged, StoreError> {
+    ) -> Result<Staged> {
         let location = object_store::path::Path::from(format!("staging/{}.zip", Uuid::now_v7().simple()));
         let upload = self.files.put_multipart(&location).await?;
         let mut writer = WriteMultipart::new_with_chunk_size(upload, CHUNK);
@@ -147,7 +147,7 @@ impl Artifacts {
     }
 
     /// Keeps staged bytes. On return, the file is durable where artefacts are kept, and its row is on disk.
-    pub async fn keep(&self, mut staged: Staged, now: Timestamp) -> Result<ArtifactStored, StoreError> {
+    pub async fn keep(&self, mut staged: Staged, now: Timestamp) -> Result<ArtifactStored> {
         let (hash, size) = (staged.hash, staged.size);
         // The file first, then the row. A row without a file would promise missing bytes. A file without a
         // row is only waste, and the same bytes overwrite it later.
@@ -170,12 +170,7 @@ impl Artifacts {
         kept.await.unwrap_or_else(|error| Err(StoreError::BrokenOff(error.to_string())))
     }
 
-    async fn remember(
-        &self,
-        hash: ArtifactHash,
-        size: u64,
-        now: Timestamp,
-    ) -> Result<ArtifactStored, StoreError> {
+    async fn remember(&self, hash: ArtifactHash, size: u64, now: Timestamp) -> Result<ArtifactStored> {
         let mut write = self.writer.write().await?;
         let inserted: Option<(i64,)> = ask!(
             write,
@@ -198,7 +193,7 @@ impl Artifacts {
         content: impl Stream<Item = Result<Bytes, E>>,
         limit: u64,
         now: Timestamp,
-    ) -> Result<ArtifactStored, StoreError> {
+    ) -> Result<ArtifactStored> {
         let staged = self.stage(content, limit).await?;
         if staged.hash != expected {
             return Err(StoreError::HashMismatch { expected, actual: staged.hash });
@@ -207,7 +202,7 @@ impl Artifacts {
     }
 
     /// The artefact's length in bytes.
-    pub async fn size(&self, hash: ArtifactHash) -> Result<u64, StoreError> {
+    pub async fn size(&self, hash: ArtifactHash) -> Result<u64> {
         sqlx::query_scalar!("SELECT size FROM artifacts WHERE hash = ?", &hash.0[..])
             .fetch_optional(&self.readers)
             .await?
@@ -215,7 +210,7 @@ impl Artifacts {
     }
 
     /// The artefact's content.
-    pub async fn get(&self, hash: ArtifactHash) -> Result<ArtifactReader, StoreError> {
+    pub async fn get(&self, hash: ArtifactHash) -> Result<ArtifactReader> {
         let size = self.size(hash).await?;
         let found = match &self.remote {
             Some(remote) => remote.get(&place_of(hash)).await?,
@@ -229,7 +224,7 @@ impl Artifacts {
         Err(StoreError::ArtifactLost { hash, reason })
     }
 
-    async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>, StoreError> {
+    async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>> {
         match self.files.get(&place_of(hash)).await {
             Ok(object) => {
                 let size = object.meta.size;
@@ -244,7 +239,7 @@ impl Artifacts {
     }
 
     /// Deletes uploads that were unfinished when the last process died.
-    pub(crate) async fn discard_unfinished(&self) -> Result<(), StoreError> {
+    pub(crate) async fn discard_unfinished(&self) -> Result<()> {
         let folder = self.files.path_to_filesystem(&object_store::path::Path::from("staging"))?;
         match tokio::fs::remove_dir_all(&folder).await {
             Ok(()) => Ok(()),

@@ -7,7 +7,7 @@ use sqlx::Connection as _;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 
 use crate::database::{DATABASE, find_damage, restrict_to_owner};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
 /// The content of a backup.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -25,7 +25,7 @@ pub struct Backup {
 /// Copies the database in the data folder to a new file, as it is at one instant, and checks every page of
 /// the copy. The service may be running and is not held up: SQLite copies the state of one read transaction.
 /// On return, `to` is the whole copy, checked and flushed; after an error it does not exist.
-pub async fn backup(data: &Path, to: &Path) -> Result<Backup, StoreError> {
+pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     let source = data.join(DATABASE);
     if !source.is_file() {
         return Err(StoreError::NotFound("database in this folder"));
@@ -55,7 +55,7 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup, StoreError> {
 }
 
 /// Checks that a file is an intact database of a farm, and counts its content.
-async fn check(path: &Path) -> Result<Backup, StoreError> {
+async fn check(path: &Path) -> Result<Backup> {
     let mut connection = open(path, true).await?;
     find_damage(&mut connection, "integrity_check").await?;
     let row = sqlx::query!(
@@ -74,7 +74,7 @@ async fn check(path: &Path) -> Result<Backup, StoreError> {
     Ok(found)
 }
 
-async fn open(path: &Path, immutable: bool) -> Result<SqliteConnection, StoreError> {
+async fn open(path: &Path, immutable: bool) -> Result<SqliteConnection> {
     let options = SqliteConnectOptions::from_str("sqlite:")?
         .filename(path)
         .read_only(true)

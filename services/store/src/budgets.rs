@@ -18,11 +18,12 @@ use sqlx::SqliteConnection;
 use crate::budgets::ledger::{committed, spent};
 use crate::columns::{Json, corrupt};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event};
 use crate::leases;
 use crate::plans::replans;
 use crate::policy::budgets as policy;
+use crate::writing::run;
 
 struct Kept {
     request: BudgetRequest,
@@ -34,9 +35,10 @@ struct Kept {
 impl Store {
     /// Sets a budget. It replaces one of the same project and period and ends its action. The time zone must
     /// be known.
-    pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget, StoreError> {
+    pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget> {
         let mut write = self.write().await?;
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO budgets (project, period, amount, zone, thresholds, updated_at) \
              VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (project, period) DO UPDATE \
              SET amount = excluded.amount, zone = excluded.zone, thresholds = excluded.thresholds, \
@@ -47,9 +49,7 @@ impl Store {
             request.zone,
             Json(&request.thresholds),
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         enforce(&mut write, now).await?;
         let found = budgets(write.connection().await?, now)
             .await?
@@ -61,14 +61,14 @@ impl Store {
     }
 
     /// All budgets with their current spending, by project and period.
-    pub async fn budgets(&self, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
+    pub async fn budgets(&self, now: Timestamp) -> Result<Vec<Budget>> {
         let mut transaction = self.read().await?;
         budgets(&mut transaction, now).await
     }
 
     /// Puts actions into force that spending calls for, and ends those of past periods. Writes only if
     /// something changes. Returns how many budgets changed.
-    pub async fn enforce_budgets(&self, now: Timestamp) -> Result<u32, StoreError> {
+    pub async fn enforce_budgets(&self, now: Timestamp) -> Result<u32> {
         // Most farms have no budget, and usually nothing changes: a read without the write lock finds this
         // out.
         let mut transaction = self.read().await?;
@@ -84,7 +84,7 @@ impl Store {
     }
 }
 
-async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError> {
+async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>> {
     let rows = sqlx::query!("SELECT * FROM budgets ORDER BY project, period").fetch_all(connection).await?;
     Ok(rows
         .into_iter()
@@ -103,7 +103,7 @@ async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError
         .collect())
 }
 
-async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
+async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>> {
     let mut found = Vec::new();
     for kept in kept(connection).await? {
         found.push(as_it_stands(connection, kept, now).await?);
@@ -111,11 +111,7 @@ async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Ve
     Ok(found)
 }
 
-async fn as_it_stands(
-    connection: &mut SqliteConnection,
-    kept: Kept,
-    now: Timestamp,
-) -> Result<Budget, StoreError> {
+async fn as_it_stands(connection: &mut SqliteConnection, kept: Kept, now: Timestamp) -> Result<Budget> {
     let Kept { request, action, period_at, updated_at } = kept;
     let BudgetRequest { project, period, amount, zone, thresholds } = request;
     let (from, until) =
@@ -142,7 +138,7 @@ async fn as_it_stands(
 async fn due(
     connection: &mut SqliteConnection,
     now: Timestamp,
-) -> Result<Vec<(Budget, Option<BudgetAction>)>, StoreError> {
+) -> Result<Vec<(Budget, Option<BudgetAction>)>> {
     let mut due = Vec::new();
     for kept in kept(connection).await? {
         let written = (kept.action, kept.period_at);
@@ -155,18 +151,17 @@ async fn due(
     Ok(due)
 }
 
-async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
+async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32> {
     let due = due(write.connection().await?, now).await?;
     for (budget, action) in &due {
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE budgets SET action = ?, period_at = ? WHERE project = ? AND period = ?",
             action.map(BudgetAction::name),
             action.map(|_| budget.from.micros()),
             budget.project,
             budget.period.name()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let message = policy::message(budget, *action);
         append(write, Event { message: Some(message), ..event(EventKind::Budget, now) })?;
     }
@@ -198,35 +193,33 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
 }
 
 /// Keeps a project's tasks from being handed out.
-async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
-    let held = sqlx::query!(
+async fn hold(write: &mut Write, project: &str) -> Result<()> {
+    let held = run!(
+        write,
         "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('waiting', 'ready', 'leased') \
          AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
         project
-    )
-    .execute(write.connection().await?)
-    .await?;
-    if held.rows_affected() > 0 {
+    );
+    if held > 0 {
         replans::want(write, &format!("the budget of project {project} holds its tasks")).await?;
     }
     Ok(())
 }
 
 /// Lets a project's tasks be handed out again. Tasks that ended meanwhile are released too.
-async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
-    sqlx::query!(
+async fn let_go(write: &mut Write, project: &str) -> Result<()> {
+    run!(
+        write,
         "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
         project
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     replans::want(write, &format!("the budget of project {project} holds its tasks no more")).await?;
     Ok(())
 }
 
 /// Takes back a project's running tasks. The next renewal brings the order to stop, and the tasks become
 /// ready again, but held.
-async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), StoreError> {
+async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<()> {
     let running = sqlx::query_scalar!(
         "SELECT l.id FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id \
          WHERE l.state = 'active' AND j.project = ? ORDER BY l.id",

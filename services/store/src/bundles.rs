@@ -5,8 +5,9 @@ use sqlx::SqliteConnection;
 
 use crate::columns::Json;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::writing::run;
 
 /// An uploaded bundle that contains a valid scene.
 #[derive(Clone, PartialEq, Debug)]
@@ -24,21 +25,20 @@ impl Store {
         new: NewBundle,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Answered<Bundle>, StoreError> {
+    ) -> Result<Answered<Bundle>> {
         let mut write = self.write().await?;
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
         }
         let bundle_id = BundleId::new();
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO bundles (id, hash, scene, created_at) VALUES (?, ?, ?, ?)",
             bundle_id.0,
             &new.hash.0[..],
             Json(&new.scene),
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let bundle = read(write.connection().await?, bundle_id).await?;
         record(&mut write, key, 201, &bundle, now)?;
         self.commit(write).await?;
@@ -46,12 +46,12 @@ impl Store {
     }
 
     /// A bundle.
-    pub async fn bundle(&self, bundle: BundleId) -> Result<Bundle, StoreError> {
+    pub async fn bundle(&self, bundle: BundleId) -> Result<Bundle> {
         read(&mut *self.readers().acquire().await?, bundle).await
     }
 }
 
-async fn read(connection: &mut SqliteConnection, bundle: BundleId) -> Result<Bundle, StoreError> {
+async fn read(connection: &mut SqliteConnection, bundle: BundleId) -> Result<Bundle> {
     let row = sqlx::query!(
         "SELECT b.id, b.hash, b.scene, b.created_at, a.size FROM bundles b \
          JOIN artifacts a ON a.hash = b.hash WHERE b.id = ?",

@@ -15,7 +15,7 @@ use self::asking::{Asking, Offer, OfferedTask, next_task, task_columns};
 use crate::columns::{Json, Word};
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
 use crate::leases::sweeping::sweep;
@@ -33,7 +33,7 @@ impl Store {
         ttl: Duration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         self.hand_out(node, None, ttl, key, now).await
     }
 
@@ -46,7 +46,7 @@ impl Store {
         ttl: Duration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         self.hand_out(node, Some(task), ttl, key, now).await
     }
 
@@ -59,7 +59,7 @@ impl Store {
         wanted: Option<TaskId>,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         let mut write = self.write().await?;
         let asker = asker(&mut write, node, key, now).await?;
         if let Some(answer) = asker.answered {
@@ -80,7 +80,7 @@ impl Store {
         ttl: Duration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         let mut write = self.write().await?;
         let asker = asker(&mut write, node, key, now).await?;
         if let Some(answer) = asker.answered {
@@ -160,12 +160,7 @@ impl Store {
 
     /// Whether a claim could find a task for the node, or exactly this task. Waiting claims ask this, because
     /// it needs no write lock.
-    pub async fn may_have_work(
-        &self,
-        node: NodeId,
-        wanted: Option<TaskId>,
-        now: Timestamp,
-    ) -> Result<bool, StoreError> {
+    pub async fn may_have_work(&self, node: NodeId, wanted: Option<TaskId>, now: Timestamp) -> Result<bool> {
         let mut connection = self.readers().acquire().await?;
         let some_ran_out = sqlx::query_scalar!(
             r#"SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?) AS "some_ran_out!: bool""#,
@@ -189,7 +184,7 @@ impl Store {
     }
 
     /// When the node wakes up; `None` if it is awake.
-    pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
+    pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>> {
         let mut connection = self.readers().acquire().await?;
         let has_calendar = sqlx::query_scalar!(
             r#"SELECT coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}' AS "has_calendar!: bool" FROM nodes WHERE id = ?"#,
@@ -224,7 +219,7 @@ async fn asker(
     node: NodeId,
     key: Option<&IdempotencyKey>,
     now: Timestamp,
-) -> Result<Asker, StoreError> {
+) -> Result<Asker> {
     let AskerRow { node, was_answered, some_ran_out } = ask!(
         write,
         "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
@@ -266,7 +261,7 @@ async fn offer(
     node: &Node,
     up_since: Timestamp,
     now: Timestamp,
-) -> Result<Offer, StoreError> {
+) -> Result<Offer> {
     let until = match opening(node, now) {
         Opening::Awake(until) if node.takes_tasks() => until,
         Opening::Awake(_) | Opening::Asleep(_) => return Ok(Offer::default()),
@@ -290,7 +285,7 @@ async fn this_task(
     connection: &mut SqliteConnection,
     task: TaskId,
     now: Timestamp,
-) -> Result<Option<OfferedTask>, StoreError> {
+) -> Result<Option<OfferedTask>> {
     let row = sqlx::query!(
         r#"SELECT id, job_id, spec, limits, fence, not_before,
                   (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS "job_state!: Word<JobState>",
@@ -320,7 +315,7 @@ async fn this_task(
 
 /// JSON object by job: forecast CPU seconds that the node does in so many microseconds. As in plans, it is
 /// for the job's classes of work and corrected by finished frames.
-async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String, StoreError> {
+async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String> {
     let rows = sqlx::query!(
         "SELECT hex(id) AS \"name!: String\", work_by_class, factor FROM jobs \
          WHERE state IN ('booked', 'rendering')"

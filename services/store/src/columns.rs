@@ -14,7 +14,7 @@ use sqlx::sqlite::{SqliteArgumentsBuffer, SqliteTypeInfo, SqliteValueRef};
 use sqlx::{Decode, Encode, Sqlite, Type};
 use uuid::Uuid;
 
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
 /// The error for a column value that this program never writes.
 pub(crate) fn corrupt(column: &str, reason: impl std::fmt::Display) -> StoreError {
@@ -52,7 +52,7 @@ pub(crate) struct Unread<T> {
 }
 
 impl<T: DeserializeOwned> Unread<T> {
-    pub fn read(self) -> Result<T, StoreError> {
+    pub fn read(self) -> Result<T> {
         serde_json::from_str(&self.text).map_err(|error| StoreError::Corrupt(named::<T>(error).to_string()))
     }
 }

@@ -10,7 +10,7 @@ use sqlx::SqliteConnection;
 
 use crate::columns::Unread;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events;
 use crate::jobs::{job_rows, progress};
 use crate::nodes;
@@ -30,7 +30,7 @@ const EVENTS: u32 = 50;
 impl Store {
     /// Everything that a dashboard shows, read in one transaction. A node is alive if it was heard of within
     /// the last three lease times.
-    pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard, StoreError> {
+    pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard> {
         let silent_since = now.plus_micros(-silent_after(ttl));
         let mut transaction = self.read().await?;
         let connection = &mut *transaction;
@@ -54,17 +54,14 @@ impl Store {
     }
 
     /// The farm's counts.
-    pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts, StoreError> {
+    pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts> {
         let silent_since = now.plus_micros(-silent_after(ttl));
         let mut transaction = self.read().await?;
         counts(&mut transaction, silent_since).await
     }
 }
 
-async fn counts(
-    connection: &mut SqliteConnection,
-    silent_since: Timestamp,
-) -> Result<DashboardCounts, StoreError> {
+async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> Result<DashboardCounts> {
     let mut counts = DashboardCounts::default();
     for row in sqlx::query!("SELECT state, count(*) AS \"number!: u64\" FROM jobs GROUP BY state")
         .fetch_all(&mut *connection)
@@ -109,7 +106,7 @@ async fn dashboard_jobs(
     connection: &mut SqliteConnection,
     projected: &Projection,
     unattended: &Unattended,
-) -> Result<Vec<DashboardJob>, StoreError> {
+) -> Result<Vec<DashboardJob>> {
     let rows = job_rows!("ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?", JOBS)
         .fetch_all(&mut *connection)
         .await?;
@@ -148,7 +145,7 @@ async fn dashboard_nodes(
     connection: &mut SqliteConnection,
     ttl: Duration,
     now: Timestamp,
-) -> Result<Vec<DashboardNode>, StoreError> {
+) -> Result<Vec<DashboardNode>> {
     let mut list = Vec::new();
     for node in nodes::list(connection, None, NODES).await? {
         let activity = activity(connection, node.id).await?;
@@ -158,10 +155,7 @@ async fn dashboard_nodes(
     Ok(list)
 }
 
-async fn activity(
-    connection: &mut SqliteConnection,
-    node: NodeId,
-) -> Result<Option<NodeActivity>, StoreError> {
+async fn activity(connection: &mut SqliteConnection, node: NodeId) -> Result<Option<NodeActivity>> {
     let task = sqlx::query!(
         r#"SELECT id, kind, job_id, frame, progress, started_at AS "started_at!" FROM tasks
            WHERE node_id = ? AND state = 'leased' ORDER BY started_at DESC, id LIMIT 1"#,

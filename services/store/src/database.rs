@@ -17,9 +17,9 @@ use tokio::sync::watch;
 
 use crate::artifacts::ArtifactPlace;
 use crate::artifacts::Artifacts;
-use crate::error::StoreError;
-pub(crate) use crate::writing::Write;
+use crate::error::{Result, StoreError};
 use crate::writing::{WRITE_TURN, Writer};
+pub(crate) use crate::writing::{Write, run};
 
 /// How long SQLite waits for a lock of another process, such as `forelight token` beside a running service.
 const LOCK_WAIT: Duration = Duration::from_secs(5);
@@ -53,13 +53,13 @@ impl Store {
     /// Opens the store in `data` for a service: checks the database, brings the schema up to date and deletes
     /// unfinished uploads. Only one process at a time can do this. A damaged database is refused before
     /// anything is written to it. Artefacts are kept in the data folder.
-    pub async fn open(data: &Path) -> Result<Self, StoreError> {
+    pub async fn open(data: &Path) -> Result<Self> {
         Self::open_with(data, &ArtifactPlace::DataFolder, false).await
     }
 
     /// As [`Store::open`], with artefacts in this place. A farm that has artefacts elsewhere is refused,
     /// unless they `moved`: they were copied by hand.
-    pub async fn open_with(data: &Path, artifacts: &ArtifactPlace, moved: bool) -> Result<Self, StoreError> {
+    pub async fn open_with(data: &Path, artifacts: &ArtifactPlace, moved: bool) -> Result<Self> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
         let lock = lock(data)?;
         let opened = Self::open_shared(data, Some(lock), artifacts).await;
@@ -77,12 +77,12 @@ impl Store {
 
     /// Opens the store in `data` beside a service that may be running, for small administration such as
     /// making a token. Brings the schema up to date but does not check the database.
-    pub async fn open_beside(data: &Path) -> Result<Self, StoreError> {
+    pub async fn open_beside(data: &Path) -> Result<Self> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
         Self::open_shared(data, None, &ArtifactPlace::DataFolder).await
     }
 
-    async fn open_shared(data: &Path, lock: Option<File>, at: &ArtifactPlace) -> Result<Self, StoreError> {
+    async fn open_shared(data: &Path, lock: Option<File>, at: &ArtifactPlace) -> Result<Self> {
         let path = data.join(DATABASE);
         let options = SqliteConnectOptions::from_str("sqlite:")?
             .filename(&path)
@@ -158,13 +158,13 @@ impl Store {
     }
 
     /// Whether the database answers.
-    pub async fn ping(&self) -> Result<(), StoreError> {
+    pub async fn ping(&self) -> Result<()> {
         sqlx::query_scalar!("SELECT 1 AS one").fetch_one(self.readers()).await?;
         Ok(())
     }
 
     /// Free bytes on the disk of the data folder.
-    pub fn free_disk_space(&self) -> Result<u64, StoreError> {
+    pub fn free_disk_space(&self) -> Result<u64> {
         let there = rustix::fs::statvfs(&self.inner.data);
         let there = there.map_err(|error| StoreError::file(&self.inner.data, error.into()))?;
         Ok(there.f_bavail.saturating_mul(there.f_frsize))
@@ -175,22 +175,22 @@ impl Store {
     }
 
     /// Begins a write.
-    pub(crate) async fn write(&self) -> Result<Write, StoreError> {
+    pub(crate) async fn write(&self) -> Result<Write> {
         self.inner.writer.write().await
     }
 
     /// Begins a read transaction: all its statements see the same state.
-    pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+    pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>> {
         Ok(self.inner.readers.begin().await?)
     }
 
-    pub(crate) async fn commit(&self, write: Write) -> Result<(), StoreError> {
+    pub(crate) async fn commit(&self, write: Write) -> Result<()> {
         self.inner.writer.commit(write).await
     }
 
     /// Stores where artefacts are kept. A farm that restarts with another place would have rows of missing
     /// files.
-    async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<(), StoreError> {
+    async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<()> {
         let mut write = self.write().await?;
         let known = sqlx::query_scalar!("SELECT place FROM artifact_place")
             .fetch_optional(write.connection().await?)
@@ -206,23 +206,19 @@ impl Store {
                  `blake3` from there to {place} and add --artifacts-moved once"
             )));
         }
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO artifact_place (one, place) VALUES (1, ?) ON CONFLICT DO UPDATE \
              SET place = excluded.place",
             place.to_string()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         self.commit(write).await
     }
 }
 
 /// Looks for damage, by `quick_check` (pages, order of keys) or `integrity_check` (indexes against tables as
 /// well), and for rows with dangling references.
-pub(crate) async fn find_damage(
-    connection: &mut SqliteConnection,
-    check: &'static str,
-) -> Result<(), StoreError> {
+pub(crate) async fn find_damage(connection: &mut SqliteConnection, check: &'static str) -> Result<()> {
     // A pragma's name cannot be a parameter.
     let check = sqlx::AssertSqlSafe(format!("PRAGMA {check}(10)"));
     let complaints: Vec<String> = sqlx::query_scalar(check).fetch_all(&mut *connection).await?;
@@ -240,7 +236,7 @@ pub(crate) async fn find_damage(
     }
 }
 
-fn lock(data: &Path) -> Result<File, StoreError> {
+fn lock(data: &Path) -> Result<File> {
     let path: PathBuf = data.join("service.lock");
     let file = File::options()
         .create(true)
@@ -256,7 +252,7 @@ fn lock(data: &Path) -> Result<File, StoreError> {
 }
 
 /// The database holds hashes of tokens and names of unreleased films: other users must not read it.
-pub(crate) fn restrict_to_owner(path: &Path) -> Result<(), StoreError> {
+pub(crate) fn restrict_to_owner(path: &Path) -> Result<()> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;

@@ -2,6 +2,9 @@
 
 use forelight_protocol::ArtifactHash;
 
+/// The result of a call to the store.
+pub(crate) type Result<T, E = StoreError> = std::result::Result<T, E>;
+
 /// Why a call failed. Nothing was changed, unless the variant says otherwise.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

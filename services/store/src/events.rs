@@ -6,8 +6,8 @@ use sqlx::SqliteConnection;
 use crate::columns::Json;
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
-use crate::writing::later;
+use crate::error::Result;
+use crate::writing::{later, run};
 
 /// How long progress events are kept: an hour, in microseconds. All other events are kept permanently.
 const PROGRESS_KEPT: i64 = 3_600_000_000;
@@ -33,7 +33,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
 }
 
 /// Appends an event. The database assigns its id.
-pub(crate) fn append(write: &mut Write, event: Event) -> Result<(), StoreError> {
+pub(crate) fn append(write: &mut Write, event: Event) -> Result<()> {
     later!(
         write,
         "INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)",
@@ -53,20 +53,19 @@ pub(crate) fn job_state(
     state: JobState,
     message: Option<String>,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     append(
         write,
         Event { job_id: Some(job), job_state: Some(state), message, ..event(EventKind::JobState, now) },
     )
 }
 
-pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query!(
+pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<()> {
+    run!(
+        write,
         "DELETE FROM events WHERE kind = 'task_progress' AND at < ?",
         now.plus_micros(-PROGRESS_KEPT).micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }
 
@@ -82,7 +81,7 @@ impl From<EventRow> for Event {
 }
 
 /// The newest events of the farm, newest first.
-pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>, StoreError> {
+pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>> {
     let rows = sqlx::query_as!(EventRow, "SELECT id, body FROM events ORDER BY id DESC LIMIT ?", limit)
         .fetch_all(connection)
         .await?;
@@ -91,12 +90,7 @@ pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Res
 
 impl Store {
     /// The events after the event `after`, oldest first, at most `limit`; of one job, or of the whole farm.
-    pub async fn events_after(
-        &self,
-        job: Option<JobId>,
-        after: EventId,
-        limit: u32,
-    ) -> Result<Vec<Event>, StoreError> {
+    pub async fn events_after(&self, job: Option<JobId>, after: EventId, limit: u32) -> Result<Vec<Event>> {
         let rows = match job {
             Some(job) => {
                 sqlx::query_as!(
@@ -124,7 +118,7 @@ impl Store {
     }
 
     /// The id of the newest event; 0 if there is none.
-    pub async fn last_event_id(&self) -> Result<EventId, StoreError> {
+    pub async fn last_event_id(&self) -> Result<EventId> {
         Ok(sqlx::query_scalar!(r#"SELECT coalesce(max(id), 0) AS "id!" FROM events"#)
             .fetch_one(self.readers())
             .await?)

@@ -14,8 +14,8 @@ use forelight_protocol::Timestamp;
 use crate::columns::Json;
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
-use crate::writing::later;
+use crate::error::{Result, StoreError};
+use crate::writing::{later, run};
 
 /// How long an answer is kept: a day, in microseconds.
 const REMEMBERED: i64 = 24 * 3_600_000_000;
@@ -51,16 +51,13 @@ pub enum Answered<T> {
 
 impl Store {
     /// The earlier answer to this request. [`StoreError::KeyReused`] if the key was used for another request.
-    pub async fn recorded_answer(&self, key: &IdempotencyKey) -> Result<Option<RecordedAnswer>, StoreError> {
+    pub async fn recorded_answer(&self, key: &IdempotencyKey) -> Result<Option<RecordedAnswer>> {
         let mut connection = self.readers().acquire().await?;
         lookup(&mut connection, key).await
     }
 }
 
-async fn lookup(
-    connection: &mut SqliteConnection,
-    key: &IdempotencyKey,
-) -> Result<Option<RecordedAnswer>, StoreError> {
+async fn lookup(connection: &mut SqliteConnection, key: &IdempotencyKey) -> Result<Option<RecordedAnswer>> {
     let row = sqlx::query!(
         "SELECT request_hash, status, body FROM idempotency WHERE principal = ? AND key = ?",
         &key.principal[..],
@@ -79,7 +76,7 @@ async fn lookup(
 pub(crate) async fn earlier_answer(
     write: &mut Write,
     key: Option<&IdempotencyKey>,
-) -> Result<Option<RecordedAnswer>, StoreError> {
+) -> Result<Option<RecordedAnswer>> {
     match key {
         Some(key) => lookup(write.connection().await?, key).await,
         None => Ok(None),
@@ -93,7 +90,7 @@ pub(crate) fn record(
     status: u16,
     body: &impl Serialize,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let Some(key) = key else { return Ok(()) };
     later!(
         write,
@@ -110,9 +107,7 @@ pub(crate) fn record(
 }
 
 /// Deletes answers that are more than a day old.
-pub(crate) async fn forget_old(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query!("DELETE FROM idempotency WHERE created_at < ?", now.plus_micros(-REMEMBERED).micros())
-        .execute(write.connection().await?)
-        .await?;
+pub(crate) async fn forget_old(write: &mut Write, now: Timestamp) -> Result<()> {
+    run!(write, "DELETE FROM idempotency WHERE created_at < ?", now.plus_micros(-REMEMBERED).micros());
     Ok(())
 }

@@ -17,7 +17,7 @@ use self::outlooks::JobOutlook;
 use self::progress::Progress;
 use crate::columns::{Id, Json, Time, Unread, Word, corrupt};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use forelight_quote::JobForecast;
 
 /// Which jobs to list.
@@ -83,18 +83,13 @@ pub(crate) use job_rows;
 
 impl Store {
     /// A job.
-    pub async fn job(&self, job: JobId) -> Result<Job, StoreError> {
+    pub async fn job(&self, job: JobId) -> Result<Job> {
         let mut transaction = self.read().await?;
         read(&mut transaction, job).await
     }
 
     /// The jobs submitted before `before`, newest first, at most `limit`.
-    pub async fn jobs(
-        &self,
-        filter: &JobFilter,
-        before: Option<JobId>,
-        limit: u32,
-    ) -> Result<Vec<Job>, StoreError> {
+    pub async fn jobs(&self, filter: &JobFilter, before: Option<JobId>, limit: u32) -> Result<Vec<Job>> {
         let mut transaction = self.read().await?;
         let rows = job_rows!(
             "WHERE id < ?1 AND (?2 IS NULL OR state = ?2) AND (?3 IS NULL OR project = ?3) \
@@ -116,7 +111,7 @@ impl Store {
     }
 
     /// The jobs that the service itself may have to move on: those before `booked`, oldest first.
-    pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>, StoreError> {
+    pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>> {
         let ids =
             sqlx::query_scalar!("SELECT id FROM jobs WHERE state IN ('previewing', 'profiling') ORDER BY id")
                 .fetch_all(self.readers())
@@ -125,18 +120,18 @@ impl Store {
     }
 }
 
-pub(crate) async fn state(connection: &mut SqliteConnection, job: JobId) -> Result<JobState, StoreError> {
+pub(crate) async fn state(connection: &mut SqliteConnection, job: JobId) -> Result<JobState> {
     let state = sqlx::query_scalar!("SELECT state FROM jobs WHERE id = ?", job.0);
     let state = state.fetch_optional(connection).await?;
     Ok(state.ok_or(StoreError::NotFound("job"))?.0)
 }
 
-pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<JobRow, StoreError> {
+pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<JobRow> {
     let row = job_rows!("WHERE id = ?", job.0).fetch_optional(connection).await?;
     row.ok_or(StoreError::NotFound("job"))
 }
 
-pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Job, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Job> {
     let row = row(&mut *connection, job).await?;
     let progress = progress::of_job(connection, job).await?;
     row.job(progress)
@@ -144,13 +139,13 @@ pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Resul
 
 impl JobRow {
     /// The numbers of its frames.
-    pub fn frame_set(&self) -> Result<FrameSet, StoreError> {
+    pub fn frame_set(&self) -> Result<FrameSet> {
         self.frames.parse().map_err(|error| corrupt("frames", error))
     }
 
     /// A job from its row. Its `eta` depends on the other work of the farm; callers that need it compute it
     /// with [`crate::project`].
-    pub fn job(self, progress: Progress) -> Result<Job, StoreError> {
+    pub fn job(self, progress: Progress) -> Result<Job> {
         let frames = self.frame_set()?;
         let (state, outlook) = (self.state.0, self.outlook.0);
         Ok(Job {

@@ -43,7 +43,7 @@ use sqlx::{FromRow, Row as _, SqliteConnection};
 
 use crate::columns::{Id, Word};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event};
 use crate::writing::later;
 
@@ -113,7 +113,7 @@ macro_rules! select_leases {
 
 impl Store {
     /// The task of a lease, in any state of the lease.
-    pub async fn lease(&self, lease: LeaseId) -> Result<LeaseInfo, StoreError> {
+    pub async fn lease(&self, lease: LeaseId) -> Result<LeaseInfo> {
         let row = sqlx::query!(
             "SELECT l.fence, l.node_id, l.task_id, t.job_id, t.spec FROM leases l \
              JOIN tasks t ON t.id = l.task_id WHERE l.id = ?",
@@ -132,26 +132,21 @@ impl Store {
     }
 
     /// The node that holds or held a lease.
-    pub async fn lease_holder(&self, lease: LeaseId) -> Result<NodeId, StoreError> {
+    pub async fn lease_holder(&self, lease: LeaseId) -> Result<NodeId> {
         let node = sqlx::query_scalar!("SELECT node_id FROM leases WHERE id = ?", lease.0);
         let node = node.fetch_optional(self.readers()).await?;
         Ok(node.ok_or(StoreError::NotFound("lease"))?.into())
     }
 
     /// Refuses a worker that no longer holds its lease, and records the attempt.
-    pub(crate) async fn refuse<T>(
-        &self,
-        mut write: Write,
-        row: &LeaseRow,
-        now: Timestamp,
-    ) -> Result<T, StoreError> {
+    pub(crate) async fn refuse<T>(&self, mut write: Write, row: &LeaseRow, now: Timestamp) -> Result<T> {
         append(&mut write, row.event(EventKind::LeaseLost, now))?;
         self.commit(write).await?;
         Err(StoreError::LeaseLost)
     }
 }
 
-pub(crate) async fn ran_out(write: &mut Write, now: Timestamp) -> Result<Vec<LeaseRow>, StoreError> {
+pub(crate) async fn ran_out(write: &mut Write, now: Timestamp) -> Result<Vec<LeaseRow>> {
     let ran_out =
         select_leases!("WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id");
     Ok(sqlx::query_as(ran_out).bind(now.micros()).fetch_all(write.connection().await?).await?)
@@ -210,7 +205,7 @@ pub(crate) async fn take_back(
     write: &mut Write,
     leases: impl IntoIterator<Item = LeaseId>,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     for lease in leases {
         let row = read_in(write, lease).await?;
         end(write, &row, "revoked", now);
@@ -227,13 +222,13 @@ pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
 
 const BY_ID: &str = select_leases!("WHERE l.id = ?");
 
-pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> Result<LeaseRow, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> Result<LeaseRow> {
     let row = sqlx::query_as(BY_ID).bind(lease.0).fetch_optional(connection).await?;
     row.ok_or(StoreError::NotFound("lease"))
 }
 
 /// As [`read`], inside a write.
-pub(crate) async fn read_in(write: &mut Write, lease: LeaseId) -> Result<LeaseRow, StoreError> {
+pub(crate) async fn read_in(write: &mut Write, lease: LeaseId) -> Result<LeaseRow> {
     let row = write.ask(BY_ID).bind(lease.0).first_row().await?;
     row.ok_or(StoreError::NotFound("lease"))
 }

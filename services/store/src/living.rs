@@ -22,7 +22,7 @@ use self::rows::{Before, Kept, count_frame, keep};
 use crate::budgets::ledger;
 use crate::columns::Time;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::{append, event};
 use crate::plans::bookings;
 use crate::plans::replans;
@@ -34,12 +34,7 @@ pub(crate) use self::rows::{before, newest};
 pub(crate) use forelight_quote::living::Occasion;
 
 /// Updates the estimate inside a write, if it is due.
-pub(crate) async fn update(
-    write: &mut Write,
-    job: JobId,
-    occasion: Occasion,
-    now: Timestamp,
-) -> Result<(), StoreError> {
+pub(crate) async fn update(write: &mut Write, job: JobId, occasion: Occasion, now: Timestamp) -> Result<()> {
     let before = before(write, job).await?;
     update_after(before, write, job, occasion, now).await
 }
@@ -51,7 +46,7 @@ pub(crate) async fn update_after(
     job: JobId,
     occasion: Occasion,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     if let Some(kept) = &before.estimate
         && !is_due(&kept.last, occasion, now)
     {
@@ -90,7 +85,7 @@ pub(crate) async fn update_after(
 }
 
 /// Updates estimates that have left out a finished frame for a while.
-pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
+pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<()> {
     let behind = sqlx::query_scalar!(
         "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 \
          AND updated_at <= ? ORDER BY updated_at, job_id",
@@ -116,7 +111,7 @@ struct Quoted {
 
 impl Quoted {
     /// `None` for a job that is not booked.
-    async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Self>, StoreError> {
+    async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Self>> {
         let row = sqlx::query!(
             "SELECT name, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?",
             job.0
@@ -163,7 +158,7 @@ async fn expected_finish(
     frames: &Frames,
     stretch: f64,
     now: Timestamp,
-) -> Result<Option<Timestamp>, StoreError> {
+) -> Result<Option<Timestamp>> {
     let bookings = bookings::open_of(connection, job).await?;
     if bookings.len() + (frames.done as usize) < frames.count() {
         return Ok(None);
@@ -180,7 +175,7 @@ async fn cost(
     estimate: &Estimate,
     is_given_up: bool,
     now: Timestamp,
-) -> Result<Option<MoneyQuantiles>, StoreError> {
+) -> Result<Option<MoneyQuantiles>> {
     let Some(price) = quote.cost else { return Ok(None) };
     let for_cache = quote.shared_cache_seconds();
     let cache = match parts::progress(connection, job).await? {
@@ -200,7 +195,7 @@ async fn delay_that_counts(
     plan: PlanId,
     job: JobId,
     finish: Option<Timestamp>,
-) -> Result<i64, StoreError> {
+) -> Result<i64> {
     let begin = sqlx::query_scalar!(
         r#"SELECT min(start_at) AS "begin?: Time" FROM bookings WHERE plan_id = ? AND job_id = ?"#,
         plan.0,
@@ -212,13 +207,7 @@ async fn delay_that_counts(
 }
 
 /// Writes an event for each figure that left the booking or came back to it.
-fn tell(
-    write: &mut Write,
-    job: JobId,
-    plan: PlanId,
-    live: &LiveForecast,
-    was_off: Off,
-) -> Result<(), StoreError> {
+fn tell(write: &mut Write, job: JobId, plan: PlanId, live: &LiveForecast, was_off: Off) -> Result<()> {
     for living::News { is_off, message, off } in living::news(live, was_off) {
         let kind = if is_off { EventKind::JobOffForecast } else { EventKind::JobOnForecast };
         append(

@@ -11,7 +11,7 @@ use sqlx::{FromRow, SqliteConnection};
 
 use crate::columns::{Id, Json, Time};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::policy::availability::{Opening, opening, silence};
 use crate::policy::nodes::{Switches, state};
 
@@ -64,7 +64,7 @@ pub(crate) use node_rows;
 
 impl Store {
     /// Refuses a worker process whose node was taken over by another process.
-    pub async fn check_worker(&self, node: NodeId, worker: uuid::Uuid) -> Result<(), StoreError> {
+    pub async fn check_worker(&self, node: NodeId, worker: uuid::Uuid) -> Result<()> {
         let mut connection = self.readers().acquire().await?;
         if !has_another_worker(&mut connection, node, worker).await? {
             return Ok(());
@@ -77,13 +77,13 @@ impl Store {
     }
 
     /// A node.
-    pub async fn node(&self, node: NodeId) -> Result<Node, StoreError> {
+    pub async fn node(&self, node: NodeId) -> Result<Node> {
         let mut connection = self.readers().acquire().await?;
         read(&mut connection, node).await
     }
 
     /// The nodes after `after`, oldest first, at most `limit`.
-    pub async fn nodes(&self, after: Option<NodeId>, limit: u32) -> Result<Vec<Node>, StoreError> {
+    pub async fn nodes(&self, after: Option<NodeId>, limit: u32) -> Result<Vec<Node>> {
         let mut connection = self.readers().acquire().await?;
         list(&mut connection, after, limit).await
     }
@@ -94,7 +94,7 @@ pub(crate) async fn has_another_worker(
     connection: &mut SqliteConnection,
     node: NodeId,
     worker: uuid::Uuid,
-) -> Result<bool, StoreError> {
+) -> Result<bool> {
     sqlx::query_scalar!(
         r#"SELECT coalesce(worker <> ?, 0) AS "is_another!: bool" FROM nodes WHERE id = ?"#,
         worker,
@@ -105,15 +105,12 @@ pub(crate) async fn has_another_worker(
     .ok_or(StoreError::NotFound("node"))
 }
 
-pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node> {
     let row = node_rows!("WHERE n.id = ?", node.0).fetch_optional(connection).await?;
     Ok(row.ok_or(StoreError::NotFound("node"))?.into())
 }
 
-pub(crate) async fn by_name(
-    connection: &mut SqliteConnection,
-    name: &str,
-) -> Result<Option<Node>, StoreError> {
+pub(crate) async fn by_name(connection: &mut SqliteConnection, name: &str) -> Result<Option<Node>> {
     let row = node_rows!("WHERE n.name = ?", name).fetch_optional(connection).await?;
     Ok(row.map(Node::from))
 }
@@ -124,7 +121,7 @@ pub(crate) async fn gone(
     connection: &mut SqliteConnection,
     up_since: Timestamp,
     now: Timestamp,
-) -> Result<Vec<NodeId>, StoreError> {
+) -> Result<Vec<NodeId>> {
     let rows = node_rows!(
         "WHERE (drain OR pause OR set_aside IS NOT NULL OR n.last_seen_at < ?) AND EXISTS (SELECT 1 \
          FROM tasks t INDEXED BY tasks_ready_booked WHERE t.state = 'ready' \
@@ -154,7 +151,7 @@ pub(crate) async fn sleep_of(
     node: NodeId,
     has_calendar: bool,
     now: Timestamp,
-) -> Result<Option<Timestamp>, StoreError> {
+) -> Result<Option<Timestamp>> {
     if !has_calendar {
         return Ok(None);
     }
@@ -168,7 +165,7 @@ pub(crate) async fn list(
     connection: &mut SqliteConnection,
     after: Option<NodeId>,
     limit: u32,
-) -> Result<Vec<Node>, StoreError> {
+) -> Result<Vec<Node>> {
     let after = after.map_or(uuid::Uuid::nil(), |node| node.0);
     let rows = node_rows!("WHERE n.id > ? ORDER BY n.id LIMIT ?", after, limit).fetch_all(connection).await?;
     Ok(rows.into_iter().map(Node::from).collect())

@@ -15,7 +15,7 @@ use forelight_quote::{JobForecast, QuoteBasis};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::jobs::outlooks::{self, JobOutlook};
 use crate::living::{self, Occasion};
@@ -26,6 +26,7 @@ use crate::quotes;
 use crate::quotes::calibration;
 use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Slot, rates};
+use crate::writing::run;
 use crate::{jobs, nodes};
 
 /// A plan to store.
@@ -75,7 +76,7 @@ impl Store {
         basis: Option<&QuoteBasis>,
         plan: &NewPlan,
         now: Timestamp,
-    ) -> Result<PlanId, StoreError> {
+    ) -> Result<PlanId> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
         let state = row.state.0;
@@ -86,22 +87,19 @@ impl Store {
         if let Some(basis) = basis {
             calibration::keep(&mut write, job, forecast, frames, basis).await?;
         }
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE jobs SET forecast = ?, work_by_class = ? WHERE id = ?",
             Json(forecast),
             forecast.work_by_class.map(Json),
             job.0
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let mut common = Common::of(&row);
         let mut profiles: BTreeMap<_, _> =
             Self::profile_artifacts(write.connection().await?, job).await?.into_iter().collect();
         if let Some(spp) = forecast.chosen_spp {
             common.settings.spp = spp;
-            sqlx::query!("UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0)
-                .execute(write.connection().await?)
-                .await?;
+            run!(write, "UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0);
             // Profiled pixels belong to images with the same number of samples in every pixel.
             profiles.clear();
         }
@@ -130,10 +128,8 @@ impl Store {
             shared_cache::begin(&mut write, &common, cache).await?;
         }
         let booked =
-            sqlx::query!("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?", job.0, plan_id.0)
-                .execute(write.connection().await?)
-                .await?;
-        if booked.rows_affected() != 1 {
+            run!(write, "UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?", job.0, plan_id.0);
+        if booked != 1 {
             return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
         living::update(&mut write, job, Occasion::Booked, now).await?;
@@ -144,7 +140,7 @@ impl Store {
 
     /// Stores a new plan. A [`StoreError::Conflict`] if another plan was stored since it was begun, or if one
     /// of its jobs is over.
-    pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId, StoreError> {
+    pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId> {
         let mut write = self.write().await?;
         let plan_id = keep(&mut write, plan, None, now).await?;
         self.commit(write).await?;
@@ -152,7 +148,7 @@ impl Store {
     }
 
     /// Stores only new outlooks, for a plan that changes no booking.
-    pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<(), StoreError> {
+    pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         if newest(write.connection().await?).await? != plan.parent {
             return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
@@ -165,18 +161,14 @@ impl Store {
 
 /// Stores a plan inside a write: its jobs and their tasks get its bookings. `fresh` is a job that has no plan
 /// yet.
-async fn keep(
-    write: &mut Write,
-    plan: &NewPlan,
-    fresh: Option<JobId>,
-    now: Timestamp,
-) -> Result<PlanId, StoreError> {
+async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Timestamp) -> Result<PlanId> {
     if newest(write.connection().await?).await? != plan.parent {
         return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
     }
     let plan_id = PlanId::new();
     let verdicts: Vec<&JobVerdict> = plan.jobs.iter().map(|job| &job.verdict).collect();
-    sqlx::query!(
+    run!(
+        write,
         "INSERT INTO plans (id, parent_id, reason, causes, verdicts, created_at) VALUES (?, ?, ?, ?, ?, ?)",
         plan_id.0,
         plan.parent.map(|parent| parent.0),
@@ -184,9 +176,7 @@ async fn keep(
         Json(&plan.wanted.causes),
         Json(&verdicts),
         now.micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     for job in &plan.jobs {
         let job_id = job.verdict.job_id;
         if fresh != Some(job_id) {
@@ -210,7 +200,7 @@ async fn keep(
 }
 
 /// Books one job of a plan: waiting frames as the plan says, all others as before.
-async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Result<(), StoreError> {
+async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Result<()> {
     let job_id = job.verdict.job_id;
     let mut booked: BTreeMap<u32, NewBooking> = BTreeMap::new();
     let rows = sqlx::query!(
@@ -247,7 +237,8 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             };
             slot = Some(Slot { node, start, rate });
         }
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? \
              AND kind = 'render' AND frame = ?",
             slot.map(|slot| slot.node.0),
@@ -255,12 +246,11 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             slot.and_then(|slot| slot.rate),
             job_id.0,
             frame
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     for booking in bookings.values() {
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) \
              VALUES (?, ?, ?, ?, ?, ?, ?)",
             BookingId::new().0,
@@ -270,28 +260,24 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             booking.node.0,
             booking.start.micros(),
             booking.end.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     // Parts of a shared cache keep their bookings.
-    sqlx::query!(
+    run!(
+        write,
         "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
          SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \
          JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
         plan_id.0,
         job_id.0
-    )
-    .execute(write.connection().await?)
-    .await?;
-    sqlx::query!(
+    );
+    run!(
+        write,
         "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?",
         plan_id.0,
         Json(&job.verdict),
         job.factor,
         job_id.0
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }

@@ -6,8 +6,9 @@ use forelight_protocol::{ProjectRequest, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::plans::replans;
+use crate::writing::run;
 
 /// Use counts half after this many microseconds: a week.
 pub const HALF_LIFE: i64 = 7 * 24 * HOUR;
@@ -30,33 +31,29 @@ pub struct ProjectUse {
 
 impl Store {
     /// Sets a project's share, and calls for a new plan.
-    pub async fn set_share(&self, request: &ProjectRequest, now: Timestamp) -> Result<(), StoreError> {
+    pub async fn set_share(&self, request: &ProjectRequest, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO projects (name, share, updated_at) VALUES (?, ?, ?) \
              ON CONFLICT (name) DO UPDATE SET share = excluded.share, updated_at = excluded.updated_at",
             &request.project,
             request.share,
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let cause = format!("the share of project {} is {}", request.project, request.share);
         replans::want(&mut write, &cause).await?;
         self.commit(write).await
     }
 
     /// All projects that have a share, an open job, or used the farm lately, by name.
-    pub async fn projects(&self, now: Timestamp) -> Result<Vec<ProjectUse>, StoreError> {
+    pub async fn projects(&self, now: Timestamp) -> Result<Vec<ProjectUse>> {
         let mut transaction = self.read().await?;
         read(&mut transaction, now).await
     }
 }
 
-pub(crate) async fn read(
-    connection: &mut SqliteConnection,
-    now: Timestamp,
-) -> Result<Vec<ProjectUse>, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<ProjectUse>> {
     let mut found: BTreeMap<String, ProjectUse> = BTreeMap::new();
     let rows = sqlx::query!(
         "SELECT name AS \"name!\", max(share) AS \"share!: u32\" FROM (SELECT name, share FROM projects \

@@ -8,11 +8,12 @@ use forelight_protocol::{ForecastDoc, FrameForecast, JobId, QuotedShot};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
+use crate::writing::run;
 
 impl Store {
     /// The job's quote; `None` before it is made.
-    pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>, StoreError> {
+    pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!("SELECT forecast, scene, settings FROM jobs WHERE id = ?", job.0)
             .fetch_optional(&mut *transaction)
@@ -36,9 +37,10 @@ pub(crate) async fn keep_frames(
     job: JobId,
     frames: &[FrameForecast],
     clock: &[f64],
-) -> Result<(), StoreError> {
+) -> Result<()> {
     for (place, forecast) in frames.iter().enumerate() {
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE frames SET forecast = ?, work_mean = ?, work_p50 = ?, work_p80 = ?, work_p95 = ?, \
              cpu_mean = ?, cpu_p50 = ?, cpu_p80 = ?, cpu_p95 = ?, clock = ? WHERE job_id = ? AND frame = ?",
             Json(forecast),
@@ -53,9 +55,7 @@ pub(crate) async fn keep_frames(
             clock.get(place),
             job.0,
             forecast.frame
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     Ok(())
 }

@@ -12,7 +12,7 @@ use sqlx::FromRow;
 use crate::columns::{Id, Json, corrupt};
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, job_state};
 use crate::jobs;
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
@@ -47,7 +47,7 @@ impl Store {
         fence: u64,
         result: &TaskResult,
         now: Timestamp,
-    ) -> Result<Committed, StoreError> {
+    ) -> Result<Committed> {
         let body = serde_json::to_string(result)?;
         let body_hash = *blake3::hash(body.as_bytes()).as_bytes();
         let mut write = self.write().await?;
@@ -102,7 +102,7 @@ impl Store {
     }
 
     /// The job's preview, if it is done.
-    pub async fn preview_result(&self, job: JobId) -> Result<Option<PreviewResult>, StoreError> {
+    pub async fn preview_result(&self, job: JobId) -> Result<Option<PreviewResult>> {
         let result = sqlx::query_scalar!(
             "SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
              AND t.kind = 'preview'",
@@ -118,7 +118,7 @@ impl Store {
     }
 
     /// The job's profiles by frame; `None` while any is missing.
-    pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>, StoreError> {
+    pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>> {
         let rows = sqlx::query!(
             r#"SELECT t.spec, r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id", l.node_speed AS "node_speed?"
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id
@@ -150,7 +150,7 @@ impl Store {
     pub(crate) async fn profile_artifacts(
         connection: &mut sqlx::SqliteConnection,
         job: JobId,
-    ) -> Result<Vec<(u32, ArtifactHash)>, StoreError> {
+    ) -> Result<Vec<(u32, ArtifactHash)>> {
         let rows = sqlx::query!(
             "SELECT t.id, r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
              AND t.kind = 'profile' ORDER BY t.frame",
@@ -179,7 +179,7 @@ struct NamedRow {
 }
 
 /// Records the artefacts of a result; all must exist. Returns the lease's node, read in the same query.
-async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) -> Result<Node, StoreError> {
+async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) -> Result<Node> {
     let artifacts: BTreeSet<ArtifactHash> = result.artifacts().into_iter().collect();
     for artifact in &artifacts {
         later!(
@@ -222,7 +222,7 @@ async fn keep(
     node: &Node,
     result: &TaskResult,
     now: Timestamp,
-) -> Result<JobState, StoreError> {
+) -> Result<JobState> {
     match result {
         TaskResult::Preview(preview) => {
             for frame in &preview.frames {
@@ -268,7 +268,7 @@ async fn keep_render(
     node: &Node,
     render: &RenderResult,
     now: Timestamp,
-) -> Result<bool, StoreError> {
+) -> Result<bool> {
     let stats = &render.stats;
     let speed = node.corrected_speed(stats.work_by_class.as_ref()).unwrap_or(row.node_speed);
     // CPU seconds converted to a node of speed 1. Pixels taken over from the profile count at this node's

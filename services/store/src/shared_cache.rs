@@ -25,12 +25,13 @@ use sqlx::SqliteConnection;
 use self::parts::NewPartBooking;
 use crate::columns::{Id, Json, corrupt};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::jobs::ending::fail_task_and_job;
 use crate::leases::LeaseRow;
 use crate::nodes;
 use crate::policy::shared_cache::{Next, after_round};
 use crate::tasks::{Common, Slot, rates};
+use crate::writing::run;
 
 /// A shared cache, to be filled before the frames of its job.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -71,7 +72,7 @@ impl PlannedCache {
 
 impl Store {
     /// The plan of the cache that the job's frames could share.
-    pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache, StoreError> {
+    pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache> {
         let row = sqlx::query!(
             r#"SELECT r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id",
                       (SELECT json_extract(p.body, '$.profile.work_by_class') FROM tasks o JOIN results p ON p.task_id = o.id
@@ -97,11 +98,7 @@ impl Store {
     }
 }
 
-pub(crate) async fn begin(
-    write: &mut Write,
-    common: &Common,
-    new: &NewSharedCache,
-) -> Result<(), StoreError> {
+pub(crate) async fn begin(write: &mut Write, common: &Common, new: &NewSharedCache) -> Result<()> {
     let rates = rates(write.connection().await?, common.job).await?;
     for part in 0..new.parts {
         let booked = match new.bookings.iter().find(|booking| booking.part == part) {
@@ -117,11 +114,7 @@ pub(crate) async fn begin(
 }
 
 /// Continues after a plan: profiles also measure pixels with the planned cache, if there is one.
-pub(crate) async fn planned(
-    write: &mut Write,
-    row: &LeaseRow,
-    planned: &CachePlanResult,
-) -> Result<(), StoreError> {
+pub(crate) async fn planned(write: &mut Write, row: &LeaseRow, planned: &CachePlanResult) -> Result<()> {
     make_ready(write, row.job_id, ("profile", "$.profile.cache"), planned.cache).await
 }
 
@@ -131,17 +124,16 @@ async fn make_ready(
     job: JobId,
     (kind, place): (&'static str, &'static str),
     cache: Option<ArtifactHash>,
-) -> Result<(), StoreError> {
-    sqlx::query!(
+) -> Result<()> {
+    run!(
+        write,
         "UPDATE tasks SET state = 'ready', spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) \
          WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
         cache.map(|cache| cache.to_string()),
         place,
         job.0,
         kind
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     write.made_work = true;
     Ok(())
 }
@@ -152,7 +144,7 @@ pub(crate) async fn part_filled(
     row: &LeaseRow,
     filled: &CacheFillResult,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let TaskSpec::CacheFill(spec) = spec(write.connection().await?, row.task_id).await? else {
         return Err(corrupt("spec", "not that of a cache_fill task"));
     };
@@ -187,7 +179,7 @@ pub(crate) async fn merged(
     row: &LeaseRow,
     merged: &CacheMergeResult,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let TaskSpec::CacheMerge(spec) = spec(write.connection().await?, row.task_id).await? else {
         return Err(corrupt("spec", "not that of a cache_merge task"));
     };
@@ -203,7 +195,7 @@ async fn go_on(
     cache: ArtifactHash,
     full: bool,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let next = match after_round(round, full) {
         Next::Frames => {
             return make_ready(write, row.job_id, ("render", "$.render.cache"), Some(cache)).await;
@@ -232,7 +224,7 @@ async fn go_on(
     Ok(())
 }
 
-async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec, StoreError> {
+async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec> {
     let spec = sqlx::query_scalar!("SELECT spec FROM tasks WHERE id = ?", task.0);
     let spec = spec.fetch_optional(connection).await?;
     Ok(spec.ok_or(StoreError::NotFound("task"))?.0)

@@ -22,9 +22,10 @@ use uuid::Uuid;
 
 use crate::columns::Time;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event};
 use crate::jobs::ending;
+use crate::writing::run;
 
 /// A task that waits to be submitted to Slurm.
 #[derive(Clone, PartialEq, Debug)]
@@ -141,7 +142,7 @@ macro_rules! of_task {
 
 impl Store {
     /// The ready tasks that are in no open array, by deadline, priority, age of the job, and booked time.
-    pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>, StoreError> {
+    pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>> {
         let rows = sqlx::query!(
             r#"SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS "node?",
                       coalesce(b.start_at, s.start_at) AS "start_at?: Time", coalesce(b.end_at, s.end_at) AS "end_at?: Time",
@@ -192,10 +193,11 @@ impl Store {
 
     /// Records that an array is about to be submitted, and returns its id. A [`StoreError::Conflict`] if one
     /// of its tasks is not ready or in an open array already.
-    pub async fn announce_slurm_array(&self, new: &NewArray, now: Timestamp) -> Result<Uuid, StoreError> {
+    pub async fn announce_slurm_array(&self, new: &NewArray, now: Timestamp) -> Result<Uuid> {
         let mut write = self.write().await?;
         let array = Uuid::now_v7();
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO slurm_arrays (id, job_id, limit_minutes, begin_at, deadline_at, reservation, \
              reserved_to, created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             array,
@@ -206,21 +208,18 @@ impl Store {
             new.reservation.as_ref().map(|(name, _)| name),
             new.reservation.as_ref().map(|(_, until)| until.micros()),
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         for (task, position) in new.tasks.iter().zip(0_i64..) {
-            let written = sqlx::query!(
+            let written = run!(
+                write,
                 "INSERT INTO slurm_elements (array_id, position, task_id) SELECT ?1, ?2, id FROM tasks \
                  WHERE id = ?3 AND state = 'ready' AND NOT EXISTS (SELECT 1 FROM slurm_elements \
                  WHERE task_id = ?3 AND outcome IS NULL)",
                 array,
                 position,
                 task.0
-            )
-            .execute(write.connection().await?)
-            .await?;
-            if written.rows_affected() != 1 {
+            );
+            if written != 1 {
                 return Err(StoreError::Conflict(format!(
                     "task {task} is not ready, or already in a Slurm array"
                 )));
@@ -231,16 +230,9 @@ impl Store {
     }
 
     /// Records Slurm's job id of an array.
-    pub async fn slurm_array_submitted(
-        &self,
-        array: Uuid,
-        slurm_id: u32,
-        now: Timestamp,
-    ) -> Result<(), StoreError> {
+    pub async fn slurm_array_submitted(&self, array: Uuid, slurm_id: u32, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!("UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?", slurm_id, array)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?", slurm_id, array);
         let elements = sqlx::query!(
             "SELECT e.position, t.id, t.job_id, t.kind, t.frame FROM slurm_elements e \
              JOIN tasks t ON t.id = e.task_id WHERE e.array_id = ? ORDER BY e.position",
@@ -256,28 +248,22 @@ impl Store {
     }
 
     /// Deletes an array that Slurm refused. Its tasks wait again.
-    pub async fn slurm_array_refused(&self, array: Uuid) -> Result<(), StoreError> {
+    pub async fn slurm_array_refused(&self, array: Uuid) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!("DELETE FROM slurm_elements WHERE array_id = ?", array)
-            .execute(write.connection().await?)
-            .await?;
-        sqlx::query!("DELETE FROM slurm_arrays WHERE id = ?", array)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "DELETE FROM slurm_elements WHERE array_id = ?", array);
+        run!(write, "DELETE FROM slurm_arrays WHERE id = ?", array);
         self.commit(write).await
     }
 
     /// Records that the array's reservation has ended.
-    pub async fn slurm_reservation_ended(&self, array: Uuid) -> Result<(), StoreError> {
+    pub async fn slurm_reservation_ended(&self, array: Uuid) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!("UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?", array)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?", array);
         self.commit(write).await
     }
 
     /// The arrays with open elements, and those whose reservation still exists.
-    pub async fn open_slurm_arrays(&self) -> Result<Vec<OpenArray>, StoreError> {
+    pub async fn open_slurm_arrays(&self) -> Result<Vec<OpenArray>> {
         let mut transaction = self.read().await?;
         let rows = sqlx::query!(
             "SELECT * FROM slurm_arrays a WHERE a.reservation IS NOT NULL OR EXISTS (SELECT 1 \
@@ -335,19 +321,18 @@ impl Store {
         position: u32,
         outcome: &str,
         now: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let mut write = self.write().await?;
-        let ended = sqlx::query!(
+        let ended = run!(
+            write,
             "UPDATE slurm_elements SET outcome = ?, ended_at = ? WHERE array_id = ? AND position = ? \
              AND outcome IS NULL",
             outcome,
             now.micros(),
             array,
             position
-        )
-        .execute(write.connection().await?)
-        .await?;
-        if ended.rows_affected() == 1 {
+        );
+        if ended == 1 {
             let row = sqlx::query!(
                 "SELECT t.id, t.job_id, t.kind, t.frame, t.state, a.slurm_id FROM slurm_elements e \
                  JOIN tasks t ON t.id = e.task_id JOIN slurm_arrays a ON a.id = e.array_id \
@@ -369,12 +354,7 @@ impl Store {
     }
 
     /// Fails the job of a task that Slurm cannot complete. Does nothing if the task is over or with a worker.
-    pub async fn fail_unrunnable(
-        &self,
-        task: TaskId,
-        reason: &str,
-        now: Timestamp,
-    ) -> Result<(), StoreError> {
+    pub async fn fail_unrunnable(&self, task: TaskId, reason: &str, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         let row = sqlx::query!(
             "UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ? \
@@ -394,26 +374,21 @@ impl Store {
 
     /// Records the machines that exist now. New ones become nodes of speed 1 at this price, until their first
     /// process measures them.
-    pub async fn see_nodes(
-        &self,
-        seen: &[SeenNode],
-        price_per_hour: Money,
-        now: Timestamp,
-    ) -> Result<(), StoreError> {
+    pub async fn see_nodes(&self, seen: &[SeenNode], price_per_hour: Money, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         for node in seen {
-            let touched = sqlx::query!(
+            let touched = run!(
+                write,
                 "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE name = ?",
                 now.micros(),
                 node.name
-            )
-            .execute(write.connection().await?)
-            .await?;
-            if touched.rows_affected() == 1 {
+            );
+            if touched == 1 {
                 continue;
             }
             let new = NodeId::new();
-            sqlx::query!(
+            run!(
+                write,
                 "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at) \
                  VALUES (?, ?, 1, ?, ?, ?5, ?5)",
                 new.0,
@@ -421,9 +396,7 @@ impl Store {
                 price_per_hour.micro_units(),
                 node.cores,
                 now.micros()
-            )
-            .execute(write.connection().await?)
-            .await?;
+            );
             let message = Some(node.name.clone());
             append(
                 &mut write,
@@ -434,7 +407,7 @@ impl Store {
     }
 
     /// The names of nodes that get no more tasks: drained, paused, or set aside.
-    pub async fn closed_nodes(&self) -> Result<Vec<String>, StoreError> {
+    pub async fn closed_nodes(&self) -> Result<Vec<String>> {
         Ok(sqlx::query_scalar!(
             "SELECT name FROM nodes WHERE drain OR pause OR set_aside IS NOT NULL ORDER BY name"
         )
@@ -444,7 +417,7 @@ impl Store {
 
     /// The lowest speed of a live node that takes tasks, all its cores together; `None` if there is no such
     /// node.
-    pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>, StoreError> {
+    pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>> {
         Ok(sqlx::query_scalar!(
             r#"SELECT min(coalesce(speed_set, speed) * cores) AS "least?: f64" FROM nodes
                WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?"#,
@@ -455,7 +428,7 @@ impl Store {
     }
 
     /// Writes an event with the state of the engine.
-    pub async fn tell_of_engine(&self, message: &str, now: Timestamp) -> Result<(), StoreError> {
+    pub async fn tell_of_engine(&self, message: &str, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         append(
             &mut write,

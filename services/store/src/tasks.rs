@@ -9,9 +9,10 @@ use sqlx::SqliteConnection;
 
 use crate::columns::Json;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::jobs::{self, JobRow};
 use crate::policy::work_stealing::{Rates, is_bounded};
+use crate::writing::run;
 
 /// State of a task that may be handed out.
 const READY: &str = "ready";
@@ -62,11 +63,11 @@ impl Common {
         }
     }
 
-    pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
+    pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self> {
         Ok(Self::of(&jobs::row(connection, job).await?))
     }
 
-    pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
+    pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<()> {
         let spec = PreviewSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -83,7 +84,7 @@ impl Common {
         write: &mut Write,
         ProfileAsked { frame, samples, ladders, cache }: ProfileAsked,
         waits: bool,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = ProfileSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -98,7 +99,7 @@ impl Common {
         self.insert(write, TaskSpec::Profile(spec), if waits { WAITING } else { READY }, None).await
     }
 
-    pub(crate) async fn cache_plan(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
+    pub(crate) async fn cache_plan(&self, write: &mut Write, frames: Vec<u32>) -> Result<()> {
         let spec = CachePlanSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -117,7 +118,7 @@ impl Common {
         round: u32,
         (part, parts): (u32, u32),
         booked: Option<Slot>,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = CacheFillSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -136,7 +137,7 @@ impl Common {
         write: &mut Write,
         round: u32,
         parts: Vec<ArtifactHash>,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = CacheMergeSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -157,7 +158,7 @@ impl Common {
         booked: Option<Slot>,
         work: Option<u64>,
         profile: Option<ArtifactHash>,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = RenderSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -177,8 +178,9 @@ impl Common {
         spec: TaskSpec,
         state: &'static str,
         booked: Option<Slot>,
-    ) -> Result<(), StoreError> {
-        sqlx::query!(
+    ) -> Result<()> {
+        run!(
+            write,
             "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, \
              booked_node, booked_at, booked_rate, limits) \
              VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
@@ -196,9 +198,7 @@ impl Common {
             booked.map(|slot| slot.start.micros()),
             booked.and_then(|slot| slot.rate),
             Json(&self.limits)
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         write.made_work |= state == READY;
         Ok(())
     }
@@ -206,28 +206,26 @@ impl Common {
 
 /// Takes back all unfinished tasks of a job. Their leases become `revoked`, so that the next renewal brings
 /// each worker the order to stop.
-pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query!(
+pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    run!(
+        write,
         "UPDATE leases SET state = 'revoked', ended_at = coalesce(paid_until, min(?, expires_at)) \
          WHERE state = 'active' AND task_id IN (SELECT id FROM tasks WHERE job_id = ? AND state = 'leased')",
         now.micros(),
         job.0
-    )
-    .execute(write.connection().await?)
-    .await?;
-    sqlx::query!(
+    );
+    run!(
+        write,
         "UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? \
          AND state IN ('waiting', 'ready', 'leased')",
         now.micros(),
         job.0
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }
 
 /// What plans pay for the work of a job.
-pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates, StoreError> {
+pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates> {
     let row = sqlx::query!("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?", job.0)
         .fetch_optional(connection)
         .await?;

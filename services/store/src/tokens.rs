@@ -4,7 +4,8 @@ use forelight_protocol::{NodeId, Role, Timestamp};
 use uuid::Uuid;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
+use crate::writing::run;
 
 /// The caller of a request.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -30,25 +31,24 @@ pub fn random() -> String {
 
 /// Makes a token and returns it, for the only time: the database stores its hash. `name` is for people, 1 to
 /// 200 characters.
-pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String, StoreError> {
+pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String> {
     let token = random();
     let mut write = store.write().await?;
-    sqlx::query!(
+    run!(
+        write,
         "INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, ?, ?)",
         &hash(&token)[..],
         name,
         role.name(),
         now.micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     store.commit(write).await?;
     Ok(token)
 }
 
 /// The caller with this token; `None` if the token is unknown. The lookup is by hash, so its timing reveals
 /// nothing about the token.
-pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>, StoreError> {
+pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>> {
     let hash = hash(token);
     let row = sqlx::query!("SELECT role, name, node_id FROM tokens WHERE hash = ?", &hash[..])
         .fetch_optional(store.readers())
@@ -60,7 +60,7 @@ pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>, Store
 }
 
 /// How many tokens there are.
-pub async fn count(store: &Store) -> Result<u64, StoreError> {
+pub async fn count(store: &Store) -> Result<u64> {
     let count = sqlx::query_scalar!("SELECT count(*) FROM tokens").fetch_one(store.readers()).await?;
     Ok(count.unsigned_abs())
 }

@@ -31,7 +31,7 @@ use sqlx::{ConnectOptions as _, Connection as _, Encode, Executor as _, FromRow,
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
 use self::statements::Statements;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
 /// How long a writer waits for its turn before its caller gets [`StoreError::Busy`].
 pub(crate) const WRITE_TURN: Duration = Duration::from_secs(5);
@@ -62,7 +62,15 @@ macro_rules! ask {
         $write.ask($question)$(.bind($value))*
     }};
 }
-pub(crate) use {ask, later};
+
+/// Runs a statement inside a write, after the deferred ones, and returns how many rows it changed:
+/// `run!(write, "UPDATE …", a, b)`. Awaits, and returns errors from the calling function.
+macro_rules! run {
+    ($write:expr, $statement:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query!($statement $(, $value)*).execute($write.connection().await?).await?.rows_affected()
+    };
+}
+pub(crate) use {ask, later, run};
 
 /// The queue of writers. Cheap to clone; all clones are one queue.
 #[derive(Clone)]
@@ -132,7 +140,7 @@ enum Outcome {
 }
 
 impl Outcome {
-    fn result(self) -> Result<(), StoreError> {
+    fn result(self) -> Result<()> {
         match self {
             Outcome::Committed => Ok(()),
             Outcome::Full => Err(StoreError::Full),
@@ -188,14 +196,14 @@ impl Write {
     }
 
     /// The connection, for any other statement. Deferred statements are sent first.
-    pub(crate) async fn connection(&mut self) -> Result<&mut SqliteConnection, StoreError> {
+    pub(crate) async fn connection(&mut self) -> Result<&mut SqliteConnection> {
         let (connection, statements) = self.open()?;
         statements.send(connection).await?;
         Ok(connection)
     }
 
     /// Prepares for sending. From here on, the write has to be cleared up if it is not committed.
-    fn open(&mut self) -> Result<(&mut SqliteConnection, &mut Statements), StoreError> {
+    fn open(&mut self) -> Result<(&mut SqliteConnection, &mut Statements)> {
         self.statements.check()?;
         let batch = &mut *self.batch;
         batch.begun = true;
@@ -225,7 +233,7 @@ impl Question<'_> {
     }
 
     /// The first row of the answer, if it has any.
-    pub async fn first_row<R>(self) -> Result<Option<R>, StoreError>
+    pub async fn first_row<R>(self) -> Result<Option<R>>
     where
         R: for<'r> FromRow<'r, SqliteRow>,
     {
@@ -263,7 +271,7 @@ impl Writer {
     }
 
     /// Begins a write.
-    pub async fn write(&self) -> Result<Write, StoreError> {
+    pub async fn write(&self) -> Result<Write> {
         let desk = tokio::time::timeout(WRITE_TURN, self.desk.clone().lock_owned());
         let mut desk = desk.await.map_err(|_| StoreError::Busy)?;
         if desk.batch.as_ref().is_some_and(|batch| batch.abandoned || batch.members >= LARGEST_BATCH) {
@@ -297,12 +305,12 @@ impl Writer {
     }
 
     /// Commits a write together with all others that wait, then wakes those who wait for its changes.
-    pub async fn commit(&self, write: Write) -> Result<(), StoreError> {
+    pub async fn commit(&self, write: Write) -> Result<()> {
         let writer = self.clone();
         uncancelled(async move { writer.end(write).await }).await
     }
 
-    async fn end(self, mut write: Write) -> Result<(), StoreError> {
+    async fn end(self, mut write: Write) -> Result<()> {
         write.later("RELEASE one");
         write.connection().await?;
         let (events, work, plans) = (write.wrote_events, write.made_work, write.wants_plan);
@@ -359,7 +367,7 @@ impl Writer {
     }
 
     /// Commits the batch and closes the connection. Further writes fail.
-    pub async fn close(&self) -> Result<(), StoreError> {
+    pub async fn close(&self) -> Result<()> {
         let mut desk = self.finish(self.desk.clone().lock_owned().await).await;
         desk.is_closed = true;
         match desk.rests.take() {
@@ -399,9 +407,7 @@ async fn clear_up(batch: &mut Batch) -> bool {
 }
 
 /// Runs to its end even if the caller goes away.
-async fn uncancelled<T: Send + 'static>(
-    work: impl Future<Output = Result<T, StoreError>> + Send + 'static,
-) -> Result<T, StoreError> {
+async fn uncancelled<T: Send + 'static>(work: impl Future<Output = Result<T>> + Send + 'static) -> Result<T> {
     match tokio::spawn(work).await {
         Ok(done) => done,
         // The runtime is shutting down.

@@ -15,7 +15,7 @@ use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::path::Path;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
 /// Longest prefix, in bytes. A name adds 68 bytes, and S3 accepts names of up to 1024.
 const LONGEST_PREFIX: usize = 512;
@@ -93,7 +93,7 @@ impl FromStr for ArtifactPlace {
 }
 
 /// Opens the bucket. No request is sent yet.
-pub(super) fn open_s3(bucket: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
+pub(super) fn open_s3(bucket: &str) -> Result<Arc<dyn ObjectStore>> {
     let unusable = |reason: String| StoreError::ArtifactPlace(format!("the bucket {bucket}: {reason}"));
     let builder = AmazonS3Builder::from_env()
         .with_bucket_name(bucket)

@@ -9,7 +9,7 @@ use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt as _, PutPayload
 use tokio::io::AsyncReadExt as _;
 
 use super::reader::ArtifactReader;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
 /// Bytes per part. S3 accepts at most 10,000 parts of at least 5 MiB (the last may be shorter): 80 GB with
 /// this.
@@ -33,7 +33,7 @@ impl Remote {
     /// Checks that the bucket stores and returns objects, with the same two requests that all work needs. A
     /// permanent refusal is an error. No answer is only a warning: a service that starts before its bucket
     /// must come up.
-    pub async fn probe(&self) -> Result<(), StoreError> {
+    pub async fn probe(&self) -> Result<()> {
         const CONTENT: &[u8] = b"artefacts of a forelight farm, named by their BLAKE3 hash\n";
         let place = self.within("farm");
         let written = self.objects.put(&place, PutPayload::from_static(CONTENT)).await.map(drop);
@@ -59,7 +59,7 @@ impl Remote {
     }
 
     /// Whether an object of this name and length exists.
-    pub async fn holds(&self, name: &Path, size: u64) -> Result<bool, StoreError> {
+    pub async fn holds(&self, name: &Path, size: u64) -> Result<bool> {
         match self.objects.head(&self.below(name)).await {
             Ok(meta) => Ok(meta.size == size),
             Err(object_store::Error::NotFound { .. }) => Ok(false),
@@ -69,7 +69,7 @@ impl Remote {
 
     /// Uploads a local file. The object appears whole or not at all, and is durable on return: S3 promises
     /// this for an answered PUT and for a completed multipart upload.
-    pub async fn upload(&self, file: &std::path::Path, name: &Path) -> Result<(), StoreError> {
+    pub async fn upload(&self, file: &std::path::Path, name: &Path) -> Result<()> {
         let place = self.below(name);
         let failed = |error| StoreError::file(file, error);
         let mut source = tokio::fs::File::open(file).await.map_err(failed)?;
@@ -101,7 +101,7 @@ impl Remote {
     }
 
     /// The object's content; `None` if it is not there.
-    pub async fn get(&self, name: &Path) -> Result<Option<ArtifactReader>, StoreError> {
+    pub async fn get(&self, name: &Path) -> Result<Option<ArtifactReader>> {
         match self.objects.get(&self.below(name)).await {
             Ok(object) => {
                 let size = object.meta.size;

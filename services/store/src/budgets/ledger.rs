@@ -6,7 +6,7 @@ use sqlx::SqliteConnection;
 
 use crate::columns::Time;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::budgets::{self as policy, Payment};
 
 /// Ledger rows: the columns of a line, more columns, and a condition.
@@ -42,7 +42,7 @@ macro_rules! line {
 
 impl Store {
     /// Payments between two instants, in the order of leases.
-    pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
+    pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>> {
         let rows = rows!(
             "",
             "WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id",
@@ -55,16 +55,13 @@ impl Store {
     }
 
     /// What a job's leases have cost so far; active leases count up to `now`.
-    pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money, StoreError> {
+    pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money> {
         spent_on(&mut *self.readers().acquire().await?, job, now).await
     }
 }
 
 /// All ledger lines of a job, each with its task.
-pub(crate) async fn payments(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Vec<Payment>, StoreError> {
+pub(crate) async fn payments(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Payment>> {
     let rows = rows!(
         ", t.kind, t.frame, l.state = 'active' AS \"is_active!: bool\"",
         "JOIN tasks t ON t.id = l.task_id WHERE t.job_id = ?",
@@ -79,11 +76,7 @@ pub(crate) async fn payments(
 }
 
 /// What a job's leases cost, including its quote, its frames and lost work. Active leases count up to now.
-pub(crate) async fn spent_on(
-    connection: &mut SqliteConnection,
-    job: JobId,
-    now: Timestamp,
-) -> Result<Money, StoreError> {
+pub(crate) async fn spent_on(connection: &mut SqliteConnection, job: JobId, now: Timestamp) -> Result<Money> {
     let payments = payments(connection, job).await?;
     let lines = payments.into_iter().map(|payment| payment.line);
     Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN), now))
@@ -95,7 +88,7 @@ pub(crate) async fn spent(
     project: &str,
     from: Timestamp,
     now: Timestamp,
-) -> Result<Money, StoreError> {
+) -> Result<Money> {
     let rows =
         rows!("", "WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)", project, from.micros())
             .fetch_all(connection)
@@ -108,7 +101,7 @@ pub(crate) async fn committed(
     connection: &mut SqliteConnection,
     project: &str,
     now: Timestamp,
-) -> Result<Money, StoreError> {
+) -> Result<Money> {
     let rows = rows!(
         ", f.cpu_p50 AS \"cpu_p50!\", l.node_speed * n.cores AS \"speed!: f64\"",
         "JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \

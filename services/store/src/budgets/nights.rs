@@ -4,7 +4,8 @@ use forelight_protocol::{BudgetForecast, Timestamp};
 
 use crate::columns::Json;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
+use crate::writing::run;
 
 /// A night that was forecast.
 #[derive(Clone, PartialEq, Debug)]
@@ -20,10 +21,11 @@ pub struct KeptNight {
 impl Store {
     /// Keeps the forecast of a night. A later forecast replaces it until the middle of the night. There is
     /// one row per night, however often this is called.
-    pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<(), StoreError> {
+    pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<()> {
         let mut write = self.write().await?;
         let middle = night.from.plus_micros(night.until.micros_since(night.from) / 2);
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO budget_forecasts (date, zone, begin_at, end_at, made_at, body) \
              VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT (date, zone) DO UPDATE \
              SET made_at = excluded.made_at, body = excluded.body WHERE ?5 < ?7",
@@ -34,9 +36,7 @@ impl Store {
             night.forecast.made_at.micros(),
             Json(&night.forecast),
             middle.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         self.commit(write).await
     }
 
@@ -46,7 +46,7 @@ impl Store {
         zone: &str,
         before: Timestamp,
         limit: u32,
-    ) -> Result<Vec<KeptNight>, StoreError> {
+    ) -> Result<Vec<KeptNight>> {
         let rows = sqlx::query!(
             "SELECT begin_at, end_at, body FROM budget_forecasts WHERE zone = ? AND begin_at < ? \
              ORDER BY begin_at DESC LIMIT ?",

@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteArguments;
 use sqlx::{FromRow, Sqlite, SqliteConnection};
 
 use crate::columns::{Id, Json, Word};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::retries::HEAD_START;
 
 /// A task that a node may be given.
@@ -56,7 +56,7 @@ impl Asking<'_> {
         connection: &mut SqliteConnection,
         query: &'static str,
         more: impl FnOnce(Query) -> Query,
-    ) -> Result<Option<OfferedTask>, StoreError> {
+    ) -> Result<Option<OfferedTask>> {
         let common = sqlx::query_as(query)
             .bind(self.node.id.0)
             .bind(self.now.micros())

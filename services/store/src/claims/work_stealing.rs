@@ -8,7 +8,7 @@ use forelight_protocol::{JobId, Money, Node, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::claims::asking::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::nodes::gone;
 use crate::policy::work_stealing::{OVERDUE, is_at_risk, is_bounded, least_rate, rate, reason_to_wait};
 
@@ -25,10 +25,7 @@ struct BookedJob {
 }
 
 /// A task that is booked elsewhere and that the node may take, or why it takes none.
-pub(crate) async fn offer(
-    connection: &mut SqliteConnection,
-    asking: &Asking<'_>,
-) -> Result<Offer, StoreError> {
+pub(crate) async fn offer(connection: &mut SqliteConnection, asking: &Asking<'_>) -> Result<Offer> {
     let jobs = booked_jobs(connection, asking.node).await?;
     for job in &jobs {
         let found = if job.for_everybody {
@@ -61,7 +58,7 @@ pub(crate) async fn offer(
 impl BookedJob {
     /// Why the node leaves the job to others: the node for which its next frame is booked more cheaply.
     /// `None` if there is none.
-    async fn why_not(&self, connection: &mut SqliteConnection) -> Result<Option<String>, StoreError> {
+    async fn why_not(&self, connection: &mut SqliteConnection) -> Result<Option<String>> {
         let row = sqlx::query!(
             "SELECT t.booked_rate AS \"booked_rate!\", n.name FROM tasks t INDEXED BY tasks_ready_starts \
              JOIN nodes n ON n.id = t.booked_node WHERE t.state = 'ready' AND t.booked_rate IS NOT NULL \
@@ -77,7 +74,7 @@ impl BookedJob {
 }
 
 /// The booked jobs, in the order in which nodes help out: by deadline, then priority, then age.
-async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<BookedJob>, StoreError> {
+async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<BookedJob>> {
     let rows = sqlx::query!(
         "SELECT id, name, deadline_at, budget, priority, verdict, outlook, work_by_class FROM jobs \
          WHERE state IN ('booked', 'rendering') ORDER BY coalesce(deadline_at, 9223372036854775807), \

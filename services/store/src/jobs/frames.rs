@@ -7,7 +7,7 @@ use forelight_protocol::{
 
 use crate::columns::{Hash, Id, Json, Time, corrupt};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::jobs;
 
 /// A frame's row, with its task and its booking.
@@ -51,12 +51,7 @@ macro_rules! rows {
 
 impl Store {
     /// The job's frames after `after`, ascending, at most `limit`.
-    pub async fn frames(
-        &self,
-        job: JobId,
-        after: Option<u32>,
-        limit: u32,
-    ) -> Result<Vec<FrameRow>, StoreError> {
+    pub async fn frames(&self, job: JobId, after: Option<u32>, limit: u32) -> Result<Vec<FrameRow>> {
         let mut transaction = self.read().await?;
         let is_final = jobs::state(&mut transaction, job).await?.is_final();
         let after = after.map_or(-1, i64::from);
@@ -67,7 +62,7 @@ impl Store {
     }
 
     /// One frame of the job.
-    pub async fn frame(&self, job: JobId, frame: u32) -> Result<FrameRow, StoreError> {
+    pub async fn frame(&self, job: JobId, frame: u32) -> Result<FrameRow> {
         let mut transaction = self.read().await?;
         let is_final = jobs::state(&mut transaction, job).await?.is_final();
         let row = rows!("WHERE f.job_id = ? AND f.frame = ?", job.0, frame);
@@ -78,7 +73,7 @@ impl Store {
 
 impl Row {
     /// The frame as the API shows it. A frame without a task is cancelled if its job is over.
-    fn shown(self, job_is_final: bool) -> Result<FrameRow, StoreError> {
+    fn shown(self, job_is_final: bool) -> Result<FrameRow> {
         let state = match self.state.as_deref() {
             None if job_is_final => FrameState::Cancelled,
             None | Some("waiting") => FrameState::Waiting,

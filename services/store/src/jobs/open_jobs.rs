@@ -4,7 +4,7 @@ use forelight_protocol::{Job, JobId, JobState};
 
 use crate::columns::Unread;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::jobs::{job_rows, progress};
 use forelight_quote::JobForecast;
 
@@ -23,7 +23,7 @@ pub struct OpenJob {
 
 impl Store {
     /// The jobs that are neither done, failed nor cancelled, oldest first.
-    pub async fn open_jobs(&self) -> Result<Vec<OpenJob>, StoreError> {
+    pub async fn open_jobs(&self) -> Result<Vec<OpenJob>> {
         let mut transaction = self.read().await?;
         let rows = job_rows!("WHERE state IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)

@@ -5,9 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::columns::Json;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event};
 use crate::policy::rebooking::promise_news;
+use crate::writing::run;
 
 /// Why a job waits, and the state of its promise.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
@@ -21,11 +22,7 @@ pub struct JobOutlook {
 }
 
 /// Keeps the outlooks of jobs, and writes an event for each promise that broke or is kept again.
-pub(crate) async fn keep(
-    write: &mut Write,
-    outlooks: &[(JobId, JobOutlook)],
-    now: Timestamp,
-) -> Result<(), StoreError> {
+pub(crate) async fn keep(write: &mut Write, outlooks: &[(JobId, JobOutlook)], now: Timestamp) -> Result<()> {
     for (job, outlook) in outlooks {
         let row = sqlx::query!("SELECT outlook, state FROM jobs WHERE id = ?", job.0)
             .fetch_optional(write.connection().await?)
@@ -36,9 +33,7 @@ pub(crate) async fn keep(
         if before == *outlook || row.state.0.is_final() {
             continue;
         }
-        sqlx::query!("UPDATE jobs SET outlook = ? WHERE id = ?", Json(outlook), job.0)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "UPDATE jobs SET outlook = ? WHERE id = ?", Json(outlook), job.0);
         let Some((kind, message)) = promise_news(before.promise.as_ref(), outlook.promise.as_ref()) else {
             continue;
         };

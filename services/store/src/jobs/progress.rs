@@ -3,7 +3,7 @@
 use forelight_protocol::{JobId, LiveForecast, SharedCacheProgress};
 use sqlx::SqliteConnection;
 
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::living;
 use crate::shared_cache::parts;
 
@@ -23,7 +23,7 @@ pub(crate) struct Progress {
 
 /// Weighs every frame by its forecast work: with 47 cheap frames and an expensive one, the cheap ones are not
 /// 98 %. A frame under way counts by the progress that its worker last reported.
-pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress, StoreError> {
+pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress> {
     let row = sqlx::query!(
         r#"SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS "done!: u32",
                   coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased', 0)), 0) AS "begun!: bool",

@@ -12,7 +12,7 @@ use forelight_protocol::{LeaseId, TaskId, TaskKind};
 use uuid::Uuid;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::leases::{LeaseState, read};
 
 /// Name of their folder in the data folder.
@@ -21,7 +21,7 @@ const FOLDER: &str = "checkpoints";
 impl Store {
     /// Stores the finished tiles of a lease's frame. [`StoreError::LeaseLost`] if the sender does not hold
     /// the lease.
-    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, bytes: Bytes) -> Result<(), StoreError> {
+    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, bytes: Bytes) -> Result<()> {
         let row = read(&mut *self.readers().acquire().await?, lease).await?;
         if row.fence != fence || row.state != LeaseState::Active {
             return Err(StoreError::LeaseLost);
@@ -46,7 +46,7 @@ impl Store {
     }
 
     /// The tiles of a lease's frame that an earlier worker finished.
-    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Vec<u8>, StoreError> {
+    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Vec<u8>> {
         let row = read(&mut *self.readers().acquire().await?, lease).await?;
         let path = place(&self.checkpoints(), row.task_id);
         blocking(move || match std::fs::read(&path) {
@@ -64,7 +64,7 @@ impl Store {
     }
 
     /// Deletes the checkpoints of ended tasks, and old incomplete files.
-    pub(crate) async fn forget_checkpoints(&self) -> Result<(), StoreError> {
+    pub(crate) async fn forget_checkpoints(&self) -> Result<()> {
         let folder = self.checkpoints();
         let found: Vec<(PathBuf, Option<TaskId>)> = blocking(move || match std::fs::read_dir(&folder) {
             Ok(entries) => {
@@ -109,9 +109,7 @@ fn is_recent(path: &Path) -> bool {
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|age| age < MINUTES))
 }
 
-async fn blocking<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
-) -> Result<T, StoreError> {
+async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
     // It fails only when the runtime shuts down.
     tokio::task::spawn_blocking(work).await.unwrap_or(Err(StoreError::Busy))
 }

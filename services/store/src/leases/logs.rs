@@ -4,8 +4,9 @@ use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLi
 
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::leases::{LeaseRow, LeaseState, read_in};
+use crate::writing::run;
 
 /// How long logs are kept: thirty days, in microseconds.
 const KEPT: i64 = 30 * 24 * 3_600_000_000;
@@ -13,7 +14,7 @@ const KEPT: i64 = 30 * 24 * 3_600_000_000;
 impl Store {
     /// Keeps the last log lines of a worker, before it reports how its task ended. If the worker does not
     /// hold the lease, nothing is kept and no error is returned: the report that follows is refused.
-    pub async fn keep_log(&self, lease: LeaseId, fence: u64, lines: &[LogLine]) -> Result<(), StoreError> {
+    pub async fn keep_log(&self, lease: LeaseId, fence: u64, lines: &[LogLine]) -> Result<()> {
         if lines.is_empty() {
             return Ok(());
         }
@@ -27,7 +28,7 @@ impl Store {
     }
 
     /// The log of a task: all attempts, oldest first.
-    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog, StoreError> {
+    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog> {
         let mut read = self.read().await?;
         let is_there = sqlx::query_scalar!(
             r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ?) AS "is_there!: bool""#,
@@ -59,10 +60,11 @@ impl Store {
 }
 
 /// Keeps log lines of a lease. Lines that are stored already, and lines beyond [`LOG_LINES`], are dropped.
-pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -> Result<(), StoreError> {
+pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -> Result<()> {
     for line in lines.iter().filter(|line| line.number < LOG_LINES) {
         let line = line.clone().cleaned();
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO task_logs (task_id, fence, number, at, level, line) VALUES (?, ?, ?, ?, ?, ?) \
              ON CONFLICT DO NOTHING",
             row.task_id.0,
@@ -71,16 +73,12 @@ pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -
             line.at.micros(),
             line.level.name(),
             line.text
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     Ok(())
 }
 
-pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query!("DELETE FROM task_logs WHERE at < ?", now.plus_micros(-KEPT).micros())
-        .execute(write.connection().await?)
-        .await?;
+pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<()> {
+    run!(write, "DELETE FROM task_logs WHERE at < ?", now.plus_micros(-KEPT).micros());
     Ok(())
 }

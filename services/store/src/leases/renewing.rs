@@ -7,7 +7,7 @@ use forelight_protocol::{
 };
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::append;
 use crate::leases::logs;
 use crate::leases::{LeaseState, back_to_ready, end, read_in};
@@ -28,7 +28,7 @@ impl Store {
         renewal: &RenewRequest,
         ttl: Duration,
         now: Timestamp,
-    ) -> Result<Renewal, StoreError> {
+    ) -> Result<Renewal> {
         let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;
@@ -79,7 +79,7 @@ impl Store {
 
     /// Gives a task back unfinished. This counts neither as an error nor as an expiry. Does nothing if the
     /// lease was released or revoked before.
-    pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<(), StoreError> {
+    pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;
         if row.fence == fence && matches!(row.state, LeaseState::Released | LeaseState::Revoked) {

@@ -12,15 +12,15 @@ use sqlx::{FromRow, Row as _, SqliteConnection};
 use crate::columns::{Id, Json, Time, Word};
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
-use crate::writing::{ask, later};
+use crate::error::{Result, StoreError};
+use crate::writing::{ask, later, run};
 
 /// Most points in a job's history.
 const MOST_POINTS: i64 = 512;
 
 impl Store {
     /// The history of the job's estimate; `None` before the job is booked.
-    pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>, StoreError> {
+    pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!(
             "SELECT j.state, j.frames_total, l.body AS \"body?: Json<LiveForecast>\" FROM jobs j LEFT \
@@ -46,10 +46,7 @@ impl Store {
 }
 
 /// The job's newest estimate.
-pub(crate) async fn newest(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Option<LiveForecast>, StoreError> {
+pub(crate) async fn newest(connection: &mut SqliteConnection, job: JobId) -> Result<Option<LiveForecast>> {
     let newest = sqlx::query_scalar!("SELECT body FROM live_forecasts WHERE job_id = ?", job.0)
         .fetch_optional(connection)
         .await?;
@@ -75,7 +72,7 @@ pub(crate) struct Before {
 }
 
 /// Reads what is stored before an update.
-pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, StoreError> {
+pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before> {
     ask!(
         write,
         "SELECT l.*, j.frames_total, j.state FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id \
@@ -125,8 +122,9 @@ pub(super) async fn keep(
     plan: PlanId,
     baseline: &Baseline,
     live: &LiveForecast,
-) -> Result<(), StoreError> {
-    sqlx::query!(
+) -> Result<()> {
+    run!(
+        write,
         "INSERT INTO live_forecasts (job_id, plan_id, booked_cpu, booked_rest, booked_share, \
          frames_done, cost_is_off, finish_is_off, body, updated_at) \
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job_id) DO UPDATE \
@@ -144,29 +142,25 @@ pub(super) async fn keep(
         live.finish_is_off,
         Json(live),
         live.at.micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     let points = sqlx::query_scalar!("SELECT count(*) FROM forecast_history WHERE job_id = ?", job.0)
         .fetch_one(write.connection().await?)
         .await?;
     if points >= MOST_POINTS {
-        sqlx::query!(
+        run!(
+            write,
             "DELETE FROM forecast_history WHERE job_id = ?1 AND point IN (SELECT point FROM \
              (SELECT point, row_number() OVER (ORDER BY point) AS place FROM forecast_history \
              WHERE job_id = ?1) WHERE place % 2 = 0)",
             job.0
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
-    sqlx::query!(
+    run!(
+        write,
         "INSERT INTO forecast_history (job_id, point, body) \
          VALUES (?1, (SELECT ifnull(max(point) + 1, 0) FROM forecast_history WHERE job_id = ?1), ?2)",
         job.0,
         Json(HistoryPoint::of(live))
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }

@@ -6,7 +6,7 @@ use forelight_protocol::{
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::leases;
@@ -14,6 +14,7 @@ use crate::nodes::{LOST, by_name, has_another_worker, node_rows, read};
 use crate::plans::replans;
 use crate::policy::availability::{Opening, opening, silence, with_power};
 use crate::policy::nodes::{cause_of, is_same_machine, may_take_tasks_again};
+use crate::writing::run;
 
 impl Store {
     /// Registers a node. A node of the same name is updated and keeps its id: a restarted worker is the same
@@ -23,7 +24,7 @@ impl Store {
         registration: &NodeRegistration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Answered<Node>, StoreError> {
+    ) -> Result<Answered<Node>> {
         let mut write = self.write().await?;
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
@@ -36,14 +37,10 @@ impl Store {
 
     /// Changes a node. A speed or price that is set here stays in force until it is set again or cleared with
     /// `None` inside `Some`. Then the node's own last value applies.
-    pub async fn change_node(
-        &self,
-        node: NodeId,
-        change: &NodeChange,
-        now: Timestamp,
-    ) -> Result<Node, StoreError> {
+    pub async fn change_node(&self, node: NodeId, change: &NodeChange, now: Timestamp) -> Result<Node> {
         let mut write = self.write().await?;
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), speed_set = \
              CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set \
              END, set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE \
@@ -61,9 +58,7 @@ impl Store {
             change.schedule.is_some(),
             change.schedule.as_ref().and_then(Option::as_ref).map(Json),
             change.terms.as_ref().map(Json)
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         if change.cancel_task == Some(true) {
             take_tasks_away(&mut write, node, now).await?;
         }
@@ -91,7 +86,7 @@ pub(crate) async fn upsert(
     write: &mut Write,
     registration: &NodeRegistration,
     now: Timestamp,
-) -> Result<Node, StoreError> {
+) -> Result<Node> {
     let before = by_name(write.connection().await?, &registration.name).await?;
     let is_replaced = match (&before, registration.worker) {
         (Some(before), Some(worker)) => {
@@ -143,11 +138,7 @@ pub(crate) async fn upsert(
 }
 
 /// Takes a node's tasks away. They are ready again, and the node's next renewal brings the order to stop.
-pub(crate) async fn take_tasks_away(
-    write: &mut Write,
-    node: NodeId,
-    now: Timestamp,
-) -> Result<(), StoreError> {
+pub(crate) async fn take_tasks_away(write: &mut Write, node: NodeId, now: Timestamp) -> Result<()> {
     let held = sqlx::query_scalar!(
         "SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id",
         node.0
@@ -159,7 +150,7 @@ pub(crate) async fn take_tasks_away(
 
 /// Takes the tasks from nodes whose window has ended, if their terms say so. Returns the number of such
 /// nodes.
-pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
+pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32> {
     let rows = node_rows!(
         "WHERE n.terms ->> 'window_end' = 'stop' \
          AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"

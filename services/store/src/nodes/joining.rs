@@ -11,7 +11,8 @@
 use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, Timestamp};
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
+use crate::writing::run;
 use crate::{nodes, tokens};
 
 impl Store {
@@ -21,29 +22,26 @@ impl Store {
         name: &str,
         valid_micros: i64,
         now: Timestamp,
-    ) -> Result<JoinToken, StoreError> {
+    ) -> Result<JoinToken> {
         let token = tokens::random();
         let expires_at = now.plus_micros(valid_micros);
         let mut write = self.write().await?;
         // Expired unused tokens go. Used ones stay, because they record which node used them.
-        sqlx::query!("DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL", now.micros())
-            .execute(write.connection().await?)
-            .await?;
-        sqlx::query!(
+        run!(write, "DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL", now.micros());
+        run!(
+            write,
             "INSERT INTO join_tokens (hash, name, created_at, expires_at) VALUES (?, ?, ?, ?)",
             &tokens::hash(&token)[..],
             name,
             now.micros(),
             expires_at.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         self.commit(write).await?;
         Ok(JoinToken { token, expires_at })
     }
 
     /// Uses a one-time token up: makes the node, and its bearer token with the hash that the machine chose.
-    pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node, StoreError> {
+    pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node> {
         let burnt = tokens::hash(token);
         let mut write = self.write().await?;
         let row = sqlx::query!(
@@ -87,30 +85,26 @@ impl Store {
             )));
         }
         let node = nodes::changing::upsert(&mut write, &request.node, now).await?;
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE join_tokens SET used_at = ?, used_for = ?, node_id = ? WHERE hash = ?",
             now.micros(),
             &request.token_hash.0[..],
             node.id.0,
             &burnt[..]
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         // A machine that replaces another one also revokes its token.
-        sqlx::query!("DELETE FROM tokens WHERE node_id = ?", node.id.0)
-            .execute(write.connection().await?)
-            .await?;
-        let inserted = sqlx::query!(
+        run!(write, "DELETE FROM tokens WHERE node_id = ?", node.id.0);
+        let inserted = run!(
+            write,
             "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) \
              ON CONFLICT DO NOTHING",
             &request.token_hash.0[..],
             node.name,
             now.micros(),
             node.id.0
-        )
-        .execute(write.connection().await?)
-        .await?;
-        if inserted.rows_affected() == 0 {
+        );
+        if inserted == 0 {
             return Err(StoreError::Conflict("the hash belongs to a token that is in use".to_owned()));
         }
         self.commit(write).await?;

@@ -7,17 +7,13 @@
 use forelight_protocol::{Node, RenderStats};
 
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::leases::LeaseRow;
 use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
+use crate::writing::run;
 
 /// Learns from a finished frame inside the write that stores it.
-pub(crate) async fn learn(
-    write: &mut Write,
-    row: &LeaseRow,
-    node: &Node,
-    stats: &RenderStats,
-) -> Result<(), StoreError> {
+pub(crate) async fn learn(write: &mut Write, row: &LeaseRow, node: &Node, stats: &RenderStats) -> Result<()> {
     let Some(speed) = node.speed_by_class(stats.work_by_class.as_ref()) else { return Ok(()) };
     if !is_lesson(stats) {
         return Ok(());
@@ -43,14 +39,13 @@ pub(crate) async fn learn(
     )
     .fetch_one(write.connection().await?)
     .await?;
-    sqlx::query!(
+    run!(
+        write,
         "UPDATE nodes SET learned_millionths = learned_millionths + ?, learned_jobs = learned_jobs + ? \
          WHERE id = ?",
         moved_mean(learnt.frames, learnt.log_millionths, log),
         i64::from(learnt.frames == 1),
         row.node_id.0
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }

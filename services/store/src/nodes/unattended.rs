@@ -10,7 +10,7 @@ use forelight_protocol::{Job, JobId, Timestamp, Waits};
 use sqlx::SqliteConnection;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::nodes;
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::unattended::why_nobody_works;
@@ -38,7 +38,7 @@ impl Unattended {
 
 impl Store {
     /// The quotes that wait because no node takes tasks. A node is silent after three lease times.
-    pub async fn unattended(&self, ttl: Duration, now: Timestamp) -> Result<Unattended, StoreError> {
+    pub async fn unattended(&self, ttl: Duration, now: Timestamp) -> Result<Unattended> {
         unattended(&mut *self.read().await?, ttl, now).await
     }
 }
@@ -47,7 +47,7 @@ pub(crate) async fn unattended(
     connection: &mut SqliteConnection,
     ttl: Duration,
     now: Timestamp,
-) -> Result<Unattended, StoreError> {
+) -> Result<Unattended> {
     let jobs = sqlx::query_scalar!(
         "SELECT j.id FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
          AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"
@@ -63,11 +63,7 @@ pub(crate) async fn unattended(
 }
 
 /// Whether some node certainly takes tasks. Ignores nodes with calendars; this is enough on most farms.
-async fn somebody_is_there(
-    connection: &mut SqliteConnection,
-    ttl: Duration,
-    now: Timestamp,
-) -> Result<bool, StoreError> {
+async fn somebody_is_there(connection: &mut SqliteConnection, ttl: Duration, now: Timestamp) -> Result<bool> {
     Ok(sqlx::query_scalar!(
         r#"SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?
                           AND coalesce(schedule_set, schedule) IS NULL

@@ -5,7 +5,7 @@ use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Time};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::projection::{Holder, OpenBooking};
 
 /// A booking with its frame's task.
@@ -62,7 +62,7 @@ macro_rules! rows {
 
 impl Store {
     /// The bookings of frames that are not rendered yet, by start.
-    pub async fn open_bookings(&self) -> Result<Vec<OpenBooking>, StoreError> {
+    pub async fn open_bookings(&self) -> Result<Vec<OpenBooking>> {
         let mut connection = self.readers().acquire().await?;
         open(&mut connection).await
     }
@@ -72,7 +72,7 @@ impl Store {
         &self,
         after: Option<(Timestamp, BookingId)>,
         limit: u32,
-    ) -> Result<Vec<Booking>, StoreError> {
+    ) -> Result<Vec<Booking>> {
         let (start, id) = after.map_or((i64::MIN, uuid::Uuid::nil()), |(start, id)| (start.micros(), id.0));
         let rows =
             rows!("AND (b.start_at, b.id) > (?, ?) ORDER BY b.start_at, b.id LIMIT ?", start, id, limit)
@@ -82,16 +82,13 @@ impl Store {
     }
 }
 
-pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBooking>, StoreError> {
+pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBooking>> {
     let rows = rows!("ORDER BY b.start_at, b.id").fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenBooking::from).collect())
 }
 
 /// The bookings of a job's frames that are not rendered yet, by start.
-pub(crate) async fn open_of(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Vec<OpenBooking>, StoreError> {
+pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<OpenBooking>> {
     let rows = rows!("AND j.id = ? ORDER BY b.start_at, b.id", job.0).fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenBooking::from).collect())
 }

@@ -6,7 +6,7 @@ use sqlx::SqliteConnection;
 use crate::budgets::ledger;
 use crate::columns::Unread;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::jobs::{JobRow, job_rows, progress};
 use crate::policy::budgets::spent_and_under_way;
 use forelight_quote::JobForecast;
@@ -46,7 +46,7 @@ pub struct FarmFrame {
 
 impl Store {
     /// The jobs that are booked or being rendered, oldest first.
-    pub async fn farm_jobs(&self, now: Timestamp) -> Result<Vec<FarmJob>, StoreError> {
+    pub async fn farm_jobs(&self, now: Timestamp) -> Result<Vec<FarmJob>> {
         let mut transaction = self.read().await?;
         let rows = job_rows!("WHERE state IN ('booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
@@ -59,11 +59,7 @@ impl Store {
     }
 }
 
-async fn farm_job(
-    connection: &mut SqliteConnection,
-    mut row: JobRow,
-    now: Timestamp,
-) -> Result<FarmJob, StoreError> {
+async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Timestamp) -> Result<FarmJob> {
     let job = JobId::from(row.id);
     let (forecast, factor) = (row.forecast.take(), row.factor);
     let done = progress::of_job(connection, job).await?;
@@ -107,7 +103,7 @@ async fn farm_job(
 }
 
 /// Booked cost of the parts of a job's shared irradiance cache, in micro-units.
-async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64, StoreError> {
+async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64> {
     let parts = sqlx::query!(
         r#"SELECT b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
            FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id

@@ -5,12 +5,12 @@ use sqlx::SqliteConnection;
 
 use crate::columns::{Id, corrupt};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::shared_cache::parts;
 
 impl Store {
     /// The plans, newest first, after the one that `before` names, at most `limit`.
-    pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>, StoreError> {
+    pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>> {
         let rows = sqlx::query!(
             r#"SELECT p.id, p.parent_id, p.reason, p.causes, p.created_at,
                       (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id) AS "bookings!: u64" FROM plans p
@@ -35,7 +35,7 @@ impl Store {
     }
 
     /// The last bookings and verdicts that earlier plans gave to each job of this plan.
-    pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>), StoreError> {
+    pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>)> {
         let mut transaction = self.read().await?;
         let rows = sqlx::query!(
             r#"SELECT j.job_id AS "job_id!: String",
@@ -61,13 +61,13 @@ impl Store {
     }
 
     /// The newest plan; `None` before the first.
-    pub async fn newest_plan(&self) -> Result<Option<PlanId>, StoreError> {
+    pub async fn newest_plan(&self) -> Result<Option<PlanId>> {
         let mut connection = self.readers().acquire().await?;
         newest(&mut connection).await
     }
 
     /// A plan.
-    pub async fn plan(&self, plan: PlanId) -> Result<Plan, StoreError> {
+    pub async fn plan(&self, plan: PlanId) -> Result<Plan> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!("SELECT * FROM plans WHERE id = ?", plan.0)
             .fetch_optional(&mut *transaction)
@@ -95,7 +95,7 @@ impl Store {
     }
 }
 
-pub(crate) async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, StoreError> {
+pub(crate) async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>> {
     // By row number, not by id: ids sort by the clock, which may have been set back.
     let id = sqlx::query_scalar!("SELECT id FROM plans ORDER BY rowid DESC LIMIT 1")
         .fetch_optional(connection)
@@ -108,7 +108,7 @@ pub(crate) async fn bookings_of(
     connection: &mut SqliteConnection,
     plan: PlanId,
     job: JobId,
-) -> Result<Vec<Booking>, StoreError> {
+) -> Result<Vec<Booking>> {
     Ok(sqlx::query_as!(
         Booking,
         r#"SELECT id, plan_id, job_id, frame, node_id, start_at AS start, end_at AS "end" FROM bookings

@@ -9,8 +9,9 @@ use sqlx::SqliteConnection;
 use crate::columns::Json;
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::replans::{add_cause, causes_left};
+use crate::writing::run;
 
 /// The causes that a new plan has to take into account.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
@@ -25,48 +26,44 @@ pub struct Wanted {
 
 impl Store {
     /// The causes that no plan has taken into account yet.
-    pub async fn wanted_plan(&self) -> Result<Wanted, StoreError> {
+    pub async fn wanted_plan(&self) -> Result<Wanted> {
         let mut connection = self.readers().acquire().await?;
         read(&mut connection).await
     }
 
     /// Asks for a new plan.
-    pub async fn want_plan(&self, cause: &str) -> Result<(), StoreError> {
+    pub async fn want_plan(&self, cause: &str) -> Result<()> {
         let mut write = self.write().await?;
         want(&mut write, cause).await?;
         self.commit(write).await
     }
 
     /// Records that planning up to this count found nothing to change.
-    pub async fn plan_still_good(&self, wanted: &Wanted) -> Result<(), StoreError> {
+    pub async fn plan_still_good(&self, wanted: &Wanted) -> Result<()> {
         let mut write = self.write().await?;
         planned(&mut write, wanted).await?;
         self.commit(write).await
     }
 }
 
-async fn read(connection: &mut SqliteConnection) -> Result<Wanted, StoreError> {
+async fn read(connection: &mut SqliteConnection) -> Result<Wanted> {
     let row = sqlx::query!("SELECT wanted, planned, causes FROM replans").fetch_one(connection).await?;
     Ok(Wanted { count: row.wanted, causes: row.causes.0, due: row.wanted > row.planned })
 }
 
 /// Records a cause inside a write. The same cause is kept once.
-pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<(), StoreError> {
+pub(crate) async fn want(write: &mut Write, cause: &str) -> Result<()> {
     let mut causes = read(write.connection().await?).await?.causes;
     add_cause(&mut causes, cause);
-    sqlx::query!("UPDATE replans SET wanted = wanted + 1, causes = ?", Json(&causes))
-        .execute(write.connection().await?)
-        .await?;
+    run!(write, "UPDATE replans SET wanted = wanted + 1, causes = ?", Json(&causes));
     write.wants_plan = true;
     Ok(())
 }
 
 /// Records inside a write that these causes were taken into account.
-pub(crate) async fn planned(write: &mut Write, wanted: &Wanted) -> Result<(), StoreError> {
+pub(crate) async fn planned(write: &mut Write, wanted: &Wanted) -> Result<()> {
     let now = read(write.connection().await?).await?;
     let rest = causes_left(&now.causes, now.count, wanted.count, wanted.causes.len());
-    sqlx::query!("UPDATE replans SET planned = max(planned, ?), causes = ?", wanted.count, Json(rest))
-        .execute(write.connection().await?)
-        .await?;
+    run!(write, "UPDATE replans SET planned = max(planned, ?), causes = ?", wanted.count, Json(rest));
     Ok(())
 }

@@ -6,8 +6,9 @@ use sqlx::SqliteConnection;
 
 use crate::database::Store;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::learning::{ALL_FRAMES, Residuals, experience, is_learnt_from};
+use crate::writing::run;
 use forelight_quote::{JobForecast, QuoteBasis, QuoteKind, Spreads};
 
 /// A quote learns from at most this many finished jobs, the newest: renderers, scenes and machines change
@@ -16,7 +17,7 @@ const WINDOW: u32 = 200;
 
 impl Store {
     /// The kinds of quotes with finished jobs, and the number of these jobs.
-    pub async fn learnt_kinds(&self) -> Result<Vec<(QuoteKind, u64)>, StoreError> {
+    pub async fn learnt_kinds(&self) -> Result<Vec<(QuoteKind, u64)>> {
         let rows = sqlx::query!(
             "SELECT renderer, feature_class, count(*) AS \"jobs!: u64\" FROM quotes \
              WHERE learnt_at IS NOT NULL GROUP BY 1, 2 ORDER BY 1, 2"
@@ -33,7 +34,7 @@ impl Store {
     }
 
     /// The experience from the newest finished jobs of this kind.
-    pub async fn experience(&self, kind: &QuoteKind) -> Result<Experience, StoreError> {
+    pub async fn experience(&self, kind: &QuoteKind) -> Result<Experience> {
         let rows = sqlx::query!(
             "SELECT s.job_id, s.frame, s.work_residual, s.cpu_residual FROM quote_spreads s \
              WHERE s.job_id IN (SELECT job_id FROM quotes WHERE renderer = ? AND feature_class = ? \
@@ -61,15 +62,14 @@ pub(crate) async fn keep(
     forecast: &JobForecast,
     frames: &[FrameForecast],
     basis: &QuoteBasis,
-) -> Result<(), StoreError> {
-    sqlx::query!(
+) -> Result<()> {
+    run!(
+        write,
         "INSERT INTO quotes (job_id, renderer, feature_class) VALUES (?, ?, ?)",
         job.0,
         basis.kind.renderer,
         basis.kind.feature_class
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     let total = (ALL_FRAMES, forecast.total.work, forecast.total.cpu_seconds, basis.total);
     let each = frames.iter().zip(&basis.frames);
     let each = each.map(|(frame, &spreads)| (i64::from(frame.frame), frame.work, frame.cpu_seconds, spreads));
@@ -85,7 +85,7 @@ async fn keep_one(
     frame: i64,
     (work, cpu): (Quantiles, Quantiles),
     spreads: Spreads,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     sqlx::query!(
         "INSERT INTO quote_spreads (job_id, frame, work_mean, work_spread, cpu_mean, cpu_spread) \
          VALUES (?, ?, ?, ?, ?, ?)",
@@ -103,7 +103,7 @@ async fn keep_one(
 
 /// Stores the residuals of the job's quote, inside the write that finishes the job. Does nothing without a
 /// stored basis.
-pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
+pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
     let rows = sqlx::query!(
         r#"SELECT s.frame AS "frame!: i64", s.work_mean AS "work_mean!: f64", s.work_spread AS "work_spread!: f64",
                   s.cpu_mean AS "cpu_mean!: f64", s.cpu_spread AS "cpu_spread!: f64",
@@ -121,18 +121,15 @@ pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Resu
         if !is_learnt_from(row.frame, place, rows.len()) {
             continue;
         }
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE quote_spreads SET work_residual = ?, cpu_residual = ? WHERE job_id = ? AND frame = ?",
             residual(row.work_mean, row.work_spread, row.actual_work),
             residual(row.cpu_mean, row.cpu_spread, row.actual_cpu),
             job.0,
             row.frame
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
-    sqlx::query!("UPDATE quotes SET learnt_at = ? WHERE job_id = ?", now.micros(), job.0)
-        .execute(write.connection().await?)
-        .await?;
+    run!(write, "UPDATE quotes SET learnt_at = ? WHERE job_id = ?", now.micros(), job.0);
     Ok(())
 }

@@ -3,11 +3,12 @@
 use forelight_protocol::{JobId, JobState, Ladders, Timestamp};
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::job_state;
 use crate::jobs;
 use crate::shared_cache::PlannedCache;
 use crate::tasks::{Common, ProfileAsked};
+use crate::writing::run;
 
 impl Store {
     /// Makes the profile tasks of these frames and, if wanted, the plan of the cache that all frames could
@@ -18,7 +19,7 @@ impl Store {
         frames: &[u32],
         plan_cache: bool,
         now: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
         if row.state.0 != JobState::Previewing {
@@ -42,9 +43,7 @@ impl Store {
         if plan_cache {
             common.cache_plan(&mut write, row.frame_set()?.iter().collect()).await?;
         }
-        sqlx::query!("UPDATE jobs SET state = 'profiling' WHERE id = ?", job.0)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "UPDATE jobs SET state = 'profiling' WHERE id = ?", job.0);
         job_state(&mut write, job, JobState::Profiling, None, now)?;
         self.commit(write).await
     }
@@ -52,12 +51,7 @@ impl Store {
     /// Makes profile tasks of more frames, with the planned shared cache if there is one. Does nothing unless
     /// the job is `profiling` and none of the frames was asked for before, so it may be repeated after a
     /// crash.
-    pub async fn profile_more(
-        &self,
-        job: JobId,
-        frames: &[u32],
-        planned: &PlannedCache,
-    ) -> Result<(), StoreError> {
+    pub async fn profile_more(&self, job: JobId, frames: &[u32], planned: &PlannedCache) -> Result<()> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
         let asked: Vec<u32> = sqlx::query_scalar!(

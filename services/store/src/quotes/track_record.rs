@@ -9,7 +9,7 @@ use sqlx::{SqliteConnection, query};
 
 use crate::columns::Time;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 
 /// Rows with hits and errors, counted over frames or jobs with forecast and actual.
 macro_rules! coverage_rows {
@@ -77,7 +77,7 @@ pub struct FinishedJob {
 
 impl Store {
     /// The newest finished jobs, at most `limit`, the oldest of them first.
-    pub async fn finished_jobs(&self, limit: u32) -> Result<Vec<FinishedJob>, StoreError> {
+    pub async fn finished_jobs(&self, limit: u32) -> Result<Vec<FinishedJob>> {
         let jobs = of_finished_jobs!(
             query!(
                 "SELECT finished_at AS \"finished!: Time\", coalesce(calibrated, 0) AS \"calibrated!: bool\", \
@@ -106,7 +106,7 @@ impl Store {
         &self,
         before: Option<(Timestamp, JobId, u32)>,
         limit: u32,
-    ) -> Result<TrackRecord, StoreError> {
+    ) -> Result<TrackRecord> {
         let mut transaction = self.read().await?;
         let mut record = totals(&mut transaction).await?;
         let (at, job, frame) = before.map_or((i64::MAX, uuid::Uuid::max(), i64::MAX), |(at, job, frame)| {
@@ -147,7 +147,7 @@ fn quantiles([mean, p50, p80, p95]: [f64; 4]) -> Quantiles {
 }
 
 /// The record over all finished frames, without any of them.
-pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRecord, StoreError> {
+pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRecord> {
     let row = coverage_rows!(
         "sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
          sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
@@ -171,7 +171,7 @@ pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRec
     })
 }
 
-async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>, StoreError> {
+async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>> {
     let of_frames = coverage_rows!(
         "q.renderer AS \"renderer?\", q.feature_class AS \"feature_class?\", \
          coalesce(json_extract(j.forecast, '$.calibrated'), 0) AS \"calibrated!: bool\"",

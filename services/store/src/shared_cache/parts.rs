@@ -7,9 +7,10 @@ use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Json, Time};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::projection::{Holder, OpenCachePart};
 use crate::policy::shared_cache::{self, Filled, PartDone, part_done};
+use crate::writing::run;
 
 /// A booking of a part.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -27,7 +28,7 @@ pub struct NewPartBooking {
 impl Store {
     /// The booked parts of caches that are not full yet, by start. A part stays open between its rounds, and
     /// while other parts are filled.
-    pub async fn open_cache_parts(&self) -> Result<Vec<OpenCachePart>, StoreError> {
+    pub async fn open_cache_parts(&self) -> Result<Vec<OpenCachePart>> {
         let mut connection = self.readers().acquire().await?;
         open(&mut connection).await
     }
@@ -91,15 +92,12 @@ macro_rules! rows {
     };
 }
 
-pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenCachePart>, StoreError> {
+pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenCachePart>> {
     let rows = rows!("").fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenCachePart::from).collect())
 }
 
-pub(crate) async fn open_of(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Vec<OpenCachePart>, StoreError> {
+pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<OpenCachePart>> {
     let rows = rows!("AND j.id = ?", job.0).fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenCachePart::from).collect())
 }
@@ -108,7 +106,7 @@ pub(crate) async fn open_of(
 pub(crate) async fn of_plan(
     connection: &mut SqliteConnection,
     plan: uuid::Uuid,
-) -> Result<Vec<SharedCacheBooking>, StoreError> {
+) -> Result<Vec<SharedCacheBooking>> {
     Ok(sqlx::query_as!(
         SharedCacheBooking,
         r#"SELECT job_id, part, node_id, start_at AS start, end_at AS "end" FROM shared_cache_bookings WHERE plan_id = ?
@@ -124,9 +122,10 @@ pub(crate) async fn keep_bookings(
     plan: uuid::Uuid,
     job: JobId,
     bookings: &[NewPartBooking],
-) -> Result<(), StoreError> {
+) -> Result<()> {
     for booking in bookings {
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
              VALUES (?, ?, ?, ?, ?, ?)",
             plan,
@@ -135,9 +134,7 @@ pub(crate) async fn keep_bookings(
             booking.node.0,
             booking.start.micros(),
             booking.end.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     Ok(())
 }
@@ -146,7 +143,7 @@ pub(crate) async fn keep_bookings(
 pub(crate) async fn progress(
     connection: &mut SqliteConnection,
     job: JobId,
-) -> Result<Option<SharedCacheProgress>, StoreError> {
+) -> Result<Option<SharedCacheProgress>> {
     let forecast = sqlx::query_scalar!(
         r#"SELECT json_extract(forecast, '$.cache.shared_cache') AS "forecast?: Json<SharedCacheForecast>" FROM jobs WHERE id = ?"#,
         job.0

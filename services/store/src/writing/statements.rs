@@ -8,7 +8,7 @@ use sqlx::error::BoxDynError;
 use sqlx::sqlite::{SqliteArguments, SqliteConnection};
 use sqlx::{Arguments as _, AssertSqlSafe, Encode, Executor as _, Sqlite, Type};
 
-use crate::error::StoreError;
+use crate::error::Result;
 
 /// Most statements in one text. A text is prepared as a whole, which pays only if it comes again; a write may
 /// defer thousands of statements, one for each frame of a job.
@@ -67,7 +67,7 @@ impl Statements {
     }
 
     /// Fails if a value could not be bound. Call it before sending.
-    pub fn check(&mut self) -> Result<(), StoreError> {
+    pub fn check(&mut self) -> Result<()> {
         match self.failed.take() {
             Some(error) => Err(sqlx::Error::Encode(error).into()),
             None => Ok(()),
