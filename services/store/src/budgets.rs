@@ -62,8 +62,7 @@ impl Store {
 
     /// All budgets with their current spending, by project and period.
     pub async fn budgets(&self, now: Timestamp) -> Result<Vec<Budget>> {
-        let mut transaction = self.read().await?;
-        budgets(&mut transaction, now).await
+        budgets(&mut *self.read().await?, now).await
     }
 
     /// Puts actions into force that spending calls for, and ends those of past periods. Writes only if
@@ -163,7 +162,7 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32> {
             budget.period.name()
         );
         let message = policy::message(budget, *action);
-        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) })?;
+        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) });
     }
     // A budget that was just set again has no action, but may have had one.
     let kept = kept(write.connection().await?).await?;

@@ -40,7 +40,7 @@ impl Store {
             now.micros()
         );
         let bundle = read(write.connection().await?, bundle_id).await?;
-        record(&mut write, key, 201, &bundle, now)?;
+        record(&mut write, key, 201, &bundle, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(bundle))
     }
@@ -52,19 +52,13 @@ impl Store {
 }
 
 async fn read(connection: &mut SqliteConnection, bundle: BundleId) -> Result<Bundle> {
-    let row = sqlx::query!(
+    let bundle = sqlx::query_as!(
+        Bundle,
         "SELECT b.id, b.hash, b.scene, b.created_at, a.size FROM bundles b \
          JOIN artifacts a ON a.hash = b.hash WHERE b.id = ?",
         bundle.0
     )
     .fetch_optional(connection)
-    .await?
-    .ok_or(StoreError::NotFound("bundle"))?;
-    Ok(Bundle {
-        id: row.id.into(),
-        hash: row.hash.into(),
-        size: row.size,
-        scene: row.scene.0,
-        created_at: row.created_at.into(),
-    })
+    .await?;
+    bundle.ok_or(StoreError::NotFound("bundle"))
 }

@@ -140,7 +140,7 @@ impl Store {
         );
         if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
             later!(write, "UPDATE jobs SET state = 'rendering' WHERE id = ?", job_id.0);
-            job_state(&mut write, job_id, JobState::Rendering, None, now)?;
+            job_state(&mut write, job_id, JobState::Rendering, None, now);
         }
         append(
             &mut write,
@@ -152,8 +152,8 @@ impl Store {
                 node_id: Some(node.id),
                 ..event(EventKind::TaskLeased, now)
             },
-        )?;
-        record(&mut write, key, 200, &lease, now)?;
+        );
+        record(&mut write, key, 200, &lease, now);
         self.commit(write).await?;
         Ok(Some(Answered::Fresh(lease)))
     }

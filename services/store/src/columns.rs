@@ -4,7 +4,8 @@
 use std::marker::PhantomData;
 
 use forelight_protocol::{
-    ArtifactHash, BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, TaskId, Timestamp,
+    ArtifactHash, BookingId, BudgetForecast, BundleId, JobId, JobState, LeaseId, LogLevel, NodeId, PlanId,
+    SceneSummary, TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -15,21 +16,27 @@ use sqlx::{Decode, Encode, Sqlite, Type};
 use uuid::Uuid;
 
 use crate::error::{Result, StoreError};
+use crate::leases::LeaseState;
 
 /// The error for a column value that this program never writes.
 pub(crate) fn corrupt(column: &str, reason: impl std::fmt::Display) -> StoreError {
     StoreError::Corrupt(format!("column {column}: {reason}"))
 }
 
+macro_rules! text {
+    ($($name:ident),*) => {
+        $(impl<T> Type<Sqlite> for $name<T> {
+            fn type_info() -> SqliteTypeInfo {
+                <str as Type<Sqlite>>::type_info()
+            }
+        })*
+    };
+}
+text!(Json, Unread, Word);
+
 /// A wire type as JSON.
 #[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Json<T>(pub T);
-
-impl<T> Type<Sqlite> for Json<T> {
-    fn type_info() -> SqliteTypeInfo {
-        <str as Type<Sqlite>>::type_info()
-    }
-}
 
 impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Json<T> {
     fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
@@ -57,12 +64,6 @@ impl<T: DeserializeOwned> Unread<T> {
     }
 }
 
-impl<T> Type<Sqlite> for Unread<T> {
-    fn type_info() -> SqliteTypeInfo {
-        <str as Type<Sqlite>>::type_info()
-    }
-}
-
 impl<'r, T> Decode<'r, Sqlite> for Unread<T> {
     fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
         Ok(Self { text: <String as Decode<Sqlite>>::decode(value)?, wire_type: PhantomData })
@@ -72,12 +73,6 @@ impl<'r, T> Decode<'r, Sqlite> for Unread<T> {
 /// A value of an enumeration, by its JSON name.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Word<T>(pub T);
-
-impl<T> Type<Sqlite> for Word<T> {
-    fn type_info() -> SqliteTypeInfo {
-        <str as Type<Sqlite>>::type_info()
-    }
-}
 
 impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Word<T> {
     fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
@@ -119,6 +114,18 @@ macro_rules! from_id {
     };
 }
 from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, TaskId);
+
+macro_rules! from_column {
+    ($($column:ident<$name:ty>),* $(,)?) => {
+        $(impl From<$column<$name>> for $name {
+            fn from(column: $column<$name>) -> Self {
+                column.0
+            }
+        })*
+    };
+}
+from_column!(Json<BudgetForecast>, Json<SceneSummary>, Json<TaskSpec>);
+from_column!(Word<JobState>, Word<LeaseState>, Word<LogLevel>, Word<TaskKind>);
 
 /// A BLAKE3 hash, 32 bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

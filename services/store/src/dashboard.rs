@@ -56,8 +56,7 @@ impl Store {
     /// The farm's counts.
     pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts> {
         let silent_since = now.plus_micros(-silent_after(ttl));
-        let mut transaction = self.read().await?;
-        counts(&mut transaction, silent_since).await
+        counts(&mut *self.read().await?, silent_since).await
     }
 }
 
@@ -156,19 +155,12 @@ async fn dashboard_nodes(
 }
 
 async fn activity(connection: &mut SqliteConnection, node: NodeId) -> Result<Option<NodeActivity>> {
-    let task = sqlx::query!(
-        r#"SELECT id, kind, job_id, frame, progress, started_at AS "started_at!" FROM tasks
+    Ok(sqlx::query_as!(
+        NodeActivity,
+        r#"SELECT id AS task_id, kind, job_id, frame, progress, started_at AS "started!" FROM tasks
            WHERE node_id = ? AND state = 'leased' ORDER BY started_at DESC, id LIMIT 1"#,
         node.0
     )
     .fetch_optional(connection)
-    .await?;
-    Ok(task.map(|task| NodeActivity {
-        task_id: task.id.into(),
-        kind: task.kind.0,
-        job_id: task.job_id.into(),
-        frame: task.frame,
-        progress: task.progress,
-        started: task.started_at.into(),
-    }))
+    .await?)
 }

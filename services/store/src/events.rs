@@ -1,6 +1,6 @@
 //! The farm's events, in one order.
 
-use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, Timestamp};
+use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, NodeId, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::columns::Json;
@@ -33,7 +33,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
 }
 
 /// Appends an event. The database assigns its id.
-pub(crate) fn append(write: &mut Write, event: Event) -> Result<()> {
+pub(crate) fn append(write: &mut Write, event: Event) {
     later!(
         write,
         "INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)",
@@ -43,7 +43,6 @@ pub(crate) fn append(write: &mut Write, event: Event) -> Result<()> {
         Json(&event)
     );
     write.wrote_events = true;
-    Ok(())
 }
 
 /// Appends the event of a job's new state.
@@ -53,11 +52,14 @@ pub(crate) fn job_state(
     state: JobState,
     message: Option<String>,
     now: Timestamp,
-) -> Result<()> {
-    append(
-        write,
-        Event { job_id: Some(job), job_state: Some(state), message, ..event(EventKind::JobState, now) },
-    )
+) {
+    let of_job = Event { job_id: Some(job), job_state: Some(state), ..event(EventKind::JobState, now) };
+    append(write, Event { message, ..of_job });
+}
+
+/// Appends an event about a node.
+pub(crate) fn node_event(write: &mut Write, kind: EventKind, node: NodeId, message: String, now: Timestamp) {
+    append(write, Event { node_id: Some(node), message: Some(message), ..event(kind, now) });
 }
 
 pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<()> {
@@ -91,28 +93,16 @@ pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Res
 impl Store {
     /// The events after the event `after`, oldest first, at most `limit`; of one job, or of the whole farm.
     pub async fn events_after(&self, job: Option<JobId>, after: EventId, limit: u32) -> Result<Vec<Event>> {
+        macro_rules! rows {
+            ($rest:literal $(, $value:expr)*) => {
+                sqlx::query_as!(EventRow, "SELECT id, body FROM events WHERE " + $rest $(, $value)*)
+                    .fetch_all(self.readers())
+                    .await?
+            };
+        }
         let rows = match job {
-            Some(job) => {
-                sqlx::query_as!(
-                    EventRow,
-                    "SELECT id, body FROM events WHERE job_id = ? AND id > ? ORDER BY id LIMIT ?",
-                    job.0,
-                    after,
-                    limit
-                )
-                .fetch_all(self.readers())
-                .await?
-            }
-            None => {
-                sqlx::query_as!(
-                    EventRow,
-                    "SELECT id, body FROM events WHERE id > ? ORDER BY id LIMIT ?",
-                    after,
-                    limit
-                )
-                .fetch_all(self.readers())
-                .await?
-            }
+            Some(job) => rows!("job_id = ? AND id > ? ORDER BY id LIMIT ?", job.0, after, limit),
+            None => rows!("id > ? ORDER BY id LIMIT ?", after, limit),
         };
         Ok(rows.into_iter().map(Event::from).collect())
     }

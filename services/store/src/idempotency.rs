@@ -52,8 +52,7 @@ pub enum Answered<T> {
 impl Store {
     /// The earlier answer to this request. [`StoreError::KeyReused`] if the key was used for another request.
     pub async fn recorded_answer(&self, key: &IdempotencyKey) -> Result<Option<RecordedAnswer>> {
-        let mut connection = self.readers().acquire().await?;
-        lookup(&mut connection, key).await
+        lookup(&mut *self.readers().acquire().await?, key).await
     }
 }
 
@@ -90,8 +89,8 @@ pub(crate) fn record(
     status: u16,
     body: &impl Serialize,
     now: Timestamp,
-) -> Result<()> {
-    let Some(key) = key else { return Ok(()) };
+) {
+    let Some(key) = key else { return };
     later!(
         write,
         "INSERT INTO idempotency (principal, key, request_hash, status, body, created_at) \
@@ -103,7 +102,6 @@ pub(crate) fn record(
         Json(body),
         now.micros()
     );
-    Ok(())
 }
 
 /// Deletes answers that are more than a day old.

@@ -84,8 +84,7 @@ pub(crate) use job_rows;
 impl Store {
     /// A job.
     pub async fn job(&self, job: JobId) -> Result<Job> {
-        let mut transaction = self.read().await?;
-        read(&mut transaction, job).await
+        read(&mut *self.read().await?, job).await
     }
 
     /// The jobs submitted before `before`, newest first, at most `limit`.

@@ -38,8 +38,7 @@ pub(crate) mod sweeping;
 use forelight_protocol::{
     Event, EventKind, JobId, JobState, LeaseId, NodeId, TaskId, TaskKind, TaskSpec, Timestamp,
 };
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row as _, SqliteConnection};
+use sqlx::{FromRow, SqliteConnection};
 
 use crate::columns::{Id, Word};
 use crate::database::{Store, Write};
@@ -63,21 +62,29 @@ pub struct LeaseInfo {
 }
 
 /// A lease as the functions of this crate see it.
+#[derive(FromRow)]
 pub(crate) struct LeaseRow {
+    #[sqlx(try_from = "Id")]
     pub id: LeaseId,
+    #[sqlx(try_from = "Word<LeaseState>")]
     pub state: LeaseState,
     pub fence: u64,
+    #[sqlx(try_from = "Id")]
     pub node_id: NodeId,
     /// Speed of the node for the job's classes of work when the lease began: CPU seconds at speed 1 per CPU
     /// second there.
     pub node_speed: f64,
+    #[sqlx(try_from = "Id")]
     pub task_id: TaskId,
+    #[sqlx(try_from = "Id")]
     pub job_id: JobId,
+    #[sqlx(try_from = "Word<TaskKind>")]
     pub kind: TaskKind,
     pub frame: Option<u32>,
     pub failures: u32,
     pub expiries: u32,
     pub progress: f64,
+    #[sqlx(try_from = "Word<JobState>")]
     pub job_state: JobState,
     /// The operator's orders for the node.
     pub pause: bool,
@@ -114,21 +121,15 @@ macro_rules! select_leases {
 impl Store {
     /// The task of a lease, in any state of the lease.
     pub async fn lease(&self, lease: LeaseId) -> Result<LeaseInfo> {
-        let row = sqlx::query!(
+        let lease = sqlx::query_as!(
+            LeaseInfo,
             "SELECT l.fence, l.node_id, l.task_id, t.job_id, t.spec FROM leases l \
              JOIN tasks t ON t.id = l.task_id WHERE l.id = ?",
             lease.0
         )
         .fetch_optional(self.readers())
-        .await?
-        .ok_or(StoreError::NotFound("lease"))?;
-        Ok(LeaseInfo {
-            job_id: row.job_id.into(),
-            task_id: row.task_id.into(),
-            node_id: row.node_id.into(),
-            fence: row.fence,
-            spec: row.spec.0,
-        })
+        .await?;
+        lease.ok_or(StoreError::NotFound("lease"))
     }
 
     /// The node that holds or held a lease.
@@ -140,7 +141,7 @@ impl Store {
 
     /// Refuses a worker that no longer holds its lease, and records the attempt.
     pub(crate) async fn refuse<T>(&self, mut write: Write, row: &LeaseRow, now: Timestamp) -> Result<T> {
-        append(&mut write, row.event(EventKind::LeaseLost, now))?;
+        append(&mut write, row.event(EventKind::LeaseLost, now));
         self.commit(write).await?;
         Err(StoreError::LeaseLost)
     }
@@ -210,7 +211,7 @@ pub(crate) async fn take_back(
         let row = read_in(write, lease).await?;
         end(write, &row, "revoked", now);
         back_to_ready(write, &row, None);
-        append(write, row.event(EventKind::LeaseReleased, now))?;
+        append(write, row.event(EventKind::LeaseReleased, now));
     }
     Ok(())
 }
@@ -231,27 +232,4 @@ pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> R
 pub(crate) async fn read_in(write: &mut Write, lease: LeaseId) -> Result<LeaseRow> {
     let row = write.ask(BY_ID).bind(lease.0).first_row().await?;
     row.ok_or(StoreError::NotFound("lease"))
-}
-
-impl FromRow<'_, SqliteRow> for LeaseRow {
-    fn from_row(row: &SqliteRow) -> Result<Self, sqlx::Error> {
-        Ok(Self {
-            id: row.try_get::<Id, _>("id")?.into(),
-            state: row.try_get::<Word<LeaseState>, _>("state")?.0,
-            fence: row.try_get("fence")?,
-            node_id: row.try_get::<Id, _>("node_id")?.into(),
-            node_speed: row.try_get("node_speed")?,
-            task_id: row.try_get::<Id, _>("task_id")?.into(),
-            job_id: row.try_get::<Id, _>("job_id")?.into(),
-            kind: row.try_get::<Word<TaskKind>, _>("kind")?.0,
-            frame: row.try_get("frame")?,
-            failures: row.try_get("failures")?,
-            expiries: row.try_get("expiries")?,
-            progress: row.try_get("progress")?,
-            job_state: row.try_get::<Word<JobState>, _>("job_state")?.0,
-            pause: row.try_get("pause")?,
-            drain: row.try_get("drain")?,
-            has_calendar: row.try_get("has_calendar")?,
-        })
-    }
 }

@@ -76,7 +76,7 @@ pub(crate) async fn update_after(
     let frames_done = frames.done;
     let live = Comparison { at: now, frames_done, estimate, cost, finish, booked, delay, was_off }.live();
     if !is_given_up {
-        tell(write, job, quoted.plan, &live, was_off)?;
+        tell(write, job, quoted.plan, &live, was_off);
     }
     if !is_over && let Some(cause) = living::cause_of_plan(&live, was_off, quoted.factor, &quoted.job_name) {
         replans::want(write, &cause).await?;
@@ -207,7 +207,7 @@ async fn delay_that_counts(
 }
 
 /// Writes an event for each figure that left the booking or came back to it.
-fn tell(write: &mut Write, job: JobId, plan: PlanId, live: &LiveForecast, was_off: Off) -> Result<()> {
+fn tell(write: &mut Write, job: JobId, plan: PlanId, live: &LiveForecast, was_off: Off) {
     for living::News { is_off, message, off } in living::news(live, was_off) {
         let kind = if is_off { EventKind::JobOffForecast } else { EventKind::JobOnForecast };
         append(
@@ -219,7 +219,6 @@ fn tell(write: &mut Write, job: JobId, plan: PlanId, live: &LiveForecast, was_of
                 message: Some(message),
                 ..event(kind, live.at)
             },
-        )?;
+        );
     }
-    Ok(())
 }

@@ -78,14 +78,12 @@ impl Store {
 
     /// A node.
     pub async fn node(&self, node: NodeId) -> Result<Node> {
-        let mut connection = self.readers().acquire().await?;
-        read(&mut connection, node).await
+        read(&mut *self.readers().acquire().await?, node).await
     }
 
     /// The nodes after `after`, oldest first, at most `limit`.
     pub async fn nodes(&self, after: Option<NodeId>, limit: u32) -> Result<Vec<Node>> {
-        let mut connection = self.readers().acquire().await?;
-        list(&mut connection, after, limit).await
+        list(&mut *self.readers().acquire().await?, after, limit).await
     }
 }
 

@@ -121,7 +121,7 @@ impl Store {
                 )
                 .await?;
         }
-        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) })?;
+        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) });
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
         if let Some(cache) = &plan.shared_cache {
             parts::keep_bookings(&mut write, plan_id.0, job, &cache.bookings).await?;
@@ -133,7 +133,7 @@ impl Store {
             return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
         living::update(&mut write, job, Occasion::Booked, now).await?;
-        job_state(&mut write, job, JobState::Booked, None, now)?;
+        job_state(&mut write, job, JobState::Booked, None, now);
         self.commit(write).await?;
         Ok(plan_id)
     }
@@ -192,7 +192,7 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         let told =
             Event { job_id: Some(job_id), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) };
         let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));
-        append(write, Event { message, ..told })?;
+        append(write, Event { message, ..told });
     }
     outlooks::keep(write, &plan.outlooks, now).await?;
     replans::planned(write, &plan.wanted).await?;

@@ -48,8 +48,7 @@ impl Store {
 
     /// All projects that have a share, an open job, or used the farm lately, by name.
     pub async fn projects(&self, now: Timestamp) -> Result<Vec<ProjectUse>> {
-        let mut transaction = self.read().await?;
-        read(&mut transaction, now).await
+        read(&mut *self.read().await?, now).await
     }
 }
 

@@ -95,7 +95,7 @@ impl Store {
             now.micros(),
             row.task_id.0
         );
-        append(&mut write, row.event(EventKind::TaskDone, now))?;
+        append(&mut write, row.event(EventKind::TaskDone, now));
         let state = keep(&mut write, &row, &node, result, now).await?;
         self.commit(write).await?;
         Ok(committed(false, state))
@@ -299,7 +299,7 @@ async fn keep_render(
     let is_last = before.job_state == JobState::Done && row.job_state != JobState::Done;
     if is_last {
         calibration::learn(write, row.job_id, now).await?;
-        job_state(write, row.job_id, JobState::Done, None, now)?;
+        job_state(write, row.job_id, JobState::Done, None, now);
     }
     living::update_after(before, write, row.job_id, Occasion::Frame, now).await?;
     Ok(is_last)

@@ -23,7 +23,7 @@ use uuid::Uuid;
 use crate::columns::Time;
 use crate::database::Store;
 use crate::error::{Result, StoreError};
-use crate::events::{append, event};
+use crate::events::{append, event, node_event};
 use crate::jobs::ending;
 use crate::writing::run;
 
@@ -242,7 +242,7 @@ impl Store {
         .await?;
         for row in elements {
             let message = Some(format!("Slurm job {slurm_id}_{}", row.position));
-            append(&mut write, Event { message, ..of_task!(row, EventKind::TaskSubmitted, now) })?;
+            append(&mut write, Event { message, ..of_task!(row, EventKind::TaskSubmitted, now) });
         }
         self.commit(write).await
     }
@@ -347,7 +347,7 @@ impl Store {
                     .slurm_id
                     .map_or("never submitted".to_owned(), |slurm| format!("job {slurm}_{position}"));
                 let message = Some(format!("Slurm ended it: {outcome} ({number})"));
-                append(&mut write, Event { message, ..of_task!(row, EventKind::SubmissionLost, now) })?;
+                append(&mut write, Event { message, ..of_task!(row, EventKind::SubmissionLost, now) });
             }
         }
         self.commit(write).await
@@ -397,11 +397,7 @@ impl Store {
                 node.cores,
                 now.micros()
             );
-            let message = Some(node.name.clone());
-            append(
-                &mut write,
-                Event { node_id: Some(new), message, ..event(EventKind::NodeRegistered, now) },
-            )?;
+            node_event(&mut write, EventKind::NodeRegistered, new, node.name.clone(), now);
         }
         self.commit(write).await
     }
@@ -430,10 +426,7 @@ impl Store {
     /// Writes an event with the state of the engine.
     pub async fn tell_of_engine(&self, message: &str, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
-        append(
-            &mut write,
-            Event { message: Some(message.to_owned()), ..event(EventKind::EngineState, now) },
-        )?;
+        append(&mut write, Event { message: Some(message.to_owned()), ..event(EventKind::EngineState, now) });
         self.commit(write).await
     }
 }

@@ -47,22 +47,15 @@ impl Store {
         before: Timestamp,
         limit: u32,
     ) -> Result<Vec<KeptNight>> {
-        let rows = sqlx::query!(
-            "SELECT begin_at, end_at, body FROM budget_forecasts WHERE zone = ? AND begin_at < ? \
+        Ok(sqlx::query_as!(
+            KeptNight,
+            "SELECT begin_at AS \"from\", end_at AS until, body AS forecast FROM budget_forecasts WHERE zone = ? AND begin_at < ? \
              ORDER BY begin_at DESC LIMIT ?",
             zone,
             before.micros(),
             limit
         )
         .fetch_all(self.readers())
-        .await?;
-        Ok(rows
-            .into_iter()
-            .map(|row| KeptNight {
-                from: row.begin_at.into(),
-                until: row.end_at.into(),
-                forecast: row.body.0,
-            })
-            .collect())
+        .await?)
     }
 }

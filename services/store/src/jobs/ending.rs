@@ -30,7 +30,7 @@ impl Store {
         }
         withdraw(&mut write, job, now).await?;
         run!(write, "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?", now.micros(), job.0);
-        job_state(&mut write, job, JobState::Cancelled, None, now)?;
+        job_state(&mut write, job, JobState::Cancelled, None, now);
         living::update(&mut write, job, Occasion::Ended, now).await?;
         if current.plan_id.is_some() {
             replans::want(&mut write, &format!("job {} was cancelled", current.name)).await?;
@@ -95,5 +95,6 @@ pub(crate) async fn fail(write: &mut Write, job: JobId, error: &str, now: Timest
     if failed.plan_id.is_some() {
         replans::want(write, &format!("job {} failed", failed.name)).await?;
     }
-    job_state(write, job, JobState::Failed, Some(error.to_owned()), now)
+    job_state(write, job, JobState::Failed, Some(error.to_owned()), now);
+    Ok(())
 }

@@ -38,7 +38,7 @@ pub(crate) async fn keep(write: &mut Write, outlooks: &[(JobId, JobOutlook)], no
             continue;
         };
         let (promise, message) = (outlook.promise.clone(), Some(message));
-        append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) })?;
+        append(write, Event { job_id: Some(*job), promise, message, ..event(kind, now) });
     }
     Ok(())
 }

@@ -93,9 +93,9 @@ impl Store {
                 message: Some(request.name.clone()),
                 ..event(EventKind::JobCreated, now)
             },
-        )?;
+        );
         let job = read(write.connection().await?, job_id).await?;
-        record(&mut write, key, 201, &job, now)?;
+        record(&mut write, key, 201, &job, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(job))
     }

@@ -6,7 +6,7 @@ use crate::columns::Time;
 use crate::database::Store;
 use crate::database::Write;
 use crate::error::Result;
-use crate::events::{append, event};
+use crate::events::{append, node_event};
 use crate::jobs;
 use crate::jobs::ending::fail_task_and_job;
 use crate::leases::{LeaseState, back_to_ready, end, read_in, touch};
@@ -42,7 +42,7 @@ impl Store {
         append(
             &mut write,
             Event { message: Some(error.message.clone()), ..row.event(EventKind::TaskFailed, now) },
-        )?;
+        );
         let failures = row.failures + 1;
         run!(
             write,
@@ -110,14 +110,7 @@ async fn set_aside_if_at_fault(write: &mut Write, node: NodeId, error: &str, now
     if set == 1 {
         let name = nodes::read(write.connection().await?, node).await?.name;
         replans::want(write, &format!("node {name} is set aside")).await?;
-        append(
-            write,
-            Event {
-                node_id: Some(node),
-                message: Some(format!("{name}: {reason}")),
-                ..event(EventKind::NodeSetAside, now)
-            },
-        )?;
+        node_event(write, EventKind::NodeSetAside, node, format!("{name}: {reason}"), now);
     }
     Ok(())
 }

@@ -39,22 +39,13 @@ impl Store {
         if !is_there {
             return Err(StoreError::NotFound("task"));
         }
-        let rows = sqlx::query!(
-            "SELECT fence, number, at, level, line FROM task_logs WHERE task_id = ? ORDER BY fence, number",
+        let lines = sqlx::query_as!(
+            TaskLogLine,
+            "SELECT fence AS attempt, number, at, level, line AS text FROM task_logs WHERE task_id = ? ORDER BY fence, number",
             task.0
         )
         .fetch_all(&mut *read)
         .await?;
-        let lines = rows
-            .into_iter()
-            .map(|row| TaskLogLine {
-                attempt: row.fence,
-                number: row.number,
-                at: row.at.into(),
-                level: row.level.0,
-                text: row.line,
-            })
-            .collect();
         Ok(TaskLog { task_id: task, lines })
     }
 }

@@ -55,10 +55,7 @@ impl Store {
         );
         if progress >= row.progress + PROGRESS_STEP || (progress == 1.0 && row.progress < 1.0) {
             later!(write, "UPDATE tasks SET progress = ? WHERE id = ?", progress, row.task_id.0);
-            append(
-                &mut write,
-                Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) },
-            )?;
+            append(&mut write, Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) });
         }
         if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
             later!(
@@ -90,7 +87,7 @@ impl Store {
         }
         end(&mut write, &row, "released", now);
         back_to_ready(&mut write, &row, None);
-        append(&mut write, row.event(EventKind::LeaseReleased, now))?;
+        append(&mut write, row.event(EventKind::LeaseReleased, now));
         self.commit(write).await
     }
 }

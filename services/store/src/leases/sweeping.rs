@@ -101,7 +101,7 @@ pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept> {
             continue;
         }
         end(write, &row, "expired", now);
-        append(write, row.event(EventKind::LeaseExpired, now))?;
+        append(write, row.event(EventKind::LeaseExpired, now));
         swept.expired += 1;
         let expiries = row.expiries + 1;
         run!(write, "UPDATE tasks SET expiries = ? WHERE id = ?", expiries, row.task_id.0);

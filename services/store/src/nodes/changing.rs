@@ -1,13 +1,11 @@
 //! Registering nodes and changing them.
 
-use forelight_protocol::{
-    Event, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp,
-};
+use forelight_protocol::{EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
 use crate::error::Result;
-use crate::events::{append, event};
+use crate::events::node_event;
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::leases;
 use crate::nodes::{LOST, by_name, has_another_worker, node_rows, read};
@@ -30,7 +28,7 @@ impl Store {
             return Ok(Answered::Repeated(answer));
         }
         let node = upsert(&mut write, registration, now).await?;
-        record(&mut write, key, 201, &node, now)?;
+        record(&mut write, key, 201, &node, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(node))
     }
@@ -63,14 +61,7 @@ impl Store {
             take_tasks_away(&mut write, node, now).await?;
         }
         let changed = read(write.connection().await?, node).await?;
-        append(
-            &mut write,
-            Event {
-                node_id: Some(node),
-                message: Some(changed.name.clone()),
-                ..event(EventKind::NodeChanged, now)
-            },
-        )?;
+        node_event(&mut write, EventKind::NodeChanged, node, changed.name.clone(), now);
         // Waiting claims should look again.
         write.made_work |= may_take_tasks_again(change);
         if let Some(cause) = cause_of(change) {
@@ -126,14 +117,7 @@ pub(crate) async fn upsert(
         }
         Some(_) => {}
     }
-    append(
-        write,
-        Event {
-            node_id: Some(node.id),
-            message: Some(node.name.clone()),
-            ..event(EventKind::NodeRegistered, now)
-        },
-    )?;
+    node_event(write, EventKind::NodeRegistered, node.id, node.name.clone(), now);
     Ok(with_power(node, now))
 }
 

@@ -63,8 +63,7 @@ macro_rules! rows {
 impl Store {
     /// The bookings of frames that are not rendered yet, by start.
     pub async fn open_bookings(&self) -> Result<Vec<OpenBooking>> {
-        let mut connection = self.readers().acquire().await?;
-        open(&mut connection).await
+        open(&mut *self.readers().acquire().await?).await
     }
 
     /// The open bookings after a place in the order of start and id, at most `limit`.

@@ -62,8 +62,7 @@ impl Store {
 
     /// The newest plan; `None` before the first.
     pub async fn newest_plan(&self) -> Result<Option<PlanId>> {
-        let mut connection = self.readers().acquire().await?;
-        newest(&mut connection).await
+        newest(&mut *self.readers().acquire().await?).await
     }
 
     /// A plan.

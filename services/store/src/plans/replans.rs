@@ -27,8 +27,7 @@ pub struct Wanted {
 impl Store {
     /// The causes that no plan has taken into account yet.
     pub async fn wanted_plan(&self) -> Result<Wanted> {
-        let mut connection = self.readers().acquire().await?;
-        read(&mut connection).await
+        read(&mut *self.readers().acquire().await?).await
     }
 
     /// Asks for a new plan.

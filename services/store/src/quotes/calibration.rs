@@ -35,8 +35,9 @@ impl Store {
 
     /// The experience from the newest finished jobs of this kind.
     pub async fn experience(&self, kind: &QuoteKind) -> Result<Experience> {
-        let rows = sqlx::query!(
-            "SELECT s.job_id, s.frame, s.work_residual, s.cpu_residual FROM quote_spreads s \
+        let rows = sqlx::query_as!(
+            Residuals,
+            "SELECT s.job_id AS job, s.frame, s.work_residual AS work, s.cpu_residual AS cpu FROM quote_spreads s \
              WHERE s.job_id IN (SELECT job_id FROM quotes WHERE renderer = ? AND feature_class = ? \
              AND learnt_at IS NOT NULL ORDER BY learnt_at DESC, job_id DESC LIMIT ?) \
              AND (s.work_residual IS NOT NULL OR s.cpu_residual IS NOT NULL) ORDER BY s.job_id, s.frame",
@@ -46,12 +47,7 @@ impl Store {
         )
         .fetch_all(self.readers())
         .await?;
-        Ok(experience(rows.into_iter().map(|row| Residuals {
-            job: row.job_id.into(),
-            frame: row.frame,
-            work: row.work_residual,
-            cpu: row.cpu_residual,
-        })))
+        Ok(experience(rows))
     }
 }
 

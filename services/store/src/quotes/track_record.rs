@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use forelight_protocol::{
     Coverage, JobId, QuantileHits, Quantiles, Timestamp, TrackRecord, TrackRecordKind, TrackRecordRow,
 };
-use sqlx::{SqliteConnection, query};
+use sqlx::{SqliteConnection, query, query_as};
 
 use crate::columns::Time;
 use crate::database::Store;
@@ -78,8 +78,9 @@ pub struct FinishedJob {
 impl Store {
     /// The newest finished jobs, at most `limit`, the oldest of them first.
     pub async fn finished_jobs(&self, limit: u32) -> Result<Vec<FinishedJob>> {
-        let jobs = of_finished_jobs!(
-            query!(
+        Ok(of_finished_jobs!(
+            query_as!(
+                FinishedJob,
                 "SELECT finished_at AS \"finished!: Time\", coalesce(calibrated, 0) AS \"calibrated!: bool\", \
                  work_mean / nullif(actual_work, 0) - 1 AS \"work_error?: f64\", \
                  cpu_mean / nullif(actual_cpu, 0) - 1 AS \"cpu_error?: f64\" FROM (" +
@@ -88,16 +89,7 @@ impl Store {
             limit
         )
         .fetch_all(self.readers())
-        .await?;
-        Ok(jobs
-            .into_iter()
-            .map(|job| FinishedJob {
-                finished: job.finished.into(),
-                calibrated: job.calibrated,
-                work_error: job.work_error,
-                cpu_error: job.cpu_error,
-            })
-            .collect())
+        .await?)
     }
 
     /// The record over all finished frames, and the frames that finished before `before` (a place in the

@@ -29,8 +29,7 @@ impl Store {
     /// The booked parts of caches that are not full yet, by start. A part stays open between its rounds, and
     /// while other parts are filled.
     pub async fn open_cache_parts(&self) -> Result<Vec<OpenCachePart>> {
-        let mut connection = self.readers().acquire().await?;
-        open(&mut connection).await
+        open(&mut *self.readers().acquire().await?).await
     }
 }
 
