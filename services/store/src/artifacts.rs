@@ -84,7 +84,7 @@ impl Artifacts {
         let remote = match at {
             ArtifactPlace::DataFolder => None,
             ArtifactPlace::S3 { bucket, prefix } => {
-                Some(Remote::new(place::open_s3(bucket)?, place::folder(prefix), at.to_string()))
+                Some(Remote::new(place::open_s3(bucket)?, prefix.as_str().into(), at.to_string()))
             }
         };
         Ok(Self { files, remote, writer, readers })
@@ -160,8 +160,7 @@ impl Artifacts {
         if known && remote.holds(&place_of(hash), size).await? {
             return self.remember(hash, size, now).await;
         }
-        // In a task of its own: if the client disconnects meanwhile, no parts of half an upload are left
-        // behind.
+        // In a task of its own, so that a client that disconnects leaves no parts of half an upload behind.
         let (own, remote) = (self.clone(), remote.clone());
         let kept = tokio::spawn(async move {
             remote.upload(&staged.path, &place_of(hash)).await?;

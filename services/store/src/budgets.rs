@@ -33,8 +33,8 @@ struct Kept {
 }
 
 impl Store {
-    /// Sets a budget. It replaces one of the same project and period and ends its action. The time zone must
-    /// be known.
+    /// Sets a budget, whose time zone must be known. It replaces one of the same project and period and ends
+    /// its action.
     pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget> {
         let mut write = self.write().await?;
         run!(
@@ -68,8 +68,7 @@ impl Store {
     /// Puts actions into force that spending calls for, and ends those of past periods. Writes only if
     /// something changes. Returns how many budgets changed.
     pub async fn enforce_budgets(&self, now: Timestamp) -> Result<u32> {
-        // Most farms have no budget, and usually nothing changes: a read without the write lock finds this
-        // out.
+        // Most farms have no budget, and usually nothing changes: reading needs no write lock.
         let mut transaction = self.read().await?;
         let due = due(&mut transaction, now).await?;
         drop(transaction);
@@ -216,8 +215,8 @@ async fn let_go(write: &mut Write, project: &str) -> Result<()> {
     Ok(())
 }
 
-/// Takes back a project's running tasks. The next renewal brings the order to stop, and the tasks become
-/// ready again, but held.
+/// Takes back a project's running tasks. The next renewal brings the order to stop; the tasks are ready but
+/// held.
 async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<()> {
     let running = sqlx::query_scalar!(
         "SELECT l.id FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id \

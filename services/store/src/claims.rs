@@ -13,8 +13,7 @@ use sqlx::{FromRow, SqliteConnection};
 
 use self::asking::{Asking, Offer, OfferedTask, next_task, task_columns};
 use crate::columns::{Json, Word};
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
@@ -103,56 +102,7 @@ impl Store {
             self.commit(write).await?;
             return Ok(None);
         };
-        let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
-        let (spec, work) = (task.spec.0, task.work_by_class.map(|it| it.0));
-        let fence = task.fence + 1;
-        later!(
-            write,
-            "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = \
-             ?, started_at = ? WHERE id = ?",
-            fence,
-            node.id.0,
-            now.micros(),
-            task_id.0
-        );
-        let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
-        let lease = Lease {
-            lease_id: LeaseId::new(),
-            task_id,
-            job_id,
-            fence: fence.unsigned_abs(),
-            expires_at: now.plus_micros(ttl_micros),
-            ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
-            spec,
-            limits: task.limits.0,
-        };
-        later!(
-            write,
-            "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
-                 VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
-            lease.lease_id.0,
-            task_id.0,
-            node.id.0,
-            fence,
-            node.speed_for(work.as_ref()),
-            now.micros(),
-            lease.expires_at.micros()
-        );
-        if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
-            later!(write, "UPDATE jobs SET state = 'rendering' WHERE id = ?", job_id.0);
-            job_state(&mut write, job_id, JobState::Rendering, None, now);
-        }
-        append(
-            &mut write,
-            Event {
-                job_id: Some(job_id),
-                task_id: Some(task_id),
-                task_kind: Some(lease.spec.kind()),
-                frame: lease.spec.frame(),
-                node_id: Some(node.id),
-                ..event(EventKind::TaskLeased, now)
-            },
-        );
+        let lease = lease(&mut write, &node, task, ttl, now);
         record(&mut write, key, 200, &lease, now);
         self.commit(write).await?;
         Ok(Some(Answered::Fresh(lease)))
@@ -163,7 +113,8 @@ impl Store {
     pub async fn may_have_work(&self, node: NodeId, wanted: Option<TaskId>, now: Timestamp) -> Result<bool> {
         let mut connection = self.readers().acquire().await?;
         let some_ran_out = sqlx::query_scalar!(
-            r#"SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?) AS "some_ran_out!: bool""#,
+            r#"SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)
+               AS "some_ran_out!: bool""#,
             now.micros()
         );
         if some_ran_out.fetch_one(&mut *connection).await? {
@@ -187,7 +138,8 @@ impl Store {
     pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>> {
         let mut connection = self.readers().acquire().await?;
         let has_calendar = sqlx::query_scalar!(
-            r#"SELECT coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}' AS "has_calendar!: bool" FROM nodes WHERE id = ?"#,
+            r#"SELECT coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}'
+               AS "has_calendar!: bool" FROM nodes WHERE id = ?"#,
             node.0
         )
         .fetch_optional(&mut *connection)
@@ -196,21 +148,69 @@ impl Store {
     }
 }
 
-/// What a claim reads before it looks for a task. One query answers all three, because the last two are
-/// nearly always negative.
-struct Asker {
-    node: Node,
-    /// The earlier answer to the request with this key.
-    answered: Option<RecordedAnswer>,
-    /// Whether any leases have expired.
-    some_ran_out: bool,
+/// Leases the task to the node, and starts its job if it is the first.
+fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: Timestamp) -> Lease {
+    let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
+    let (spec, work) = (task.spec.0, task.work_by_class.map(|it| it.0));
+    let fence = task.fence + 1;
+    later!(
+        write,
+        "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = \
+         ?, started_at = ? WHERE id = ?",
+        fence,
+        node.id.0,
+        now.micros(),
+        task_id.0
+    );
+    let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
+    let lease = Lease {
+        lease_id: LeaseId::new(),
+        task_id,
+        job_id,
+        fence: fence.unsigned_abs(),
+        expires_at: now.plus_micros(ttl_micros),
+        ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
+        spec,
+        limits: task.limits.0,
+    };
+    later!(
+        write,
+        "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
+         VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
+        lease.lease_id.0,
+        task_id.0,
+        node.id.0,
+        fence,
+        node.speed_for(work.as_ref()),
+        now.micros(),
+        lease.expires_at.micros()
+    );
+    if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
+        later!(write, "UPDATE jobs SET state = 'rendering' WHERE id = ?", job_id.0);
+        job_state(write, job_id, JobState::Rendering, None, now);
+    }
+    let leased = Event {
+        job_id: Some(job_id),
+        task_id: Some(task_id),
+        task_kind: Some(lease.spec.kind()),
+        frame: lease.spec.frame(),
+        node_id: Some(node.id),
+        ..event(EventKind::TaskLeased, now)
+    };
+    append(write, leased);
+    lease
 }
 
+/// What a claim reads before it looks for a task. One query answers all three, because the last two are
+/// nearly always negative.
 #[derive(FromRow)]
-struct AskerRow {
-    #[sqlx(flatten)]
-    node: NodeRow,
+struct Asker {
+    #[sqlx(flatten, try_from = "NodeRow")]
+    node: Node,
+    /// Whether the request with this key was answered before.
     was_answered: bool,
+    #[sqlx(skip)]
+    answered: Option<RecordedAnswer>,
     some_ran_out: bool,
 }
 
@@ -220,7 +220,7 @@ async fn asker(
     key: Option<&IdempotencyKey>,
     now: Timestamp,
 ) -> Result<Asker> {
-    let AskerRow { node, was_answered, some_ran_out } = ask!(
+    let asker: Option<Asker> = ask!(
         write,
         "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
                       ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id, \
@@ -233,10 +233,12 @@ async fn asker(
         node.0
     )
     .first_row()
-    .await?
-    .ok_or(StoreError::NotFound("node"))?;
-    let answered = if was_answered { earlier_answer(write, key).await? } else { None };
-    Ok(Asker { node: node.into(), answered, some_ran_out })
+    .await?;
+    let mut asker = asker.ok_or(StoreError::NotFound("node"))?;
+    if asker.was_answered {
+        asker.answered = earlier_answer(write, key).await?;
+    }
+    Ok(asker)
 }
 
 /// The task that the node should do next, if it may have one.
@@ -336,7 +338,8 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
 pub(crate) const NEXT: &str = concat!(
     "SELECT ",
     task_columns!(),
-    ", kind IN ('cache_fill', 'render') AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
+    ", kind IN ('cache_fill', 'render') AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 \
+     AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
     next_task!(
         "tasks_ready_quotes",
         "kind NOT IN ('cache_fill', 'render')",

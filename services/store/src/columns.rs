@@ -1,5 +1,5 @@
-//! Types of columns. `sqlx.toml` assigns them, so that `query!` and its relatives decode the rows of any
-//! table into them.
+//! Types of columns. `sqlx.toml` assigns them to columns, and `query!` and its relatives decode rows into
+//! them.
 
 use std::marker::PhantomData;
 

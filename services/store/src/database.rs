@@ -15,8 +15,7 @@ use sqlx::sqlite::{
 use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
 
-use crate::artifacts::ArtifactPlace;
-use crate::artifacts::Artifacts;
+use crate::artifacts::{ArtifactPlace, Artifacts};
 use crate::error::{Result, StoreError};
 use crate::writing::{WRITE_TURN, Writer};
 pub(crate) use crate::writing::{Write, run};
@@ -188,8 +187,7 @@ impl Store {
         self.inner.writer.commit(write).await
     }
 
-    /// Stores where artefacts are kept. A farm that restarts with another place would have rows of missing
-    /// files.
+    /// Stores where artefacts are kept. With another place, the farm would have rows of missing files.
     async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<()> {
         let mut write = self.write().await?;
         let known = sqlx::query_scalar!("SELECT place FROM artifact_place")

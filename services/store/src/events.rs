@@ -4,8 +4,7 @@ use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, NodeId, Tim
 use sqlx::SqliteConnection;
 
 use crate::columns::Json;
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::writing::{later, run};
 
@@ -45,7 +44,6 @@ pub(crate) fn append(write: &mut Write, event: Event) {
     write.wrote_events = true;
 }
 
-/// Appends the event of a job's new state.
 pub(crate) fn job_state(
     write: &mut Write,
     job: JobId,
@@ -57,7 +55,6 @@ pub(crate) fn job_state(
     append(write, Event { message, ..of_job });
 }
 
-/// Appends an event about a node.
 pub(crate) fn node_event(write: &mut Write, kind: EventKind, node: NodeId, message: String, now: Timestamp) {
     append(write, Event { node_id: Some(node), message: Some(message), ..event(kind, now) });
 }

@@ -12,8 +12,7 @@ use sqlx::SqliteConnection;
 use forelight_protocol::Timestamp;
 
 use crate::columns::Json;
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::writing::{later, run};
 
@@ -104,7 +103,6 @@ pub(crate) fn record(
     );
 }
 
-/// Deletes answers that are more than a day old.
 pub(crate) async fn forget_old(write: &mut Write, now: Timestamp) -> Result<()> {
     run!(write, "DELETE FROM idempotency WHERE created_at < ?", now.plus_micros(-REMEMBERED).micros());
     Ok(())

@@ -71,9 +71,10 @@ macro_rules! job_rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             $crate::jobs::JobRow,
-            "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, settings, \
-             samples, profile_frames, profiles_more, ladders, cache, within, limits, deadline_at, budget, confidence, \
-             priority, weight, forecast, plan_id, verdict, outlook, factor, error, created_at, finished_at FROM jobs "
+            "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
+             frames_total, settings, samples, profile_frames, profiles_more, ladders, cache, within, limits, \
+             deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
+             error, created_at, finished_at FROM jobs "
                 + $rest
             $(, $value)*
         )
@@ -173,8 +174,7 @@ impl JobRow {
             progress: progress.fraction,
             verdict: self.verdict.map(|it| it.0),
             plan_id: self.plan_id.map(Into::into),
-            // A job with a running frame does not wait, whatever the newest plan says. Its budget may still
-            // hold it.
+            // A job with a running frame does not wait, whatever the plan says. Its budget may still hold it.
             waits: outlook
                 .waits
                 .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),

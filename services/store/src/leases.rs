@@ -71,8 +71,7 @@ pub(crate) struct LeaseRow {
     pub fence: u64,
     #[sqlx(try_from = "Id")]
     pub node_id: NodeId,
-    /// Speed of the node for the job's classes of work when the lease began: CPU seconds at speed 1 per CPU
-    /// second there.
+    /// Speed of the node for the job's classes of work when the lease began, relative to speed 1.
     pub node_speed: f64,
     #[sqlx(try_from = "Id")]
     pub task_id: TaskId,
@@ -200,8 +199,7 @@ pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: T
     }
 }
 
-/// Takes back the tasks of these leases. They are ready again, and the next renewal brings each worker the
-/// order to stop.
+/// Takes back the tasks of these leases. They are ready again; the next renewal tells each worker to stop.
 pub(crate) async fn take_back(
     write: &mut Write,
     leases: impl IntoIterator<Item = LeaseId>,

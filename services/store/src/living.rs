@@ -24,8 +24,7 @@ use crate::columns::Time;
 use crate::database::Write;
 use crate::error::Result;
 use crate::events::{append, event};
-use crate::plans::bookings;
-use crate::plans::replans;
+use crate::plans::{bookings, replans};
 use crate::policy::projection::{project, stretched};
 use crate::shared_cache::parts;
 use forelight_quote::JobForecast;
@@ -150,8 +149,7 @@ fn baseline(before: Option<&Kept>, quoted: &Quoted, estimate: &Estimate) -> Base
     }
 }
 
-/// When the job's last frame is expected if bookings are longer by this factor. `None` if frames have no
-/// booking.
+/// When the job's last frame is expected if bookings are longer by this factor; `None` without bookings.
 async fn expected_finish(
     connection: &mut SqliteConnection,
     job: JobId,

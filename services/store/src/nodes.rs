@@ -50,9 +50,9 @@ macro_rules! node_rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             $crate::nodes::NodeRow,
-            "SELECT n.id, n.name, n.speed, n.speed_set, n.price_per_hour, n.price_set, n.cores, n.drain, n.pause, n.paused, \
-             n.set_aside, n.idle_reason, n.capabilities, n.learned_millionths, n.learned_jobs, n.schedule, n.schedule_set, \
-             n.terms, n.created_at, n.last_seen_at, \
+            "SELECT n.id, n.name, n.speed, n.speed_set, n.price_per_hour, n.price_set, n.cores, n.drain, \
+             n.pause, n.paused, n.set_aside, n.idle_reason, n.capabilities, n.learned_millionths, \
+             n.learned_jobs, n.schedule, n.schedule_set, n.terms, n.created_at, n.last_seen_at, \
              (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
               ORDER BY l.granted_at DESC, l.id LIMIT 1) AS \"task_id?: crate::columns::Id\" FROM nodes n "
                 + $rest
@@ -71,8 +71,8 @@ impl Store {
         }
         let Node { name, .. } = read(&mut connection, node).await?;
         Err(StoreError::Conflict(format!(
-            "another worker has registered as {name:?} and taken the node over; to run both, give each its own \
-             name"
+            "another worker has registered as {name:?} and taken the node over; to run both, \
+             give each its own name"
         )))
     }
 
@@ -113,8 +113,7 @@ pub(crate) async fn by_name(connection: &mut SqliteConnection, name: &str) -> Re
     Ok(row.map(Node::from))
 }
 
-/// The nodes with booked frames that wait, and that get no tasks or were silent for too long since the
-/// service started.
+/// The nodes with waiting booked frames that get no tasks or are lost, counted from the start of the service.
 pub(crate) async fn gone(
     connection: &mut SqliteConnection,
     up_since: Timestamp,
@@ -142,8 +141,8 @@ pub(crate) async fn gone(
 /// A node with an unknown wake-up time asks again after a day.
 const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
 
-/// When a node wakes up; `None` if it is awake. A node without a calendar is not read, because every
-/// heartbeat asks.
+/// When a node wakes up; `None` if it is awake. Every heartbeat asks, so nodes without a calendar are not
+/// read.
 pub(crate) async fn sleep_of(
     connection: &mut SqliteConnection,
     node: NodeId,

@@ -42,8 +42,7 @@ pub struct NewPlan {
     pub jobs: Vec<NewJobPlan>,
     /// New outlooks of jobs: why they wait, and the state of their promises.
     pub outlooks: Vec<(JobId, JobOutlook)>,
-    /// The irradiance cache that the frames of a newly booked job share and wait for; `None` if they share
-    /// none.
+    /// The irradiance cache that the frames of a newly booked job wait for; `None` if they share none.
     pub shared_cache: Option<NewSharedCache>,
 }
 
@@ -54,8 +53,7 @@ pub struct NewJobPlan {
     pub verdict: JobVerdict,
     /// Bookings of its frames that wait for a worker. All other frames keep their bookings.
     pub bookings: Vec<NewBooking>,
-    /// Its frames that were done or with a worker when the plan was made. One that waits again by now keeps
-    /// its booking.
+    /// Its frames that had begun when the plan was made. One that waits again by now keeps its booking.
     pub begun: BTreeSet<u32>,
     /// The factor that the plan applies to its forecast.
     pub factor: f64,
@@ -138,8 +136,8 @@ impl Store {
         Ok(plan_id)
     }
 
-    /// Stores a new plan. A [`StoreError::Conflict`] if another plan was stored since it was begun, or if one
-    /// of its jobs is over.
+    /// Stores a new plan. A [`StoreError::Conflict`] if another plan came first, or if one of its jobs is
+    /// over.
     pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId> {
         let mut write = self.write().await?;
         let plan_id = keep(&mut write, plan, None, now).await?;
@@ -159,8 +157,7 @@ impl Store {
     }
 }
 
-/// Stores a plan inside a write: its jobs and their tasks get its bookings. `fresh` is a job that has no plan
-/// yet.
+/// Stores a plan inside a write: its jobs and their tasks get its bookings. `fresh` is a job without a plan.
 async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Timestamp) -> Result<PlanId> {
     if newest(write.connection().await?).await? != plan.parent {
         return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
@@ -200,20 +197,9 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
 }
 
 /// Books one job of a plan: waiting frames as the plan says, all others as before.
-async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Result<()> {
+async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<()> {
     let job_id = job.verdict.job_id;
-    let mut booked: BTreeMap<u32, NewBooking> = BTreeMap::new();
-    let rows = sqlx::query!(
-        "SELECT b.frame, b.node_id, b.start_at, b.end_at FROM bookings b \
-         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
-        job_id.0
-    )
-    .fetch_all(write.connection().await?)
-    .await?;
-    for row in rows {
-        let (node, start, end) = (row.node_id.into(), row.start_at.into(), row.end_at.into());
-        booked.insert(row.frame, NewBooking { frame: row.frame, node, start, end });
-    }
+    let before = bookings_before(write, job_id).await?;
     let waiting: Vec<u32> = sqlx::query_scalar!(
         "SELECT frame AS \"frame!\" FROM tasks WHERE job_id = ? AND kind = 'render' \
          AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
@@ -221,8 +207,58 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
     )
     .fetch_all(write.connection().await?)
     .await?;
-    let Rebooked { bookings, tasks } = rebook(booked, &waiting, &job.bookings, &job.begun);
-    let of_job = rates(write.connection().await?, job_id).await?;
+    let Rebooked { bookings, tasks } = rebook(before, &waiting, &job.bookings, &job.begun);
+    book_tasks(write, job_id, tasks).await?;
+    for NewBooking { frame, node, start, end } in bookings.into_values() {
+        run!(
+            write,
+            "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) \
+             VALUES (?, ?, ?, ?, ?, ?, ?)",
+            BookingId::new().0,
+            plan.0,
+            job_id.0,
+            frame,
+            node.0,
+            start.micros(),
+            end.micros()
+        );
+    }
+    // Parts of a shared cache keep their bookings.
+    run!(
+        write,
+        "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
+         SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \
+         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
+        plan.0,
+        job_id.0
+    );
+    run!(
+        write,
+        "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?",
+        plan.0,
+        Json(&job.verdict),
+        job.factor,
+        job_id.0
+    );
+    Ok(())
+}
+
+/// The bookings of the job's present plan, by frame.
+async fn bookings_before(write: &mut Write, job: JobId) -> Result<BTreeMap<u32, NewBooking>> {
+    let rows = sqlx::query_as!(
+        NewBooking,
+        "SELECT b.frame, b.node_id AS node, b.start_at AS start, b.end_at AS \"end\" FROM bookings b \
+         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
+        job.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    Ok(rows.into_iter().map(|booking| (booking.frame, booking)).collect())
+}
+
+/// Writes to the tasks of these frames where they are booked, with the job's rate on each node.
+async fn book_tasks(write: &mut Write, job: JobId, tasks: Vec<(u32, Option<NewBooking>)>) -> Result<()> {
+    let of_job = rates(write.connection().await?, job).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
     for (frame, booking) in tasks {
         let mut slot = None;
@@ -244,40 +280,9 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             slot.map(|slot| slot.node.0),
             slot.map(|slot| slot.start.micros()),
             slot.and_then(|slot| slot.rate),
-            job_id.0,
+            job.0,
             frame
         );
     }
-    for booking in bookings.values() {
-        run!(
-            write,
-            "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) \
-             VALUES (?, ?, ?, ?, ?, ?, ?)",
-            BookingId::new().0,
-            plan_id.0,
-            job_id.0,
-            booking.frame,
-            booking.node.0,
-            booking.start.micros(),
-            booking.end.micros()
-        );
-    }
-    // Parts of a shared cache keep their bookings.
-    run!(
-        write,
-        "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
-         SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \
-         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
-        plan_id.0,
-        job_id.0
-    );
-    run!(
-        write,
-        "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?",
-        plan_id.0,
-        Json(&job.verdict),
-        job.factor,
-        job_id.0
-    );
     Ok(())
 }

@@ -22,7 +22,8 @@ impl Store {
         let Some(kept) = row.forecast else { return Ok(None) };
         let of = QuotedShot { scene: row.scene.0.digest, settings: row.settings.0 };
         let frames = sqlx::query_scalar!(
-            r#"SELECT forecast AS "forecast!" FROM frames WHERE job_id = ? AND forecast IS NOT NULL ORDER BY frame"#,
+            r#"SELECT forecast AS "forecast!" FROM frames WHERE job_id = ? AND forecast IS NOT NULL
+               ORDER BY frame"#,
             job.0
         )
         .fetch_all(&mut *transaction)

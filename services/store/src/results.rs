@@ -10,15 +10,13 @@ use forelight_quote::MeasuredProfile;
 use sqlx::FromRow;
 
 use crate::columns::{Id, Json, corrupt};
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, job_state};
 use crate::jobs;
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::living::{self, Occasion};
-use crate::nodes::NodeRow;
-use crate::nodes::learning;
+use crate::nodes::{NodeRow, learning};
 use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::writing::{ask, later};
@@ -120,7 +118,8 @@ impl Store {
     /// The job's profiles by frame; `None` while any is missing.
     pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>> {
         let rows = sqlx::query!(
-            r#"SELECT t.spec, r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id", l.node_speed AS "node_speed?"
+            r#"SELECT t.spec, r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id",
+                      l.node_speed AS "node_speed?"
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id
                WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame"#,
             job.0
@@ -173,8 +172,8 @@ impl Store {
 /// A node, and how many artefacts the result of a task names.
 #[derive(FromRow)]
 struct NamedRow {
-    #[sqlx(flatten)]
-    node: NodeRow,
+    #[sqlx(flatten, try_from = "NodeRow")]
+    node: Node,
     artifacts: i64,
 }
 
@@ -201,7 +200,7 @@ async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) 
     .await?
     .ok_or(StoreError::NotFound("node"))?;
     if usize::try_from(kept) == Ok(artifacts.len()) {
-        return Ok(node.into());
+        return Ok(node);
     }
     for artifact in artifacts {
         let found: Option<(i64,)> =

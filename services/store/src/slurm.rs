@@ -169,12 +169,10 @@ impl Store {
             .map(|row| {
                 let verdict = row.verdict.map(|it| it.0.verdict);
                 let is_held = matches!(verdict, Some(Verdict::OnTime | Verdict::OverBudget));
-                let booked = match (row.node, row.start_at, row.end_at) {
-                    (Some(node), Some(start), Some(end)) => {
-                        Some(BookedTime { node, start: start.into(), end: end.into() })
-                    }
-                    _ => None,
-                };
+                let booked = row
+                    .node
+                    .zip(row.start_at.zip(row.end_at))
+                    .map(|(node, (start, end))| BookedTime { node, start: start.into(), end: end.into() });
                 Waiting {
                     task: row.id.into(),
                     job: row.job_id.into(),
@@ -372,8 +370,7 @@ impl Store {
         self.commit(write).await
     }
 
-    /// Records the machines that exist now. New ones become nodes of speed 1 at this price, until their first
-    /// process measures them.
+    /// Records the machines that exist now. New ones become nodes of speed 1 at this price, until measured.
     pub async fn see_nodes(&self, seen: &[SeenNode], price_per_hour: Money, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         for node in seen {
@@ -411,8 +408,7 @@ impl Store {
         .await?)
     }
 
-    /// The lowest speed of a live node that takes tasks, all its cores together; `None` if there is no such
-    /// node.
+    /// The lowest speed of a live node that takes tasks, all its cores together; `None` without such a node.
     pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>> {
         Ok(sqlx::query_scalar!(
             r#"SELECT min(coalesce(speed_set, speed) * cores) AS "least?: f64" FROM nodes

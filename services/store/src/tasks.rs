@@ -148,8 +148,7 @@ impl Common {
         self.insert(write, TaskSpec::CacheMerge(spec), READY, None).await
     }
 
-    /// Makes the task of a frame, limited to `work` if given. With `waits`, it becomes ready when the shared
-    /// cache is full.
+    /// Makes the task of a frame, limited to `work` if given. With `waits`, it waits for the shared cache.
     pub(crate) async fn render(
         &self,
         write: &mut Write,

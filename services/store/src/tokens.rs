@@ -29,8 +29,8 @@ pub fn random() -> String {
     format!("forelight_{}{}", Uuid::new_v4().simple(), Uuid::new_v4().simple())
 }
 
-/// Makes a token and returns it, for the only time: the database stores its hash. `name` is for people, 1 to
-/// 200 characters.
+/// Makes a token and returns it once: the database stores its hash. `name` is for people, 1 to 200
+/// characters.
 pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String> {
     let token = random();
     let mut write = store.write().await?;

@@ -12,7 +12,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
-use object_store::path::Path;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 
 use crate::error::{Result, StoreError};
@@ -84,8 +83,8 @@ impl FromStr for ArtifactPlace {
         let parts_hold = prefix.is_empty() || prefix.split('/').all(|part| !matches!(part, "" | "." | ".."));
         if !prefix.chars().all(of_prefix) || !parts_hold || prefix.len() > LONGEST_PREFIX {
             return Err(BadPlace(format!(
-                "`{prefix}` is not a prefix: use names of a-z, A-Z, 0-9 and -_.=+@ between slashes, none of them \
-                 empty, . or .."
+                "`{prefix}` is not a prefix: use names of a-z, A-Z, 0-9 and -_.=+@ between slashes, \
+                 none of them empty, . or .."
             )));
         }
         Ok(Self::S3 { bucket: bucket.to_owned(), prefix: prefix.to_owned() })
@@ -125,11 +124,6 @@ fn client_options(allow_http: Option<&str>) -> ClientOptions {
 
 fn allows_http(variable: Option<&str>) -> bool {
     variable.is_some_and(|text| matches!(text.trim().to_ascii_lowercase().as_str(), "true" | "1" | "yes"))
-}
-
-/// The folder of the place in its bucket.
-pub(super) fn folder(prefix: &str) -> Path {
-    Path::from(prefix)
 }
 
 #[cfg(test)]

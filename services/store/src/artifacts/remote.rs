@@ -11,8 +11,7 @@ use tokio::io::AsyncReadExt as _;
 use super::reader::ArtifactReader;
 use crate::error::{Result, StoreError};
 
-/// Bytes per part. S3 accepts at most 10,000 parts of at least 5 MiB (the last may be shorter): 80 GB with
-/// this.
+/// Bytes per part. S3 accepts at most 10,000 parts of at least 5 MiB, except for the last: 80 GB with this.
 const PART: usize = 8 << 20;
 
 /// A bucket, or its stand-in in tests.
@@ -31,11 +30,11 @@ impl Remote {
     }
 
     /// Checks that the bucket stores and returns objects, with the same two requests that all work needs. A
-    /// permanent refusal is an error. No answer is only a warning: a service that starts before its bucket
-    /// must come up.
+    /// permanent refusal is an error. No answer is only a warning, because a service may start before its
+    /// bucket.
     pub async fn probe(&self) -> Result<()> {
         const CONTENT: &[u8] = b"artefacts of a forelight farm, named by their BLAKE3 hash\n";
-        let place = self.within("farm");
+        let place = self.below(&Path::from("farm"));
         let written = self.objects.put(&place, PutPayload::from_static(CONTENT)).await.map(drop);
         let read = match written {
             Ok(()) => self.objects.get(&place).await.map(drop),
@@ -52,7 +51,8 @@ impl Remote {
                 refused("the server does not know the credentials (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY)")
             }
             Err(error) => {
-                tracing::warn!(place = self.name, %error, "the artefact store does not answer yet; requests for artefacts wait");
+                let place = &self.name;
+                tracing::warn!(place, %error, "the artefact store does not answer yet; requests wait for it");
                 Ok(())
             }
         }
@@ -63,7 +63,7 @@ impl Remote {
         match self.objects.head(&self.below(name)).await {
             Ok(meta) => Ok(meta.size == size),
             Err(object_store::Error::NotFound { .. }) => Ok(false),
-            Err(error) => Err(away(error)),
+            Err(error) => Err(StoreError::ArtifactsAway(error)),
         }
     }
 
@@ -75,17 +75,17 @@ impl Remote {
         let mut source = tokio::fs::File::open(file).await.map_err(failed)?;
         let first = read_part(&mut source).await.map_err(failed)?;
         if first.len() < PART {
-            self.objects.put(&place, first.into()).await.map_err(away)?;
+            self.objects.put(&place, first.into()).await.map_err(StoreError::ArtifactsAway)?;
             return Ok(());
         }
-        let mut upload = self.objects.put_multipart(&place).await.map_err(away)?;
+        let mut upload = self.objects.put_multipart(&place).await.map_err(StoreError::ArtifactsAway)?;
         let sent = async {
             let mut part = first;
             while !part.is_empty() {
-                upload.put_part(part.into()).await.map_err(away)?;
+                upload.put_part(part.into()).await.map_err(StoreError::ArtifactsAway)?;
                 part = read_part(&mut source).await.map_err(failed)?;
             }
-            upload.complete().await.map_err(away)
+            upload.complete().await.map_err(StoreError::ArtifactsAway)
         }
         .await;
         match sent {
@@ -105,26 +105,17 @@ impl Remote {
         match self.objects.get(&self.below(name)).await {
             Ok(object) => {
                 let size = object.meta.size;
-                let stream = object.into_stream().map_err(away).boxed();
+                let stream = object.into_stream().map_err(StoreError::ArtifactsAway).boxed();
                 Ok(Some(ArtifactReader { size, stream }))
             }
             Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(away(error)),
+            Err(error) => Err(StoreError::ArtifactsAway(error)),
         }
-    }
-
-    fn within(&self, name: &str) -> Path {
-        self.below(&Path::from(name))
     }
 
     fn below(&self, name: &Path) -> Path {
         self.folder.parts().chain(name.parts()).collect()
     }
-}
-
-/// The sender still has the bytes and can send them again.
-fn away(error: object_store::Error) -> StoreError {
-    StoreError::ArtifactsAway(error)
 }
 
 /// The next part of a file: shorter than [`PART`] only at its end.

@@ -17,7 +17,8 @@ macro_rules! rows {
     ($more:literal, $which:literal $(, $value:expr)* $(,)?) => {
         sqlx::query!(
             "SELECT d.project, d.job_id, d.node_id, d.price_per_hour, d.from_at, \
-             coalesce(d.until_at, l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) AS \"until_at?: Time\""
+             coalesce(d.until_at, l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) \
+             AS \"until_at?: Time\""
                 + $more
                 + " FROM ledger d JOIN leases l ON l.id = d.lease_id "
                 + $which
@@ -26,7 +27,6 @@ macro_rules! rows {
     };
 }
 
-/// The ledger line of such a row.
 macro_rules! line {
     ($row:expr) => {
         LedgerLine {

@@ -49,8 +49,8 @@ impl Store {
     ) -> Result<Vec<KeptNight>> {
         Ok(sqlx::query_as!(
             KeptNight,
-            "SELECT begin_at AS \"from\", end_at AS until, body AS forecast FROM budget_forecasts WHERE zone = ? AND begin_at < ? \
-             ORDER BY begin_at DESC LIMIT ?",
+            "SELECT begin_at AS \"from\", end_at AS until, body AS forecast FROM budget_forecasts \
+             WHERE zone = ? AND begin_at < ? ORDER BY begin_at DESC LIMIT ?",
             zone,
             before.micros(),
             limit

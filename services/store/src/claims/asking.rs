@@ -85,8 +85,8 @@ macro_rules! next_task {
             $index,
             " WHERE state = 'ready' AND ",
             $which,
-            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
-              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
+            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS \
+             (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
               AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
               > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",
             $order,

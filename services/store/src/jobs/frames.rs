@@ -36,11 +36,13 @@ macro_rules! rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT f.frame, f.forecast, f.actual, f.actual_work, f.actual_cpu, f.artifacts, f.preview_png, f.finished_at, \
-             t.state AS \"state?\", t.node_id, t.fence AS \"attempts?: u32\", t.progress AS \"progress?\", t.started_at, t.error, \
-             b.node_id AS \"booked_node?\", n.name AS \"booked_name?\", b.start_at AS \"start_at?\", b.end_at AS \"end_at?\" \
+            "SELECT f.frame, f.forecast, f.actual, f.actual_work, f.actual_cpu, f.artifacts, f.preview_png, \
+             f.finished_at, t.state AS \"state?\", t.node_id, t.fence AS \"attempts?: u32\", \
+             t.progress AS \"progress?\", t.started_at, t.error, b.node_id AS \"booked_node?\", \
+             n.name AS \"booked_name?\", b.start_at AS \"start_at?\", b.end_at AS \"end_at?\" \
              FROM frames f JOIN jobs j ON j.id = f.job_id \
-             LEFT JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
+             LEFT JOIN tasks t INDEXED BY tasks_of_frames \
+             ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
              LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame \
              LEFT JOIN nodes n ON n.id = b.node_id "
                 + $rest

@@ -19,8 +19,8 @@ use crate::leases::{LeaseState, read};
 const FOLDER: &str = "checkpoints";
 
 impl Store {
-    /// Stores the finished tiles of a lease's frame. [`StoreError::LeaseLost`] if the sender does not hold
-    /// the lease.
+    /// Stores the finished tiles of a lease's frame. [`StoreError::LeaseLost`] if the lease is not the
+    /// sender's.
     pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, bytes: Bytes) -> Result<()> {
         let row = read(&mut *self.readers().acquire().await?, lease).await?;
         if row.fence != fence || row.state != LeaseState::Active {

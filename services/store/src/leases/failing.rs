@@ -3,8 +3,7 @@
 use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, Timestamp};
 
 use crate::columns::Time;
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::events::{append, node_event};
 use crate::jobs;
@@ -16,8 +15,7 @@ use crate::policy::retries::{HEAD_START, HELD_AGAINST, is_blameless, job_error, 
 use crate::writing::run;
 
 impl Store {
-    /// Records that a worker could not do its task. Returns whether this was reported before, and the job's
-    /// state.
+    /// Records that a worker could not do its task. Returns whether it is a repetition, and the job's state.
     pub async fn fail_task(
         &self,
         lease: LeaseId,
@@ -91,8 +89,7 @@ async fn nodes_that_failed(write: &mut Write, task: TaskId) -> Result<Vec<String
     .await?)
 }
 
-/// Sets a node aside on which tasks of too many jobs failed. Tasks that failed their jobs do not count
-/// against it.
+/// Sets a node aside on which tasks of too many jobs failed. Tasks that failed their jobs do not count.
 async fn set_aside_if_at_fault(write: &mut Write, node: NodeId, error: &str, now: Timestamp) -> Result<()> {
     let jobs = sqlx::query_scalar!(
         "SELECT count(DISTINCT t.job_id) FROM leases l INDEXED BY leases_failed_on_node \

@@ -2,8 +2,7 @@
 
 use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine, Timestamp};
 
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::leases::{LeaseRow, LeaseState, read_in};
 use crate::writing::run;
@@ -41,7 +40,8 @@ impl Store {
         }
         let lines = sqlx::query_as!(
             TaskLogLine,
-            "SELECT fence AS attempt, number, at, level, line AS text FROM task_logs WHERE task_id = ? ORDER BY fence, number",
+            "SELECT fence AS attempt, number, at, level, line AS text FROM task_logs WHERE task_id = ? \
+             ORDER BY fence, number",
             task.0
         )
         .fetch_all(&mut *read)

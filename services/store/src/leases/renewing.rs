@@ -9,19 +9,17 @@ use forelight_protocol::{
 use crate::database::Store;
 use crate::error::Result;
 use crate::events::append;
-use crate::leases::logs;
-use crate::leases::{LeaseState, back_to_ready, end, read_in};
+use crate::leases::{LeaseState, back_to_ready, end, logs, read_in};
 use crate::living::{self, Occasion};
 use crate::nodes::sleep_of;
 use crate::writing::later;
 
-/// Progress events are written in steps of a hundredth: a worker that renews twice a second must not fill the
-/// disk.
+/// Progress events are at least a hundredth apart: a worker that renews often must not fill the disk.
 const PROGRESS_STEP: f64 = 0.01;
 
 impl Store {
-    /// Extends a worker's lease to `ttl` from now, keeps what the worker reports, and answers with the
-    /// operator's orders.
+    /// Extends a lease to `ttl` from now, keeps what the worker reports, and answers with the operator's
+    /// orders.
     pub async fn renew(
         &self,
         lease: LeaseId,

@@ -1,5 +1,4 @@
-//! Maintenance of leases: taking back the tasks of lost workers, and correcting times after the clock was
-//! set.
+//! Maintenance of leases: takes back the tasks of lost workers, and corrects times if the clock was set.
 
 use std::time::Duration;
 
@@ -27,8 +26,8 @@ pub struct Swept {
 }
 
 impl Store {
-    /// Takes back the tasks of expired leases, updates overdue estimates, and deletes records that are kept
-    /// for a limited time.
+    /// Takes back the tasks of expired leases, updates overdue estimates, and deletes records past their
+    /// time.
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
@@ -67,8 +66,7 @@ impl Store {
         Ok(extended)
     }
 
-    /// Corrects times after the clock was set forward by so many microseconds (back, if negative): remaining
-    /// times stay the same.
+    /// Corrects times after the clock was set forward by so many microseconds (back, if negative).
     pub async fn clock_was_set(&self, micros: i64) -> Result<()> {
         let mut write = self.write().await?;
         run!(

@@ -10,8 +10,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row as _, SqliteConnection};
 
 use crate::columns::{Id, Json, Time, Word};
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::writing::{ask, later, run};
 
@@ -45,7 +44,6 @@ impl Store {
     }
 }
 
-/// The job's newest estimate.
 pub(crate) async fn newest(connection: &mut SqliteConnection, job: JobId) -> Result<Option<LiveForecast>> {
     let newest = sqlx::query_scalar!("SELECT body FROM live_forecasts WHERE job_id = ?", job.0)
         .fetch_optional(connection)
@@ -67,7 +65,6 @@ pub(super) struct Kept {
 pub(crate) struct Before {
     /// The last estimate, if there is one.
     pub(super) estimate: Option<Kept>,
-    /// The job's state.
     pub job_state: JobState,
 }
 

@@ -132,8 +132,7 @@ pub(crate) async fn take_tasks_away(write: &mut Write, node: NodeId, now: Timest
     leases::take_back(write, held.into_iter().map(LeaseId::from), now).await
 }
 
-/// Takes the tasks from nodes whose window has ended, if their terms say so. Returns the number of such
-/// nodes.
+/// Takes the tasks from nodes whose window has ended, if their terms say so. Returns how many nodes.
 pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32> {
     let rows = node_rows!(
         "WHERE n.terms ->> 'window_end' = 'stop' \

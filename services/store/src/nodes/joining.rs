@@ -58,15 +58,15 @@ impl Store {
             }
             if chosen == request.token_hash {
                 return Err(StoreError::Conflict(format!(
-                    "this machine joined as the node {:?} with this one-time token; join under that name, or ask \
-                     an operator for a new token",
+                    "this machine joined as the node {:?} with this one-time token; join under that name, \
+                     or ask an operator for a new token",
                     node.name
                 )));
             }
             let used_at = row.used_at.map_or(String::new(), |at| format!(" at {}", Timestamp::from(at)));
             return Err(StoreError::Conflict(format!(
-                "this one-time token was used{used_at} by another machine; ask an operator for a new one, and \
-                 to take that machine's node out of service if it is unknown"
+                "this one-time token was used{used_at} by another machine; ask an operator for a new one, \
+                 and to take that machine's node out of service if it is unknown"
             )));
         }
         let expires_at = Timestamp::from(row.expires_at);
@@ -79,8 +79,8 @@ impl Store {
         let taken = nodes::by_name(write.connection().await?, &request.node.name).await?.is_some();
         if taken && made_for != request.node.name {
             return Err(StoreError::Conflict(format!(
-                "there is already a node {0:?}, and this one-time token was made for {made_for:?}; join under \
-                 another name, or, to replace that node, with a one-time token made for {0:?}",
+                "there is already a node {0:?}, and this one-time token was made for {made_for:?}; \
+                 join under another name, or, to replace that node, with a one-time token made for {0:?}",
                 request.node.name
             )));
         }

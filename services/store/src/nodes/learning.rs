@@ -12,7 +12,6 @@ use crate::leases::LeaseRow;
 use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
 use crate::writing::run;
 
-/// Learns from a finished frame inside the write that stores it.
 pub(crate) async fn learn(write: &mut Write, row: &LeaseRow, node: &Node, stats: &RenderStats) -> Result<()> {
     let Some(speed) = node.speed_by_class(stats.work_by_class.as_ref()) else { return Ok(()) };
     if !is_lesson(stats) {

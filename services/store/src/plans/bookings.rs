@@ -52,7 +52,8 @@ macro_rules! rows {
             "SELECT b.id, b.plan_id, b.job_id, b.frame, b.node_id, b.start_at, b.end_at, \
              t.state, t.node_id AS holder, t.started_at, t.progress FROM jobs j \
              JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = b.job_id AND t.kind = 'render' AND t.frame = b.frame \
+             JOIN tasks t INDEXED BY tasks_of_frames \
+             ON t.job_id = b.job_id AND t.kind = 'render' AND t.frame = b.frame \
              WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') "
                 + $rest
             $(, $value)*
@@ -86,7 +87,6 @@ pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBo
     Ok(rows.into_iter().map(OpenBooking::from).collect())
 }
 
-/// The bookings of a job's frames that are not rendered yet, by start.
 pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<OpenBooking>> {
     let rows = rows!("AND j.id = ? ORDER BY b.start_at, b.id", job.0).fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenBooking::from).collect())

@@ -67,9 +67,11 @@ async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Times
     let rows = sqlx::query!(
         r#"SELECT f.frame, f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
                   t.state NOT IN ('leased', 'done') AS "waits!: bool", t.held,
-                  b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
+                  b.end_at - b.start_at AS "length?: i64",
+                  coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
            FROM frames f JOIN jobs j ON j.id = f.job_id
-           JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
+           JOIN tasks t INDEXED BY tasks_of_frames
+                ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
            LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame
            LEFT JOIN nodes n ON n.id = b.node_id
            WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame"#,
@@ -105,8 +107,10 @@ async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Times
 /// Booked cost of the parts of a job's shared irradiance cache, in micro-units.
 async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64> {
     let parts = sqlx::query!(
-        r#"SELECT b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
-           FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id
+        r#"SELECT b.end_at - b.start_at AS "length?: i64",
+                  coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
+           FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id
+           JOIN nodes n ON n.id = b.node_id
            WHERE j.id = ?"#,
         job.0
     )
@@ -115,8 +119,7 @@ async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Resu
     Ok(parts.iter().fold(0i64, |sum, part| sum.saturating_add(booked_cost(part.length, part.price))))
 }
 
-/// Cost of a booking of this length (microseconds) at this price an hour, in micro-units; 0 without a
-/// booking.
+/// Cost of a booking of this many microseconds at this price an hour, in micro-units; 0 without a booking.
 fn booked_cost(length: Option<i64>, price: Option<i64>) -> i64 {
     let cost = length.zip(price).map(|(length, price)| Money(price).for_micros_at_hourly_rate(length));
     cost.unwrap_or_default().micro_units()

@@ -102,7 +102,6 @@ pub(crate) async fn newest(connection: &mut SqliteConnection) -> Result<Option<P
     Ok(id.map(PlanId::from))
 }
 
-/// A job's bookings in a plan.
 pub(crate) async fn bookings_of(
     connection: &mut SqliteConnection,
     plan: PlanId,

@@ -7,8 +7,7 @@
 use sqlx::SqliteConnection;
 
 use crate::columns::Json;
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::policy::replans::{add_cause, causes_left};
 use crate::writing::run;

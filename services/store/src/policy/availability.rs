@@ -85,8 +85,7 @@ pub(crate) fn silent_after(ttl: Duration) -> i64 {
     i64::try_from(ttl.as_micros()).map_or(i64::MAX / 2, |ttl| ttl.saturating_mul(3))
 }
 
-/// The node with its power state filled in, and with the state `Silent` if nothing was heard of it for too
-/// long.
+/// The node with its power state filled in, and in the state `Silent` if it was silent for too long.
 #[must_use]
 pub fn as_it_is(node: Node, ttl: Duration, now: Timestamp) -> Node {
     let should_speak = matches!(node.state, NodeState::Idle | NodeState::Working);

@@ -12,8 +12,8 @@ const MOST_FRAMES: usize = 100;
 /// The frame number that stands for all frames of a job together.
 pub(crate) const ALL_FRAMES: i64 = -1;
 
-/// Whether the forecast at this place in a job's list of `count` is learnt from. The forecast of all frames
-/// always is.
+/// Whether the forecast at this place in a job's list of `count` is learnt from. That of all frames always
+/// is.
 pub(crate) fn is_learnt_from(frame: i64, place: usize, count: usize) -> bool {
     let stride = count.div_ceil(MOST_FRAMES).max(1);
     frame == ALL_FRAMES || place % stride == stride / 2

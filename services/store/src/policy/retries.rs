@@ -74,8 +74,7 @@ pub(crate) fn job_error(
     Some(format!("{} (it failed {times}; the log of task {task} says more)", error.message))
 }
 
-/// The error with which the job fails after so many lost workers of one task; `None` if the task is tried
-/// again.
+/// The error that fails the job after so many lost workers of one task; `None` if the task is tried again.
 pub(crate) fn job_error_of_lost_workers(expiries: u32) -> Option<String> {
     (expiries >= MAX_EXPIRIES).then(|| format!("{expiries} workers were lost on this task"))
 }

@@ -1,18 +1,15 @@
 //! Learns from finished jobs how far quotes are off, by renderer and class of features.
 
 use forelight_forecast::{Experience, residual};
-use forelight_protocol::{FrameForecast, JobId, Quantiles, Timestamp};
-use sqlx::SqliteConnection;
+use forelight_protocol::{FrameForecast, JobId, Timestamp};
 
-use crate::database::Store;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::policy::learning::{ALL_FRAMES, Residuals, experience, is_learnt_from};
 use crate::writing::run;
-use forelight_quote::{JobForecast, QuoteBasis, QuoteKind, Spreads};
+use forelight_quote::{JobForecast, QuoteBasis, QuoteKind};
 
-/// A quote learns from at most this many finished jobs, the newest: renderers, scenes and machines change
-/// slowly.
+/// A quote learns from this many finished jobs, the newest: renderers, scenes and machines change slowly.
 const WINDOW: u32 = 200;
 
 impl Store {
@@ -26,10 +23,7 @@ impl Store {
         .await?;
         Ok(rows
             .into_iter()
-            .map(|row| {
-                let kind = QuoteKind { renderer: row.renderer, feature_class: row.feature_class };
-                (kind, row.jobs)
-            })
+            .map(|row| (QuoteKind { renderer: row.renderer, feature_class: row.feature_class }, row.jobs))
             .collect())
     }
 
@@ -37,8 +31,8 @@ impl Store {
     pub async fn experience(&self, kind: &QuoteKind) -> Result<Experience> {
         let rows = sqlx::query_as!(
             Residuals,
-            "SELECT s.job_id AS job, s.frame, s.work_residual AS work, s.cpu_residual AS cpu FROM quote_spreads s \
-             WHERE s.job_id IN (SELECT job_id FROM quotes WHERE renderer = ? AND feature_class = ? \
+            "SELECT s.job_id AS job, s.frame, s.work_residual AS work, s.cpu_residual AS cpu \
+             FROM quote_spreads s WHERE s.job_id IN (SELECT job_id FROM quotes WHERE renderer = ? AND feature_class = ? \
              AND learnt_at IS NOT NULL ORDER BY learnt_at DESC, job_id DESC LIMIT ?) \
              AND (s.work_residual IS NOT NULL OR s.cpu_residual IS NOT NULL) ORDER BY s.job_id, s.frame",
             kind.renderer,
@@ -70,35 +64,22 @@ pub(crate) async fn keep(
     let each = frames.iter().zip(&basis.frames);
     let each = each.map(|(frame, &spreads)| (i64::from(frame.frame), frame.work, frame.cpu_seconds, spreads));
     for (frame, work, cpu, spreads) in std::iter::once(total).chain(each) {
-        keep_one(write.connection().await?, job, frame, (work, cpu), spreads).await?;
+        run!(
+            write,
+            "INSERT INTO quote_spreads (job_id, frame, work_mean, work_spread, cpu_mean, cpu_spread) \
+             VALUES (?, ?, ?, ?, ?, ?)",
+            job.0,
+            frame,
+            work.mean,
+            spreads.work,
+            cpu.mean,
+            spreads.cpu
+        );
     }
     Ok(())
 }
 
-async fn keep_one(
-    connection: &mut SqliteConnection,
-    job: JobId,
-    frame: i64,
-    (work, cpu): (Quantiles, Quantiles),
-    spreads: Spreads,
-) -> Result<()> {
-    sqlx::query!(
-        "INSERT INTO quote_spreads (job_id, frame, work_mean, work_spread, cpu_mean, cpu_spread) \
-         VALUES (?, ?, ?, ?, ?, ?)",
-        job.0,
-        frame,
-        work.mean,
-        spreads.work,
-        cpu.mean,
-        spreads.cpu
-    )
-    .execute(connection)
-    .await?;
-    Ok(())
-}
-
-/// Stores the residuals of the job's quote, inside the write that finishes the job. Does nothing without a
-/// stored basis.
+/// Stores the residuals of the job's quote, inside the write that finishes the job, if it has a stored basis.
 pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
     let rows = sqlx::query!(
         r#"SELECT s.frame AS "frame!: i64", s.work_mean AS "work_mean!: f64", s.work_spread AS "work_spread!: f64",
@@ -106,7 +87,8 @@ pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Resu
                   f.actual_work AS "actual_work!: f64", f.actual_cpu AS "actual_cpu!: f64"
            FROM quote_spreads s JOIN frames f ON f.job_id = s.job_id AND f.frame = s.frame WHERE s.job_id = ?1
            UNION ALL SELECT s.frame, s.work_mean, s.work_spread, s.cpu_mean, s.cpu_spread,
-                  (SELECT sum(actual_work) FROM frames WHERE job_id = ?1), (SELECT sum(actual_cpu) FROM frames WHERE job_id = ?1)
+                  (SELECT sum(actual_work) FROM frames WHERE job_id = ?1),
+                  (SELECT sum(actual_cpu) FROM frames WHERE job_id = ?1)
            FROM quote_spreads s WHERE s.job_id = ?1 AND s.frame = -1 ORDER BY 1"#,
         job.0
     )

@@ -29,7 +29,6 @@ macro_rules! coverage_rows {
     };
 }
 
-/// The hits and errors of such a row.
 macro_rules! coverage {
     ($row:expr) => {
         Coverage {
@@ -47,15 +46,19 @@ macro_rules! coverage {
 macro_rules! of_finished_jobs {
     ($make:ident!($($before:tt)*), $after:literal $(, $value:expr)*) => {
         $make!(
-            $($before)* "SELECT j.id AS job_id, j.finished_at, json_extract(j.forecast, '$.calibrated') AS calibrated, \
-             json_extract(j.forecast, '$.total.work.mean') AS work_mean, json_extract(j.forecast, '$.total.work.p50') AS work_p50, \
-             json_extract(j.forecast, '$.total.work.p80') AS work_p80, json_extract(j.forecast, '$.total.work.p95') AS work_p95, \
+            $($before)* "SELECT j.id AS job_id, j.finished_at, \
+             json_extract(j.forecast, '$.calibrated') AS calibrated, \
+             json_extract(j.forecast, '$.total.work.mean') AS work_mean, \
+             json_extract(j.forecast, '$.total.work.p50') AS work_p50, \
+             json_extract(j.forecast, '$.total.work.p80') AS work_p80, \
+             json_extract(j.forecast, '$.total.work.p95') AS work_p95, \
              json_extract(j.forecast, '$.total.cpu_seconds.mean') AS cpu_mean, \
              json_extract(j.forecast, '$.total.cpu_seconds.p50') AS cpu_p50, \
              json_extract(j.forecast, '$.total.cpu_seconds.p80') AS cpu_p80, \
              json_extract(j.forecast, '$.total.cpu_seconds.p95') AS cpu_p95, \
              (SELECT sum(actual_work) FROM frames WHERE job_id = j.id) AS actual_work, \
-             (SELECT sum(actual_cpu) FROM frames WHERE job_id = j.id) AS actual_cpu FROM jobs j WHERE j.state = 'done' "
+             (SELECT sum(actual_cpu) FROM frames WHERE job_id = j.id) AS actual_cpu FROM jobs j \
+             WHERE j.state = 'done' "
                 + $after
             $(, $value)*
         )
@@ -105,10 +108,12 @@ impl Store {
             (at.micros(), job.0, i64::from(frame))
         });
         let rows = query!(
-            r#"SELECT job_id, frame, finished_at AS "finished_at!", work_mean AS "work_mean!", work_p50 AS "work_p50!",
-                      work_p80 AS "work_p80!", work_p95 AS "work_p95!", cpu_mean AS "cpu_mean!", cpu_p50 AS "cpu_p50!",
-                      cpu_p80 AS "cpu_p80!", cpu_p95 AS "cpu_p95!", actual_work AS "actual_work!", actual_cpu AS "actual_cpu!"
-               FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL AND (finished_at, job_id, frame) < (?, ?, ?)
+            r#"SELECT job_id, frame, finished_at AS "finished_at!", work_mean AS "work_mean!",
+                      work_p50 AS "work_p50!", work_p80 AS "work_p80!", work_p95 AS "work_p95!",
+                      cpu_mean AS "cpu_mean!", cpu_p50 AS "cpu_p50!", cpu_p80 AS "cpu_p80!",
+                      cpu_p95 AS "cpu_p95!", actual_work AS "actual_work!", actual_cpu AS "actual_cpu!"
+               FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL
+                    AND (finished_at, job_id, frame) < (?, ?, ?)
                ORDER BY finished_at DESC, job_id DESC, frame DESC LIMIT ?"#,
             at,
             job,

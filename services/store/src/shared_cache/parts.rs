@@ -75,10 +75,12 @@ macro_rules! rows {
     ($which:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, t.node_id AS holder, t.started_at, t.progress, \
-             t.round AS \"round!\", \
-             (SELECT count(*) FROM shared_cache_bookings o WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS \"parts!: u32\", \
-             (SELECT count(*) FROM json_each(j.forecast, '$.cache.shared_cache.records') WHERE value > 0) AS \"levels!: u32\" \
+            "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, \
+             t.node_id AS holder, t.started_at, t.progress, t.round AS \"round!\", \
+             (SELECT count(*) FROM shared_cache_bookings o \
+              WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS \"parts!: u32\", \
+             (SELECT count(*) FROM json_each(j.forecast, '$.cache.shared_cache.records') \
+              WHERE value > 0) AS \"levels!: u32\" \
              FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.round = \
              (SELECT max(l.round) FROM tasks l WHERE l.job_id = j.id AND l.kind = 'cache_fill' AND l.part = b.part) \
@@ -108,8 +110,8 @@ pub(crate) async fn of_plan(
 ) -> Result<Vec<SharedCacheBooking>> {
     Ok(sqlx::query_as!(
         SharedCacheBooking,
-        r#"SELECT job_id, part, node_id, start_at AS start, end_at AS "end" FROM shared_cache_bookings WHERE plan_id = ?
-           ORDER BY start_at, job_id, part"#,
+        r#"SELECT job_id, part, node_id, start_at AS start, end_at AS "end" FROM shared_cache_bookings
+           WHERE plan_id = ? ORDER BY start_at, job_id, part"#,
         plan
     )
     .fetch_all(connection)
@@ -144,7 +146,8 @@ pub(crate) async fn progress(
     job: JobId,
 ) -> Result<Option<SharedCacheProgress>> {
     let forecast = sqlx::query_scalar!(
-        r#"SELECT json_extract(forecast, '$.cache.shared_cache') AS "forecast?: Json<SharedCacheForecast>" FROM jobs WHERE id = ?"#,
+        r#"SELECT json_extract(forecast, '$.cache.shared_cache') AS "forecast?: Json<SharedCacheForecast>"
+           FROM jobs WHERE id = ?"#,
         job.0
     )
     .fetch_optional(&mut *connection)

@@ -189,8 +189,7 @@ async fn a_job_that_falls_behind_its_bookings_is_said_to_end_late() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let job = booked(&farm, node.id, 9).await;
-    // Nine bookings of ten seconds fill the time until the promised end. The first frame is half a minute
-    // late.
+    // Nine bookings of ten seconds fill the time until the promised end. The first frame is 30 seconds late.
     render(&farm, &node, 900, 4.0, at(50)).await;
     let events = said(&farm, job).await;
     let [late] = &events[..] else { panic!("{events:?}") };

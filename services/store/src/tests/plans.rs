@@ -174,8 +174,7 @@ fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
     };
     let open =
         [booking(0, 1, 20, 30), booking(1, 2, 20, 25)].map(|booking| OpenBooking { booking, holder: None });
-    // Node 3 has half of its part left and is half through the rest. The part on node 2 is done with one of
-    // two rounds.
+    // Node 3 is half through the second half of its part. The part on node 2 is done with one of two rounds.
     let held = Holder { node_id: node(3), started: at(10), progress: 0.75 };
     let parts = [
         OpenCachePart { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held) },

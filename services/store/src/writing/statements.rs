@@ -37,8 +37,7 @@ impl Group {
 }
 
 impl Statements {
-    /// Adds a statement. Its parameters have no numbers, because they are counted through all statements of a
-    /// text.
+    /// Adds a statement. Its parameters have no numbers: they are counted through all statements of a text.
     pub fn push(&mut self, statement: &'static str) {
         debug_assert!(!statement.contains("?1"), "parameters with numbers: {statement}");
         if self.groups.last().is_none_or(|group| group.statements.len() == MOST_TOGETHER) {
