@@ -34,6 +34,7 @@ size=${DEMO_SIZE:-160x90}
 mkdir -p "$data"
 log=$data/farm.log
 
+: >"$log" # read below, perhaps before the farm has opened it
 # Its own session, so that the farm outlives this script.
 setsid "$FORELIGHT_BIN" farm --data "$data" --workers 2 --threads 1 --price 0.40 \
   --listen "${FORELIGHT_LISTEN:-127.0.0.1:0}" >"$log" 2>&1 </dev/null &

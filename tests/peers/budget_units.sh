@@ -32,6 +32,7 @@ else
   missing 'the units are not verified: systemd-analyze is missing (Debian: systemd)'
 fi
 
+: >"$work/farm" # read below, perhaps before the farm has opened it
 "$FORELIGHT_BIN" farm --data "$work/data" --workers 1 --price 3600 --preview cpu --listen 127.0.0.1:0 >"$work/farm" 2>&1 &
 farm=$!
 address=

@@ -30,6 +30,7 @@ cleanup() {
 }
 trap cleanup EXIT
 
+: >"$work/printed" # read below, perhaps before the farm has opened it
 "$FORELIGHT_BIN" farm --data "$work/data" --listen 127.0.0.1:0 --workers 1 --threads 1 --preview cpu \
   >"$work/printed" 2>"$work/log" &
 farm=$!
