@@ -33,8 +33,12 @@ pub(crate) struct Connection {
 #[serde(rename_all = "snake_case")]
 enum Said {
     Progress(f64),
-    Answer(Value),
-    Error { kind: String, message: String },
+    /// The file that holds the answer.
+    Answer(PathBuf),
+    Error {
+        kind: String,
+        message: String,
+    },
 }
 
 impl Connection {
@@ -77,7 +81,10 @@ impl Connection {
             let misunderstood = |error: serde_json::Error| RendererError::Answer(error.to_string());
             match serde_json::from_str(said).map_err(misunderstood)? {
                 Said::Progress(share) => (run.progress)(share),
-                Said::Answer(answer) => return serde_json::from_value(answer).map_err(misunderstood),
+                Said::Answer(file) => {
+                    let text = std::fs::read(&file).map_err(RendererError::io(&file))?;
+                    return serde_json::from_slice(&text).map_err(misunderstood);
+                }
                 Said::Error { kind, message } => return Err(self.error(&kind, message)),
             }
         }

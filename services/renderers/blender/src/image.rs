@@ -132,11 +132,10 @@ pub(crate) fn merge(shares: Vec<Share>) -> Result<Image, RendererError> {
             .map(|other| other.layer_data.get(index).filter(|other| same_channels(layer, other)))
             .collect();
         let others = others.ok_or_else(differ)?;
-        let mut done = vec![false; layer.channel_data.list.len()];
-        for channel in cryptomatte_ranks(layer).into_iter().flatten() {
-            done[channel] = true;
-        }
-        for (channel, own) in layer.channel_data.list.iter_mut().enumerate().filter(|&(c, _)| !done[c]) {
+        let ranks = cryptomatte_ranks(layer).concat();
+        for (channel, own) in
+            layer.channel_data.list.iter_mut().enumerate().filter(|(c, _)| !ranks.contains(c))
+        {
             let theirs: Option<Vec<&[f32]>> =
                 others.iter().map(|other| floats(&other.channel_data.list[channel])).collect();
             merge_channel(own, &theirs.ok_or_else(differ)?, &weights);

@@ -14,15 +14,15 @@
 //! | `driver/` | the Python that runs inside Blender |
 //!
 //! # Costs
-//! A cost is CPU time of the Blender process around a render. Cycles says when everything is prepared and when
-//! all samples are done; what lies before and after is in `fixed` as `prepare` and `write`. From Blender 5.0
+//! A cost is CPU time of the Blender process around a render. Cycles says when everything is prepared and
+//! when all samples are done; what lies before and after is in `fixed` as `prepare` and `write`. From Blender 5.0
 //! on, the time of each pixel tells where the cost goes: strata and blocks. It is wall time, so it tells how
 //! the cost divides, not how large it is.
 //!
 //! # Samples that are taken over
 //! With the sampling pattern `TABULATED_SOBOL`, which is always set here, shares of the samples that are
-//! weighted by their numbers add up to the image of one render, to the rounding of floats. That does not hold
-//! with adaptive sampling, which decides on earlier samples, nor with denoising or compositing, which need the
+//! weighted by their numbers add up to the image of one render, to the rounding of floats. That does not
+//! hold with adaptive sampling, which decides on earlier samples, nor with denoising or compositing, which need the
 //! whole image.
 
 mod connection;

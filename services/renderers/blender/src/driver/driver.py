@@ -1,8 +1,9 @@
 """Answers questions about one Blender file. Runs inside Blender, or in a Python with the `bpy` module.
 
 Standard input has one JSON object a line: `{"do": NAME, …}`. Every answer is a line on standard output that
-begins with `forelight ` and goes on with a JSON object: `{"progress": 0 to 1}`, then `{"answer": …}` or
-`{"error": {"kind": …, "message": …}}`. The end of the input ends the driver.
+begins with `forelight ` and goes on with a JSON object: `{"progress": 0 to 1}`, then `{"answer": FILE}` or
+`{"error": {"kind": …, "message": …}}`. FILE holds the answer as JSON, because lines have a bounded length.
+The end of the input ends the driver.
 
 Blender itself prints to standard output. So the driver keeps that stream for answers alone, and sends
 everything else to standard error.
@@ -18,12 +19,26 @@ QUESTIONS = os.fdopen(os.dup(0), "r", encoding="utf-8")
 os.dup2(2, 1)
 with open(os.devnull) as nothing:
     os.dup2(nothing.fileno(), 0)
-sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+FOLDER = os.path.dirname(os.path.abspath(__file__))
+sys.path.insert(0, FOLDER)
+# Longest message of an error, in characters.
+LONGEST_MESSAGE = 2000
 
 
 def say(what):
     ANSWERS.write("forelight " + json.dumps(what) + "\n")
     ANSWERS.flush()
+
+
+def reply(what):
+    path = os.path.join(FOLDER, "answer.json")
+    with open(path, "w", encoding="utf-8") as file:
+        json.dump(what, file)
+    say({"answer": path})
+
+
+def fail(kind, message):
+    say({"error": {"kind": kind, "message": message.strip()[:LONGEST_MESSAGE]}})
 
 
 class Refused(Exception):
@@ -32,12 +47,6 @@ class Refused(Exception):
     def __init__(self, kind, message):
         super().__init__(message)
         self.kind = kind
-
-
-def version():
-    import bpy
-
-    return {"version": bpy.app.version_string.split()[0]}
 
 
 def open_scene(scene):
@@ -64,8 +73,6 @@ def open_scene(scene):
 
 def answer(question):
     todo = question.pop("do")
-    if todo == "version":
-        return version()
     if todo == "open":
         return open_scene(**question)
     import forelight_render
@@ -81,13 +88,13 @@ def answer(question):
 def main():
     for line in QUESTIONS:
         try:
-            say({"answer": answer(json.loads(line))})
+            reply(answer(json.loads(line)))
         except Refused as error:
-            say({"error": {"kind": error.kind, "message": str(error)}})
+            fail(error.kind, str(error))
         except MemoryError:
-            say({"error": {"kind": "out_of_memory", "message": "Blender ran out of memory"}})
+            fail("out_of_memory", "Blender ran out of memory")
         except Exception as error:  # noqa: BLE001: whatever it is, the other side has to know
-            say({"error": {"kind": "failed", "message": f"{type(error).__name__}: {error}".strip()}})
+            fail("failed", f"{type(error).__name__}: {error}")
 
 
 STARTED = time.monotonic_ns()
