@@ -61,6 +61,12 @@ pub enum ForecastError {
         /// Index into the shot's frames.
         index: usize,
     },
+    /// A frame has no line in its samples.
+    #[error("frame {frame}: its cost was not measured at two different numbers of samples")]
+    NoSampleLine {
+        /// The frame's number.
+        frame: i64,
+    },
     /// The areas of [`Expansion::Areas`](crate::Expansion::Areas) do not match the observations or the frame.
     #[error(
         "{areas} areas with {covered} pixels do not match {observations} observations of a frame with {pixels} pixels"

@@ -30,6 +30,10 @@
 //! the picture changes faster. More frames are profiled if the forecast is uncertain and profiling is cheap
 //! ([`choose_more_frames`]). The error that all frames share is [`ShotForecast::job_sigma`].
 //!
+//! **A shot from few samples** ([`forecast_sampled_shot`]). A renderer that cannot measure pixels is asked
+//! for a few frames at few samples. The cost of a frame is a line in its samples, and the lines are carried
+//! over time.
+//!
 //! **While a job is rendered** ([`live()`]). Finished frames correct the quote of the others: a Gaussian
 //! process over the shot's clock, with a common factor and a nugget, in linear time.
 //!
@@ -119,6 +123,8 @@ mod population;
 mod random;
 mod rates;
 mod record_strata;
+mod sample_line;
+mod sampled_shot;
 mod shot;
 mod shot_clock;
 mod strata;
@@ -143,6 +149,8 @@ pub use pixel_costs::{PixelCosts, PixelQuantiles};
 pub use population::FramePopulation;
 pub use rates::{Timed, class_rates, learned_factor, log_ratio_millionths};
 pub use record_strata::RecordStrata;
+pub use sample_line::SampleCost;
+pub use sampled_shot::{SampledFrame, SampledFrameForecast, SampledShotForecast, forecast_sampled_shot};
 pub use shot::{FrameForecast, ProfiledFrame, ShotForecast, forecast_shot};
 pub use strata::Stratum;
 pub use strategies::{Classes, Design, Strategy};

@@ -2,11 +2,15 @@
 //!
 //! | file | subject |
 //! | --- | --- |
+//! | `door` | the four questions to a renderer: describe, preview, measure, render |
+//! | `process` | foreign programs, held to limits |
 //! | `execute` | a task in, a result and its files out; progress, orders and log lines on the way |
 //! | `memory` | memory of this process |
 
+pub mod door;
 mod execute;
 mod memory;
+pub mod process;
 
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use memory::{peak_rss_bytes, resident_bytes};

@@ -1,0 +1,124 @@
+//! Answers: pixel counts, costs and files.
+
+use super::artefact::Artefact;
+use super::settings::Region;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::ops::AddAssign;
+use std::path::PathBuf;
+
+/// A cost.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cost {
+    /// CPU time of all threads and processes, nanoseconds.
+    pub cpu_nanos: u64,
+    /// Wall time, nanoseconds.
+    pub wall_nanos: u64,
+    /// Largest resident memory, bytes.
+    pub peak_memory_bytes: u64,
+    /// Counters by name, such as `work` or `rays.shadow`.
+    #[serde(default)]
+    pub counters: BTreeMap<String, u64>,
+}
+
+impl AddAssign<&Self> for Cost {
+    /// Adds times and counters. Memory is the larger one.
+    fn add_assign(&mut self, other: &Self) {
+        self.cpu_nanos += other.cpu_nanos;
+        self.wall_nanos += other.wall_nanos;
+        self.peak_memory_bytes = self.peak_memory_bytes.max(other.peak_memory_bytes);
+        for (name, value) in &other.counters {
+            *self.counters.entry(name.clone()).or_default() += value;
+        }
+    }
+}
+
+/// Costs that do not depend on the samples, by name, such as `prepare` or `write`. CPU nanoseconds.
+pub type FixedCosts = BTreeMap<String, u64>;
+
+/// Number of pixels that show one pair of object and material.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct PixelCount {
+    /// Index among the description's objects. `None` for the background.
+    pub object: Option<u32>,
+    /// Index among the description's materials. `None` without material.
+    pub material: Option<u32>,
+    /// Number of pixels.
+    pub pixels: u64,
+}
+
+/// What a frame shows.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameCounts {
+    /// Number of the frame.
+    pub frame: i32,
+    /// Pixels by stratum, in the order of (object, material). They add up to the image's pixels, within
+    /// rounding where the preview was smaller than the image.
+    pub counts: Vec<PixelCount>,
+    /// Number of pixels of the preview itself.
+    pub sampled_pixels: u64,
+    /// Cost of the preview.
+    pub cost: Cost,
+}
+
+/// Cost of one stratum within a measured part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StratumCost {
+    /// Its pixels.
+    #[serde(flatten)]
+    pub count: PixelCount,
+    /// Time spent on them, nanoseconds. It tells how the cost divides; the CPU time tells how much it is.
+    pub nanos: u64,
+}
+
+/// Where in the image time goes: sums over square blocks, in rows from the top.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BlockCosts {
+    /// Side of a block, pixels. Blocks at the right and lower edge may be smaller.
+    pub side: u32,
+    /// Blocks in a row.
+    pub columns: u32,
+    /// Nanoseconds of each block.
+    pub nanos: Vec<u64>,
+}
+
+/// Cost of one of several pieces that were measured one by one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PieceCost {
+    /// The piece. A pixel is a region of one.
+    pub region: Region,
+    /// CPU time, nanoseconds.
+    pub cpu_nanos: u64,
+}
+
+/// The cost of a part of a frame.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Measured {
+    /// Cost of the part, with what is in `fixed`.
+    pub cost: Cost,
+    /// What of it does not depend on the samples, as far as the renderer knows.
+    pub fixed: FixedCosts,
+    /// Costs piece by piece, for regions and pixels.
+    pub pieces: Vec<PieceCost>,
+    /// Costs by stratum. Empty if not known.
+    pub strata: Vec<StratumCost>,
+    /// Costs by place. `None` if not known.
+    pub blocks: Option<BlockCosts>,
+    /// What a render may take over.
+    pub artefact: Option<Artefact>,
+}
+
+/// A rendered frame.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Rendered {
+    /// Images and other results.
+    pub files: Vec<PathBuf>,
+    /// Cost of this render, without what it took over.
+    pub cost: Cost,
+    /// What of it does not depend on the samples.
+    pub fixed: FixedCosts,
+    /// Costs by stratum of the whole frame, with what was taken over.
+    pub strata: Vec<StratumCost>,
+    /// Costs by place of the whole frame, with what was taken over.
+    pub blocks: Option<BlockCosts>,
+}

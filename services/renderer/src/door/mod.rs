@@ -1,0 +1,159 @@
+//! The four questions that any renderer is asked, in neutral words.
+//!
+//! | question | answer |
+//! | --- | --- |
+//! | describe | [`Renderer::open`] and [`Shot::description`]: frames, size, objects, settings, assets |
+//! | preview | [`Shot::preview`]: pixels per (object, material) of each frame |
+//! | measure | [`Shot::measure`]: the cost of a part of a frame, and what a render may take over of it |
+//! | render | [`Shot::render`]: the files of a frame, and their cost |
+//!
+//! A [`Capability`] is what not every renderer can do. A renderer with none of them can still be asked for
+//! whole frames at fewer samples or at a smaller size, and be forecast from these.
+
+mod answers;
+mod artefact;
+mod description;
+mod error;
+mod run;
+mod settings;
+
+pub use answers::{
+    BlockCosts, Cost, FixedCosts, FrameCounts, Measured, PieceCost, PixelCount, Rendered, StratumCost,
+};
+pub use artefact::Artefact;
+pub use description::{Asset, AssetState, Camera, Description, Frames, Object};
+pub use error::{Ending, RendererError};
+pub use run::{Limits, Run};
+pub use settings::{Common, Region, Settings, SettingsError};
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::fmt;
+use std::path::Path;
+
+/// Name and version of a renderer. Costs and forecasts hold for one of these.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct RendererId {
+    /// Such as `cycles`.
+    pub name: String,
+    /// As the program states it, such as `5.0.1`.
+    pub version: String,
+}
+
+impl fmt::Display for RendererId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}", self.name, self.version)
+    }
+}
+
+/// What a renderer may be able to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Capability {
+    /// Measures a share of the samples of a frame.
+    MeasureSamples,
+    /// Measures regions of a frame.
+    MeasureRegions,
+    /// Measures single pixels of a frame.
+    MeasurePixels,
+    /// A render takes over measured samples.
+    TakeOverSamples,
+    /// A render takes over measured pixels.
+    TakeOverPixels,
+    /// Frames can share an irradiance cache.
+    ShareCache,
+    /// A render can stop at a budget of time.
+    StopAtBudget,
+    /// Costs have a deterministic count of work.
+    CountWork,
+    /// Measured parts say where in the image time goes.
+    LocateCosts,
+    /// Several processes can render parts of one frame.
+    SplitFrame,
+    /// The error of the image is known from its samples.
+    ErrorFromSamples,
+}
+
+/// All that a renderer can do.
+pub type Capabilities = BTreeSet<Capability>;
+
+/// A part of a frame, to be measured.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// `count` of the samples of every pixel, from the sample `offset` on.
+    Samples {
+        /// Number of samples before these.
+        offset: u32,
+        /// Number of samples.
+        count: u32,
+    },
+    /// Rectangles, with all samples.
+    Regions(Vec<Region>),
+    /// Pixels by index, in rows from the top, with all samples.
+    Pixels(Vec<u32>),
+}
+
+/// A renderer on this machine.
+pub trait Renderer: Send + Sync {
+    /// Its name and version.
+    fn id(&self) -> &RendererId;
+
+    /// JSON schema of its own settings. `default` of a property is what it takes where neither the scene nor
+    /// the job says anything.
+    fn settings_schema(&self) -> serde_json::Value;
+
+    /// All that it can do, at the best of settings.
+    fn capabilities(&self) -> Capabilities;
+
+    /// Opens a scene and describes it. A missing asset is no error here: see [`Description::require_assets`].
+    ///
+    /// # Errors
+    /// If the scene cannot be read.
+    fn open(&self, scene: &Path, run: &Run<'_>) -> Result<Box<dyn Shot>, RendererError>;
+}
+
+/// An open scene.
+pub trait Shot: Send + Sync {
+    /// What is in it.
+    fn description(&self) -> &Description;
+
+    /// What the renderer can do with this scene at these settings.
+    fn capabilities(&self, settings: &Settings) -> Capabilities;
+
+    /// What every pixel of these frames shows, as counts, in the order of `frames`.
+    ///
+    /// # Errors
+    /// If a frame cannot be previewed, or the run is stopped.
+    fn preview(
+        &self,
+        frames: &[i32],
+        settings: &Settings,
+        run: &Run<'_>,
+    ) -> Result<Vec<FrameCounts>, RendererError>;
+
+    /// Renders a part of a frame and says what it cost.
+    ///
+    /// # Errors
+    /// If the renderer cannot do such a part, the render fails, or the run is stopped.
+    fn measure(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        part: &Part,
+        run: &Run<'_>,
+    ) -> Result<Measured, RendererError>;
+
+    /// Renders a frame, less what it takes over. The files are in the run's scratch folder.
+    ///
+    /// # Errors
+    /// If an artefact does not fit the frame and its settings, the render fails, or the run is stopped.
+    fn render(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        taken_over: &[Artefact],
+        run: &Run<'_>,
+    ) -> Result<Rendered, RendererError>;
+}

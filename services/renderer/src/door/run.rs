@@ -1,0 +1,47 @@
+//! What surrounds a question: orders, progress, log, limits and a folder.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// Limits of one run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Resident memory of all processes of the run together, bytes.
+    pub memory_bytes: Option<u64>,
+    /// Wall time.
+    pub time: Option<Duration>,
+    /// Threads that the renderer may use.
+    pub threads: u32,
+    /// Time between the request to end (SIGTERM) and the end by force (SIGKILL).
+    pub grace: Duration,
+}
+
+impl Default for Limits {
+    /// One thread, five seconds of grace, no other limit.
+    fn default() -> Self {
+        Self { memory_bytes: None, time: None, threads: 1, grace: Duration::from_secs(5) }
+    }
+}
+
+/// One question to a renderer, as the renderer sees the outside.
+#[derive(Clone, Copy)]
+pub struct Run<'a> {
+    /// Set to stop the run.
+    pub cancelled: &'a AtomicBool,
+    /// Is told progress, 0 to 1.
+    pub progress: &'a (dyn Fn(f64) + Sync),
+    /// Is told every line that the renderer prints, as it comes.
+    pub log: &'a (dyn Fn(&str) + Sync),
+    /// Folder for files. Results stay in it; the renderer removes its temporary files.
+    pub scratch: &'a Path,
+    /// Limits to hold.
+    pub limits: Limits,
+}
+
+impl Run<'_> {
+    /// Whether the run was told to stop.
+    pub fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}

@@ -1,0 +1,125 @@
+//! Settings in two parts: what all renderers have, and what is the renderer's own.
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+/// Settings that all renderers have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Common {
+    /// Width of the image, pixels.
+    pub width: u32,
+    /// Height of the image, pixels.
+    pub height: u32,
+    /// Samples per pixel; with adaptive sampling, the most of them.
+    pub samples: u32,
+    /// Seed of random numbers.
+    pub seed: u32,
+}
+
+/// How a frame is rendered.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Settings {
+    /// What all renderers have.
+    #[serde(flatten)]
+    pub common: Common,
+    /// The renderer's own settings, as its schema says.
+    #[serde(default)]
+    pub own: Map<String, Value>,
+}
+
+/// A rectangle of the image, pixels from the top left corner.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Region {
+    /// First column.
+    pub x: u32,
+    /// First row.
+    pub y: u32,
+    /// Number of columns.
+    pub width: u32,
+    /// Number of rows.
+    pub height: u32,
+}
+
+/// A setting is out of its range, or unknown.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("setting {path}: {reason}")]
+pub struct SettingsError {
+    /// JSON pointer of the setting.
+    pub path: String,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+impl SettingsError {
+    fn new(path: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self { path: path.into(), reason: reason.into() }
+    }
+}
+
+impl Settings {
+    /// Checks the sizes and, by the renderer's schema, its own settings.
+    ///
+    /// # Errors
+    /// The first setting that is wrong, or a schema that is none.
+    pub fn check(&self, schema: &Value) -> Result<(), SettingsError> {
+        let Common { width, height, samples, .. } = self.common;
+        for (name, value) in [("width", width), ("height", height), ("samples", samples)] {
+            if value == 0 {
+                return Err(SettingsError::new(format!("/{name}"), "must be at least 1"));
+            }
+        }
+        let validator =
+            jsonschema::validator_for(schema).map_err(|e| SettingsError::new("/own", e.to_string()))?;
+        validator
+            .validate(&Value::Object(self.own.clone()))
+            .map_err(|e| SettingsError::new(format!("/own{}", e.instance_path()), e.to_string()))
+    }
+
+    /// The same settings, with the renderer's own ones replaced where `by` has them.
+    #[must_use]
+    pub fn with_own(mut self, by: &Map<String, Value>) -> Self {
+        self.own.extend(by.iter().map(|(name, value)| (name.clone(), value.clone())));
+        self
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.common.width) * u64::from(self.common.height)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn settings(own: Value) -> Settings {
+        let common = Common { width: 4, height: 2, samples: 1, seed: 0 };
+        Settings { common, own: own.as_object().unwrap().clone() }
+    }
+
+    #[test]
+    fn a_wrong_setting_is_named_with_its_reason() {
+        let schema = json!({"type": "object", "additionalProperties": false,
+            "properties": {"bounces": {"type": "integer", "minimum": 0, "default": 3}}});
+        assert_eq!(settings(json!({"bounces": 2})).check(&schema), Ok(()));
+        let error = settings(json!({"bounces": -1})).check(&schema).unwrap_err();
+        assert_eq!(error.path, "/own/bounces");
+        assert!(error.reason.contains("-1"), "{error}");
+        let unknown = settings(json!({"depth": 2})).check(&schema).unwrap_err();
+        assert!(unknown.reason.contains("depth"), "{unknown}");
+        let mut empty = settings(json!({}));
+        empty.common.samples = 0;
+        assert_eq!(empty.check(&schema).unwrap_err().path, "/samples");
+    }
+
+    #[test]
+    fn a_job_overrides_single_settings_of_the_scene() {
+        let scene = settings(json!({"denoise": true, "threshold": 0.1}));
+        let job = json!({"denoise": false});
+        assert_eq!(
+            scene.with_own(job.as_object().unwrap()),
+            settings(json!({"denoise": false, "threshold": 0.1}))
+        );
+    }
+}

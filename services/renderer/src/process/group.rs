@@ -1,0 +1,79 @@
+//! The processes of a run, by `/proc`.
+
+use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
+use std::fs;
+
+/// A process.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Member {
+    pub pid: Pid,
+    /// CPU time of it and of the descendants that it waited for, nanoseconds.
+    pub cpu_nanos: u64,
+    /// Resident memory that no other process shares, bytes.
+    private: u64,
+    /// Resident memory that other processes may share, bytes.
+    shared: u64,
+}
+
+/// Living processes of the group.
+pub(super) fn members(group: Pid) -> Vec<Member> {
+    pids().filter_map(|pid| member(pid, Some(group))).collect()
+}
+
+/// The process, if it lives and is in the group.
+pub(super) fn member(pid: Pid, group: Option<Pid>) -> Option<Member> {
+    let id = pid.as_raw_nonzero();
+    let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+    // The name in parentheses may hold anything, so fields are counted from its end: proc_pid_stat(5).
+    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let number = |index: usize| fields.get(index).and_then(|field| field.parse::<u64>().ok());
+    if matches!(*fields.first()?, "Z" | "X") || group.is_some_and(|group| number(2) != raw(group)) {
+        return None;
+    }
+    let ticks: u64 = (11..15).filter_map(number).sum();
+    let statm = fs::read_to_string(format!("/proc/{id}/statm")).ok()?;
+    let mut pages = statm.split_whitespace().skip(1).map_while(|field| field.parse::<u64>().ok());
+    let (resident, shared) = (pages.next()?, pages.next()?);
+    let page = rustix::param::page_size() as u64;
+    Some(Member {
+        pid,
+        cpu_nanos: ticks * (1_000_000_000 / rustix::param::clock_ticks_per_second().max(1)),
+        private: resident.saturating_sub(shared) * page,
+        shared: shared * page,
+    })
+}
+
+/// Resident memory of processes together. What they may share counts once, as much as the largest has of it.
+pub(super) fn memory_bytes(members: &[Member]) -> u64 {
+    let shared = members.iter().map(|m| m.shared).max().unwrap_or(0);
+    members.iter().map(|m| m.private).sum::<u64>() + shared
+}
+
+/// Living processes whose environment holds this line, such as `NAME=value`, wherever they are.
+pub(super) fn marked(mark: &str) -> Vec<Member> {
+    pids().filter(|&pid| is_marked(pid, mark)).filter_map(|pid| member(pid, None)).collect()
+}
+
+fn is_marked(pid: Pid, mark: &str) -> bool {
+    fs::read(format!("/proc/{}/environ", pid.as_raw_nonzero()))
+        .is_ok_and(|environment| environment.split(|&byte| byte == 0).any(|line| line == mark.as_bytes()))
+}
+
+/// Kills the process if it still has the mark. The descriptor keeps the number from naming another process.
+pub(super) fn kill_marked(pid: Pid, mark: &str) {
+    if let Ok(process) = pidfd_open(pid, PidfdFlags::empty())
+        && is_marked(pid, mark)
+    {
+        // It may have ended by itself.
+        let _ = pidfd_send_signal(&process, Signal::KILL);
+    }
+}
+
+fn raw(pid: Pid) -> Option<u64> {
+    u64::try_from(pid.as_raw_nonzero().get()).ok()
+}
+
+fn pids() -> impl Iterator<Item = Pid> {
+    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
+    entries.filter_map(|entry| Pid::from_raw(entry.file_name().to_str()?.parse().ok()?))
+}

@@ -1,0 +1,30 @@
+//! Foreign programs, held to limits.
+//!
+//! A program is started without a shell, in a process group of its own, with exactly the environment that is
+//! named. It ends when its run is cancelled, when it exceeds a limit, and when this process dies. Nothing of
+//! it is left behind: processes that it started are killed with it, those that left its group too.
+//!
+//! | file | subject |
+//! | --- | --- |
+//! | `program` | what is started |
+//! | `session` | a running program: lines in and out, orders |
+//! | `supervisor` | the thread that starts, measures, limits, ends and reaps it |
+//! | `group` | the processes of a run, by `/proc` |
+//! | `lines` | output as lines of bounded length |
+//! | `messages` | what known messages mean |
+//!
+//! A foreign program runs with the rights of this process: it can read and write what this process can. A
+//! process that leaves the group *and* clears its environment is not found.
+
+mod group;
+mod lines;
+mod messages;
+mod program;
+mod session;
+mod supervisor;
+
+pub use lines::{LONGEST_LINE, Line, Stream};
+pub use messages::{COMMON_MESSAGES, Meaning, Message};
+pub use program::Program;
+pub use session::{Finished, Session, run};
+pub use supervisor::Usage;

@@ -1,0 +1,75 @@
+//! What is started.
+
+use std::ffi::{OsStr, OsString};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// A program with its arguments and environment.
+#[derive(Debug, Clone)]
+pub struct Program {
+    path: PathBuf,
+    arguments: Vec<OsString>,
+    environment: Vec<(OsString, OsString)>,
+    folder: PathBuf,
+}
+
+impl Program {
+    /// The program at `path`, or found in `PATH`. It is run in `folder`, which is its home and its folder for
+    /// temporary files. `PATH` is passed on to it.
+    pub fn new(path: impl Into<PathBuf>, folder: &Path) -> Self {
+        let mut environment = vec![("LANG".into(), "C.UTF-8".into())];
+        for name in ["HOME", "TMPDIR"] {
+            environment.push((name.into(), folder.into()));
+        }
+        let program = Self { path: path.into(), arguments: Vec::new(), environment, folder: folder.into() };
+        program.pass_on("PATH")
+    }
+
+    /// Adds an argument.
+    #[must_use]
+    pub fn arg(mut self, argument: impl Into<OsString>) -> Self {
+        self.arguments.push(argument.into());
+        self
+    }
+
+    /// Adds arguments.
+    #[must_use]
+    pub fn args<A: Into<OsString>>(mut self, arguments: impl IntoIterator<Item = A>) -> Self {
+        self.arguments.extend(arguments.into_iter().map(Into::into));
+        self
+    }
+
+    /// Sets a variable of its environment.
+    #[must_use]
+    pub fn env(mut self, name: impl Into<OsString>, value: impl Into<OsString>) -> Self {
+        self.environment.push((name.into(), value.into()));
+        self
+    }
+
+    /// Passes on a variable of this process, if it is set.
+    #[must_use]
+    pub fn pass_on(self, name: impl AsRef<OsStr>) -> Self {
+        match std::env::var_os(&name) {
+            Some(value) => self.env(name.as_ref(), value),
+            None => self,
+        }
+    }
+
+    /// Path of the program.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Name of the program, for messages.
+    pub fn name(&self) -> String {
+        self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
+    }
+
+    /// The command, without its streams and group.
+    pub(super) fn command(&self) -> Command {
+        let mut command = Command::new(&self.path);
+        command.args(&self.arguments).env_clear().current_dir(&self.folder);
+        command.envs(self.environment.iter().map(|(name, value)| (name, value)));
+        command
+    }
+}

@@ -1,0 +1,234 @@
+//! A running program: lines in and out, and orders.
+
+use super::lines::{Line, Stream, WAITING_LINES, read_lines};
+use super::messages::{Message, meaning};
+use super::program::Program;
+use super::supervisor::{Ended, Orders, Stop, Usage, start};
+use crate::door::{Ending, RendererError, Run};
+use std::collections::VecDeque;
+use std::io::Write;
+use std::os::unix::process::ExitStatusExt;
+use std::process::ChildStdin;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Lines that are kept for the message of an error.
+const LAST_LINES: usize = 12;
+
+/// Time between two looks at orders while no line comes.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Output is read for so long after the end of the program. Only a process that hides could write then.
+const OUTPUT_AFTER_END: Duration = Duration::from_secs(1);
+
+/// A program that ended well.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finished {
+    /// What it and its descendants used.
+    pub usage: Usage,
+    /// The last lines that it printed.
+    pub last_lines: Vec<String>,
+}
+
+/// A running program. It ends at the latest when this is dropped.
+#[derive(Debug)]
+pub struct Session {
+    name: String,
+    stdin: Option<ChildStdin>,
+    lines: Receiver<Line>,
+    last_lines: VecDeque<String>,
+    orders: Orders,
+    supervisor: Option<JoinHandle<std::io::Result<Ended>>>,
+    known: &'static [Message],
+}
+
+impl Session {
+    /// Starts a program that answers lines of its standard input. The limit on memory holds while it runs,
+    /// that on time for each call of [`next`](Self::next)'s caller.
+    ///
+    /// # Errors
+    /// If the program cannot be started.
+    pub fn start(program: &Program, known: &'static [Message], run: &Run<'_>) -> Result<Self, RendererError> {
+        Self::launch(program, known, run, true)
+    }
+
+    fn launch(
+        program: &Program,
+        known: &'static [Message],
+        run: &Run<'_>,
+        interactive: bool,
+    ) -> Result<Self, RendererError> {
+        let orders = Orders::default();
+        let (streams, supervisor) = start(program, run.limits, interactive, &orders)?;
+        let (sender, lines) = sync_channel(WAITING_LINES);
+        let errors = sender.clone();
+        let (stdout, stderr) = (streams.stdout, streams.stderr);
+        std::thread::spawn(move || read_lines(stdout, Stream::Out, &sender));
+        std::thread::spawn(move || read_lines(stderr, Stream::Error, &errors));
+        let supervisor = Some(supervisor);
+        let (stdin, name) = (streams.stdin, program.name());
+        Ok(Self { name, stdin, lines, last_lines: VecDeque::new(), orders, supervisor, known })
+    }
+
+    /// Sends a line.
+    ///
+    /// # Errors
+    /// If the program has ended: says how.
+    pub fn send(&mut self, line: &str) -> Result<(), RendererError> {
+        let sent = self.stdin.as_mut().is_some_and(|to| {
+            to.write_all(line.as_bytes()).and_then(|()| to.write_all(b"\n")).and_then(|()| to.flush()).is_ok()
+        });
+        if sent { Ok(()) } else { Err(self.failure()) }
+    }
+
+    /// The next line of output. `None` after the last one: the program has ended.
+    ///
+    /// # Errors
+    /// If the run is cancelled, or is not over `limits.time` after `since`. The program is told to end then.
+    pub fn next(&mut self, since: Instant, run: &Run<'_>) -> Result<Option<Line>, RendererError> {
+        let mut ended: Option<Instant> = None;
+        loop {
+            if run.is_cancelled() {
+                return Err(self.stop(Stop::Cancelled));
+            }
+            if let Some(limit) = run.limits.time.filter(|&limit| since.elapsed() > limit) {
+                return Err(self.stop(Stop::TimeLimit(limit)));
+            }
+            match self.lines.recv_timeout(LOOK) {
+                Ok(line) => {
+                    if self.last_lines.len() == LAST_LINES {
+                        self.last_lines.pop_front();
+                    }
+                    self.last_lines.push_back(line.text.clone());
+                    return Ok(Some(line));
+                }
+                Err(RecvTimeoutError::Disconnected) => return Ok(None),
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            if self.supervisor.as_ref().is_none_or(JoinHandle::is_finished)
+                && ended.get_or_insert_with(Instant::now).elapsed() > OUTPUT_AFTER_END
+            {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// Ends the program and says what it used.
+    pub fn close(mut self) -> Usage {
+        self.stdin = None;
+        self.end(Stop::Closed).map(|ended| ended.usage).unwrap_or_default()
+    }
+
+    /// The error of a program that ended by itself, and should not have.
+    pub fn failure(&mut self) -> RendererError {
+        // What it still had to say.
+        while let Ok(line) = self.lines.recv_timeout(LOOK) {
+            self.last_lines.push_back(line.text);
+        }
+        match self.join() {
+            Some(ended) => self.verdict(&ended).err().unwrap_or_else(|| self.ended(Ending::Code(0))),
+            None => self.ended(Ending::Code(-1)),
+        }
+    }
+
+    fn stop(&mut self, stop: Stop) -> RendererError {
+        match self.end(stop).and_then(|ended| ended.stop) {
+            Some(Stop::Memory(bytes)) => out_of_memory(bytes),
+            _ => match stop {
+                Stop::TimeLimit(limit) => RendererError::TimeLimit(limit),
+                _ => RendererError::Cancelled,
+            },
+        }
+    }
+
+    fn end(&mut self, stop: Stop) -> Option<Ended> {
+        self.orders.lock().get_or_insert(stop);
+        self.join()
+    }
+
+    /// Waits for the end. Output is read meanwhile, so that the program does not wait for a reader.
+    fn join(&mut self) -> Option<Ended> {
+        let supervisor = self.supervisor.take()?;
+        while !supervisor.is_finished() {
+            match self.lines.recv_timeout(LOOK) {
+                Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        supervisor.join().ok()?.ok()
+    }
+
+    /// What the way in which the program ended means.
+    fn verdict(&self, ended: &Ended) -> Result<(), RendererError> {
+        match ended.stop {
+            Some(Stop::Memory(bytes)) => return Err(out_of_memory(bytes)),
+            Some(Stop::TimeLimit(limit)) => return Err(RendererError::TimeLimit(limit)),
+            Some(Stop::Cancelled) => return Err(RendererError::Cancelled),
+            Some(Stop::Closed) | None => {}
+        }
+        if ended.status.success() {
+            return Ok(());
+        }
+        let lines: Vec<String> = self.last_lines.iter().cloned().collect();
+        if let Some(error) = meaning(&lines, self.known) {
+            return Err(error);
+        }
+        let ending = match (ended.status.code(), ended.status.signal()) {
+            (Some(code), _) => Ending::Code(code),
+            (None, signal) => Ending::Signal(signal.unwrap_or(0)),
+        };
+        Err(self.ended(ending))
+    }
+
+    fn ended(&self, ending: Ending) -> RendererError {
+        let last_lines = self.last_lines.iter().cloned().collect();
+        RendererError::Ended { program: self.name.clone(), ending, last_lines }
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        self.stdin = None;
+        self.end(Stop::Closed);
+    }
+}
+
+fn out_of_memory(bytes: u64) -> RendererError {
+    RendererError::OutOfMemory(format!(
+        "its processes used {} MiB, which is more than their limit",
+        bytes.div_ceil(1 << 20)
+    ))
+}
+
+/// Runs a program to its end. Every line goes to the run's log and to `on_line`, which can find progress in
+/// it. Standard input is empty.
+///
+/// # Errors
+/// If the program cannot be started, is stopped, exceeds a limit, or ends with anything but exit code 0.
+pub fn run(
+    program: &Program,
+    known: &'static [Message],
+    run: &Run<'_>,
+    on_line: &mut dyn FnMut(&Line),
+) -> Result<Finished, RendererError> {
+    let since = Instant::now();
+    let mut session = Session::launch(program, known, run, false)?;
+    while let Some(line) = session.next(since, run)? {
+        (run.log)(&line.text);
+        on_line(&line);
+    }
+    // Its output has ended, but it may go on, and is still held to its limits.
+    while session.supervisor.as_ref().is_some_and(|thread| !thread.is_finished()) {
+        if run.is_cancelled() {
+            return Err(session.stop(Stop::Cancelled));
+        }
+        if let Some(limit) = run.limits.time.filter(|&limit| since.elapsed() > limit) {
+            return Err(session.stop(Stop::TimeLimit(limit)));
+        }
+        std::thread::sleep(LOOK);
+    }
+    let ended = session.join().ok_or_else(|| session.ended(Ending::Code(-1)))?;
+    session.verdict(&ended)?;
+    Ok(Finished { usage: ended.usage, last_lines: session.last_lines.iter().cloned().collect() })
+}

@@ -1,0 +1,227 @@
+//! Real programs, held to limits: none of them outlives its run.
+
+use forelight_renderer::door::{Ending, Limits, RendererError, Run};
+use forelight_renderer::process::{Finished, Line, Program, Session, run};
+use parking_lot::Mutex;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// The outside of a run, with what it logged.
+struct Outside {
+    cancelled: AtomicBool,
+    log: Mutex<Vec<String>>,
+    folder: tempfile::TempDir,
+}
+
+impl Outside {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        Self { cancelled: AtomicBool::new(false), log: Mutex::default(), folder }
+    }
+
+    fn with<T>(&self, limits: Limits, question: impl FnOnce(&Run<'_>) -> T) -> T {
+        let log = |line: &str| {
+            let mut lines = self.log.lock();
+            if lines.len() < 1000 {
+                lines.push(line.to_owned());
+            }
+        };
+        let scratch = self.folder.path();
+        question(&Run { cancelled: &self.cancelled, progress: &|_| {}, log: &log, scratch, limits })
+    }
+
+    fn shell(&self, script: &str, limits: Limits) -> Result<Finished, RendererError> {
+        let program = Program::new("/bin/sh", self.folder.path()).arg("-c").arg(script);
+        self.with(limits, |outside| run(&program, &[], outside, &mut |_: &Line| {}))
+    }
+
+    /// The numbers that a script wrote into a file of its folder.
+    fn pids(&self, file: &str) -> Vec<u32> {
+        let text = std::fs::read_to_string(self.folder.path().join(file)).unwrap_or_default();
+        text.split_whitespace().map(|pid| pid.parse().unwrap()).collect()
+    }
+}
+
+fn quick(grace_millis: u64) -> Limits {
+    Limits { grace: Duration::from_millis(grace_millis), ..Limits::default() }
+}
+
+/// Whether the process runs: a zombie does not. Waits a little for one that was just killed.
+fn lives(pid: u32) -> bool {
+    let runs = || {
+        let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        stat.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with(['Z', 'X']))
+    };
+    (0..50).all(|_| {
+        std::thread::sleep(Duration::from_millis(10));
+        runs()
+    })
+}
+
+fn is_child_of_ours(pid: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let own = std::process::id().to_string();
+    stat.rsplit_once(')').and_then(|(_, rest)| rest.split_whitespace().nth(1)) == Some(own.as_str())
+}
+
+#[test]
+fn lines_come_as_they_are_printed_and_the_last_needs_no_end() {
+    let outside = Outside::new();
+    let finished = outside.shell("echo one; echo two >&2; printf three", Limits::default()).unwrap();
+    let mut lines = outside.log.lock().clone();
+    lines.sort();
+    assert_eq!(lines, ["one", "three", "two"]);
+    assert_eq!(finished.last_lines.len(), 3);
+}
+
+#[test]
+fn the_environment_is_what_was_named_and_input_is_empty() {
+    let outside = Outside::new();
+    outside.shell("cat; env | cut -d= -f1 | sort | tr '\\n' ' '", Limits::default()).unwrap();
+    let line = outside.log.lock()[0].clone();
+    let names: Vec<&str> =
+        line.split_whitespace().filter(|name| !["PWD", "OLDPWD", "SHLVL", "_"].contains(name)).collect();
+    assert_eq!(names, ["FORELIGHT_PROCESS", "HOME", "LANG", "PATH", "TMPDIR"]);
+}
+
+#[test]
+fn a_failure_has_its_code_or_signal_and_the_last_lines() {
+    let outside = Outside::new();
+    let error = outside.shell("echo broken; exit 7", Limits::default()).unwrap_err();
+    assert!(
+        matches!(&error, RendererError::Ended { ending: Ending::Code(7), last_lines, .. } if last_lines == &["broken"])
+    );
+    assert_eq!(error.to_string(), "sh ended with exit code 7; its last lines: broken");
+    let crashed = outside.shell("kill -SEGV $$", Limits::default()).unwrap_err();
+    assert!(matches!(crashed, RendererError::Ended { ending: Ending::Signal(11), .. }), "{crashed}");
+    let absent = Program::new("/nowhere/renderer", outside.folder.path());
+    let error = outside.with(Limits::default(), |o| run(&absent, &[], o, &mut |_| {})).unwrap_err();
+    assert!(error.to_string().starts_with("/nowhere/renderer: "), "{error}");
+}
+
+#[test]
+fn known_messages_of_a_failure_are_understood() {
+    let outside = Outside::new();
+    let error =
+        |text: &str| outside.shell(&format!("echo '{text}' >&2; exit 1"), Limits::default()).unwrap_err();
+    assert!(matches!(error("wood.png: No such file or directory"), RendererError::MissingFile(_)));
+    assert!(matches!(error("terminate: std::bad_alloc"), RendererError::OutOfMemory(_)));
+    assert!(matches!(error("CUDA error: out of memory"), RendererError::Gpu(_)));
+    assert!(matches!(error("License error: none left"), RendererError::Licence(_)));
+}
+
+#[test]
+fn a_cancelled_program_ends_with_its_children_even_if_they_ignore_the_request() {
+    let outside = Outside::new();
+    let script = "trap '' TERM; echo $$ >>pids; (sleep 60 & echo $! >>pids; wait) & \
+                  setsid sh -c 'echo $$ >>pids; sleep 61' & sleep 0.3; echo ready; while :; do sleep 1; done";
+    let begun = Instant::now();
+    let error = std::thread::scope(|scope| {
+        let running = scope.spawn(|| outside.shell(script, quick(200)).unwrap_err());
+        while !outside.log.lock().iter().any(|line| line == "ready") {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        outside.cancelled.store(true, Ordering::Relaxed);
+        running.join().unwrap()
+    });
+    assert!(matches!(error, RendererError::Cancelled), "{error}");
+    assert!(begun.elapsed() < Duration::from_secs(20));
+    let pids = outside.pids("pids");
+    assert_eq!(pids.len(), 3);
+    for pid in pids {
+        assert!(!lives(pid), "process {pid} was left behind");
+        assert!(!is_child_of_ours(pid), "process {pid} was not reaped");
+    }
+}
+
+#[test]
+fn a_program_that_heeds_the_request_to_end_has_time_to_clean_up() {
+    let outside = Outside::new();
+    let limits = Limits { time: Some(Duration::from_millis(400)), ..quick(10_000) };
+    let script = "trap 'echo clean >end; exit 0' TERM; touch begun; while :; do sleep 0.05; done";
+    let error = outside.shell(script, limits).unwrap_err();
+    assert!(matches!(error, RendererError::TimeLimit(_)), "{error}");
+    assert_eq!(std::fs::read_to_string(outside.folder.path().join("end")).unwrap(), "clean\n");
+}
+
+#[test]
+fn a_program_that_closes_its_output_is_still_held_to_its_time() {
+    let outside = Outside::new();
+    let limits = Limits { time: Some(Duration::from_millis(300)), ..quick(100) };
+    let error = outside.shell("exec >/dev/null 2>&1; sleep 60", limits).unwrap_err();
+    assert!(matches!(error, RendererError::TimeLimit(_)), "{error}");
+}
+
+#[test]
+fn memory_of_all_processes_together_is_limited() {
+    let outside = Outside::new();
+    let limits = Limits { memory_bytes: Some(100 << 20), ..quick(100) };
+    let error = outside.shell("tail /dev/zero & wait", limits).unwrap_err();
+    assert!(matches!(error, RendererError::OutOfMemory(_)), "{error}");
+    let program = Program::new("/bin/sh", outside.folder.path()).arg("-c").arg("tail /dev/zero");
+    let error = outside.with(limits, |o| run(&program, &[], o, &mut |_| {})).unwrap_err();
+    assert!(matches!(error, RendererError::OutOfMemory(_)), "{error}");
+}
+
+#[test]
+fn processes_that_a_program_leaves_behind_are_killed_and_counted() {
+    let outside = Outside::new();
+    let script = "sh -c 'echo $$ >>pids; while :; do :; done' & sh -c 'echo $$ >>pids; exec sleep 60' & \
+                  setsid sh -c 'echo $$ >>pids; exec sleep 60' & sleep 1";
+    let finished = outside.shell(script, Limits::default()).unwrap();
+    for pid in outside.pids("pids") {
+        assert!(!lives(pid), "process {pid} was left behind");
+    }
+    assert!(finished.usage.cpu_nanos > 50_000_000, "{:?}", finished.usage);
+}
+
+#[test]
+fn time_of_children_that_were_waited_for_counts() {
+    let outside = Outside::new();
+    let script = "sh -c 'i=0; while [ $i -lt 300000 ]; do i=$((i+1)); done'";
+    let finished = outside.shell(script, Limits::default()).unwrap();
+    assert!(finished.usage.cpu_nanos > 50_000_000, "{:?}", finished.usage);
+    assert!(finished.usage.peak_memory_bytes > 500_000);
+}
+
+#[test]
+fn a_hundred_megabytes_of_output_pass_in_bounded_memory() {
+    let outside = Outside::new();
+    let program = Program::new("/bin/sh", outside.folder.path()).arg("-c").arg("head -c 100000000 /dev/zero");
+    let (mut bytes, mut longest) = (0, 0);
+    let mut count = |line: &Line| {
+        // A zero byte is a character of its own.
+        bytes += line.text.len();
+        longest = longest.max(line.text.len());
+    };
+    outside.with(Limits::default(), |o| run(&program, &[], o, &mut count)).unwrap();
+    assert_eq!((bytes, longest), (100_000_000, 8192));
+}
+
+#[test]
+fn a_session_answers_lines_until_it_is_closed() {
+    let outside = Outside::new();
+    let script = "echo $$ >pid; while read line; do echo \"got $line\"; [ $line != die ] || kill -9 $$; done";
+    let program = Program::new("/bin/sh", Path::new(outside.folder.path())).arg("-c").arg(script);
+    outside.with(Limits::default(), |o| {
+        let mut session = Session::start(&program, &[], o).unwrap();
+        for word in ["one", "two"] {
+            session.send(word).unwrap();
+            let line = session.next(Instant::now(), o).unwrap().unwrap();
+            assert_eq!(line.text, format!("got {word}"));
+        }
+        session.close();
+        assert!(!lives(outside.pids("pid")[0]));
+
+        let mut session = Session::start(&program, &[], o).unwrap();
+        session.send("die").unwrap();
+        while session.next(Instant::now(), o).unwrap().is_some() {}
+        assert!(matches!(session.failure(), RendererError::Ended { ending: Ending::Signal(9), .. }));
+
+        let session = Session::start(&program, &[], o).unwrap();
+        std::thread::sleep(Duration::from_millis(100));
+        drop(session);
+        assert!(!lives(outside.pids("pid")[0]));
+    });
+}

@@ -1,0 +1,101 @@
+"""Answers questions about one Blender file. Runs inside Blender, or in a Python with the `bpy` module.
+
+Standard input has one JSON object a line: `{"do": NAME, …}`. Every answer is a line on standard output that
+begins with `forelight ` and goes on with a JSON object: `{"progress": 0 to 1}`, then `{"answer": FILE}` or
+`{"error": {"kind": …, "message": …}}`. FILE holds the answer as JSON, because lines have a bounded length.
+The end of the input ends the driver.
+
+Blender itself prints to standard output. So the driver keeps that stream for answers alone, and sends
+everything else to standard error.
+"""
+
+import json
+import os
+import sys
+import time
+
+ANSWERS = os.fdopen(os.dup(1), "w", encoding="utf-8")
+QUESTIONS = os.fdopen(os.dup(0), "r", encoding="utf-8")
+os.dup2(2, 1)
+with open(os.devnull) as nothing:
+    os.dup2(nothing.fileno(), 0)
+FOLDER = os.path.dirname(os.path.abspath(__file__))
+sys.path.insert(0, FOLDER)
+# Longest message of an error, in characters.
+LONGEST_MESSAGE = 2000
+
+
+def say(what):
+    ANSWERS.write("forelight " + json.dumps(what) + "\n")
+    ANSWERS.flush()
+
+
+def reply(what):
+    path = os.path.join(FOLDER, "answer.json")
+    with open(path, "w", encoding="utf-8") as file:
+        json.dump(what, file)
+    say({"answer": path})
+
+
+def fail(kind, message):
+    say({"error": {"kind": kind, "message": message.strip()[:LONGEST_MESSAGE]}})
+
+
+class Refused(Exception):
+    """A question that cannot be answered, with the kind of error that the other side knows."""
+
+    def __init__(self, kind, message):
+        super().__init__(message)
+        self.kind = kind
+
+
+def open_scene(scene):
+    import bpy
+    import forelight_describe
+
+    # Neither scripts nor Python drivers of the file are run, whatever its user chose once.
+    bpy.context.preferences.filepaths.use_scripts_auto_execute = False
+    try:
+        bpy.ops.wm.open_mainfile(filepath=scene, load_ui=False, use_scripts=False)
+    except RuntimeError as error:
+        raise Refused("scene", str(error).strip().removeprefix("Error: ")) from None
+    engine = bpy.context.scene.render.engine
+    if engine != "CYCLES":
+        raise Refused("scene", f"its render engine is {engine}; only CYCLES can be forecast")
+    answer = forelight_describe.describe(bpy.context.scene)
+    answer["opening"] = {
+        "cpu_nanos": time.process_time_ns(),
+        "wall_nanos": time.monotonic_ns() - STARTED,
+        "peak_memory_bytes": forelight_describe.peak_memory_bytes(),
+    }
+    return answer
+
+
+def answer(question):
+    todo = question.pop("do")
+    if todo == "open":
+        return open_scene(**question)
+    import forelight_render
+
+    ask = {
+        "ids": forelight_render.ids,
+        "samples": forelight_render.samples,
+        "regions": forelight_render.regions,
+    }[todo]
+    return ask(progress=lambda share: say({"progress": share}), **question)
+
+
+def main():
+    for line in QUESTIONS:
+        try:
+            reply(answer(json.loads(line)))
+        except Refused as error:
+            fail(error.kind, str(error))
+        except MemoryError:
+            fail("out_of_memory", "Blender ran out of memory")
+        except Exception as error:  # noqa: BLE001: whatever it is, the other side has to know
+            fail("failed", f"{type(error).__name__}: {error}")
+
+
+STARTED = time.monotonic_ns()
+main()

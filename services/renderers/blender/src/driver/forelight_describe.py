@@ -1,0 +1,160 @@
+"""What is in the open file: frames, cameras, objects, materials, settings, and the files that it refers to."""
+
+import glob
+import os
+import re
+
+import bpy
+
+# Kinds of objects that have a surface or a volume.
+GEOMETRY = {
+    "MESH", "CURVE", "CURVES", "SURFACE", "FONT", "META", "POINTCLOUD", "VOLUME", "GREASEPENCIL", "GPENCIL",
+}
+# Kinds among them that are not made of triangles.
+NO_TRIANGLES = {"CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL", "GPENCIL"}
+
+
+def objects():
+    """The file's objects with geometry, in the order of their names."""
+    found = [o for o in bpy.data.objects if o.type in GEOMETRY and o.users and not o.hide_render]
+    return sorted(found, key=lambda o: (o.name, o.library.filepath if o.library else ""))
+
+
+def materials():
+    """The file's materials, in the order of their names."""
+    found = [m for m in bpy.data.materials if m.users]
+    return sorted(found, key=lambda m: (m.name, m.library.filepath if m.library else ""))
+
+
+def describe(scene):
+    render = scene.render
+    known = objects()
+    answer = {
+        "frames": {"first": scene.frame_start, "last": scene.frame_end, "step": scene.frame_step},
+        "frames_per_second": render.fps / render.fps_base,
+        "cameras": [
+            {"name": o.name, "active": o == scene.camera} for o in scene.objects if o.type == "CAMERA"
+        ],
+        "layers": [layer.name for layer in scene.view_layers if layer.use],
+        "objects": [{"name": o.name, "kind": o.type, "triangles": triangles(o)} for o in known],
+        "materials": [m.name for m in materials()],
+        "settings": settings(scene),
+        "assets": list(assets()),
+        "notes": list(notes(known)),
+    }
+    if not scene.camera:
+        answer["notes"].append("no camera is active: name one by the setting `camera`")
+    return answer
+
+
+def triangles(thing):
+    """Triangles of an object as evaluated in the current frame. `None` if it has none."""
+    if thing.type in NO_TRIANGLES:
+        return None
+    evaluated = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    try:
+        mesh = evaluated.to_mesh()
+    except RuntimeError:
+        return None
+    # A polygon with n corners has n - 2 triangles.
+    count = len(mesh.loops) - 2 * len(mesh.polygons)
+    evaluated.to_mesh_clear()
+    return count
+
+
+def settings(scene):
+    """The settings that the file has, by the names of the schema."""
+    render, cycles = scene.render, scene.cycles
+    share = render.resolution_percentage / 100
+    own = {
+        "adaptive_sampling": cycles.use_adaptive_sampling,
+        "noise_threshold": cycles.adaptive_threshold,
+        "minimum_samples": cycles.adaptive_min_samples,
+        "denoise": cycles.use_denoising,
+        "compositing": composited(scene),
+        "motion_blur": render.use_motion_blur,
+        "max_bounces": cycles.max_bounces,
+    }
+    if scene.camera:
+        own["camera"] = scene.camera.name
+    return {
+        "width": max(1, int(render.resolution_x * share)),
+        "height": max(1, int(render.resolution_y * share)),
+        "samples": cycles.samples,
+        "seed": max(0, cycles.seed),
+        "own": own,
+    }
+
+
+def composited(scene):
+    """Whether the file's compositor changes its images."""
+    if not scene.render.use_compositing:
+        return False
+    if hasattr(scene, "compositing_node_group"):
+        return scene.compositing_node_group is not None
+    return scene.use_nodes
+
+
+def notes(known):
+    if bpy.app.autoexec_fail:
+        yield f"scripts of the file are not run: {bpy.app.autoexec_fail_message or 'Python drivers'}"
+    for text in bpy.data.texts:
+        if text.use_module:
+            yield f"script {text.name} of the file is not run"
+    for kind in sorted({o.type for o in known} & NO_TRIANGLES):
+        yield f"objects of kind {kind} are not made of triangles"
+    if any(o.particle_systems for o in known):
+        yield "particle systems are rendered as they are cached"
+
+
+def assets():
+    """Files that the scene refers to, with whether they exist."""
+    for library in bpy.data.libraries:
+        yield asset("library", library, library.filepath, library.packed_file)
+    for image in bpy.data.images:
+        if image.users and image.source in {"FILE", "SEQUENCE", "MOVIE", "TILED"} and image.filepath:
+            yield asset("image", image, image.filepath, image.packed_file or image.packed_files)
+    for font in bpy.data.fonts:
+        if font.users and font.filepath != "<builtin>":
+            yield asset("font", font, font.filepath, font.packed_file)
+    for volume in bpy.data.volumes:
+        if volume.users and volume.filepath:
+            yield asset("volume", volume, volume.filepath, volume.packed_file)
+    for cache in bpy.data.cache_files:
+        if cache.users:
+            yield asset("cache", cache, cache.filepath, None)
+    for clip in bpy.data.movieclips:
+        if clip.users:
+            yield asset("movie clip", clip, clip.filepath, None)
+
+
+def asset(kind, block, path, packed):
+    # A path that begins with // is relative to the file that it stands in, which may be a library.
+    library = getattr(block, "library", None)
+    path = os.path.normpath(bpy.path.abspath(path, library=library))
+    state = "packed" if packed else "present" if exists(path) else "missing"
+    return {"kind": kind, "name": block.name, "path": path, "state": state}
+
+
+def exists(path):
+    """Whether the file exists, or some file of the sequence or of the tiles that it stands for."""
+    if os.path.exists(path):
+        return True
+    folder, name = os.path.split(path)
+    if "<UDIM>" in name or "<UVTILE>" in name:
+        pattern = re.sub("<UDIM>|<UVTILE>", "*", glob.escape(name).replace("[<]", "<"))
+        return bool(glob.glob(os.path.join(glob.escape(folder), pattern)))
+    return False
+
+
+def peak_memory_bytes(reset=False):
+    """Largest resident memory of this process, since the last reset where the system has one."""
+    if reset:
+        try:
+            with open("/proc/self/clear_refs", "w") as file:
+                file.write("5")
+        except OSError:
+            pass
+        return 0
+    with open("/proc/self/status") as file:
+        return next((int(line.split()[1]) * 1024 for line in file if line.startswith("VmHWM")), 0)

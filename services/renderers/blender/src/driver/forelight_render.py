@@ -1,0 +1,198 @@
+"""Renders frames, shares of their samples, and regions, and says what each cost.
+
+Cycles tells its state to the handler `render_stats`: `Sample 0/8` when everything is prepared, `Finished`
+when all samples are done. The CPU time at these two moments divides a cost into preparing, sampling and
+writing.
+"""
+
+import time
+
+import bpy
+import forelight_describe
+
+
+class Clock:
+    """CPU time of the process, divided by what Cycles does."""
+
+    def __init__(self, progress=None):
+        self.progress = progress
+        self.sampling = 0
+        self.sampling_since = None
+        self.last_end = None
+        self.told = 0.0
+
+    def __enter__(self):
+        forelight_describe.peak_memory_bytes(reset=True)
+        bpy.app.handlers.render_stats.append(self.state)
+        self.cpu, self.wall = time.process_time_ns(), time.monotonic_ns()
+        return self
+
+    def __exit__(self, *_):
+        self.end = time.process_time_ns()
+        self.wall = time.monotonic_ns() - self.wall
+        bpy.app.handlers.render_stats.remove(self.state)
+
+    def state(self, text, *_):
+        now = time.process_time_ns()
+        text = text if isinstance(text, str) else str(text)
+        if "Sample " in text:
+            if self.sampling_since is None:
+                self.sampling_since = now
+            self.tell(text)
+        elif self.sampling_since is not None:
+            self.sampling += now - self.sampling_since
+            self.sampling_since = None
+            self.last_end = now
+
+    def tell(self, text):
+        done, _, whole = text.rpartition("Sample ")[2].partition(" ")[0].partition("/")
+        if self.progress and done.isdigit() and whole.isdigit() and time.monotonic() - self.told > 0.2:
+            self.told = time.monotonic()
+            self.progress(int(done) / max(1, int(whole)))
+
+    def cost(self):
+        """The whole cost, and the parts of it that samples have no share in."""
+        whole = self.end - self.cpu
+        cost = {
+            "cpu_nanos": whole,
+            "wall_nanos": self.wall,
+            "peak_memory_bytes": forelight_describe.peak_memory_bytes(),
+        }
+        if self.last_end is None:
+            return {"cost": cost, "fixed": {}}
+        write = self.end - self.last_end
+        return {"cost": cost, "fixed": {"prepare": max(0, whole - self.sampling - write), "write": write}}
+
+
+def prepare(frame, settings, threads):
+    """Sets the scene to a frame and to settings, with an index for every object and material."""
+    scene = bpy.context.scene
+    render, cycles, own = scene.render, scene.cycles, settings["own"]
+    render.resolution_x, render.resolution_y = settings["width"], settings["height"]
+    render.resolution_percentage = 100
+    render.threads_mode, render.threads = "FIXED", threads
+    render.use_border = render.use_crop_to_border = False
+    render.use_overwrite, render.use_placeholder, render.use_stamp = True, False, False
+    render.use_sequencer = False
+    render.use_persistent_data = False
+    render.use_motion_blur = own.get("motion_blur", render.use_motion_blur)
+    render.use_compositing = own.get("compositing", False)
+    cycles.device = "CPU"
+    cycles.samples = settings["samples"]
+    cycles.seed = settings["seed"]
+    cycles.time_limit = 0
+    cycles.use_sample_subset = False
+    cycles.use_denoising = own.get("denoise", cycles.use_denoising)
+    cycles.max_bounces = own.get("max_bounces", cycles.max_bounces)
+    cycles.use_adaptive_sampling = own.get("adaptive_sampling", cycles.use_adaptive_sampling)
+    cycles.adaptive_threshold = own.get("noise_threshold", cycles.adaptive_threshold)
+    cycles.adaptive_min_samples = own.get("minimum_samples", cycles.adaptive_min_samples)
+    # The only pattern in which a share of the samples is the same as in one render of all.
+    cycles.sampling_pattern = "TABULATED_SOBOL"
+    name = own.get("camera")
+    if name:
+        camera = scene.objects.get(name)
+        if camera is None or camera.type != "CAMERA":
+            raise ValueError(f"the scene has no camera {name!r}")
+        scene.camera = camera
+    if scene.camera is None:
+        raise ValueError("the scene has no camera")
+    for known in (forelight_describe.objects(), forelight_describe.materials()):
+        for index, thing in enumerate(known, 1):
+            if thing.pass_index != index:
+                thing.pass_index = index
+    for layer in scene.view_layers:
+        layer.use_pass_object_index = layer.use_pass_material_index = True
+        if hasattr(layer.cycles, "pass_render_time"):
+            layer.cycles.pass_render_time = True
+    multilayer(render.image_settings)
+    scene.frame_set(frame)
+    return scene
+
+
+def multilayer(image):
+    if hasattr(image, "media_type"):
+        image.media_type = "MULTI_LAYER_IMAGE"
+    image.file_format = "OPEN_EXR_MULTILAYER"
+    image.color_depth = "32"
+    image.exr_codec = "ZIP"
+
+
+def write(scene, out):
+    scene.render.filepath = out
+    scene.render.use_file_extension = False
+    if "FINISHED" not in bpy.ops.render.render(write_still=True):
+        raise RuntimeError("Blender cancelled the render")
+
+
+def samples(frame, settings, threads, out, progress, offset=None, count=None):
+    """A frame, or with `offset` and `count` a share of its samples, into the file `out`.
+
+    Shares are neither denoised nor composited: both need the whole image.
+    """
+    with Clock(progress) as clock:
+        scene = prepare(frame, settings, threads)
+        if count is not None:
+            cycles = scene.cycles
+            cycles.use_sample_subset = True
+            cycles.sample_offset, cycles.sample_subset_length = offset, count
+            cycles.use_denoising = scene.render.use_compositing = False
+        write(scene, out)
+    return clock.cost()
+
+
+def ids(frame, settings, threads, out, progress):
+    """Object and material of every pixel at one sample, with as little light as Cycles can be told to trace.
+
+    The scene stays in memory for the next frame, so that only what moves is prepared again.
+    """
+    with Clock() as clock:
+        scene = prepare(frame, settings, threads)
+        cycles, render = scene.cycles, scene.render
+        before = [
+            (cycles, name, getattr(cycles, name))
+            for name in ("max_bounces", "direct_light_sampling_type", "filter_width")
+        ]
+        cycles.samples, cycles.max_bounces = 1, 0
+        cycles.use_adaptive_sampling = cycles.use_denoising = False
+        render.use_compositing = False
+        render.use_motion_blur = False
+        # The one sample of a pixel is close to its centre.
+        cycles.filter_width = 0.01
+        render.use_persistent_data = True
+        try:
+            write(scene, out)
+        finally:
+            for block, name, value in before:
+                setattr(block, name, value)
+    progress(1.0)
+    return clock.cost()
+
+
+def regions(frame, settings, threads, out, progress, regions):
+    """All samples of rectangles, one by one. The scene is prepared once."""
+    whole = Clock()
+    pieces = []
+    with whole:
+        scene = prepare(frame, settings, threads)
+        render, cycles = scene.render, scene.cycles
+        cycles.use_denoising = render.use_compositing = False
+        render.use_persistent_data = True
+        render.use_border = render.use_crop_to_border = True
+        width, height = settings["width"], settings["height"]
+        for index, region in enumerate(regions):
+            # Blender counts rows from below.
+            low = height - region["y"] - region["height"]
+            render.border_min_x = region["x"] / width
+            render.border_max_x = (region["x"] + region["width"]) / width
+            render.border_min_y, render.border_max_y = low / height, (low + region["height"]) / height
+            before = whole.sampling
+            bpy.ops.render.render(write_still=False)
+            pieces.append({"region": region, "cpu_nanos": whole.sampling - before})
+            progress((index + 1) / len(regions))
+    answer = whole.cost()
+    sampled = sum(piece["cpu_nanos"] for piece in pieces)
+    answer["fixed"] = {"prepare": max(0, answer["cost"]["cpu_nanos"] - sampled)}
+    answer["pieces"] = pieces
+    render.use_border = render.use_crop_to_border = render.use_persistent_data = False
+    return answer

@@ -1,0 +1,276 @@
+//! Multi-layer EXR files of Cycles: ids and times of pixels, and merging shares of the samples.
+
+use exr::prelude::{
+    AnyChannel, AnyChannels, FlatImage, FlatSamples, Layer, ReadChannels as _, ReadLayers as _,
+    WritableImage as _, read,
+};
+use forelight_renderer::door::{BlockCosts, PixelCount, RendererError, StratumCost};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Side of the blocks by which costs are located, pixels.
+const BLOCK: u32 = 8;
+
+/// Passes, by the names of Blender 5 and of those before it.
+const OBJECT: [&str; 2] = ["Object Index", "IndexOB"];
+const MATERIAL: [&str; 2] = ["Material Index", "IndexMA"];
+const TIME: [&str; 1] = ["Render Time"];
+
+/// Passes that hold the first sample alone.
+const OF_FIRST_SAMPLE: [&str; 7] =
+    ["Object Index", "IndexOB", "Material Index", "IndexMA", "Depth", "Z", "Position"];
+
+/// A multi-layer image.
+pub(crate) struct Image {
+    exr: FlatImage,
+}
+
+/// A share of the samples of a frame.
+pub(crate) struct Share {
+    pub image: Image,
+    pub samples: u32,
+}
+
+impl Image {
+    pub fn read(path: &Path) -> Result<Self, RendererError> {
+        let reader = read().no_deep_data().largest_resolution_level().all_channels().all_layers();
+        let exr = reader.all_attributes().from_file(path).map_err(failed(path))?;
+        Ok(Self { exr })
+    }
+
+    /// Writes the image under a temporary name first: a file of this name is whole.
+    pub fn write(&self, path: &Path) -> Result<(), RendererError> {
+        let partial = path.with_extension("partial");
+        self.exr.write().to_file(&partial).map_err(failed(&partial))?;
+        std::fs::rename(&partial, path).map_err(RendererError::io(path))
+    }
+
+    fn width(&self) -> usize {
+        self.exr.layer_data.first().map_or(1, |layer| layer.size.x().max(1))
+    }
+
+    /// A channel of the first layer that has such a pass.
+    fn pass(&self, names: &[&str]) -> Option<&[f32]> {
+        let channels = self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
+        channels.filter(|c| names.contains(&pass_of(c))).find_map(floats)
+    }
+
+    /// Object and material of every pixel, by index. `None` if the image does not hold them.
+    fn strata(&self) -> Option<Vec<(Option<u32>, Option<u32>)>> {
+        let (objects, materials) = (self.pass(&OBJECT)?, self.pass(&MATERIAL)?);
+        // Zero is nothing; a share without the first sample has nothing but zeros.
+        let index = |value: f32| (value as u32).checked_sub(1);
+        objects.iter().any(|&value| value > 0.0).then(|| {
+            objects
+                .iter()
+                .zip(materials)
+                .map(|(&object, &material)| (index(object), index(material)))
+                .collect()
+        })
+    }
+
+    /// Pixels by stratum, scaled to an image of `pixels`.
+    pub fn counts(&self, pixels: u64) -> Result<Vec<PixelCount>, RendererError> {
+        let missing = || RendererError::Answer("the image has no object and material index".to_owned());
+        let (objects, materials) =
+            (self.pass(&OBJECT).ok_or_else(missing)?, self.pass(&MATERIAL).ok_or_else(missing)?);
+        let mut counts = BTreeMap::new();
+        let index = |value: f32| (value as u32).checked_sub(1);
+        for (&object, &material) in objects.iter().zip(materials) {
+            *counts.entry((index(object), index(material))).or_insert(0u64) += 1;
+        }
+        let own = objects.len().max(1) as u64;
+        let count = |((object, material), n)| PixelCount { object, material, pixels: scaled(n, pixels, own) };
+        Ok(counts.into_iter().map(count).collect())
+    }
+
+    /// Costs by stratum. Empty if the image does not hold ids and times.
+    pub fn stratum_costs(&self) -> Vec<StratumCost> {
+        let (Some(strata), Some(times)) = (self.strata(), self.pass(&TIME)) else { return Vec::new() };
+        let mut sums = BTreeMap::new();
+        for (stratum, &time) in strata.into_iter().zip(times) {
+            let (pixels, millis) = sums.entry(stratum).or_insert((0u64, 0.0));
+            *pixels += 1;
+            *millis += f64::from(time);
+        }
+        let cost = |((object, material), (pixels, millis))| StratumCost {
+            count: PixelCount { object, material, pixels },
+            nanos: nanos(millis),
+        };
+        sums.into_iter().map(cost).collect()
+    }
+
+    /// Costs by block. `None` if the image does not hold times.
+    pub fn block_costs(&self) -> Option<BlockCosts> {
+        let times = self.pass(&TIME)?;
+        let (width, side) = (self.width(), BLOCK as usize);
+        let columns = width.div_ceil(side);
+        let mut sums = vec![0.0; columns * (times.len() / width).div_ceil(side)];
+        for (pixel, &time) in times.iter().enumerate() {
+            sums[pixel / width / side * columns + pixel % width / side] += f64::from(time);
+        }
+        let columns = u32::try_from(columns).unwrap_or(u32::MAX);
+        Some(BlockCosts { side: BLOCK, columns, nanos: sums.into_iter().map(nanos).collect() })
+    }
+}
+
+/// Merges shares of the samples, in their order, into the image of all samples.
+///
+/// A pass is the mean of its samples, so its shares are weighted by their numbers of samples. Times add up.
+/// What only the first sample writes is the first share's. Cryptomatte ranks are merged by id.
+pub(crate) fn merge(shares: Vec<Share>) -> Result<Image, RendererError> {
+    let all: f64 = shares.iter().map(|share| f64::from(share.samples)).sum();
+    let weights: Vec<f64> = shares.iter().map(|share| f64::from(share.samples) / all).collect();
+    let mut shares = shares.into_iter().map(|share| share.image.exr);
+    let differ = || RendererError::Answer("shares of a frame have different passes".to_owned());
+    let mut merged = shares.next().ok_or_else(differ)?;
+    let others: Vec<FlatImage> = shares.collect();
+    for index in 0..merged.layer_data.len() {
+        let layer = &mut merged.layer_data[index];
+        let others: Option<Vec<_>> = others
+            .iter()
+            .map(|other| other.layer_data.get(index).filter(|other| same_channels(layer, other)))
+            .collect();
+        let others = others.ok_or_else(differ)?;
+        let ranks = cryptomatte_ranks(layer).concat();
+        for (channel, own) in
+            layer.channel_data.list.iter_mut().enumerate().filter(|(c, _)| !ranks.contains(c))
+        {
+            let theirs: Option<Vec<&[f32]>> =
+                others.iter().map(|other| floats(&other.channel_data.list[channel])).collect();
+            merge_channel(own, &theirs.ok_or_else(differ)?, &weights);
+        }
+    }
+    merge_cryptomattes(&mut merged, &others, &weights)?;
+    Ok(Image { exr: merged })
+}
+
+fn same_channels(one: &Layer<AnyChannels<FlatSamples>>, other: &Layer<AnyChannels<FlatSamples>>) -> bool {
+    let names = |layer: &Layer<AnyChannels<FlatSamples>>| {
+        layer.channel_data.list.iter().map(|c| (c.name.clone(), c.sample_data.len())).collect::<Vec<_>>()
+    };
+    names(one) == names(other)
+}
+
+fn merge_channel(own: &mut AnyChannel<FlatSamples>, others: &[&[f32]], weights: &[f64]) {
+    let pass = pass_of(own).to_owned();
+    if OF_FIRST_SAMPLE.contains(&pass.as_str()) {
+        return;
+    }
+    let add_up = TIME.contains(&pass.as_str());
+    let FlatSamples::F32(values) = &mut own.sample_data else { return };
+    for (pixel, value) in values.iter_mut().enumerate() {
+        let weight = |share: usize| if add_up { 1.0 } else { weights[share] };
+        let mut sum = f64::from(*value) * weight(0);
+        for (share, other) in others.iter().enumerate() {
+            sum += f64::from(other[pixel]) * weight(share + 1);
+        }
+        *value = sum as f32;
+    }
+}
+
+/// Indices of the (id, weight) channels of a layer that belong to a Cryptomatte.
+fn cryptomatte_ranks(layer: &Layer<AnyChannels<FlatSamples>>) -> Vec<[usize; 2]> {
+    let list = &layer.channel_data.list;
+    let find = |pass: &str, component: &str| {
+        list.iter().position(|c| pass_of(c) == pass && component_of(c).eq_ignore_ascii_case(component))
+    };
+    let mut passes: Vec<&str> = list.iter().map(pass_of).filter(|pass| pass.starts_with("Crypto")).collect();
+    passes.sort_unstable();
+    passes.dedup();
+    let pairs = passes.into_iter().flat_map(|pass| {
+        [("r", "g"), ("b", "a")].map(|(id, weight)| Some([find(pass, id)?, find(pass, weight)?]))
+    });
+    pairs.flatten().collect()
+}
+
+/// Merges the ranks of every Cryptomatte: weights of the same id are averaged, and the heaviest ids are kept.
+fn merge_cryptomattes(
+    merged: &mut FlatImage,
+    others: &[FlatImage],
+    weights: &[f64],
+) -> Result<(), RendererError> {
+    // Ranks of one Cryptomatte may be in several parts of the file: CryptoObject00, CryptoObject01, …
+    let mut groups: BTreeMap<String, Vec<(usize, [usize; 2])>> = BTreeMap::new();
+    for (index, layer) in merged.layer_data.iter().enumerate() {
+        for pair in cryptomatte_ranks(layer) {
+            let name = layer.channel_data.list[pair[0]].name.to_string();
+            let group = name.rsplit_once('.').map_or(name.as_str(), |(pass, _)| pass);
+            groups
+                .entry(group.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned())
+                .or_default()
+                .push((index, pair));
+        }
+    }
+    for ranks in groups.into_values() {
+        let take = |image: &FlatImage| -> Option<Vec<[Vec<f32>; 2]>> {
+            let channel = |layer: usize, c: usize| {
+                Some(floats(&image.layer_data[layer].channel_data.list[c])?.to_vec())
+            };
+            ranks
+                .iter()
+                .map(|&(layer, [id, weight])| Some([channel(layer, id)?, channel(layer, weight)?]))
+                .collect()
+        };
+        let images: Option<Vec<_>> = std::iter::once(&*merged).chain(others).map(take).collect();
+        let images =
+            images.ok_or_else(|| RendererError::Answer("a Cryptomatte is not of floats".to_owned()))?;
+        let mut result = images[0].clone();
+        for pixel in 0..result.first().map_or(0, |rank| rank[0].len()) {
+            let mut ids: Vec<(u32, f64)> = Vec::new();
+            for (image, share) in images.iter().zip(weights) {
+                for [id, weight] in image {
+                    let (id, weight) = (id[pixel].to_bits(), f64::from(weight[pixel]) * share);
+                    match ids.iter_mut().find(|known| known.0 == id) {
+                        Some(known) => known.1 += weight,
+                        None => ids.push((id, weight)),
+                    }
+                }
+            }
+            ids.retain(|&(_, weight)| weight > 0.0);
+            ids.sort_by(|a, b| b.1.total_cmp(&a.1));
+            for (rank, [id, weight]) in result.iter_mut().enumerate() {
+                let (bits, share) = ids.get(rank).copied().unwrap_or((0, 0.0));
+                (id[pixel], weight[pixel]) = (f32::from_bits(bits), share as f32);
+            }
+        }
+        for ((layer, channels), values) in ranks.into_iter().zip(result) {
+            for (channel, values) in channels.into_iter().zip(values) {
+                merged.layer_data[layer].channel_data.list[channel].sample_data = FlatSamples::F32(values);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// `Object Index` of `ViewLayer.Object Index.X`.
+fn pass_of(channel: &AnyChannel<FlatSamples>) -> &str {
+    let name = channel.name.as_slice();
+    std::str::from_utf8(name).ok().and_then(|name| name.rsplit('.').nth(1)).unwrap_or("")
+}
+
+/// `X` of `ViewLayer.Object Index.X`.
+fn component_of(channel: &AnyChannel<FlatSamples>) -> &str {
+    std::str::from_utf8(channel.name.as_slice()).ok().and_then(|name| name.rsplit('.').next()).unwrap_or("")
+}
+
+fn floats(channel: &AnyChannel<FlatSamples>) -> Option<&[f32]> {
+    match &channel.sample_data {
+        FlatSamples::F32(values) => Some(values),
+        _ => None,
+    }
+}
+
+fn nanos(millis: f64) -> u64 {
+    (millis * 1e6).max(0.0).round() as u64
+}
+
+/// `n · to / from`, rounded.
+fn scaled(n: u64, to: u64, from: u64) -> u64 {
+    let exact = (u128::from(n) * u128::from(to) + u128::from(from) / 2) / u128::from(from);
+    u64::try_from(exact).unwrap_or(u64::MAX)
+}
+
+fn failed(path: &Path) -> impl FnOnce(exr::error::Error) -> RendererError {
+    move |error| RendererError::Answer(format!("{}: {error}", path.display()))
+}

@@ -1,0 +1,182 @@
+//! Finds Blender, and starts it.
+
+use crate::settings::schema;
+use crate::shot::BlenderShot;
+use forelight_renderer::door::{
+    Capabilities, Capability, Limits, Renderer, RendererError, RendererId, Run, Shot,
+};
+use forelight_renderer::process::{Meaning, Message, Program, run};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+/// Variable with the path of a Python that has the module `bpy`.
+const PYTHON: &str = "FORELIGHT_BPY_PYTHON";
+
+/// Oldest version, and the first major version that is too new.
+const OLDEST: (u32, u32) = (4, 2);
+const TOO_NEW: u32 = 6;
+
+/// Time for a program to say its version. Loading all of Blender from a cold disk takes a while.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Messages of Blender.
+pub(crate) const MESSAGES: &[Message] = &[
+    ("malloc returns null", Meaning::OutOfMemory),
+    ("calloc returns null", Meaning::OutOfMemory),
+    ("system is out of gpu memory", Meaning::Gpu),
+];
+
+/// How Blender is started.
+#[derive(Debug, Clone)]
+enum How {
+    /// The program `blender`.
+    Program(PathBuf),
+    /// A Python with the module `bpy`.
+    Module(PathBuf),
+}
+
+/// Blender Cycles on this machine.
+#[derive(Debug, Clone)]
+pub struct Cycles {
+    id: RendererId,
+    how: How,
+}
+
+impl Cycles {
+    /// Finds Blender: the program `blender`, the Python that `FORELIGHT_BPY_PYTHON` names, `python3`.
+    ///
+    /// # Errors
+    /// If there is none, or none of a version from 4.2 to 5.x: says what was found.
+    pub fn find() -> Result<Self, RendererError> {
+        let named = std::env::var_os(PYTHON).map(|path| How::Module(path.into()));
+        let ways = [Some(How::Program("blender".into())), named, Some(How::Module("python3".into()))];
+        let mut reasons = Vec::new();
+        for how in ways.into_iter().flatten() {
+            match how.version() {
+                Ok(version) if is_supported(&version) => {
+                    return Ok(Self { id: RendererId { name: "cycles".to_owned(), version }, how });
+                }
+                Ok(version) => reasons.push(format!("{how} is Blender {version}")),
+                Err(error) => reasons.push(format!("{how}: {error}")),
+            }
+        }
+        Err(RendererError::NotInstalled {
+            renderer: "Blender from 4.2 to 5.x".to_owned(),
+            reason: format!("{}; install it, or set {PYTHON} to a Python with bpy", reasons.join("; ")),
+        })
+    }
+
+    /// The program that runs a driver script.
+    pub(crate) fn program(&self, driver: &Path, folder: &Path) -> Program {
+        let (path, arguments): (_, &[&str]) = match &self.how {
+            How::Program(path) => (
+                path,
+                &[
+                    "--background",
+                    "--factory-startup",
+                    "--disable-autoexec",
+                    "-noaudio",
+                    "--python-exit-code",
+                    "1",
+                    "-P",
+                ],
+            ),
+            How::Module(path) => (path, &["-I", "-B"]),
+        };
+        Program::new(path, folder).pass_on("LD_LIBRARY_PATH").args(arguments).arg(driver)
+    }
+}
+
+impl How {
+    fn version(&self) -> Result<String, RendererError> {
+        let folder = tempfile::tempdir().map_err(RendererError::io("temporary folder"))?;
+        let program = match self {
+            Self::Program(path) => Program::new(path, folder.path()).args(["--background", "--version"]),
+            Self::Module(path) => Program::new(path, folder.path()).args([
+                "-I",
+                "-B",
+                "-c",
+                "import bpy; print('Blender', bpy.app.version_string)",
+            ]),
+        };
+        let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
+        let cancelled = AtomicBool::new(false);
+        let outside =
+            Run { cancelled: &cancelled, progress: &|_| {}, log: &|_| {}, scratch: folder.path(), limits };
+        let mut version = None;
+        run(&program, MESSAGES, &outside, &mut |line| {
+            if let Some(rest) = line.text.strip_prefix("Blender ") {
+                version = rest.split_whitespace().next().map(str::to_owned);
+            }
+        })?;
+        version.ok_or_else(|| RendererError::Answer("no version".to_owned()))
+    }
+}
+
+impl std::fmt::Display for How {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Program(path) => write!(f, "{}", path.display()),
+            Self::Module(path) => write!(f, "bpy of {}", path.display()),
+        }
+    }
+}
+
+/// Whether the driver knows this version.
+fn is_supported(version: &str) -> bool {
+    let mut numbers = version.split('.').map_while(|number| number.parse().ok());
+    matches!((numbers.next(), numbers.next()), (Some(major), Some(minor)) if (major, minor) >= OLDEST && major < TOO_NEW)
+}
+
+impl Renderer for Cycles {
+    fn id(&self) -> &RendererId {
+        &self.id
+    }
+
+    fn settings_schema(&self) -> Value {
+        schema()
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        let mut all = Capabilities::from([
+            Capability::MeasureSamples,
+            Capability::MeasureRegions,
+            Capability::TakeOverSamples,
+        ]);
+        if locates_costs(&self.id.version) {
+            all.insert(Capability::LocateCosts);
+        }
+        all
+    }
+
+    fn open(&self, scene: &Path, run: &Run<'_>) -> Result<Box<dyn Shot>, RendererError> {
+        Ok(Box::new(BlenderShot::open(self.clone(), scene, run)?))
+    }
+}
+
+/// Whether Cycles writes the time of each pixel: since Blender 5.0.
+fn locates_costs(version: &str) -> bool {
+    version.split('.').next().and_then(|major| major.parse().ok()).is_some_and(|major: u32| major >= 5)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_from_4_2_to_5_x_are_supported() {
+        for (version, supported) in [
+            ("4.1.1", false),
+            ("4.2.0", true),
+            ("4.5.15", true),
+            ("5.0.1", true),
+            ("6.0.0", false),
+            ("x", false),
+        ] {
+            assert_eq!(is_supported(version), supported, "{version}");
+        }
+        assert!(locates_costs("5.0.1") && !locates_costs("4.5.15"));
+    }
+}

@@ -1,0 +1,34 @@
+//! Blender Cycles behind the renderer's door.
+//!
+//! Blender runs as a process of its own: the program `blender` where it is installed, or else a Python that
+//! has the module `bpy`. A driver script in it opens the file once and answers questions about it. Scripts of
+//! the file are never run.
+//!
+//! | file | subject |
+//! | --- | --- |
+//! | `installation` | finds Blender, and starts it |
+//! | `connection` | questions to the driver and its answers |
+//! | `settings` | Cycles' own settings |
+//! | `shot` | the four questions of the door |
+//! | `image` | multi-layer EXR files: ids, times, merging shares of the samples |
+//! | `driver/` | the Python that runs inside Blender |
+//!
+//! # Costs
+//! A cost is CPU time of the Blender process around a render. Cycles says when everything is prepared and
+//! when all samples are done; what lies before and after is in `fixed` as `prepare` and `write`. From Blender 5.0
+//! on, the time of each pixel tells where the cost goes: strata and blocks. It is wall time, so it tells how
+//! the cost divides, not how large it is.
+//!
+//! # Samples that are taken over
+//! With the sampling pattern `TABULATED_SOBOL`, which is always set here, shares of the samples that are
+//! weighted by their numbers add up to the image of one render, to the rounding of floats. That does not
+//! hold with adaptive sampling, which decides on earlier samples, nor with denoising or compositing, which need the
+//! whole image.
+
+mod connection;
+mod image;
+mod installation;
+mod settings;
+mod shot;
+
+pub use installation::Cycles;

@@ -1,0 +1,264 @@
+//! The four questions of the door, to one Blender file.
+
+use crate::connection::Connection;
+use crate::image::{Image, Share, merge};
+use crate::installation::Cycles;
+use crate::settings::{is_on, schema, why_indivisible};
+use forelight_renderer::door::{
+    Artefact, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
+    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot,
+};
+use parking_lot::Mutex;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Most pixels of a preview. Counts are scaled to the image.
+const PREVIEW_PIXELS: u64 = 256 * 256;
+
+/// A Blender file, open in a process that answers one question at a time.
+pub(crate) struct BlenderShot {
+    cycles: Cycles,
+    scene: PathBuf,
+    description: Description,
+    /// `None` after a run that was stopped: the next question starts Blender again.
+    connection: Mutex<Option<Connection>>,
+}
+
+/// Answer of the driver to a render.
+#[derive(Deserialize)]
+struct Costs {
+    cost: Cost,
+    fixed: FixedCosts,
+    #[serde(default)]
+    pieces: Vec<PieceCost>,
+}
+
+impl BlenderShot {
+    pub fn open(cycles: Cycles, scene: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
+        let (connection, description) = Connection::open(&cycles, scene, run)?;
+        Ok(Self { cycles, scene: scene.to_owned(), description, connection: Mutex::new(Some(connection)) })
+    }
+
+    fn ask<T: DeserializeOwned>(&self, question: &Value, run: &Run<'_>) -> Result<T, RendererError> {
+        let mut open = self.connection.lock();
+        let mut connection = match open.take() {
+            Some(connection) => connection,
+            None => Connection::open::<Value>(&self.cycles, &self.scene, run)?.0,
+        };
+        let answer = connection.ask(question, run);
+        // After any other error the process is gone, or nobody knows what it does.
+        if matches!(answer, Ok(_) | Err(RendererError::Failed(_))) {
+            *open = Some(connection);
+        }
+        answer
+    }
+
+    fn check(&self, settings: &Settings) -> Result<(), RendererError> {
+        settings.check(&schema())?;
+        if is_on(settings, "allow_missing") { Ok(()) } else { self.description.require_assets() }
+    }
+
+    /// Renders a frame, or with (offset, count) a share of its samples, into a file.
+    fn samples(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        share: Option<(u32, u32)>,
+        out: &Path,
+        run: &Run<'_>,
+    ) -> Result<Costs, RendererError> {
+        let mut question = question("samples", frame, settings, out, run);
+        if let Some((offset, count)) = share {
+            question["offset"] = offset.into();
+            question["count"] = count.into();
+        }
+        self.ask(&question, run)
+    }
+
+    fn measure_samples(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        (offset, count): (u32, u32),
+        run: &Run<'_>,
+    ) -> Result<Measured, RendererError> {
+        let all = settings.common.samples;
+        if count == 0 || offset.checked_add(count).is_none_or(|end| end > all) {
+            return Err(RendererError::Unsupported(format!(
+                "samples {offset} to {} of a frame of {all}",
+                u64::from(offset) + u64::from(count)
+            )));
+        }
+        let path = run.scratch.join(format!("frame-{frame:04}-samples-{offset}-{count}.exr"));
+        // With adaptive sampling, a share measures the cost of samples that are not adaptive.
+        let Costs { cost, fixed, .. } = self.samples(frame, settings, Some((offset, count)), &path, run)?;
+        let image = Image::read(&path)?;
+        let artefact = if why_indivisible(settings).is_none() {
+            let renderer = self.cycles.id().clone();
+            let part = Part::Samples { offset, count };
+            Some(Artefact { renderer, frame, settings: settings.clone(), part, path })
+        } else {
+            std::fs::remove_file(&path).map_err(RendererError::io(&path))?;
+            None
+        };
+        let (strata, blocks) = (image.stratum_costs(), image.block_costs());
+        Ok(Measured { cost, fixed, pieces: Vec::new(), strata, blocks, artefact })
+    }
+
+    fn measure_regions(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        regions: &[Region],
+        run: &Run<'_>,
+    ) -> Result<Measured, RendererError> {
+        let inside = |start: u32, length: u32, all: u32| {
+            length > 0 && start.checked_add(length).is_some_and(|end| end <= all)
+        };
+        let (width, height) = (settings.common.width, settings.common.height);
+        if let Some(r) =
+            regions.iter().find(|r| !inside(r.x, r.width, width) || !inside(r.y, r.height, height))
+        {
+            return Err(RendererError::Unsupported(format!(
+                "region {} × {} at ({}, {}) of an image of {width} × {height}",
+                r.width, r.height, r.x, r.y
+            )));
+        }
+        let mut question = question("regions", frame, settings, run.scratch, run);
+        question["regions"] = json!(regions);
+        let Costs { cost, fixed, pieces } = self.ask(&question, run)?;
+        Ok(Measured { cost, fixed, pieces, strata: Vec::new(), blocks: None, artefact: None })
+    }
+
+    /// Shares of the samples in order, without gaps from the first sample on, and the number of samples in
+    /// them.
+    fn shares(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        from: &[Artefact],
+    ) -> Result<(Vec<Share>, u32), RendererError> {
+        let mut parts = Vec::new();
+        for artefact in from {
+            artefact.check(self.cycles.id(), frame, settings)?;
+            if let Some(reason) = why_indivisible(settings) {
+                return Err(artefact.unusable(reason));
+            }
+            let Part::Samples { offset, count } = artefact.part else {
+                return Err(artefact.unusable("it is not a share of the samples"));
+            };
+            parts.push((offset, count, artefact));
+        }
+        parts.sort_by_key(|&(offset, ..)| offset);
+        let (mut shares, mut end) = (Vec::new(), 0);
+        for (offset, count, artefact) in parts {
+            if offset != end {
+                return Err(artefact
+                    .unusable(format!("it begins at sample {offset}, and {end} were expected before it")));
+            }
+            end += count;
+            shares.push(Share { image: Image::read(&artefact.path)?, samples: count });
+        }
+        Ok((shares, end))
+    }
+}
+
+fn question(name: &str, frame: i32, settings: &Settings, out: &Path, run: &Run<'_>) -> Value {
+    json!({"do": name, "frame": frame, "settings": settings, "threads": run.limits.threads, "out": out})
+}
+
+/// The settings of a preview: smaller, if the image is large.
+fn preview_settings(settings: &Settings) -> Settings {
+    let mut small = settings.clone();
+    let scale = (PREVIEW_PIXELS as f64 / settings.pixels() as f64).sqrt().min(1.0);
+    for side in [&mut small.common.width, &mut small.common.height] {
+        *side = ((f64::from(*side) * scale).round() as u32).max(1);
+    }
+    small
+}
+
+impl Shot for BlenderShot {
+    fn description(&self) -> &Description {
+        &self.description
+    }
+
+    fn capabilities(&self, settings: &Settings) -> Capabilities {
+        let mut all = self.cycles.capabilities();
+        if why_indivisible(settings).is_some() {
+            all.remove(&Capability::TakeOverSamples);
+        }
+        all
+    }
+
+    fn preview(
+        &self,
+        frames: &[i32],
+        settings: &Settings,
+        run: &Run<'_>,
+    ) -> Result<Vec<FrameCounts>, RendererError> {
+        self.check(settings)?;
+        let small = preview_settings(settings);
+        let out = run.scratch.join("preview.exr");
+        let mut all = Vec::with_capacity(frames.len());
+        for (done, &frame) in frames.iter().enumerate() {
+            let progress = |share: f64| (run.progress)((done as f64 + share) / frames.len() as f64);
+            let within = Run { progress: &progress, ..*run };
+            let Costs { cost, .. } = self.ask(&question("ids", frame, &small, &out, run), &within)?;
+            let counts = Image::read(&out)?.counts(settings.pixels())?;
+            all.push(FrameCounts { frame, counts, sampled_pixels: small.pixels(), cost });
+        }
+        if !frames.is_empty() {
+            std::fs::remove_file(&out).map_err(RendererError::io(&out))?;
+        }
+        Ok(all)
+    }
+
+    fn measure(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        part: &Part,
+        run: &Run<'_>,
+    ) -> Result<Measured, RendererError> {
+        self.check(settings)?;
+        match part {
+            &Part::Samples { offset, count } => self.measure_samples(frame, settings, (offset, count), run),
+            Part::Regions(regions) => self.measure_regions(frame, settings, regions, run),
+            Part::Pixels(_) => Err(RendererError::Unsupported(
+                "Cycles cannot measure single pixels; measure regions".to_owned(),
+            )),
+        }
+    }
+
+    fn render(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        taken_over: &[Artefact],
+        run: &Run<'_>,
+    ) -> Result<Rendered, RendererError> {
+        self.check(settings)?;
+        let (mut shares, first) = self.shares(frame, settings, taken_over)?;
+        let rest = settings.common.samples.saturating_sub(first);
+        let path = run.scratch.join(format!("frame-{frame:04}.exr"));
+        let (mut cost, mut fixed) = (Cost::default(), FixedCosts::default());
+        let image = if shares.is_empty() {
+            Costs { cost, fixed, .. } = self.samples(frame, settings, None, &path, run)?;
+            Image::read(&path)?
+        } else {
+            if rest > 0 {
+                let part = run.scratch.join(format!("frame-{frame:04}-rest.exr"));
+                Costs { cost, fixed, .. } = self.samples(frame, settings, Some((first, rest)), &part, run)?;
+                shares.push(Share { image: Image::read(&part)?, samples: rest });
+                std::fs::remove_file(&part).map_err(RendererError::io(&part))?;
+            }
+            let image = merge(shares)?;
+            image.write(&path)?;
+            image
+        };
+        let (strata, blocks) = (image.stratum_costs(), image.block_costs());
+        Ok(Rendered { files: vec![path], cost, fixed, strata, blocks })
+    }
+}

@@ -1,0 +1,192 @@
+"""Turns scene bundles into Blender files: `blender_scenes.py OUT BUNDLE…`. Needs the module `bpy`.
+
+Beside each NAME.blend, NAME.json says what is in it, as a renderer should describe it. The files `missing.blend`
+and `script.blend` are small: the one refers to a texture that does not exist, the other holds a script that
+writes a file when it is run.
+
+Materials are Principled, lights are surfaces that emit. The camera and translations of objects are animated.
+Coordinates stay as they are, with y up.
+"""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import bpy
+import bundle
+import numpy
+from mathutils import Matrix, Vector
+
+
+def convert(folder, out):
+    """Writes the bundle as a Blender file, and what is in it as JSON."""
+    scene_json = json.loads((folder / "scene.json").read_text())
+    read = bundle.read(folder)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    materials = {name: principled(material) for name, material in read.materials.items()}
+    parts = {}
+    for part in read.parts:
+        parts.setdefault(part.object or "unnamed", []).append(part)
+    objects = {name: mesh(name, own, materials) for name, own in parts.items()}
+    for block in objects.values():
+        scene.collection.objects.link(block)
+    for material in materials.values():
+        if not material.users:
+            bpy.data.materials.remove(material)
+    world = bpy.data.worlds.new("World")
+    background(world, read.environment or (0.0, 0.0, 0.0))
+    scene.world = world
+    animation = scene_json.get("animation", {"frames": 1, "fps": 24, "tracks": []})
+    animate(scene, read.camera, animation, objects)
+    settings(scene, animation)
+    bpy.ops.wm.save_as_mainfile(filepath=str(out / f"{folder.name}.blend"))
+    expected = {
+        "first": scene.frame_start,
+        "last": scene.frame_end,
+        "objects": {b.name: sum(len(p.triangles) for p in parts[name]) for name, b in objects.items()},
+        "materials": sorted(material.name for material in bpy.data.materials),
+        "images": sorted(image.name for image in bpy.data.images if image.users),
+    }
+    (out / f"{folder.name}.json").write_text(json.dumps(expected))
+    print(f"{folder.name}: {len(objects)} objects, {sum(expected['objects'].values())} triangles")
+
+
+def nodes_of(block):
+    """The node tree. Blender before 5.0 has one only if it is told so."""
+    if bpy.app.version < (5, 0):
+        block.use_nodes = True
+    return block.node_tree
+
+
+def principled(material):
+    block = bpy.data.materials.new(material.name)
+    nodes = nodes_of(block).nodes
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    values = {"Base Color": (*material.kd, 1.0), "Roughness": 1.0, "Specular IOR Level": 0.0}
+    if material.illum == 2 and material.ks:
+        values |= {"Roughness": material.pr, "Specular IOR Level": 0.5, "IOR": material.ni}
+    elif material.illum == 3:
+        values |= {"Base Color": (*(material.ks or bundle.GREY), 1.0), "Metallic": 1.0, "Roughness": material.pr}
+    elif material.illum in (4, 7):
+        values |= {"Base Color": (*material.tf, 1.0), "Transmission Weight": 1.0}
+        values |= {"IOR": material.ni, "Roughness": material.pr, "Specular IOR Level": 0.5}
+    if material.emits:
+        values |= {"Emission Color": (*material.ke, 1.0), "Emission Strength": 1.0}
+    for name, value in values.items():
+        shader.inputs[name].default_value = value
+    if material.map_kd and material.illum not in (3, 4, 7):
+        texture = nodes.new("ShaderNodeTexImage")
+        texture.image = bpy.data.images.load(str(material.map_kd), check_existing=True)
+        block.node_tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    return block
+
+
+def mesh(name, parts, materials):
+    """One object of all parts, with a slot for each of its materials."""
+    block = bpy.data.meshes.new(name)
+    starts = numpy.cumsum([0] + [len(part.positions) for part in parts])
+    vertices = numpy.concatenate([part.positions for part in parts])
+    triangles = numpy.concatenate([part.triangles + start for part, start in zip(parts, starts)])
+    block.from_pydata(vertices.tolist(), [], triangles.tolist())
+    slots = list(dict.fromkeys(part.material for part in parts))
+    for slot in slots:
+        block.materials.append(materials[slot])
+    of_triangle = numpy.concatenate([numpy.full(len(p.triangles), slots.index(p.material)) for p in parts])
+    block.polygons.foreach_set("material_index", of_triangle.astype(numpy.int32))
+    corners = [p.uvs[p.triangles].reshape(-1, 2) if p.uvs is not None else numpy.zeros((3 * len(p.triangles), 2)) for p in parts]
+    block.uv_layers.new().data.foreach_set("uv", numpy.concatenate(corners).astype(numpy.float32).ravel())
+    block.update()
+    return bpy.data.objects.new(name, block)
+
+
+def background(world, radiance):
+    tree = nodes_of(world)
+    node = next((n for n in tree.nodes if n.type == "BACKGROUND"), None) or tree.nodes.new("ShaderNodeBackground")
+    node.inputs["Color"].default_value = (*radiance, 1.0)
+
+
+def animate(scene, camera, animation, objects):
+    """The camera of every frame as a key, and translations of objects."""
+    data = bpy.data.cameras.new("Camera")
+    data.sensor_fit = "HORIZONTAL" if camera.fov_axis == "x" else "VERTICAL"
+    data.lens_unit = "FOV"
+    data.angle = math.radians(camera.fov_deg)
+    data.clip_start, data.clip_end = 0.001, 10000.0
+    thing = bpy.data.objects.new("Camera", data)
+    scene.collection.objects.link(thing)
+    scene.camera = thing
+    tracks = {(track["target"], track["property"]): track["keys"] for track in animation["tracks"]}
+    for frame in range(animation["frames"]):
+        at = {key: value_at(tracks["camera", key], frame) if ("camera", key) in tracks else getattr(camera, key) for key in ("origin", "target", "up")}
+        thing.matrix_world = look_at(*(Vector(at[key]) for key in ("origin", "target", "up")))
+        thing.rotation_mode = "QUATERNION"
+        thing.keyframe_insert("location", frame=frame)
+        thing.keyframe_insert("rotation_quaternion", frame=frame)
+    for (target, what), keys in tracks.items():
+        moved = objects.get(target.removeprefix("object:"))
+        if moved is None or what != "translation":
+            continue
+        for frame in range(animation["frames"]):
+            moved.location = Vector(value_at(keys, frame)) - Vector(keys[0]["value"])
+            moved.keyframe_insert("location", frame=frame)
+
+
+def value_at(keys, frame):
+    """The value of a track, linear between its keys."""
+    numbers = [key["frame"] for key in keys]
+    values = numpy.array([key["value"] for key in keys], float)
+    return [float(numpy.interp(frame, numbers, column)) for column in values.T]
+
+
+def look_at(origin, target, up):
+    back = (origin - target).normalized()
+    right = up.cross(back).normalized()
+    rotation = Matrix((right, back.cross(right), back)).transposed().to_4x4()
+    return Matrix.Translation(origin) @ rotation
+
+
+def settings(scene, animation):
+    scene.render.engine = "CYCLES"
+    scene.render.resolution_x = scene.render.resolution_y = 192
+    scene.render.resolution_percentage = 50
+    scene.render.fps = round(animation["fps"])
+    scene.frame_start, scene.frame_end = 0, animation["frames"] - 1
+    scene.cycles.samples = 64
+    scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
+
+
+def small(out, name, change):
+    """The cube of Blender's own start-up scene, changed."""
+    bpy.ops.wm.read_factory_settings()
+    settings(bpy.context.scene, {"fps": 24, "frames": 3})
+    change()
+    bpy.ops.wm.save_as_mainfile(filepath=str(out / f"{name}.blend"))
+
+
+def missing_texture():
+    image = bpy.data.images.new("wood", 4, 4)
+    image.source, image.filepath = "FILE", "//textures/wood.png"
+    nodes_of(bpy.data.materials["Material"]).nodes.new("ShaderNodeTexImage").image = image
+
+
+def script(mark):
+    """A script that Blender would run when it opens the file, and a Python driver."""
+    text = bpy.data.texts.new("startup.py")
+    text.write(f"open({str(mark)!r}, 'w').close()\nwhile True: pass\n")
+    text.use_module = True
+    curve = bpy.data.objects["Cube"].driver_add("location", 0).driver
+    curve.expression = f"open({str(mark)!r}, 'w').close() or 0"
+
+
+def main():
+    out, folders = Path(sys.argv[1]).absolute(), [Path(name).absolute() for name in sys.argv[2:]]
+    for folder in folders:
+        convert(folder, out)
+    small(out, "missing", missing_texture)
+    small(out, "script", lambda: script(out / "script-was-run"))
+
+
+if __name__ == "__main__":
+    main()
