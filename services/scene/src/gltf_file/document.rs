@@ -267,8 +267,8 @@ fn check(root: &Root) -> Result<(), (String, String)> {
     Ok(())
 }
 
-/// Checks the versions by section 3.2 of the glTF 2.0 specification. Files of any version 2 can be read, unless
-/// they say that a reader must know a newer one than 2.0.
+/// Checks the versions by section 3.2 of the glTF 2.0 specification. Files of any version 2 can be read,
+/// unless they say that a reader must know a newer one than 2.0.
 fn check_version(root: &Root) -> Result<(), (String, String)> {
     let parsed = |version: &str| -> Option<(u32, u32)> {
         let (major, minor) = version.split_once('.')?;

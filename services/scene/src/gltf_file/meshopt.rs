@@ -1,8 +1,8 @@
 //! Decodes the streams of `EXT_meshopt_compression` and `KHR_meshopt_compression`, by the specifications of
 //! these extensions. A stream is the content of one buffer view.
 //!
-//! Hazard: a stream of a few bytes may claim many elements. Output grows as input is read, and a byte of input
-//! gives at most about a thousand bytes of output.
+//! Hazard: a stream of a few bytes may claim many elements. Output grows as input is read, and a byte of
+//! input gives at most about a thousand bytes of output.
 
 mod filters;
 mod indices;

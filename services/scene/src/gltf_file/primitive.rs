@@ -125,7 +125,9 @@ impl<'r> Reader<'r, '_> {
         let most_indices = indices.count() as u64;
         self.spend(most_indices)?;
         let stream = opened.view(compressed.buffer_view)?;
-        match Decoded::new(stream, &compressed.attributes, most_indices / 3) {
+        let faces = most_indices / 3;
+        self.assembly.check_size(&opened.file, faces, 0)?;
+        match Decoded::new(stream, &compressed.attributes, faces) {
             Ok(decoded) => source.compressed = Some(decoded),
             Err(reason) => return opened.fail(&pointer, reason),
         }

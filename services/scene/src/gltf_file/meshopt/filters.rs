@@ -64,7 +64,8 @@ pub(super) fn exponential(bytes: &mut [u8]) {
     }
 }
 
-/// `COLOR` (only in `KHR_meshopt_compression`): RGBA from YCoCg. The highest bit of alpha gives the precision.
+/// `COLOR` (only in `KHR_meshopt_compression`): RGBA from YCoCg. The highest bit of alpha gives the
+/// precision.
 pub(super) fn color(bytes: &mut [u8], size: usize) {
     let one = ((1 << (8 * size)) - 1) as f32;
     for element in bytes.chunks_exact_mut(4 * size) {

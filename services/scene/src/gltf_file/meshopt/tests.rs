@@ -1,5 +1,5 @@
-//! Streams that the reference encoder (npm `meshoptimizer` 1.2.0) made of our own numbers, and what its decoder
-//! makes of them.
+//! Streams that the reference encoder (npm `meshoptimizer` 1.2.0) made of our own numbers, and what its
+//! decoder makes of them.
 
 use super::{Compressed, Filter, Mode};
 

@@ -1,7 +1,7 @@
 //! The vertex codec: mode `ATTRIBUTES`, versions 0 and 1.
 //!
-//! Vertices are stored in blocks. In a block, each byte of the vertices is a channel of its own, and a channel
-//! holds differences from vertex to vertex, in groups of 16 with 0 to 8 bits each.
+//! Vertices are stored in blocks. In a block, each byte of the vertices is a channel of its own, and a
+//! channel holds differences from vertex to vertex, in groups of 16 with 0 to 8 bits each.
 
 use super::{Input, unzigzag};
 
