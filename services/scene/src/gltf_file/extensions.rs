@@ -3,6 +3,7 @@
 use super::draco::Compressed as DracoMesh;
 use super::meshopt::Compressed as CompressedView;
 use crate::description::json_pointer;
+use gltf::Semantic;
 use gltf::json::validation::Checked;
 use gltf::json::{Index, Root};
 use serde::Deserialize;
@@ -123,7 +124,8 @@ impl Extensions {
         }
     }
 
-    /// The accessors whose elements are in compressed meshes. They need no buffer view.
+    /// The accessors of compressed meshes. They need no buffer view: their elements are in the stream, or are
+    /// zeros. Positions must be in the stream.
     pub(super) fn accessors_without_view(&self, root: &Root) -> BTreeSet<usize> {
         let mut accessors = BTreeSet::new();
         for (&(mesh, primitive), compressed) in &self.meshes {
@@ -132,12 +134,12 @@ impl Extensions {
                 continue;
             };
             accessors.extend(primitive.indices.map(|index| index.value()));
-            accessors.extend(primitive.attributes.iter().filter_map(|(semantic, index)| match semantic {
-                Checked::Valid(name) if compressed.attributes.contains_key(&name.to_string()) => {
-                    Some(index.value())
-                }
-                _ => None,
-            }));
+            let positions = Checked::Valid(Semantic::Positions);
+            let has_positions = compressed.attributes.contains_key("POSITION");
+            let attributes = primitive.attributes.iter();
+            accessors.extend(
+                attributes.filter(|(name, _)| has_positions || **name != positions).map(|(_, i)| i.value()),
+            );
         }
         accessors
     }
