@@ -116,6 +116,14 @@ impl Bundle {
         Ok(bytes)
     }
 
+    /// Counts bytes that `file` expands to by a compression of its own. Fails if the bundle's files become too
+    /// large.
+    pub(crate) fn count_expanded(&self, file: &str, bytes: u64) -> Result<(), SceneError> {
+        let mut usage = self.usage.lock();
+        usage.bytes = usage.bytes.saturating_add(bytes);
+        self.check(file, "bytes read from the bundle", usage.bytes, self.limits.total_bytes)
+    }
+
     /// BLAKE3 hash of paths and contents of all files read so far, the same for a folder and its archive.
     pub fn digest(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();

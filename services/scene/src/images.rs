@@ -43,11 +43,16 @@ impl<'a> TextureLibrary<'a> {
             let reader = reader.map_err(|e| SceneError::file(name, e.to_string()))?;
             match reader.format() {
                 Some(
-                    format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Hdr | ImageFormat::OpenExr),
+                    format @ (ImageFormat::Png
+                    | ImageFormat::Jpeg
+                    | ImageFormat::WebP
+                    | ImageFormat::Hdr
+                    | ImageFormat::OpenExr),
                 ) => Ok((reader, format)),
-                _ => {
-                    Err(SceneError::file(name, "is not a supported image (PNG, JPEG, Radiance HDR, OpenEXR)"))
-                }
+                _ => Err(SceneError::file(
+                    name,
+                    "is not a supported image (PNG, JPEG, WebP, Radiance HDR, OpenEXR)",
+                )),
             }
         };
         let (width, height) = open()?.0.into_dimensions().map_err(refused)?;
@@ -70,7 +75,7 @@ impl<'a> TextureLibrary<'a> {
         reader.limits(limits);
         let decoded = reader.decode().map_err(refused)?;
         let texels = match format {
-            ImageFormat::Png | ImageFormat::Jpeg => {
+            ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP => {
                 Texels::Srgb8(decoded.into_rgba8().pixels().map(|p| p.0).collect())
             }
             _ => linear(name, &decoded.into_rgb32f(), width)?,

@@ -1,6 +1,7 @@
 //! Finished images: linear EXR with identity and cost layers, tone-mapped PNG, and cost map.
 
 use crate::cost::add_rays;
+use crate::cryptomatte::Matte;
 use crate::{Pixel, RAY_NAMES, Rays, WorkByRay};
 use exr::prelude as exr;
 use forelight_scene::Frame;
@@ -95,8 +96,9 @@ impl Image {
     }
 
     /// Writes an OpenEXR file with the channels R, G, B (linear Rec. 709), `object.id` and `material.id` (1 +
-    /// index, 0 where nothing was hit), `cost.work`, `cost.cpu_nanos`, and `rays.NAME`. Identity and ray
-    /// channels are u32, the others f32. Fails if the file cannot be written.
+    /// index of what the first sample met, 0 where nothing was hit), `cost.work`, `cost.cpu_nanos`,
+    /// `rays.NAME`, and objects and materials as Cryptomatte. Identity and ray channels are u32, the others
+    /// f32. Fails if the file cannot be written.
     pub fn write_exr(&self, path: &Path, frame: &Frame) -> Result<(), ImageError> {
         use exr::{
             AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer, LayerAttributes,
@@ -115,10 +117,22 @@ impl Image {
         for (k, name) in RAY_NAMES.into_iter().enumerate() {
             channels.push(AnyChannel::new(format!("rays.{name}").as_str(), integers(&|p| p.rays[k])));
         }
+        let mut attributes = LayerAttributes::default();
+        for matte in mattes(frame) {
+            for (name, values) in matte.channels(&self.pixels) {
+                channels.push(AnyChannel::new(name.as_str(), FlatSamples::F32(values)));
+            }
+            let text = |value: &str| exr::Text::new_or_panic(value);
+            let named = matte.attributes();
+            attributes.other.extend(
+                named.iter().map(|(name, value)| (text(name), exr::AttributeValue::Text(text(value)))),
+            );
+        }
         let layer = Layer::new(
             (self.width as usize, self.height as usize),
-            LayerAttributes::default(),
-            Encoding::SMALL_FAST_LOSSLESS,
+            attributes,
+            // ZIP by lines. Wavelets (PIZ) compress hashes of names badly, and some readers want lines.
+            Encoding::SMALL_LOSSLESS,
             AnyChannels::sort(channels),
         );
         use exr::WritableImage;
@@ -148,6 +162,14 @@ impl Image {
             image::Rgb(color(&self.pixels[(y * self.width + x) as usize]))
         })
     }
+}
+
+/// The objects and materials of a frame, for Cryptomatte.
+fn mattes(frame: &Frame) -> [Matte<'_>; 2] {
+    let strata = &frame.geometry.strata;
+    let objects = strata.pairs.iter().map(|pair| strata.objects[pair.0 as usize].as_str());
+    let materials = strata.pairs.iter().map(|pair| frame.materials[pair.1 as usize].name.as_str());
+    [Matte::new("CryptoObject", objects), Matte::new("CryptoMaterial", materials)]
 }
 
 /// A filmic curve with a soft shoulder above 0.6 per channel, then the sRGB transfer function.

@@ -95,8 +95,8 @@ pub struct Pixels<'a, const K: u32> {
     /// The solids that contain the origin of the current ray.
     media: Media,
     pub counters: Counters,
-    /// Stratum that the first camera ray met.
-    pub stratum: Option<u32>,
+    /// Stratum that the current camera ray met first.
+    pub met: Option<u32>,
     /// The sites at which a probe would have read the cache.
     pub sites: Vec<Site>,
 }
@@ -109,7 +109,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
             sampler,
             media: Media::default(),
             counters: Counters::default(),
-            stratum: None,
+            met: None,
             sites: Vec::new(),
         }
     }
@@ -129,6 +129,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
         let ray = (self.kernel.camera)(self, x, y);
         self.counters.ray(Category::Primary);
         self.media = self.tracer.camera_media;
+        self.met = None;
         (self.kernel.integrate)(self, ray)
     }
 

@@ -32,12 +32,15 @@ impl<const K: u32> Kernel<K> {
         let (x, y) = (index % settings.width, index / settings.width);
         let sampler = Sampler::resumed(settings.seed, tracer.frame.number, index, &underway.drawn);
         let mut pixels = Pixels::new(tracer, self, sampler);
-        let stratum = underway.pixel.stratum;
-        pixels.stratum = (stratum != Pixel::NOTHING).then_some(stratum);
         while underway.samples < samples {
             let sample = pixels.sample(x, y);
             each(sample.to_array());
             underway.add(sample);
+            let known = &mut underway.pixel;
+            known.coverage.add(pixels.met);
+            if known.stratum == Pixel::NOTHING {
+                known.stratum = pixels.met.unwrap_or(Pixel::NOTHING);
+            }
         }
         let known = &mut underway.pixel;
         known.rays.iter_mut().zip(pixels.counters.rays).for_each(|(all, new)| *all += new);
@@ -47,7 +50,6 @@ impl<const K: u32> Kernel<K> {
         known.work += work.iter().sum::<u64>();
         known.extra_work += pixels.counters.extra_work;
         known.uncovered += pixels.counters.uncovered;
-        known.stratum = pixels.stratum.unwrap_or(Pixel::NOTHING);
         known.cpu_nanos += start.elapsed().as_nanos() as u64;
         pixels
     }

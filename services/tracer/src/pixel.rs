@@ -24,11 +24,46 @@ pub struct Pixel {
     pub uncovered: u32,
     /// Stratum that the first camera sample met, or [`Pixel::NOTHING`].
     pub stratum: u32,
+    /// The strata that all its camera samples met first.
+    pub coverage: Coverage,
 }
 
 impl Pixel {
     /// Stratum of a pixel whose first sample met no surface.
     pub const NOTHING: u32 = u32::MAX;
+}
+
+/// How many camera samples of a pixel met which stratum first. A pixel of more than [`Coverage::MOST`] strata
+/// keeps those that it met first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Coverage {
+    /// The strata, in the order in which they were met. [`Pixel::NOTHING`] where there is none.
+    pub strata: [u32; Self::MOST],
+    /// Number of samples that met each.
+    pub samples: [u16; Self::MOST],
+    /// Number of samples, also of those that met nothing. Samples beyond its largest value are not counted.
+    pub all: u16,
+}
+
+impl Coverage {
+    /// Largest number of strata of a pixel.
+    pub const MOST: usize = 4;
+    /// A pixel without samples.
+    pub const NONE: Self = Self { strata: [Pixel::NOTHING; Self::MOST], samples: [0; Self::MOST], all: 0 };
+
+    /// Counts one sample and the stratum that it met.
+    pub(crate) fn add(&mut self, stratum: Option<u32>) {
+        if self.all == u16::MAX {
+            return;
+        }
+        self.all += 1;
+        let Some(stratum) = stratum else { return };
+        let place = self.strata.iter().position(|&known| known == stratum || known == Pixel::NOTHING);
+        if let Some(place) = place {
+            self.strata[place] = stratum;
+            self.samples[place] += 1;
+        }
+    }
 }
 
 /// Callback for finished pixels, each with its row-major index.
@@ -61,6 +96,7 @@ impl Default for Underway {
             cpu_nanos: 0,
             uncovered: 0,
             stratum: Pixel::NOTHING,
+            coverage: Coverage::NONE,
         };
         let before = [(0, DVec3::ZERO); 2];
         Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, before, pixel }
@@ -81,5 +117,26 @@ impl Underway {
     pub fn finished(&self) -> Pixel {
         let color = (self.sum / f64::from(self.samples.max(1))).as_vec3().to_array();
         Pixel { color, ..self.pixel }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coverage_counts_the_first_strata_and_all_samples() {
+        let mut coverage = Coverage::NONE;
+        for stratum in [Some(7), None, Some(2), Some(7), Some(5), Some(0), Some(9), Some(9), Some(2)] {
+            coverage.add(stratum);
+        }
+        assert_eq!(coverage, Coverage { strata: [7, 2, 5, 0], samples: [2, 2, 1, 1], all: 9 });
+    }
+
+    #[test]
+    fn coverage_stops_counting_before_it_overflows() {
+        let mut coverage = Coverage::NONE;
+        (0..70_000).for_each(|_| coverage.add(Some(1)));
+        assert_eq!((coverage.samples[0], coverage.all), (u16::MAX, u16::MAX));
     }
 }

@@ -1,11 +1,12 @@
 //! Profiles: pixels, or the cache, that were finished during a forecast. The render takes them over.
 
+use crate::pixel::Coverage;
 use crate::{Origin, Pixel};
 
 /// Magic bytes of the format, including its version.
-const MAGIC: &[u8; 8] = b"FLprof06";
+const MAGIC: &[u8; 8] = b"FLprof07";
 const HEADER: usize = 8 + Origin::BYTES + 32 + 4 + 8;
-const PIXEL: usize = 4 + 12 + 28 + 8 + 56 + 8 + 8 + 4 + 4;
+const PIXEL: usize = 4 + 12 + 28 + 8 + 56 + 8 + 8 + 4 + 4 + (4 + 2) * Coverage::MOST + 2;
 const CHECKSUM: usize = 32;
 
 /// Finished pixels of one frame, or its irradiance cache, since colours are unknown until the cache is
@@ -26,7 +27,7 @@ pub struct Profile {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProfileError {
     /// The magic bytes are wrong.
-    #[error("not a profile of this version (it must begin with FLprof06)")]
+    #[error("not a profile of this version (it must begin with FLprof07)")]
     Foreign,
     /// The length differs from what the header says.
     #[error("damaged profile: it has {found} bytes instead of {expected}")]
@@ -44,7 +45,8 @@ pub enum ProfileError {
 impl Profile {
     /// Serialises the profile, little-endian: magic, origin, fingerprint, number of pixels, size of the cache
     /// (0 without one), pixels, cache, BLAKE3 hash of everything before. A pixel is: index, colour, rays,
-    /// work, work by ray, extra work, CPU nanoseconds, uncovered, stratum.
+    /// work, work by ray, extra work, CPU nanoseconds, uncovered, stratum, strata of the coverage, their
+    /// samples, all samples.
     pub fn to_bytes(&self) -> Vec<u8> {
         let cache = self.cache.as_deref().unwrap_or_default();
         let mut out = Vec::with_capacity(HEADER + self.pixels.len() * PIXEL + cache.len() + CHECKSUM);
@@ -63,6 +65,9 @@ impl Profile {
             out.extend_from_slice(&pixel.cpu_nanos.to_le_bytes());
             out.extend_from_slice(&pixel.uncovered.to_le_bytes());
             out.extend_from_slice(&pixel.stratum.to_le_bytes());
+            let Coverage { strata, samples, all } = pixel.coverage;
+            strata.iter().for_each(|s| out.extend_from_slice(&s.to_le_bytes()));
+            samples.iter().chain([&all]).for_each(|n| out.extend_from_slice(&n.to_le_bytes()));
         }
         out.extend_from_slice(cache);
         let checksum = blake3::hash(&out);
@@ -102,7 +107,21 @@ impl Profile {
                 let work_by_ray = std::array::from_fn(|_| reader.u64());
                 let (extra_work, cpu_nanos) = (reader.u64(), reader.u64());
                 let (uncovered, stratum) = (reader.u32(), reader.u32());
-                (index, Pixel { color, rays, work, work_by_ray, extra_work, cpu_nanos, uncovered, stratum })
+                let strata = std::array::from_fn(|_| reader.u32());
+                let samples = std::array::from_fn(|_| u16::from_le_bytes(reader.take()));
+                let coverage = Coverage { strata, samples, all: u16::from_le_bytes(reader.take()) };
+                let pixel = Pixel {
+                    color,
+                    rays,
+                    work,
+                    work_by_ray,
+                    extra_work,
+                    cpu_nanos,
+                    uncovered,
+                    stratum,
+                    coverage,
+                };
+                (index, pixel)
             })
             .collect();
         let cache = (cache > 0).then(|| body[body.len() - cache..].to_vec());
@@ -155,6 +174,7 @@ mod tests {
             cpu_nanos: 12_345,
             uncovered: 3,
             stratum: i,
+            coverage: Coverage { strata: [i, 9, u32::MAX, 7], samples: [1, 20, 300, 65_535], all: 65_535 },
         };
         let pixels = (0..5).map(|i| (i * 31, pixel(i))).collect();
         Profile { origin: Origin::default(), fingerprint: [9; 32], pixels, cache: Some(b"records".to_vec()) }

@@ -156,15 +156,27 @@ fn unsigned(bytes: &[u8]) -> u32 {
 /// One component. Normalised integers are converted by section 3.6.2.2 of the glTF 2.0 specification.
 fn component(bytes: &[u8], kind: DataType, normalised: bool) -> f32 {
     let value = unsigned(bytes);
-    let (plain, largest) = match kind {
+    let plain = match kind {
         DataType::F32 => return f32::from_bits(value),
         DataType::U32 => return value as f32,
-        DataType::I8 => (f32::from(value as u8 as i8), 127.0),
-        DataType::U8 => (f32::from(value as u8), 255.0),
-        DataType::I16 => (f32::from(value as u16 as i16), 32767.0),
-        DataType::U16 => (f32::from(value as u16), 65535.0),
+        DataType::I8 => f32::from(value as u8 as i8),
+        DataType::U8 => f32::from(value as u8),
+        DataType::I16 => f32::from(value as u16 as i16),
+        DataType::U16 => f32::from(value as u16),
     };
-    if normalised { (plain / largest).max(-1.0) } else { plain }
+    if normalised { fraction(plain, kind) } else { plain }
+}
+
+/// The fraction that a normalised integer means.
+pub(super) fn fraction(value: f32, kind: DataType) -> f32 {
+    let largest = match kind {
+        DataType::I8 => 127.0,
+        DataType::U8 => 255.0,
+        DataType::I16 => 32767.0,
+        DataType::U16 => 65535.0,
+        DataType::U32 | DataType::F32 => return value,
+    };
+    (value / largest).max(-1.0)
 }
 
 #[cfg(test)]

@@ -1,15 +1,20 @@
 //! Opens a glTF file: checks its JSON and reads its buffers through the bundle. The importer of the `gltf`
 //! crate reads any path and panics on some malformed files.
 
+use super::extensions::Extensions;
 use crate::bundle::{Bundle, resolve};
 use crate::description::json_pointer;
 use crate::error::{Place, SceneError};
 use gltf::Document;
-use gltf::json::validation::{Checked, Validate};
+use gltf::json::validation::{Checked, Error, Validate};
 use gltf::json::{Path, Root};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Extensions that a file may require.
-pub(super) const UNDERSTOOD: [&str; 8] = [
+pub(super) const UNDERSTOOD: [&str; 12] = [
+    "EXT_meshopt_compression",
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
@@ -17,6 +22,7 @@ pub(super) const UNDERSTOOD: [&str; 8] = [
     "KHR_materials_transmission",
     "KHR_materials_volume",
     "KHR_mesh_quantization",
+    "KHR_meshopt_compression",
     "KHR_texture_transform",
 ];
 
@@ -25,8 +31,12 @@ pub(super) struct Opened {
     /// Path in the bundle.
     pub(super) file: String,
     pub(super) document: Document,
-    /// Contents of every buffer, each at least as long as the document says.
-    pub(super) buffers: Vec<Vec<u8>>,
+    /// Contents of every buffer, each at least as long as the document says. Empty for a placeholder.
+    buffers: Vec<Vec<u8>>,
+    /// What the document's compressed parts are.
+    pub(super) extensions: Extensions,
+    /// Contents of compressed buffer views.
+    decoded: BTreeMap<usize, Vec<u8>>,
 }
 
 impl Opened {
@@ -36,43 +46,100 @@ impl Opened {
 
     /// The bytes of a buffer view.
     pub(super) fn view(&self, index: usize) -> Result<&[u8], SceneError> {
+        if let Some(bytes) = self.decoded.get(&index) {
+            return Ok(bytes);
+        }
         let pointer = format!("/bufferViews/{index}");
         let Some(view) = self.document.views().nth(index) else {
             return self.fail(&pointer, "there is no such buffer view");
         };
-        let bytes = self.buffers.get(view.buffer().index());
-        let range = view.offset().checked_add(view.length()).map(|end| view.offset()..end);
-        match bytes.zip(range).and_then(|(bytes, range)| bytes.get(range)) {
+        match slice(&self.buffers, view.buffer().index(), view.offset(), view.length()) {
             Some(bytes) => Ok(bytes),
             None => self.fail(&pointer, "reaches beyond the end of its buffer"),
         }
     }
+
+    /// Decodes all compressed buffer views. The bundle's limit on bytes covers what they decode to.
+    fn decode_views(&mut self, bundle: &Bundle) -> Result<(), SceneError> {
+        for (&index, view) in &self.extensions.views {
+            let pointer = format!("/bufferViews/{index}/extensions");
+            let length = self.document.views().nth(index).map(|view| view.length());
+            if view.decoded_length().is_none() || view.decoded_length() != length {
+                return self.fail(&pointer, "`count` × `byteStride` is not the length of the buffer view");
+            }
+            let Some(stream) = slice(&self.buffers, view.buffer, view.byte_offset, view.byte_length) else {
+                return self.fail(&pointer, "the compressed stream reaches beyond the end of its buffer");
+            };
+            bundle.count_expanded(&self.file, length.unwrap_or(0) as u64)?;
+            match view.decode(stream) {
+                Ok(bytes) => self.decoded.insert(index, bytes),
+                Err(reason) => return self.fail(&pointer, reason),
+            };
+        }
+        Ok(())
+    }
+}
+
+/// A part of a buffer. `None` if it reaches beyond its end.
+fn slice(buffers: &[Vec<u8>], buffer: usize, offset: usize, length: usize) -> Option<&[u8]> {
+    buffers.get(buffer)?.get(offset..offset.checked_add(length)?)
 }
 
 /// Reads and checks a `.gltf` or `.glb` file and its buffers.
 pub(super) fn open(bundle: &Bundle, file: &str) -> Result<Opened, SceneError> {
     let bytes = bundle.read(file)?;
-    let (json, mut binary) = if bytes.starts_with(b"glTF") {
+    let (json, binary) = if bytes.starts_with(b"glTF") {
         split_binary(&bytes).map_err(|reason| SceneError::file(file, reason))?
     } else {
         (bytes.as_slice(), None)
     };
-    let mut deserializer = gltf_json_deserializer(json);
+    let json = json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json);
+    let mut deserializer = serde_json::Deserializer::from_slice(json);
     let mut root: Root = serde_path_to_error::deserialize(&mut deserializer)
         .map_err(|e| SceneError::pointer(file, json_pointer(e.path()), e.inner().to_string()))?;
-    check(&root).map_err(|(pointer, reason)| SceneError::pointer(file, pointer, reason))?;
+    let malformed = |(pointer, reason): (String, String)| SceneError::pointer(file, pointer, reason);
+    check(&root).map_err(malformed)?;
+    let extensions = Extensions::read(&root, json).map_err(malformed)?;
+    extensions.use_webp(&mut root);
     // The crate rejects some extensions that this module supports, and `check` has checked them all.
     root.extensions_required.clear();
+    let without_view = extensions.accessors_without_view(&root);
+    let allowed: BTreeSet<String> =
+        without_view.into_iter().map(|accessor| format!("/accessors/{accessor}/bufferView")).collect();
     let mut first = None;
     root.validate(&root, Path::new, &mut |path, error| {
-        first.get_or_insert_with(|| (as_pointer(&path()), error.to_string()));
+        let pointer = as_pointer(&path());
+        if !(matches!(error, Error::Missing) && allowed.contains(&pointer)) {
+            first.get_or_insert((pointer, error.to_string()));
+        }
     });
-    if let Some((pointer, reason)) = first {
-        return Err(SceneError::pointer(file, pointer, reason));
+    if let Some(error) = first {
+        return Err(malformed(error));
     }
+    let buffers = buffers(bundle, file, &root, &extensions, binary)?;
+    let document = Document::from_json_without_validation(root);
+    let mut opened =
+        Opened { file: file.to_owned(), document, buffers, extensions, decoded: BTreeMap::new() };
+    opened.decode_views(bundle)?;
+    Ok(opened)
+}
+
+/// Reads the contents of all buffers.
+fn buffers(
+    bundle: &Bundle,
+    file: &str,
+    root: &Root,
+    extensions: &Extensions,
+    mut binary: Option<&[u8]>,
+) -> Result<Vec<Vec<u8>>, SceneError> {
     let mut buffers = Vec::new();
     for (i, buffer) in root.buffers.iter().enumerate() {
         let pointer = format!("/buffers/{i}");
+        // A placeholder may also have contents, for programs that do not know its extension.
+        if extensions.placeholders.contains(&i) && (buffer.uri.is_some() || i > 0 || binary.is_none()) {
+            buffers.push(Vec::new());
+            continue;
+        }
         let data = match (&buffer.uri, binary.take()) {
             (Some(uri), unused) => {
                 binary = unused;
@@ -89,12 +156,7 @@ pub(super) fn open(bundle: &Bundle, file: &str) -> Result<Opened, SceneError> {
         }
         buffers.push(data);
     }
-    let document = Document::from_json_without_validation(root);
-    Ok(Opened { file: file.to_owned(), document, buffers })
-}
-
-fn gltf_json_deserializer(json: &[u8]) -> serde_json::Deserializer<serde_json::de::SliceRead<'_>> {
-    serde_json::Deserializer::from_slice(json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json))
+    Ok(buffers)
 }
 
 /// The bytes of a `uri`: a file of the bundle, or a base64 data URI.
@@ -164,11 +226,7 @@ fn split_binary(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), String> {
 /// Finds errors that the crate's validation misses or panics on. Returns a JSON pointer and a reason.
 fn check(root: &Root) -> Result<(), (String, String)> {
     let fail = |pointer: String, reason: &str| Err((pointer, reason.to_owned()));
-    let version = root.asset.min_version.as_ref().unwrap_or(&root.asset.version);
-    if version != "2.0" {
-        let reason = format!("glTF version {version} is not supported; this program reads version 2.0");
-        return Err(("/asset/version".into(), reason));
-    }
+    check_version(root)?;
     for (i, extension) in root.extensions_required.iter().enumerate() {
         if !UNDERSTOOD.contains(&extension.as_str()) {
             let reason = format!("`{extension}` is required but not supported");
@@ -205,6 +263,27 @@ fn check(root: &Root) -> Result<(), (String, String)> {
         if image.uri.is_none() && image.buffer_view.is_none() {
             return fail(format!("/images/{i}"), "has neither a `uri` nor a `bufferView`");
         }
+    }
+    Ok(())
+}
+
+/// Checks the versions by section 3.2 of the glTF 2.0 specification. Files of any version 2 can be read,
+/// unless they say that a reader must know a newer one than 2.0.
+fn check_version(root: &Root) -> Result<(), (String, String)> {
+    let parsed = |version: &str| -> Option<(u32, u32)> {
+        let (major, minor) = version.split_once('.')?;
+        Some((major.parse().ok()?, minor.parse().ok()?))
+    };
+    if let Some(least) = &root.asset.min_version
+        && parsed(least) != Some((2, 0))
+    {
+        let reason = format!("needs a reader of glTF version {least}; this program reads version 2.0");
+        return Err(("/asset/minVersion".into(), reason));
+    }
+    let version = &root.asset.version;
+    if parsed(version).is_none_or(|(major, _)| major != 2) {
+        let reason = format!("glTF version {version} is not supported; this program reads version 2.0");
+        return Err(("/asset/version".into(), reason));
     }
     Ok(())
 }

@@ -3,6 +3,9 @@
 
 mod accessors;
 mod document;
+mod draco;
+mod extensions;
+mod meshopt;
 mod motion;
 mod primitive;
 mod surface;
@@ -181,7 +184,7 @@ impl Reader<'_, '_> {
                 Some(known) => known.clone(),
                 None => {
                     let at = format!("/meshes/{}/primitives/{}", key.0, key.1);
-                    let read = self.mesh(&primitive, &at)?.map(Arc::new);
+                    let read = self.mesh(&primitive, key, &at)?.map(Arc::new);
                     self.meshes.insert(key, read.clone());
                     read
                 }

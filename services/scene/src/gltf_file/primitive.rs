@@ -1,6 +1,9 @@
 //! Reads the triangles of a glTF primitive.
 
 use super::Reader;
+use super::accessors::fraction;
+use super::document::Opened;
+use super::draco::Decoded;
 use crate::error::SceneError;
 use crate::shot::{Mesh, unit_or_zero};
 use glam::{Vec2, Vec3};
@@ -9,10 +12,11 @@ use gltf::mesh::Mode;
 use gltf::texture::TextureTransform;
 
 impl Reader<'_, '_> {
-    /// The local mesh of a primitive. `None` for points and lines.
+    /// The local mesh of a primitive. `key` is its mesh's index and its own. `None` for points and lines.
     pub(super) fn mesh(
         &mut self,
         primitive: &gltf::Primitive<'_>,
+        key: (usize, usize),
         at: &str,
     ) -> Result<Option<Mesh>, SceneError> {
         if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
@@ -22,24 +26,26 @@ impl Reader<'_, '_> {
         if primitive.morph_targets().next().is_some() {
             self.ignore("morph targets");
         }
-        let Some(positions) = primitive.get(&Semantic::Positions) else {
+        let most = self.spend(0)?;
+        let source = self.source(primitive, key, at, most)?;
+        let Some(positions) = source.floats::<3>(&Semantic::Positions)? else {
             return self.opened.fail(at, "has no positions");
         };
-        let most = self.spend(0)?;
-        let positions = points(self.opened.floats::<3>(&positions, most)?);
+        let positions = points(positions);
         let count = positions.len();
-        let indices = match primitive.indices() {
-            Some(indices) => self.opened.indices(&indices, most)?,
-            None => (0..count as u32).collect(),
+        let (mode, indices) = match (&source.compressed, primitive.indices()) {
+            (Some(mesh), _) => (Mode::Triangles, mesh.indices()),
+            (None, Some(indices)) => (primitive.mode(), self.opened.indices(&indices, most)?),
+            (None, None) => (primitive.mode(), (0..count as u32).collect()),
         };
         self.spend(positions.len() as u64 + indices.len() as u64)?;
         if let Some(index) = indices.iter().find(|&&i| i as usize >= count) {
             let reason = format!("there is no vertex {index}; there are {count}");
             return self.opened.fail(&format!("{at}/indices"), reason);
         }
-        let triangles = triangles(primitive.mode(), &indices);
-        let mut normals = match primitive.get(&Semantic::Normals) {
-            Some(normals) => points(self.opened.floats::<3>(&normals, most)?),
+        let triangles = triangles(mode, &indices);
+        let mut normals = match source.floats::<3>(&Semantic::Normals)? {
+            Some(normals) => points(normals),
             None => vec![Vec3::ZERO; count],
         };
         for normal in &mut normals {
@@ -48,7 +54,7 @@ impl Reader<'_, '_> {
         if primitive.get(&Semantic::Colors(0)).is_some() {
             self.ignore("colours of vertices");
         }
-        let uvs = self.texture_coordinates(primitive, count, most)?;
+        let uvs = self.texture_coordinates(&source, count)?;
         if normals.len() != count || uvs.len() != count {
             return self.opened.fail(at, "all attributes must have the same number of elements");
         }
@@ -58,35 +64,99 @@ impl Reader<'_, '_> {
     /// Texture coordinates for the base colour texture, else the emission texture, transformed. v points up.
     fn texture_coordinates(
         &mut self,
-        primitive: &gltf::Primitive<'_>,
+        source: &Source<'_, '_>,
         count: usize,
-        most: u64,
     ) -> Result<Vec<Vec2>, SceneError> {
-        let material = primitive.material();
+        let material = source.primitive.material();
         let base = material.pbr_metallic_roughness().base_color_texture();
         let info = base.or_else(|| material.emissive_texture());
         let transform = info.as_ref().and_then(|info| info.texture_transform());
         let own_set = transform.as_ref().and_then(TextureTransform::tex_coord);
         let set = own_set.or(info.as_ref().map(|info| info.tex_coord())).unwrap_or(0);
-        let Some(accessor) = primitive.get(&Semantic::TexCoords(set)) else {
+        let Some(uvs) = source.floats::<2>(&Semantic::TexCoords(set))? else {
             if info.is_some() {
                 self.ignore("textures on faces without texture coordinates (rendered with one texel)");
             }
             return Ok(vec![Vec2::ZERO; count]);
         };
-        let mut uvs: Vec<Vec2> =
-            self.opened.floats::<2>(&accessor, most)?.into_iter().map(Vec2::from_array).collect();
+        let mut uvs: Vec<Vec2> = uvs.into_iter().map(Vec2::from_array).collect();
         if let Some(transform) = transform {
             let apply = affine(&transform);
             uvs.iter_mut().for_each(|uv| *uv = apply(*uv));
             if uvs.iter().any(|uv| !uv.is_finite()) {
-                return self.opened.fail(
-                    &format!("/accessors/{}", accessor.index()),
-                    "a transformed coordinate is not finite",
-                );
+                return self.opened.fail(source.at, "a transformed texture coordinate is not finite");
             }
         }
         Ok(uvs.into_iter().map(|uv| Vec2::new(uv.x, 1.0 - uv.y)).collect())
+    }
+}
+
+/// Where the attributes of a primitive are.
+struct Source<'a, 'p> {
+    opened: &'a Opened,
+    primitive: &'a gltf::Primitive<'p>,
+    /// The primitive's JSON pointer.
+    at: &'a str,
+    /// Attributes that are not in accessors.
+    compressed: Option<Decoded<'a>>,
+    /// Limit on the elements of an accessor.
+    most: u64,
+}
+
+impl<'r> Reader<'r, '_> {
+    /// Decompresses a primitive if it is compressed. Its indices count before that.
+    fn source<'a, 'p>(
+        &mut self,
+        primitive: &'a gltf::Primitive<'p>,
+        key: (usize, usize),
+        at: &'a str,
+        most: u64,
+    ) -> Result<Source<'a, 'p>, SceneError>
+    where
+        'r: 'a,
+    {
+        let opened = self.opened;
+        let mut source = Source { opened, primitive, at, compressed: None, most };
+        let Some(compressed) = opened.extensions.meshes.get(&key) else { return Ok(source) };
+        let pointer = format!("{at}/extensions/KHR_draco_mesh_compression");
+        let Some(indices) = primitive.indices() else {
+            return opened.fail(&pointer, "a compressed mesh must have an accessor for its indices");
+        };
+        let most_indices = indices.count() as u64;
+        self.spend(most_indices)?;
+        let stream = opened.view(compressed.buffer_view)?;
+        let faces = most_indices / 3;
+        self.assembly.check_size(&opened.file, faces, 0)?;
+        match Decoded::new(stream, &compressed.attributes, faces) {
+            Ok(decoded) => source.compressed = Some(decoded),
+            Err(reason) => return opened.fail(&pointer, reason),
+        }
+        Ok(source)
+    }
+}
+
+impl Source<'_, '_> {
+    /// The elements of an attribute. `None` if the primitive has no such attribute.
+    fn floats<const N: usize>(&self, semantic: &Semantic) -> Result<Option<Vec<[f32; N]>>, SceneError> {
+        let Some(accessor) = self.primitive.get(semantic) else { return Ok(None) };
+        let name = semantic.to_string();
+        let Some(values) = self.compressed.as_ref().and_then(|mesh| mesh.floats::<N>(&name)) else {
+            return self.opened.floats(&accessor, self.most).map(Some);
+        };
+        let pointer = format!("{}/attributes/{name}", self.at);
+        match values {
+            Ok(mut values) => {
+                if accessor.normalized() {
+                    let kind = accessor.data_type();
+                    values.iter_mut().flatten().for_each(|value| *value = fraction(*value, kind));
+                }
+                match values.iter().flatten().position(|value| !value.is_finite()) {
+                    Some(i) => self.opened.fail(&pointer, format!("element {} is not finite", i / N)),
+                    None => Ok(Some(values)),
+                }
+            }
+            Err(reason) => self.opened.fail(&pointer, reason),
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! What the loader makes of bundles: the shared ones, small made ones, and malformed ones.
 
 mod bundles;
+mod compressed_gltf;
 mod damaged;
 mod made;
 mod malformed_description;

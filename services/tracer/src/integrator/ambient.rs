@@ -49,8 +49,8 @@ impl<const K: u32> Pixels<'_, K> {
             return self.leave(&s);
         };
         let p = self.point(&s.ray, &hit);
-        if s.vertex == 0 && self.stratum.is_none() {
-            self.stratum = Some(p.stratum);
+        if s.vertex == 0 && self.met.is_none() {
+            self.met = Some(p.stratum);
         }
         let material = &self.tracer.materials[p.material];
         if K & has::PASSING != 0

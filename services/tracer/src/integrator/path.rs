@@ -73,8 +73,8 @@ impl<const K: u32> Pixels<'_, K> {
                 break;
             };
             let p = self.point(&ray, &hit);
-            if vertex == 0 && self.stratum.is_none() {
-                self.stratum = Some(p.stratum);
+            if vertex == 0 {
+                self.met = Some(p.stratum);
             }
             let material = &self.tracer.materials[p.material];
             if K & has::PASSING != 0
