@@ -19,11 +19,11 @@ if [ -z "${FORELIGHT_BIN:-}" ]; then
 fi
 
 scenes=(deploy/scenes/kitchen deploy/scenes/corridor)
-# The paper's bench also writes a report of its own, with pictures.
+# `bench paper` also writes its own report with pictures.
 report=${CARGO_TARGET_DIR:-target}/benchmarks/paper
 mkdir -p docs
 
-# Runs one bench, if it was asked for, and writes its section.
+# Runs one bench if asked for, and writes its section.
 bench() {
   [ "${#wanted[@]}" -eq 0 ] || [[ " ${wanted[*]} " == *" $1 "* ]] || return 0
   printf '\n== %s (%d s)\n' "$1" "$SECONDS"
@@ -36,7 +36,7 @@ bench shots "${scenes[@]}" --seeds 2
 bench coverage "${scenes[@]}"
 bench paper "${scenes[@]}" --size 128 --seeds 20 --repeats 1 --out "$report"
 bench seconds "${scenes[@]}" --width 96 --rounds 3
-bench effects "${scenes[@]}" --width 128 --height 128
+bench effects "${scenes[@]}" --width 64 --height 64 --repeats 3
 bench images "${scenes[0]}" --size 128 --repeats 1 --reference '--integrator path --spp 1024'
 bench rays "${scenes[@]}"
 bench plan

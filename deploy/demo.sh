@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# The main job on one machine: builds forelight, starts a farm of two workers, submits the kitchen shot that ships with the
-# project, follows it to the end, and leaves the farm running.
+# The main job on one machine: builds forelight, starts a farm of two workers, submits the kitchen shot,
+# follows it to the end, and leaves the farm running.
 #
 #   deploy/demo.sh           set up, run the shot, leave the farm running
-#   deploy/demo.sh --once    the same, but stop the farm at the end; exit code 0 only if every frame was delivered
+#   deploy/demo.sh --once    the same, but stop the farm at the end; exit code 0 if every frame was delivered
 #
 # FORELIGHT_BIN   a forelight binary to use instead of building one
-# FORELIGHT_DATA  where the farm keeps its data (default: farm-data)
+# FORELIGHT_DATA  folder of the farm's data (default: farm-data)
 # DEMO_SCENE, DEMO_FRAMES, DEMO_SIZE, DEMO_SPP   another shot (default: deploy/scenes/kitchen, 0-47, 160x90, 8)
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -16,16 +16,16 @@ case "${1:-}" in
   '') ;;
   --once) once=true ;;
   -h | --help) sed -n '2,11s/^# \{0,1\}//p' "$0"; exit 0 ;;
-  *) echo "error: unknown option $1 (there is --once, and --help)" >&2; exit 2 ;;
+  *) echo "error: unknown option $1 (options: --once, --help)" >&2; exit 2 ;;
 esac
 
-# A software Vulkan driver, so that previews run by the GPU path everywhere. Without it the CPU twin serves.
+# A software Vulkan driver, so that previews use the GPU path everywhere. Without it they run on the CPU.
 deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev
 command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
 if [ -z "${FORELIGHT_BIN:-}" ]; then
-  command -v cargo >/dev/null || { echo 'error: no Rust here; install it from https://rustup.rs and run this again' >&2; exit 1; }
-  cargo build --release --package forelight-cli
-  FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/release/forelight
+  command -v cargo >/dev/null || { echo 'error: Rust is missing; install it from https://rustup.rs and run this again' >&2; exit 1; }
+  cargo build --profile demo --package forelight-cli
+  FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/demo/forelight
 fi
 
 data=${FORELIGHT_DATA:-farm-data}
@@ -34,7 +34,8 @@ size=${DEMO_SIZE:-160x90}
 mkdir -p "$data"
 log=$data/farm.log
 
-# Its own session: the farm goes on when this script has ended.
+: >"$log" # read below, perhaps before the farm has opened it
+# Its own session, so that the farm outlives this script.
 setsid "$FORELIGHT_BIN" farm --data "$data" --workers 2 --threads 1 --price 0.40 \
   --listen "${FORELIGHT_LISTEN:-127.0.0.1:0}" >"$log" 2>&1 </dev/null &
 farm=$!
@@ -48,7 +49,7 @@ for _ in $(seq 300); do
   kill -0 "$farm" 2>/dev/null || { echo "error: the farm did not start; its log:" >&2; tail -20 "$log" >&2; exit 1; }
   sleep 0.1
 done
-[ -n "$address" ] || { echo "error: the farm does not say where it listens; its log is $log" >&2; exit 1; }
+[ -n "$address" ] || { echo "error: the farm did not print its address; see its log $log" >&2; exit 1; }
 echo "farm:   $address   (log: $log)"
 
 "$FORELIGHT_BIN" submit "$scene" --server "$address" --data "$data" --name demo --frames "${DEMO_FRAMES:-0-47}" \

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs Debian packages that are missing: deploy/packages.sh NAME…
-# Needs root or sudo for that; where neither is to be had it says what to install and goes on.
+# Needs root or sudo. Without them it prints what to install and continues.
 set -euo pipefail
 
 missing=()

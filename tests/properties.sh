@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # Property tests (proptest) with one seed.
 #
-#   tests/properties.sh        a fresh seed, which is printed with the command that repeats the run
+#   tests/properties.sh        a fresh seed; prints the command that repeats the run
 #   tests/properties.sh SEED   this seed
 #
-# A case that fails is kept: its seed is added to a file `*proptest-regressions*` beside the test's sources or beside its
-# crate's, and each later run tries it first. Commit that file with the fix.
+# The seed of a failing case is added to a file `*proptest-regressions*` near the test's sources, and later
+# runs try it first. Commit that file with the fix.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

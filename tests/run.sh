@@ -1,24 +1,23 @@
 #!/usr/bin/env bash
-# All tests: installs what they need, then format, lints, unit and integration tests, tests against other
-# programs, the demo.
+# All tests: installs what they need, then checks format and lints, and runs unit and integration tests, tests
+# against other programs, and the demo.
 #
 #   tests/run.sh          everything
 #   tests/run.sh --quick  without the tests against other programs, and without the demo
 #
 #   FORELIGHT_SHARED            folder with test scenes and reference images (default: ../shared)
-#   CI                          if set, a test that lacks its data, a GPU or a program fails
-#   FORELIGHT_REQUIRE_SHARED=1  the same
-#
-# Without CI, such tests are listed at the end as not run, each with the reason.
+#   CI                          if set, a test that lacks its data, a GPU or a program fails; otherwise such
+#                               tests are listed at the end as not run, with the reason
+#   FORELIGHT_REQUIRE_SHARED=1  the same as CI
 set -euo pipefail
 shopt -s nullglob
 cd "$(dirname "$0")/.."
 command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
 export CARGO_TERM_COLOR=never
-# Where everything is built once, what incremental builds keep for the next time is ten gigabytes of nothing.
+# CI builds once, so incremental data would waste ten gigabytes.
 [ -z "${CI:-}" ] || export CARGO_INCREMENTAL=0
-# Property tests run twice: with this seed, so that a commit passes or fails whenever it is tested, and with a
-# fresh one, which finds what this one does not.
+# Property tests run twice: with this seed, so that results are reproducible, and with a fresh one to find
+# more.
 export PROPTEST_RNG_SEED=2006
 
 work=$(mktemp -d)

@@ -1,4 +1,4 @@
-//! The parsers that tests mutate the input of, for fuzz targets.
+//! The parsers whose input tests mutate, for fuzz targets.
 
 #[path = "../support/parsers.rs"]
 pub mod parsers;

@@ -1,8 +1,8 @@
 """Reads a scene bundle (scene.json, OBJ and MTL) for other programs, independently of the one under test.
 
-What it understands is what the comparisons need: OBJ geometry, frame 0 of the animation, a constant environment and quad lights.
-Anything else in a bundle is refused by name, so that no comparison is made with half a scene. Lengths are metres, radiance is linear
-Rec. 709, indices count from 0. Needs numpy; `read_image` and `write_image` need the OpenEXR package too.
+It reads OBJ geometry, frame 0 of the animation, a constant environment and quad lights. Anything else raises
+an error, so that no comparison uses a partial scene. Lengths are metres, radiance is linear Rec. 709, indices
+count from 0. Needs numpy; `read_image` and `write_image` also need OpenEXR.
 """
 
 import json
@@ -19,12 +19,12 @@ GREY = (0.5, 0.5, 0.5)
 
 
 class BundleError(Exception):
-    """What is wrong with a bundle, or what these comparisons cannot do with it."""
+    """A bundle is malformed, or uses something unsupported."""
 
 
 @dataclass
 class Material:
-    """One `newmtl`; the fields are named like the keys of the file."""
+    """One `newmtl`. Fields have the names of the keys in the file."""
 
     name: str
     illum: int = 1
@@ -42,7 +42,7 @@ class Material:
         return any(self.ke)
 
     def lambert(self):
-        """Colour and texture of the surface as a diffuse one: metals and glass are grey."""
+        """Colour and texture of the surface as a diffuse one. Metals and glass are grey."""
         if self.illum in (3, 4, 7):
             return GREY, None
         return self.kd, self.map_kd
@@ -94,7 +94,7 @@ def read(folder):
         raise BundleError(f"{folder}: version {scene.get('version')} is not 1")
     camera = dict(scene["camera"])
     if camera.get("aperture_radius"):
-        raise BundleError(f"{folder}: a lens is not understood")
+        raise BundleError(f"{folder}: a lens is not supported")
     moved = _first_frame(folder, scene)
     for (target, key), value in moved.items():
         if target == "camera":
@@ -107,7 +107,7 @@ def read(folder):
     )
     for name in scene["geometry"]:
         if not name.endswith(".obj"):
-            raise BundleError(f"{folder}: {name} is not OBJ")
+            raise BundleError(f"{folder}: geometry {name} is not OBJ")
         _read_obj(bundle, folder / name)
     for part in bundle.parts:
         _place(part, {key: value for (target, key), value in moved.items() if target == f"object:{part.object}"})
@@ -117,7 +117,7 @@ def read(folder):
 
 
 def without_environment(folder, destination):
-    """Copies a bundle into a new folder, with no environment: some programs light by it in another way than by a bounce."""
+    """Copies a bundle into a new folder without its environment, which some programs count as a bounce."""
     shutil.copytree(folder, destination, copy_function=shutil.copyfile)
     Path(destination).chmod(0o755)
     path = Path(destination) / "scene.json"
@@ -128,14 +128,14 @@ def without_environment(folder, destination):
 
 
 def _first_frame(folder, scene):
-    """What the tracks say of frame 0, by (target, property)."""
+    """Values of the tracks at frame 0, by (target, property)."""
     values = {}
     for track in scene.get("animation", {}).get("tracks", []):
         first = track["keys"][0]
         if first["frame"] != 0 and len(track["keys"]) > 1:
             raise BundleError(f"{folder}: a track of {track['target']} starts after frame 0")
         if track["target"].startswith("light:"):
-            raise BundleError(f"{folder}: lights that change are not understood")
+            raise BundleError(f"{folder}: animated lights are not supported")
         values[track["target"], track["property"]] = first["value"]
     return values
 
@@ -145,14 +145,14 @@ def _environment(folder, scene):
     if environment is None:
         return None
     if environment["type"] != "constant":
-        raise BundleError(f"{folder}: an environment of type {environment['type']} is not understood")
+        raise BundleError(f"{folder}: an environment of type {environment['type']} is not supported")
     return tuple(environment["radiance"])
 
 
 def _add_quad(bundle, folder, index, light):
     """A quad light is two black triangles that emit towards edge_u × edge_v."""
     if light["type"] != "quad":
-        raise BundleError(f"{folder}: a light of type {light['type']} is not understood")
+        raise BundleError(f"{folder}: a light of type {light['type']} is not supported")
     corner, u, v = (numpy.array(light[key], float) for key in ("corner", "edge_u", "edge_v"))
     name = f"light {index}"
     bundle.materials[name] = Material(name, kd=(0.0, 0.0, 0.0), ke=tuple(light["radiance"]))
@@ -169,7 +169,7 @@ def _add_quad(bundle, folder, index, light):
 
 
 def _place(part, transform):
-    """Scales, turns and moves a part as its object's tracks say."""
+    """Scales, turns and moves a part by its object's tracks."""
     if "scale" in transform:
         scale = numpy.array(transform["scale"], float)
         part.positions = part.positions * scale
@@ -193,7 +193,7 @@ def _place(part, transform):
 
 def _read_obj(bundle, path):
     vertices = {"v": [], "vt": [], "vn": []}
-    # Corners as (position, texture coordinate, normal) by object, material and which attributes there are.
+    # Corners as (position, texture coordinate, normal), by object, material and set of attributes.
     faces = {}
     object_name = material = ""
     for line in path.read_text().splitlines():
@@ -232,7 +232,8 @@ def _read_obj(bundle, path):
 
 
 def _corner(word, vertices):
-    """Position, texture coordinate and normal of a face's corner; negative indices count back from the last."""
+    """Position, texture coordinate and normal of a face's corner; negative indices count back from the
+    last."""
     indices = (word.split("/") + ["", ""])[:3]
     lists = vertices["v"], vertices["vt"], vertices["vn"]
     return tuple(
@@ -267,8 +268,8 @@ def _read_mtl(bundle, path):
 def outline(part):
     """The borders of a part's flat, simply connected pieces, each as one polygon of corners in order.
 
-    Triangles that share an edge and a plane become one polygon. Programs that sample each polygon of a light by itself, or are
-    exact for rectangles alone, need lights so.
+    Triangles that share an edge and a plane become one polygon. Some programs sample each polygon of a light
+    by itself, or are exact only for rectangles.
     """
     positions, corner_of = numpy.unique(part.positions.round(9), axis=0, return_inverse=True)
     triangles = corner_of.reshape(-1)[part.triangles]
@@ -299,7 +300,7 @@ def outline(part):
         while border[ring[-1]] != ring[0]:
             ring.append(border[ring[-1]])
         if len(ring) != len(border):
-            raise BundleError(f"{part.object}: a light with a hole is not understood")
+            raise BundleError(f"{part.object}: a light with a hole is not supported")
         polygons.append(positions[ring])
     return polygons
 
@@ -324,18 +325,18 @@ def write_image(path, image):
 
 
 def compare(ours, theirs, mean_tolerance, block_tolerance, blocks=8):
-    """Compares two images of one scene, and says where they differ too much: an empty list if they agree.
+    """Compares two images of one scene. Returns a list of problems, empty if they agree.
 
-    Pixels that see a light, or lie within two of one that does, are left out: they are a hundred times as bright as what is lit, and how
-    much of a light lies in a pixel says little about its transport. Two, because whether a pixel that sees a sliver of a light counts as
-    one that sees it is a matter of noise, and must not decide whether the sliver counts. The means of the rest may differ by
-    `mean_tolerance`, relative. So may, by `block_tolerance` of the mean, the root mean square of the differences between `blocks` ×
-    `blocks` parts of the image: light that is lost here and comes back there.
+    Pixels within two of one that sees a light are left out. They are a hundred times as bright as the rest
+    and say little about light transport. The distance is two, because noise decides whether a pixel with a
+    sliver of a light sees it. The means of the rest may differ by `mean_tolerance`, relative. The root mean
+    square difference of `blocks` × `blocks` parts may be `block_tolerance` of the mean; it finds light in the
+    wrong place.
     """
     if ours.shape != theirs.shape:
         return [f"sizes {ours.shape} and {theirs.shape}"]
     brightest = numpy.maximum(ours, theirs).max(axis=2)
-    # Not a number is neither above nor below, and must not hide.
+    # NaN fails every comparison, so test it first.
     lights = brightest > 40 * numpy.median(theirs)
     padded = numpy.pad(lights, 2)
     height, width = lights.shape
@@ -357,10 +358,11 @@ def compare(ours, theirs, mean_tolerance, block_tolerance, blocks=8):
 
 
 def compare_means(ours, theirs, tolerance, largest_error):
-    """Compares the means of two sets of images of one scene, each image rendered with a seed of its own, and says what is wrong.
+    """Compares the means of two sets of images of one scene, each with its own seed. Returns a list of
+    problems.
 
-    The means may differ by `tolerance`, relative, and by three standard errors of the difference. These errors come from the means of the
-    single images. Above `largest_error` they are too large to tell anything.
+    The means may differ by `tolerance`, relative, plus three standard errors of the difference. These come
+    from the means of the single images and must not exceed `largest_error`.
     """
     sets = [[float(image.mean()) for image in images] for images in (ours, theirs)]
     mean, expected = map(statistics.fmean, sets)
@@ -376,8 +378,8 @@ def compare_means(ours, theirs, tolerance, largest_error):
 
 
 def peers(measured, reference):
-    """Arguments of `forelight bench images`, from a file with one JSON object for every image that was rendered: each image with
-    the median of its CPU seconds, and the same program's converged image to hold it against."""
+    """Arguments of `forelight bench images`, from a file with one JSON object per rendered image: each image
+    with its median CPU seconds and the program's converged image as reference."""
     seconds = {}
     for line in Path(measured).read_text().splitlines():
         facts = json.loads(line)
@@ -388,8 +390,8 @@ def peers(measured, reference):
 
 
 def main():
-    """`compare OURS THEIRS MEAN_TOLERANCE BLOCK_TOLERANCE`, `compare-means TOLERANCE LARGEST_ERROR OURS… THEIRS…` with as many of ours
-    as of theirs, `without-environment FROM TO`, `peers MEASURED REFERENCE`."""
+    """`compare OURS THEIRS MEAN_TOLERANCE BLOCK_TOLERANCE`, `compare-means TOLERANCE LARGEST_ERROR OURS…
+    THEIRS…` with equal numbers of both, `without-environment FROM TO`, `peers MEASURED REFERENCE`."""
     command, first, second, *rest = sys.argv[1:]
     if command == "without-environment":
         without_environment(first, second)
@@ -404,7 +406,7 @@ def main():
         half = len(images) // 2
         problems = compare_means(images[:half], images[half:], float(first), float(second))
     else:
-        raise SystemExit(f"no command {command}")
+        raise SystemExit(f"unknown command {command}")
     for problem in problems:
         print(f"  WRONG: {problem}")
     if problems:

@@ -1,5 +1,5 @@
-// A peer of `forelight bench rays`: traces the rays of an exported file with Embree, one by one, in robust mode on a tree of high
-// quality. File and conversation are described in services/bench/src/rays/{export,peer}.rs.
+// A peer of `forelight bench rays`: traces the rays of an exported file with Embree, one by one, in robust
+// mode on a high-quality tree. File and protocol are described in services/bench/src/rays/{export,peer}.rs.
 
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
@@ -41,7 +41,7 @@ static_assert(sizeof(FileRay) == 40);
 struct Set {
   bool any;
   std::vector<FileRay> rays;
-  // What Embree finds.
+  // Embree's hits.
   std::vector<std::uint32_t> triangles;
   std::vector<float> distances;
 };
@@ -145,7 +145,7 @@ void trace(RTCScene scene, Set& set) {
   }
 }
 
-// Another triangle at the same distance (a shared edge, two surfaces in one place) is no difference.
+// Another triangle at the same distance (a shared edge, coincident surfaces) counts as equal.
 bool agree(const Set& set, std::size_t i) {
   const FileRay& ray = set.rays[i];
   if (set.triangles[i] == ray.triangle) return true;

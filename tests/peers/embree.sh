@@ -1,17 +1,16 @@
 #!/usr/bin/env bash
-# Our rays against Embree's (https://www.embree.org), one by one: they have to meet the same triangles. How
-# fast each is, is printed and not judged: a debug build is slow, and a busy machine says nothing. To measure,
-# give a release build:
+# Compares our rays with Embree's (https://www.embree.org) one by one: they must hit the same triangles.
+# Speeds are printed, but not tested. To measure them, use a release build:
 #
 #   FORELIGHT_BIN=target/release/forelight FORELIGHT_EMBREE_RAYS=300000 FORELIGHT_EMBREE_REPEATS=15 tests/peers/embree.sh
 #
 #   FORELIGHT_BIN             the program (default: target/debug/forelight, which is built)
-#   FORELIGHT_SHARED          folder with test scenes (default: ../shared); without it our own scenes are traced
-#   FORELIGHT_EMBREE_RAYS     rays of each kind, about (default: 5000)
-#   FORELIGHT_EMBREE_REPEATS  how often each program traces them, by turns (default: 3)
+#   FORELIGHT_SHARED          folder with test scenes (default: ../shared); without it, our own scenes
+#   FORELIGHT_EMBREE_RAYS     approximate number of rays of each kind (default: 5000)
+#   FORELIGHT_EMBREE_REPEATS  how often each program traces them, in turns (default: 3)
 #
-# Needs Embree (Debian: libembree-dev), a C++ compiler and Python. Where they are missing it is reported as
-# not run; in CI it fails.
+# Needs Embree (Debian: libembree-dev), a C++ compiler and Python. Without them it is reported as not run, and
+# in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
@@ -46,7 +45,7 @@ python3 - "$result" <<'PYTHON'
 import json, sys
 
 measured = json.load(open(sys.argv[1]))
-# Where a ray starts within rounding of a surface, or passes a border, either may be right.
+# Results may differ for rays that start within rounding of a surface or pass an edge.
 allowed = 0.001
 wrong = []
 print(f"{'':32}{'ours':>10}{measured['peer']:>16}{'ratio':>8}{'differ':>8}   (million rays a second)")

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Mitsuba 3 (https://mitsuba-renderer.org), an independent path tracer: our images against its own, of bundles
-# that tests/peers/bundle.py reads by itself.
+# Compares our images with those of Mitsuba 3 (https://mitsuba-renderer.org), an independent path tracer. An
+# independent reader, tests/peers/bundle.py, loads the bundles.
 #
-#   tests/peers/mitsuba.sh                    small images, diffuse: their means, and those of 8 × 8 blocks, must agree;
-#                                             with all materials: their means must agree
-#   tests/peers/mitsuba.sh --full BUNDLE…     what an equal error costs in CPU time (minutes a bundle), by `forelight bench images`
+#   tests/peers/mitsuba.sh                   compares means of small images, with diffuse materials also of blocks
+#   tests/peers/mitsuba.sh --full BUNDLE…    CPU time of an equal error (minutes), by `forelight bench images`
 #
-#   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full: target/release/forelight)
+#   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full:
+#                      target/release/forelight)
 #   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
 #
 # Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
@@ -17,8 +17,7 @@ source tests/peers/support.bash
 
 python_with mitsuba mitsuba==3.9.1 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
 
-# Mitsuba's vectorised renderer compiles with LLVM, of which it needs a recent one; without, it renders a ray
-# at a time.
+# Mitsuba's vectorised renderer needs a recent LLVM. Without it, Mitsuba renders ray by ray.
 llvm() {
   local names=(/usr/lib/*/libLLVM.so.* /usr/lib/*/libLLVM-1[6-9].so*) name
   for name in "${names[@]}"; do [ -e "$name" ] && echo "$name" && return; done
@@ -29,7 +28,7 @@ if [ -n "$DRJIT_LIBLLVM_PATH" ]; then
   export DRJIT_LIBLLVM_PATH
   variant=llvm_ad_rgb
 else
-  echo 'note: no LLVM from version 16 on; Mitsuba renders a ray at a time'
+  echo 'note: no LLVM 16 or later; Mitsuba renders ray by ray'
   variant=scalar_rgb
 fi
 mitsuba() { "$environment/bin/python" "$here/mitsuba_peer.py" --variant "$variant" "$@"; }
@@ -55,9 +54,9 @@ fi
 
 need_forelight
 test_scenes kitchen cornell-box
-# From run to run Mitsuba's mean of the kitchen moves by 0.6 %, whatever the seed and the samples (slivers
-# beside lamps); and at this size the cache brightens by 0.3 %. What is right to a tenth of a percent is
-# tested against references that say how noisy they are.
+# Mitsuba's mean of the kitchen varies by 0.6 % between runs, whatever the seed and the samples (slivers
+# beside lamps), and at this size our cache brightens by 0.3 %. Tests to 0.1 % use references with standard
+# errors.
 mean_tolerance=0.01
 failed=0
 for scene in "${scenes[@]}"; do
@@ -80,7 +79,7 @@ echo "Mitsuba's roughplastic against the plastic of the bundle format"
 "$environment/bin/python" "$here/mitsuba_materials.py"
 scenes=()
 if [ "$variant" = scalar_rgb ]; then
-  missing 'no LLVM from version 16 on: images with all materials would take hours'
+  missing 'no LLVM 16 or later: images with all materials would take hours'
 else
   shared_scenes country-kitchen living-room
 fi

@@ -1,28 +1,25 @@
 """Plastics and rough metals of the bundle format as a BSDF for Mitsuba 3.
 
-Mitsuba's own `roughplastic` is another model. Its coat is rough for the light that passes it as well. Tables
-hold the shares that a rough interface lets in and throws back inside, each for a single scattering, so the
-light that scatters more often is lost. The format's plastic has the same GGX lobe for reflected light, and a
-smooth coat for light that passes, which loses nothing. Of the diffuse light at normal incidence, `roughplastic`
-returns these shares of what the format's plastic returns:
+Mitsuba's `roughplastic` is another model, whose coat is also rough for light that passes it. Its tables cover
+single scattering only, so light that scatters more often is lost. The format's plastic has the same GGX lobe
+for reflected light, and a smooth coat for light that passes, which loses nothing. At normal incidence,
+`roughplastic` returns these shares of the diffuse light of the format's plastic:
 
 | alpha | 0.05 | 0.15 | 0.2 |
 | --- | --- | --- | --- |
 | share | 95 % | 84 % | 78 % |
 
-`check` holds all this against Mitsuba's own values.
+`check` compares this with Mitsuba's own values.
 
-Mitsuba's `roughconductor` has the Fresnel equations of an index. The format's metal has Schlick's
-approximation.
-
-The microfacets, Fresnel's equations and the sampling are Mitsuba's own.
+Mitsuba's `roughconductor` uses the Fresnel equations of an index, the format's metal Schlick's approximation.
+Microfacets, Fresnel's equations and the sampling are Mitsuba's own.
 """
 
 import math
 
 
 def internal_diffuse(mitsuba, ior, steps=4096):
-    """Share of diffuse light inside that a smooth coat throws back: 1 - (1 - F) / ior².
+    """Share of diffuse light inside that a smooth coat reflects: 1 - (1 - F) / ior².
 
     F is the mean reflectance from outside.
     """
@@ -31,11 +28,11 @@ def internal_diffuse(mitsuba, ior, steps=4096):
 
 
 def register(mitsuba, internal):
-    """Makes `format_surface` known to Mitsuba, in the variant that is set.
+    """Registers `format_surface` with Mitsuba, in the current variant.
 
-    Properties: `alpha` (GGX); `base`, the Lambert reflectance under a coat of index `ior`, or else `f0`, a
-    metal's reflectance at normal incidence. `internal` holds `internal_diffuse` by index, which the scalar
-    variant computes.
+    Properties: `alpha` (GGX), and either `base`, the Lambert reflectance under a coat of index `ior`, or
+    `f0`, a metal's reflectance at normal incidence. `internal` holds `internal_diffuse` by index, from the
+    scalar variant.
     """
     import drjit
 
@@ -52,7 +49,7 @@ def register(mitsuba, internal):
             self.m_flags = glossy if self.base is None else glossy | diffuse
             if self.base is not None:
                 self.series = 1 / (1 - internal[self.ior]) / self.ior**2
-            # The share of samples that go to the glossy lobe.
+            # Share of samples of the glossy lobe.
             self.share = 1.0 if self.base is None else 0.5
 
         def facets(self):
@@ -107,10 +104,10 @@ def register(mitsuba, internal):
 
 
 def check(mitsuba):
-    """Compares `format_surface` with `roughplastic`; needs the variant scalar_rgb.
+    """Compares `format_surface` with `roughplastic`. Needs the variant scalar_rgb.
 
-    Fails unless their glossy lobes are the same, and their diffuse ones differ by the shares that the head of
-    this file names.
+    Fails unless their glossy lobes are equal, and their diffuse ones differ by the shares at the top of this
+    file.
     """
     ior = 1.5
     register(mitsuba, {ior: internal_diffuse(mitsuba, ior)})

@@ -1,11 +1,12 @@
-"""A bundle, rendered by Mitsuba 3's path integrator: images as EXR, and what each took.
+"""Renders a bundle with Mitsuba 3's path integrator: EXR images and their CPU times.
 
     mitsuba_peer.py BUNDLE --out FOLDER --size 512 --spp 4,16,64 [--materials lambert] [--depth 3]
 
-`--materials full` takes Mitsuba's own BSDF for each material, `--materials format` the bundle format's plastics and rough metals.
+`--materials full` uses Mitsuba's own BSDF for each material, `--materials format` the bundle format's
+plastics and rough metals.
 
-Prints one JSON object a line and image: name, image, spp, cpu_seconds (user and system, of rendering alone: the scene is loaded and the
-kernels are compiled before), wall_seconds.
+Prints one line of JSON per image: name, image, spp, cpu_seconds (user and system), wall_seconds. Times
+exclude loading the scene and compiling kernels.
 """
 
 import argparse
@@ -20,12 +21,12 @@ import numpy
 
 import bundle as bundles
 
-# Samples of a pixel that are rendered at once: bounds the memory of the wavefront.
+# Samples per pixel and call, to bound the memory of the wavefront.
 SAMPLES_AT_ONCE = 16
 
 
 def write_ply(path, part):
-    """A part as binary PLY; texture coordinates with v down, as Mitsuba's bitmaps have it."""
+    """A part as binary PLY. Texture coordinates have v down, like Mitsuba's bitmaps."""
     columns, names = [part.positions], ["x", "y", "z"]
     if part.normals is not None:
         columns.append(part.normals)
@@ -53,7 +54,7 @@ def colour(kd, texture):
 
 
 def bsdf(material, materials):
-    """The material as Mitsuba has it."""
+    """The material in Mitsuba's terms."""
     if materials == "lambert":
         return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour(*material.lambert())}}
     alpha = material.pr**2
@@ -66,7 +67,7 @@ def bsdf(material, materials):
     rough = {"distribution": "ggx", "alpha": max(alpha, 1e-4)}
     index = {"int_ior": material.ni, "ext_ior": 1.0}
     if material.illum == 3:
-        # A dielectric without absorption that reflects as much at normal incidence.
+        # A dielectric without absorption and with the same reflectance at normal incidence.
         roots = numpy.sqrt(numpy.clip(material.ks, 0.0, 0.9999))
         complex_index = {"eta": rgb((1 + roots) / (1 - roots)), "k": rgb((0.0, 0.0, 0.0))}
         smooth = alpha < 1e-3
@@ -87,7 +88,7 @@ def bsdf(material, materials):
 
 
 def load(mitsuba, bundle, size, materials, depth, sampler):
-    """The bundle as a Mitsuba scene, seen by its own camera in a square image."""
+    """The bundle as a Mitsuba scene, with its own camera and a square image."""
     camera = bundle.camera
     transform = mitsuba.ScalarTransform4f().look_at(camera.origin, camera.target, camera.up)
     scene = {
@@ -120,12 +121,12 @@ def load(mitsuba, bundle, size, materials, depth, sampler):
 
 
 def render(mitsuba, scene, spp, seed):
-    """The image, its CPU and its wall seconds."""
+    """The image, its CPU seconds and its wall seconds."""
     started, used = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF)
     total, done = None, 0
     while done < spp:
         now = min(SAMPLES_AT_ONCE, spp - done)
-        # The sampler stratifies what one call asks for.
+        # The sampler stratifies the samples of one call.
         image = numpy.array(mitsuba.render(scene, spp=now, seed=seed * 100_003 + done), numpy.float64) * now
         total = image if total is None else total + image
         done += now
@@ -135,7 +136,7 @@ def render(mitsuba, scene, spp, seed):
 
 
 def choose_variant(mitsuba, wanted):
-    """The fastest variant that runs here: the vectorised one needs LLVM."""
+    """The fastest variant that runs here. The vectorised one needs LLVM."""
     if wanted:
         mitsuba.set_variant(wanted)
         return wanted
@@ -151,7 +152,7 @@ def choose_variant(mitsuba, wanted):
 
 
 def set_up_materials(mitsuba, bundle, variant):
-    """Makes the bundle format's own surfaces known to Mitsuba."""
+    """Registers the bundle format's surfaces with Mitsuba."""
     import mitsuba_materials
 
     mitsuba.set_variant("scalar_rgb")
@@ -165,9 +166,9 @@ def main():
     parser.add_argument("bundle")
     parser.add_argument("--out", required=True)
     parser.add_argument("--size", type=int, default=512)
-    parser.add_argument("--spp", default="16", help="samples of a pixel, one image each, separated by commas")
-    parser.add_argument("--repeats", type=int, default=1, help="render each image this many times, for its time alone")
-    parser.add_argument("--batches", type=int, default=1, help="this many images of each number of samples, with seeds from --seed on")
+    parser.add_argument("--spp", default="16", help="samples per pixel, one image each, separated by commas")
+    parser.add_argument("--repeats", type=int, default=1, help="render each image this many times, to measure its time")
+    parser.add_argument("--batches", type=int, default=1, help="number of images for each number of samples, with seeds from --seed on")
     parser.add_argument("--materials", choices=["lambert", "full", "format"], default="lambert")
     parser.add_argument("--depth", type=int, default=3, help="3: one bounce")
     parser.add_argument("--sampler", default="multijitter")
@@ -183,7 +184,7 @@ def main():
     scene = load(mitsuba, bundle, arguments.size, arguments.materials, arguments.depth, arguments.sampler)
     ladder = [int(spp) for spp in arguments.spp.split(",")]
     if variant != "scalar_rgb":
-        # Compiles the kernels, one for each number of samples at once.
+        # Compile the kernels, one for each number of samples per call.
         for spp in sorted({min(spp, SAMPLES_AT_ONCE) for spp in ladder}):
             render(mitsuba, scene, spp, 0)
     for repeat, batch, spp in itertools.product(range(arguments.repeats), range(arguments.batches), ladder):

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# The reference implementation of Open Job Description (https://github.com/OpenJobDescription) reads the jobs
-# that `forelight export` writes, and runs them: every channel of the images must have the bits that
-# `forelight render` gives it, but for measured time.
+# The reference implementation of Open Job Description (https://github.com/OpenJobDescription) runs jobs
+# written by `forelight export`. Every channel of the images, except measured time, must have the bits of
+# `forelight render`.
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# Needs Python with venv, and network access for pip. Without them it is reported as not run, and in CI it
 # fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -18,11 +18,11 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 log=$work/log
 quietly() { "$@" >"$log" 2>&1 || { cat "$log"; echo "failed: $*"; exit 1; }; }
-# Each of these means something to a shell, to JSON or to a format string.
+# Each of these characters is special in a shell, in JSON or in a format string.
 scene="$work/it's {{Param.Frames}} \"shot\" \$(false); *"
 cp -r deploy/scenes/corridor "$scene"
 small=(--width 64 --height 36 --spp 2)
-# An extension would keep farms out that do not know it.
+# Farms without an extension could not run the job.
 check() { quietly "$environment/bin/openjd" check "$1" --extensions ''; }
 
 echo 'a job without a cache'
@@ -36,7 +36,7 @@ for frame in 0 2; do
 done
 [ "$(find "$work/plain" -type f | wc -l)" = 4 ]
 
-echo 'with a forecast, and what a frame took'
+echo 'a job with a forecast, and the cost of a frame'
 quietly "$FORELIGHT_BIN" forecast "$scene" --frames 0-2 "${small[@]}" --samples 16 --preview cpu --json
 cp "$log" "$work/quote.json"
 quietly "$FORELIGHT_BIN" export "$scene" --frames 0-2 "${small[@]}" --threads 2 \
@@ -46,7 +46,7 @@ grep -q 'amount.worker.memory' "$work/known.json"
 quietly "$environment/bin/openjd" summary "$work/known.json"
 grep -q 'Total tasks: 3' "$log"
 
-# With two bounces the second level of the cache is filled and put together before the first.
+# With two bounces, the second level of the cache is filled and merged before the first.
 cached=("${small[@]}" --cache on --cache-rays 48 --ambient-bounces 2)
 echo 'a shot with a cache'
 quietly "$FORELIGHT_BIN" cache plan "$scene" --frames 0-1 "${cached[@]}" --preview cpu --out "$work/plan.cache"

@@ -1,15 +1,16 @@
 #!/usr/bin/env bash
-# Radiance (https://www.radiance-online.org), whose rpict has the irradiance cache that all others come from:
-# our images against its own, of bundles that tests/peers/bundle.py reads by itself. Radiance lights by a sky
-# as by a bounce, so the bundles go without.
+# Compares our images with those of Radiance (https://www.radiance-online.org), which introduced the
+# irradiance cache. An independent reader, tests/peers/bundle.py, loads the bundles. Radiance counts light of
+# the sky as a bounce, so the bundles have no sky.
 #
-#   tests/peers/radiance.sh                   small images: their means, and those of 8 × 8 blocks, must agree
-#   tests/peers/radiance.sh --full BUNDLE…    what an equal error costs in CPU time (an hour a bundle), by `forelight bench images`
+#   tests/peers/radiance.sh                   small images: means, and those of 8 × 8 blocks, must agree
+#   tests/peers/radiance.sh --full BUNDLE…    CPU time of an equal error (an hour), by `forelight bench images`
 #
-#   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full: target/release/forelight)
+#   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built; with --full:
+#                      target/release/forelight)
 #   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
 #
-# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# Needs Python with venv, and network access for pip. Without them it is reported as not run, and in CI it
 # fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -24,7 +25,7 @@ trap 'rm -rf "$work"' EXIT
 if [ "${1:-}" = --full ]; then
   shift
   bin=${FORELIGHT_BIN:-$PWD/target/release/forelight}
-  # From quick to good. That of them which does best at an error stands for Radiance.
+  # From quick to good. The best one at an error represents Radiance.
   ladder=(
     --rung '1: x1 -aa .3 -ad 256 -as 64 -ar 32 -dt .05 -dc .5'
     --rung '2: x1 -aa .2 -ad 512 -as 128 -ar 64 -dt .05 -dc .5'
@@ -41,7 +42,7 @@ if [ "${1:-}" = --full ]; then
     echo "== $(basename "$scene"), without a sky"
     "$environment/bin/python" "$here/bundle.py" without-environment "$scene" "$images/bundle"
     radiance "$images/bundle" --out "$images" --size 512 "${ladder[@]}" | tee "$images/measured.jsonl"
-    # Converged without a cache: every hit gathers for itself.
+    # Converged, without a cache.
     [ -e "$images/radiance-reference.exr" ] || radiance "$images/bundle" --out "$images" --size 512 --rung 'reference: x4 -aa 0 -ad 32 -as 0 -u+'
     mapfile -t peers < <("$environment/bin/python" "$here/bundle.py" peers "$images/measured.jsonl" "$images/radiance-reference.exr")
     "$bin" bench images "$images/bundle" --size 512 --materials lambert --ambient-bounces 1 --references "$images/references" \

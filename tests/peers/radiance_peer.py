@@ -1,12 +1,13 @@
-"""A bundle, rendered by Radiance's rpict with its ambient cache: images as EXR, and what each took.
+"""Renders a bundle with Radiance's rpict and its ambient cache: EXR images and their CPU times.
 
     radiance_peer.py BUNDLE --out FOLDER --size 512 --rung 'NAME: -aa .15 -ad 512 -as 128 -ar 128'…
 
-All surfaces are diffuse (`plastic` without gloss), area lights are `light` polygons of the same radiance, and the factor of 179 lumens a
-watt never enters. Prints one JSON object a line and image: name, image, options, cpu_seconds (user and system of rpict, less what it takes
-to load the scene).
+All surfaces are diffuse (`plastic` without gloss), area lights are `light` polygons of the same radiance, and
+no value is converted to lumens. Prints one line of JSON per image: name, image, options, cpu_seconds (user
+and system of rpict, without loading the scene).
 
-A rung may begin with `xN`: the image is rendered N times as large in each direction and averaged, which is how Radiance smooths edges.
+A rung may begin with `xN`: the image is rendered N times as large in each direction and averaged, as Radiance
+does to smooth edges.
 """
 
 import argparse
@@ -22,12 +23,12 @@ from PIL import Image
 
 import bundle as bundles
 
-# What all images share: one bounce, every pixel a ray of its own anywhere in its square, no short cut in direct light.
+# Options of all images: one bounce, one jittered ray per pixel, exact direct light.
 SHARED = "-ab 1 -av 0 0 0 -aw 0 -ps 1 -pj 1 -dj 1 -dt 0 -dc 1 -lw 1e-6 -lr 6".split()
 
 
 def installed():
-    """Folders of the programs and of their library, in the Python package that brings them."""
+    """Folders of the programs and of their library, in the Python package."""
     import pyradiance
 
     root = Path(pyradiance.__file__).parent
@@ -35,7 +36,7 @@ def installed():
 
 
 def run(program, *arguments, **options):
-    """Runs one of Radiance's programs; its CPU seconds and what it printed."""
+    """Runs one of Radiance's programs. Returns its CPU seconds and its output."""
     programs, library = installed()
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     environment = {**os.environ, "RAYPATH": f".:{library}"}
@@ -47,7 +48,8 @@ def run(program, *arguments, **options):
 
 
 def write_picture(path, texture):
-    """A texture in linear light as an unpacked Radiance picture; how much wider and higher than its shorter side it is."""
+    """Writes a texture as a flat Radiance picture in linear light. Returns width and height over the shorter
+    side."""
     encoded = numpy.asarray(Image.open(texture).convert("RGB"), numpy.float64) / 255
     linear = numpy.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     mantissa, exponent = numpy.frexp(linear.max(axis=2))
@@ -65,8 +67,8 @@ def numbers(values):
 
 
 def surface(polygon):
-    """Type and arguments of a light's surface, with the identifier to be put between: rpict aims at rectangles and discs without a
-    miss, at other polygons as if they were squares."""
+    """Type and arguments of a light's surface; the identifier goes between them. rpict samples rectangles and
+    discs exactly, and other polygons as if they were squares."""
     centre = polygon.mean(axis=0)
     spokes = polygon - centre
     radii = numpy.linalg.norm(spokes, axis=1)
@@ -79,7 +81,8 @@ def surface(polygon):
 
 
 def convert(bundle, folder):
-    """Writes the bundle as an octree of one triangle mesh, the lights as polygons beside it; the octree's path."""
+    """Writes the bundle as an octree of one triangle mesh, with lights as polygons. Returns the octree's
+    path."""
     folder = Path(folder)
     names = {name: f"m{index}" for index, name in enumerate(bundle.materials)}
     pictures, materials, lights, mesh = {}, [], [], ["# a bundle"]
@@ -139,7 +142,7 @@ def view(camera, size):
 
 
 def picture(folder, camera, size, factor, options):
-    """CPU seconds of rpict and the image, `factor` times as large while it is rendered."""
+    """CPU seconds of rpict, and the image, rendered `factor` times as large."""
     side = size * factor
     arguments = ["-x", side, "-y", side, *view(camera, size), *SHARED, *options, "scene.oct"]
     cpu, picture = run("rpict", *arguments, cwd=folder)

@@ -1,12 +1,11 @@
 #!/usr/bin/env bash
-# Artefacts in a bucket of an S3 server that others wrote (moto, https://docs.getmoto.org): a job through a
-# farm whose bundles, profiles and images rest there, with the server taken away in the middle of it. Every
-# image must have the bits that `forelight render` gives it, the bucket must hold exactly what the farm's
-# database promises, and what the farm says while the server is away must be "later", never "no".
+# Runs a job on a farm with artefacts in an S3 bucket (moto, https://docs.getmoto.org), and makes the server
+# unreachable for a while. Images must have the bits of `forelight render`. The bucket must hold exactly the
+# artefacts in the farm's database. While the server is away, the farm must answer "later", never "no".
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# Needs Python with venv, and network access for pip. Without them it is reported as not run, and in CI it
 # fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -21,7 +20,6 @@ proxy=
 farm=
 cleanup() {
   for process in $farm $proxy $server; do
-    # What they hold is thrown away.
     kill -9 "$process" 2>/dev/null || true
     wait "$process" 2>/dev/null || true
   done
@@ -38,7 +36,8 @@ wait_for() { # SECONDS COMMAND…
     sleep 0.1
   done
 }
-# The server keeps its objects in memory, so it must not be ended to make it unreachable. A process in front of it hands connections on, at a port of its own; that process is ended and started again.
+# The server keeps its objects in memory, so it cannot be stopped. A proxy in front of it is stopped and
+# started instead.
 behind=$(free_port)
 port=$(free_port)
 open_door() {
@@ -87,12 +86,12 @@ start() {
 }
 refused() { # WORDS: a farm that is started now says so and ends
   start
-  ! wait "$farm" || fail 'a farm was started that cannot keep anything'
+  ! wait "$farm" || fail 'a farm started without usable storage'
   farm=
-  grep -q "$1" "$work/farm.log" || fail "the farm does not say: $1"
+  grep -q "$1" "$work/farm.log" || fail "not in the log of the farm: $1"
 }
 
-echo 'what cannot be used is refused by name'
+echo 'unusable storage is refused with the reason'
 refused 'AWS_ALLOW_HTTP=true'
 export AWS_ALLOW_HTTP=true
 refused 'no such bucket'
@@ -100,7 +99,7 @@ refused 'no such bucket'
 import boto3
 boto3.client("s3").create_bucket(Bucket="renders")'
 
-echo 'a job whose artefacts rest in the bucket, with the server away for a while'
+echo 'a job with artefacts in the bucket, while the server is away for a time'
 start
 wait_for 30 grep -q '^listening on ' "$work/printed"
 url=$(sed -n 's/^listening on //p' "$work/printed")
@@ -113,7 +112,7 @@ wait_for 120 rendered
 shut_door
 answer=$(curl -s -o "$work/problem.json" -D - -X PUT --data-binary 'half an image' -H "Authorization: Bearer $token" \
   "$url/v1/artifacts/$(printf '0%.0s' {1..64})")
-# The wrong hash is found before anything is sent anywhere.
+# The wrong hash is found before anything is sent to the server.
 grep -q '^HTTP/1.1 422' <<<"$answer" || fail "a wrong hash was answered: $answer"
 image=$("$environment/bin/python" - "$work/data/forelight.sqlite" <<'PYTHON'
 import sqlite3, sys
@@ -124,7 +123,7 @@ answer=$(curl -s -o "$work/problem.json" -D - -H "Authorization: Bearer $token" 
 grep -q '^HTTP/1.1 503' <<<"$answer" && grep -qi '^retry-after: ' <<<"$answer" || fail "while the server is away: $answer"
 grep -q 'the artefact store cannot be used just now' "$work/problem.json" || fail "$(cat "$work/problem.json")"
 sleep 6
-kill -0 "$submitted" || fail 'the job ended while nothing could be kept'
+kill -0 "$submitted" || fail 'the job ended while the server was away'
 open_door
 wait "$submitted" || { cat "$work/submit.log"; fail 'the job was not delivered'; }
 
@@ -146,7 +145,7 @@ there = {entry["Key"]: entry["Size"] for page in pages for entry in page["Conten
 there.pop("farm/a/farm")
 missing = {name: size for name, size in promised.items() if there.get(name) != size}
 assert promised and not missing, f"promised, and not there: {missing}"
-# What was stored without its row is only waste: a result that was sent while its lease was lost.
+# An object without a row is only waste: a result sent after its lease was lost.
 assert len(there) - len(promised) <= 8, f"{len(there)} objects for {len(promised)} rows"
 left = client.list_multipart_uploads(Bucket="renders").get("Uploads", [])
 assert not left, f"unfinished uploads: {left}"
@@ -157,7 +156,7 @@ assert not local, f"left in the data folder: {local}"
 PYTHON
 grep -q "$AWS_SECRET_ACCESS_KEY" "$work/farm.log" && fail 'the log holds a secret'
 
-echo 'a long artefact goes there in parts and comes back; one that breaks off leaves nothing'
+echo 'a long artefact is stored in parts and read back; an aborted upload leaves nothing'
 "$environment/bin/python" - "$work" <<'PYTHON' >"$work/hashes"
 import blake3, pathlib, random, sys
 
@@ -170,9 +169,9 @@ PYTHON
 put() { curl -s -o "$work/answer.json" -w '%{http_code}' -X PUT --data-binary "@$work/$1" -H "Authorization: Bearer $token" "${@:3}" "$url/v1/artifacts/$2" || true; }
 [ "$(put long "$long")" = 201 ] || fail "a long artefact: $(cat "$work/answer.json")"
 [ "$(put long "$long")" = 200 ] || fail "the same again: $(cat "$work/answer.json")"
-curl -sf -H "Authorization: Bearer $token" "$url/v1/artifacts/$long" | cmp - "$work/long" || fail 'it comes back as something else'
-# 100 is "go on".
-[[ "$(put other "$other" --limit-rate 4M --max-time 1)" = [01]00 ]] || fail 'an upload that broke off was answered'
+curl -sf -H "Authorization: Bearer $token" "$url/v1/artifacts/$long" | cmp - "$work/long" || fail 'it differs when read back'
+# 100 is "continue".
+[[ "$(put other "$other" --limit-rate 4M --max-time 1)" = [01]00 ]] || fail 'an aborted upload was answered'
 staged() { [ -n "$(find "$work/data/artifacts" -type f)" ]; }
 wait_for 20 eval '! staged'
 "$environment/bin/python" - "$long" "$other" <<'PYTHON'
@@ -186,10 +185,10 @@ assert there[sys.argv[1]]["ETag"].strip('"').endswith("-3"), "it was not sent in
 assert sys.argv[2] not in there and not client.list_multipart_uploads(Bucket="renders").get("Uploads")
 PYTHON
 
-echo 'a farm that is started with another place is refused'
+echo 'a farm with a different artefact store is refused'
 kill -INT "$farm"
 wait "$farm" || true
 farm=
 "$FORELIGHT_BIN" farm --data "$work/data" --listen 127.0.0.1:0 --workers 1 --preview cpu >"$work/printed" 2>"$work/farm.log" &&
-  fail 'it was started without its artefacts'
-grep -q -- '--artifacts s3://renders/farm/a' "$work/farm.log" || fail 'it does not say where they are'
+  fail 'the farm started without its artefacts'
+grep -q -- '--artifacts s3://renders/farm/a' "$work/farm.log" || fail 'the error does not name the artefact store'

@@ -1,21 +1,19 @@
 #!/usr/bin/env bash
-# Schemathesis (https://schemathesis.readthedocs.io) against a running farm and the document that it serves
-# about itself: requests made up from the document, right and wrong ones, and every answer held against it. A
-# farm with a finished job stands behind it, so that answers with content are seen, not just "there is no such
-# thing".
+# Runs Schemathesis (https://schemathesis.readthedocs.io) against a farm and its OpenAPI document: valid and
+# invalid requests are generated from the document, and every response is checked against it. The farm has a
+# finished job, so that not all responses are 404.
 #
 #   FORELIGHT_BIN                     the program (default: target/debug/forelight, which is built)
-#   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests an operation in the random part (default: 15)
-#   FORELIGHT_SCHEMATHESIS_SEED       of the random part (default: 1)
+#   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests per operation in the random part (default: 15)
+#   FORELIGHT_SCHEMATHESIS_SEED       seed of the random part (default: 1)
 #
-# Further arguments go to schemathesis. Needs Python with venv, and the network for pip. Where they are
-# missing it is reported as not run; in CI it fails.
+# Further arguments go to schemathesis. Needs Python with venv, and network access for pip. Without them it is
+# reported as not run, and in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
-# The newest version is not taken by itself: it brings new checks, and with them news for people, not for a
-# test run.
+# Pinned, because new versions bring new checks.
 python_with schemathesis schemathesis==4.32.5
 
 need_forelight
@@ -25,7 +23,6 @@ work=$(mktemp -d)
 farm=
 cleanup() {
   if [ -n "$farm" ]; then
-    # What it holds is thrown away.
     kill -9 "$farm" 2>/dev/null || true
     wait "$farm" 2>/dev/null || true
   fi
@@ -33,6 +30,7 @@ cleanup() {
 }
 trap cleanup EXIT
 
+: >"$work/printed" # read below, perhaps before the farm has opened it
 "$FORELIGHT_BIN" farm --data "$work/data" --listen 127.0.0.1:0 --workers 1 --threads 1 --preview cpu \
   >"$work/printed" 2>"$work/log" &
 farm=$!
@@ -42,9 +40,9 @@ for _ in $(seq 150); do
   kill -0 "$farm" 2>/dev/null || { cat "$work/log"; exit 1; }
   sleep 0.2
 done
-[ -n "$url" ] || { echo 'the farm does not say where it listens'; exit 1; }
+[ -n "$url" ] || { echo 'failed: the farm did not print its address'; exit 1; }
 
-# Something to ask about. No request may leave this machine.
+# A finished job to query. No request may leave this machine.
 export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
 "$FORELIGHT_BIN" submit "$scene" --server "$url" --data "$work/data" \
   --frames 0-1 --width 16 --spp 1 --samples 16 --deadline 1h --follow --json >"$work/job.json"

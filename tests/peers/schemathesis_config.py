@@ -1,4 +1,4 @@
-"""Prints the configuration of Schemathesis for a farm: which checks, and the ids of things that are there.
+"""Prints the configuration of Schemathesis for a farm: its checks, and ids of existing things.
 
 usage: schemathesis_config.py JOB.json NODE-ID
 """
@@ -21,31 +21,31 @@ things = {
 
 print(
     """
-# A claim waits for up to a minute if there is a node, and nothing to do for it.
+# A claim waits for up to a minute if the node has no task.
 request-timeout = 75
 
 [checks]
-# The document does not say everything that a field has to hold, nor can it: page tokens are opaque, an artefact's bytes have to have the
-# hash in its address, 7.0 is an integer there and none in most programs. The refusals say it.
+# The document cannot express all constraints: page tokens are opaque, an artefact must match the hash in its
+# path, and 7.0 is an integer in JSON Schema. So the service may refuse bodies that the document allows.
 positive_data_acceptance.enabled = false
 
-# This stream has no end.
+# This stream never ends.
 [[operations]]
 include-path = "/v1/events"
 enabled = false
 
-# A body that is missing is an empty one, which has a hash like any other.
+# A missing body is an empty one, which has a hash too.
 [[operations]]
 include-name = "PUT /v1/artifacts/{blake3}"
 checks = { negative_data_rejection.enabled = false }
 
-# The hooks make some bodies right that were made up to be wrong.
+# The hooks make some invalid bodies valid.
 [[operations]]
 include-name = ["POST /v1/bundles", "POST /v1/jobs", "POST /v1/jobs/check", "POST /v1/leases"]
 phases.fuzzing.checks = { negative_data_rejection.enabled = false }
 phases.stateful.checks = { negative_data_rejection.enabled = false }
 
-# What is there to ask for, with something among it that is not.
+# Ids of existing things, and some of missing ones.
 [dictionaries]"""
 )
 for name, values in things.items():
@@ -53,7 +53,7 @@ for name, values in things.items():
 
 
 def operations(pattern, **parameters):
-    """What to put into the addresses of some operations, four times out of five."""
+    """Values for the paths of some operations, four times out of five."""
     chosen = (f'"path.{name}" = {{ dictionary = "{values}", probability = 0.8 }}' for name, values in parameters.items())
     print(f"\n[[operations]]\ninclude-path-regex = {json.dumps(pattern)}\nparameters = {{ {', '.join(chosen)} }}")
 

@@ -1,4 +1,4 @@
-"""What Schemathesis cannot know by itself: how bundles are made, and that pictures are bytes."""
+"""Tells Schemathesis how bundles are made, and that pictures are bytes."""
 
 import io
 import os
@@ -19,7 +19,7 @@ def packed(files):
 
 
 def scene():
-    """A scene that ships with the program, as a bundle."""
+    """A scene of deploy/scenes, as a bundle."""
     folder = pathlib.Path(os.environ["FORELIGHT_EXAMPLE_SCENE"])
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return packed((str(path.relative_to(folder)), path.read_bytes()) for path in files)
@@ -40,7 +40,8 @@ schemathesis.openapi.media_type("application/zip", bundles)
 
 @schemathesis.hook
 def map_body(context, body):
-    """Half of the jobs are of the bundle that is there, and small, so that some of them are taken and done. No claim waits for long."""
+    """Half of the jobs use the existing bundle and are small, so that some of them finish. No claim waits
+    long."""
     if not isinstance(body, dict):
         return body
     path = context.operation.path

@@ -1,16 +1,15 @@
 #!/usr/bin/env bash
-# A real Slurm (https://slurm.schedmd.com) as the engine: a controller and four nodes on this machine, without
-# root, munge or cgroups. A job runs through it while one of its processes is requeued, another one cancelled
-# behind our back, the controller restarted and the service killed. In the end every frame is there once, was
-# rendered by one process, and has the bits that `forelight render` gives it; nothing of ours is left in
-# Slurm. Then a node's daemon dies, and Slurm runs its frame a second time while the first process goes on;
-# and a job that is cancelled here is cancelled in Slurm.
+# Uses a real Slurm (https://slurm.schedmd.com) as the engine: a controller and four nodes on this machine,
+# without root, munge or cgroups. While a job runs, one process is requeued, another cancelled by a user, the
+# controller restarted and the service killed. Every frame must be rendered once, with the bits of `forelight
+# render`, and nothing may be left in Slurm. Then a node's daemon dies, and Slurm starts its frame a second
+# time while the first process goes on. Finally a job that is cancelled here must be cancelled in Slurm.
 #
 #   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built)
-#   FORELIGHT_KEEP     if set, the folder with all logs is kept, and named
+#   FORELIGHT_KEEP     if set, keeps the folder with all logs and prints its path
 #
-# Needs Slurm (Debian: slurm-wlm), Python with venv, and the network for pip. Where they are missing it is
-# reported as not run; in CI it fails.
+# Needs Slurm (Debian: slurm-wlm), Python with venv, and network access for pip. Without them it is reported
+# as not run, and in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
@@ -28,8 +27,8 @@ farm=
 controller=
 declare -A daemons=()
 cleanup() {
-  # What Slurm starts are no children of this script. All of it has the path of our configuration in its
-  # environment, as have the daemons and the farm.
+  # Processes started by Slurm are not children of this script. They have the path of our configuration in
+  # their environment, like the daemons and the farm.
   local process
   for process in $(grep -lsza "^SLURM_CONF=$work/slurm.conf$" /proc/[0-9]*/environ | cut -d/ -f3); do
     [ "$process" = $$ ] || kill -9 "$process" 2>/dev/null || true
@@ -99,24 +98,24 @@ PYTHON
 }
 is() { [ "$(ask "$1")" = "$2" ]; }
 at_least() { [ "$(ask "$1")" -ge "$2" ]; }
-# An element that runs now, as NUMBER_PLACE, on one of the nodes named.
+# A running element on one of the given nodes, as NUMBER_PLACE.
 running() { squeue --noheader --states=RUNNING --name="$(names render)" --format='%F_%K %N' | grep -E " node[$1]\$" | head -1 | cut -d' ' -f1; }
 names() { squeue --noheader --states=all --format=%j | grep "^forelight-$1" | sort -u | paste -sd,; }
 
-echo 'a job through Slurm, while everything around it fails'
+echo 'a job through Slurm with failures around it'
 start_farm
 size=(--width 160 --height 90 --spp 8 --ambient-bounces 1)
 submit deploy/scenes/corridor --frames 0-19 "${size[@]}" --samples 64 --deadline 2h --name 'a "shot"; of ours' \
   --follow --json --out "$work/images" >"$work/job.json" 2>"$work/submit.log" &
 submitted=$!
 wait_for 120 at_least "SELECT count(*) FROM results r JOIN tasks t ON t.id = r.task_id WHERE t.kind = 'render'" 2
-is "SELECT count(*) FROM nodes WHERE name LIKE 'node_'" 4 || fail 'the nodes of Slurm are not those of the farm'
-at_least "SELECT count(*) FROM slurm_arrays WHERE deadline_at IS NOT NULL" 1 || fail 'Slurm was not told the deadline'
-at_least "SELECT count(*) FROM slurm_arrays WHERE reservation IS NOT NULL" 1 || fail 'nothing was reserved'
+is "SELECT count(*) FROM nodes WHERE name LIKE 'node_'" 4 || fail 'the nodes of Slurm and of the farm differ'
+at_least "SELECT count(*) FROM slurm_arrays WHERE deadline_at IS NOT NULL" 1 || fail 'no array has a deadline'
+at_least "SELECT count(*) FROM slurm_arrays WHERE reservation IS NOT NULL" 1 || fail 'no array has a reservation'
 
-echo '  a process: Slurm starts it once more while it works'
-# One that has just brought its frame is taken back as soon as it is put into the queue: then another one is.
-# Slurm lets what it requeues wait for two minutes.
+echo '  a process is requeued while it works'
+# A process that has just delivered its frame is cancelled once it is requeued. Then requeue another one.
+# Slurm delays requeued jobs by two minutes.
 waits() { squeue --array --noheader --states=PENDING --format='%F_%K %r' | grep -q "^$1 BeginTime"; }
 requeued() {
   local element
@@ -129,8 +128,8 @@ requeued() {
   return 1
 }
 wait_for 60 requeued
-echo '  a process: somebody cancels it'
-# One that has just brought its frame is lost without a trace: then another one is.
+echo '  a process is cancelled by a user'
+# A process that has just delivered its frame leaves no lost submission. Then cancel another one.
 lost() { at_least "SELECT count(*) FROM events WHERE kind = 'submission_lost'" 1; }
 ended() { is "SELECT count(*) FROM slurm_elements e JOIN slurm_arrays a ON a.id = e.array_id WHERE e.outcome IS NULL AND a.slurm_id || '_' || e.position = '$1'" 0; }
 cancelled() {
@@ -142,7 +141,7 @@ cancelled() {
   lost
 }
 wait_for 120 cancelled
-echo '  the controller: away for a while'
+echo '  the controller is away for a while'
 kill "$controller"
 wait "$controller" 2>/dev/null || true
 told() { at_least "SELECT count(*) FROM events WHERE kind = 'engine_state' AND body LIKE '%does not answer%'" "$1"; }
@@ -150,7 +149,7 @@ wait_for 60 told 1
 start_controller
 back() { at_least "SELECT count(*) FROM events WHERE kind = 'engine_state' AND body LIKE '%answers again%'" 1; }
 wait_for 30 back
-echo '  the service: killed'
+echo '  the service is killed'
 kill -9 "$farm"
 wait "$farm" 2>/dev/null || true
 sleep 2
@@ -159,7 +158,7 @@ start_farm
 wait_for 400 bash -c "! kill -0 $submitted"
 wait "$submitted" || { cat "$work/submit.log"; fail 'the job was not delivered'; }
 
-echo 'every frame once'
+echo 'every frame is rendered once'
 "$environment/bin/python" - "$work/data/forelight.sqlite" <<'PYTHON'
 import sqlite3, sys
 
@@ -168,8 +167,7 @@ def rows(query): return database.execute(query).fetchall()
 
 done = rows("SELECT frame, count(*) FROM results r JOIN tasks t ON t.id = r.task_id WHERE t.kind = 'render' GROUP BY frame")
 assert done == [(frame, 1) for frame in range(20)], done
-# A process that was started again found the task taken or over: nothing was rendered by two at a time,
-# whoever lost sight of whom.
+# A process that Slurm started again found its task leased or done, so no frame was rendered by two at a time.
 both = rows("""SELECT t.frame, a.fence, b.fence FROM leases a JOIN leases b ON a.task_id = b.task_id AND a.fence < b.fence JOIN tasks t ON t.id = a.task_id
     WHERE b.granted_at < a.ended_at OR a.state = 'committed'""")
 assert not both, f"rendered by two: {both}"
@@ -188,7 +186,7 @@ wait_for 60 nothing_left
 no_reservation() { ! scontrol --oneliner show reservation | grep -q forelight_; }
 wait_for 30 no_reservation
 
-echo 'a node whose daemon dies: Slurm runs its frame a second time while the first process goes on'
+echo 'a daemon dies, and Slurm runs its frame a second time while the first process goes on'
 job=$(submit deploy/scenes/corridor --frames 0-2 --width 640 --spp 256 --samples 16 --profile-frames 1 --name long)
 three() { [ "$(squeue --noheader --states=RUNNING --format=%j | grep -c '^forelight-render-long')" = 3 ]; }
 wait_for 120 three
@@ -223,11 +221,11 @@ two() { [ "$(works | wc -w)" = 2 ]; }
 wait_for 30 two
 sleep 6
 two || fail 'one of the two processes has ended'
-leases 1 || fail 'the second process has been given what the first one renders'
-# The first one dies as well. Its lease runs out, and the second takes over.
+leases 1 || fail 'the second process has a lease of the frame that the first one renders'
+# The first process dies as well. Its lease expires, and the second takes over.
 kill -9 "$first"
 wait_for 30 leases 2
-is "SELECT count(*) FROM leases WHERE lower(hex(task_id)) = '$task' AND state = 'active'" 1 || fail 'nobody has taken over'
+is "SELECT count(*) FROM leases WHERE lower(hex(task_id)) = '$task' AND state = 'active'" 1 || fail 'no process took over'
 
 echo 'a job that is cancelled here is cancelled in Slurm'
 "$FORELIGHT_BIN" cancel "$job" --server "http://127.0.0.1:$port" --data "$work/data"
@@ -235,7 +233,7 @@ wait_for 60 nothing_left
 is "SELECT state FROM jobs WHERE name = 'long'" cancelled || fail 'the job is not cancelled'
 start_node "${node#node}"
 
-echo 'a program that is not there is given up on, with the reason'
+echo 'a job whose program is missing fails with the reason'
 kill -INT "$farm"
 wait "$farm" || true
 "$FORELIGHT_BIN" serve --data "$work/data" --listen "127.0.0.1:$port" --executor slurm --slurm-poll 0.5s \

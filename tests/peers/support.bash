@@ -1,15 +1,15 @@
-# What the scripts of this folder share; they source it after `set -euo pipefail`, in the repository's root.
+# Shared by the scripts of this folder, which source it after `set -euo pipefail` in the repository's root.
 
 export PYTHONDONTWRITEBYTECODE=1
 here=$PWD/tests/peers
 shared=${FORELIGHT_SHARED:-$PWD/../shared}
 
-# missing REASON: reports that this test, or a part of it, is not run. Where CI is set, or
-# FORELIGHT_REQUIRE_SHARED=1, that is a failure. Elsewhere the line goes to the file FORELIGHT_NOT_RUN, which
-# tests/run.sh lists at its end. Rust tests have the same in tests/needs.
+# missing REASON: reports that this test, or a part of it, was not run. With CI or FORELIGHT_REQUIRE_SHARED=1
+# set, this is a failure. Otherwise the line goes to the file FORELIGHT_NOT_RUN, which tests/run.sh lists at
+# its end. tests/needs does the same for Rust tests.
 missing() {
   if [ -n "${CI:-}" ] || [ "${FORELIGHT_REQUIRE_SHARED:-0}" != 0 ]; then
-    echo "error: $1; with CI or FORELIGHT_REQUIRE_SHARED set, every test has to run" >&2
+    echo "error: $1; with CI or FORELIGHT_REQUIRE_SHARED set, every test must run" >&2
     exit 1
   fi
   echo "not run: $1"
@@ -19,8 +19,8 @@ missing() {
 # skip REASON: the same, and ends the script.
 skip() { missing "$1"; exit 0; }
 
-# python_with NAME PACKAGE==VERSION [PACKAGE…]: a virtual environment that holds the packages, made if it is
-# not there; sets `environment` to its folder.
+# python_with NAME PACKAGE==VERSION [PACKAGE…]: creates a virtual environment with the packages unless it
+# exists, and sets `environment` to its folder.
 python_with() {
   local name=$1 packages=("${@:2}")
   environment=$PWD/target/venv-$name
@@ -33,7 +33,7 @@ python_with() {
   touch "$ready"
 }
 
-# Sets FORELIGHT_BIN to a build of now, unless it is set.
+# Sets FORELIGHT_BIN to a fresh build, unless it is set.
 need_forelight() {
   if [ -z "${FORELIGHT_BIN:-}" ]; then
     cargo build --quiet -p forelight-cli
@@ -41,8 +41,8 @@ need_forelight() {
   fi
 }
 
-# test_scenes OWN SHARED…: sets `scenes` to one of the project's own scenes and the shared ones. A shared
-# scene that is missing is reported.
+# test_scenes OWN SHARED…: sets `scenes` to one of the project's own scenes and the shared ones. Reports
+# missing shared scenes.
 test_scenes() {
   scenes=("$PWD/deploy/scenes/$1")
   shared_scenes "${@:2}"
@@ -60,7 +60,7 @@ shared_scenes() {
   done
 }
 
-# same_bits OURS THEIRS: fails unless every channel of two EXR files has the same bits, but for measured time.
+# same_bits OURS THEIRS: fails unless all channels of two EXR files, except measured time, have the same bits.
 # Needs numpy and OpenEXR in the environment.
 same_bits() {
   "$environment/bin/python" - "$@" <<'PYTHON'
@@ -78,5 +78,5 @@ if wrong or not {"R", "G", "B", "cost.work"} <= ours.keys():
 PYTHON
 }
 
-# free_port: prints a port that nobody listens on.
+# free_port: prints an unused port.
 free_port() { "$environment/bin/python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }

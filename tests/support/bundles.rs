@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-/// A bundle that ships with the program.
+/// A bundle in `deploy/scenes`.
 pub fn shipped(name: &str) -> PathBuf {
     repository().join("deploy/scenes").join(name)
 }

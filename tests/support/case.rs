@@ -1,19 +1,18 @@
-//! One line for every hard case: what must hold, the worst that was seen, and the limit.
+//! Prints one line for every hard case: the invariant, the worst value and the limit.
 
-/// A case of the table of hard cases, and what it says.
+/// A case of the table of hard cases, with its invariant.
 pub struct Case {
     number: u32,
     sentence: String,
 }
 
-/// Case `number` of the table; `sentence` says what must hold.
+/// Case `number` of the table. `sentence` states the invariant.
 pub fn case(number: u32, sentence: impl Into<String>) -> Case {
     Case { number, sentence: sentence.into() }
 }
 
 impl Case {
-    /// Prints the worst value beside its limit, and panics unless it is at most the limit. NaN is beyond
-    /// every limit.
+    /// Prints the worst value and its limit. Panics if the value is above the limit or NaN.
     #[track_caller]
     pub fn worst(self, value: f64, limit: f64) {
         let Self { number, sentence } = self;
@@ -21,7 +20,7 @@ impl Case {
         assert!(value <= limit, "case {number}: {sentence}: {value} is more than {limit}");
     }
 
-    /// Prints the least value beside its limit, and panics unless it is at least the limit.
+    /// Prints the least value and its limit. Panics if the value is below the limit or NaN.
     #[track_caller]
     pub fn least(self, value: f64, limit: f64) {
         let Self { number, sentence } = self;
@@ -29,7 +28,7 @@ impl Case {
         assert!(value >= limit, "case {number}: {sentence}: {value} is less than {limit}");
     }
 
-    /// For what must never happen: prints how often it did, of how many.
+    /// Prints how often something forbidden happened, and panics if it did.
     #[track_caller]
     pub fn never(self, count: u64, of: u64) {
         let Self { number, sentence } = self;

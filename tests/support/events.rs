@@ -1,4 +1,4 @@
-//! A stream of server-sent events, read event by event.
+//! Reads a stream of server-sent events.
 
 use super::http::Http;
 use forelight_client::{EventParser, ServerEvent};
@@ -15,7 +15,7 @@ pub struct Events {
 }
 
 impl Events {
-    /// Follows `path` from the event after `last`. `None` if the service answers that no events follow (204).
+    /// Follows `path` from the event after `last`. `None` if no events follow (status 204).
     pub async fn open(http: &Http, path: &str, last: Option<i64>) -> Option<Self> {
         let mut request = http.request(Method::GET, path).header("accept", "text/event-stream");
         if let Some(last) = last {
@@ -30,8 +30,8 @@ impl Events {
         Some(Self { response, parser: EventParser::default(), ready: VecDeque::new() })
     }
 
-    /// The next event; `None` when the service ended the stream. Panics if nothing comes for `patience`, or if the id or
-    /// kind beside an event differs from the one inside it.
+    /// The next event, or `None` at the end of the stream. Panics after `patience`, or if an event's id or
+    /// kind differs from the one in its data.
     pub async fn next(&mut self, patience: Duration) -> Option<Event> {
         loop {
             if let Some(event) = self.ready.pop_front() {
@@ -44,7 +44,7 @@ impl Events {
         }
     }
 
-    /// The next `count` events; fewer if the service ends the stream before. Panics as [`Events::next`] does.
+    /// The next `count` events, or fewer at the end of the stream. Panics like [`Events::next`].
     pub async fn take(&mut self, count: usize, patience: Duration) -> Vec<Event> {
         let mut events = Vec::new();
         while events.len() < count
@@ -55,14 +55,14 @@ impl Events {
         events
     }
 
-    /// All events until the service ends the stream. Panics if it does not end within `patience`.
+    /// All events to the end of the stream. Panics if it does not end within `patience`.
     pub async fn rest(mut self, patience: Duration) -> Vec<Event> {
         let all = tokio::time::timeout(patience, self.take(usize::MAX, patience)).await;
         all.unwrap_or_else(|_| panic!("the stream did not end within {patience:?}"))
     }
 }
 
-/// The event in the data, which has to agree with the id and the kind beside it.
+/// The event in the data. Its id and kind must match the ones beside it.
 fn checked(sent: &ServerEvent) -> Event {
     let event: Event =
         serde_json::from_str(&sent.data).unwrap_or_else(|error| panic!("{error}: {}", sent.data));

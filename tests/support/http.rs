@@ -1,4 +1,4 @@
-//! Raw HTTP for tests: addresses, statuses and JSON, without the retries and checks of `forelight-client`.
+//! Raw HTTP for tests, without the retries and checks of `forelight-client`.
 
 use forelight_protocol::{Problem, ProblemKind};
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
 
-/// A caller: the service that it asks, and its token.
+/// A client with an address and a token.
 #[derive(Clone)]
 pub struct Http {
     client: reqwest::Client,
@@ -15,21 +15,21 @@ pub struct Http {
 }
 
 impl Http {
-    /// A caller of the service at `base` (`http://host:port`). It keeps no connection open, so it never uses one to a
-    /// service that was killed in the meantime.
+    /// A client of the service at `base` (`http://host:port`). It keeps no connection open, because the
+    /// service may be killed between requests.
     pub fn new(base: &str, token: Option<String>) -> Self {
         let client = reqwest::Client::builder()
             .no_proxy()
             .pool_max_idle_per_host(0)
             .connect_timeout(Duration::from_secs(10))
-            // Silence of this length is a hang: even a quiet stream of events has a comment every 15 seconds.
+            // Longer silence is a hang: streams of events send a comment every 15 seconds.
             .read_timeout(Duration::from_secs(60))
             .build()
             .expect("these options make a client");
         Self { client, base: base.to_owned(), token }
     }
 
-    /// The same caller, asking the service at another address.
+    /// The same client for another address.
     pub fn at(&self, base: &str) -> Self {
         Self { base: base.to_owned(), ..self.clone() }
     }
@@ -43,17 +43,17 @@ impl Http {
         }
     }
 
-    /// The answer to a GET, whatever it is.
+    /// Response to a GET, whatever its status.
     pub async fn get(&self, path: &str) -> Response {
         self.request(Method::GET, path).send().await.unwrap_or_else(|error| panic!("GET {path}: {error}"))
     }
 
-    /// The JSON that a GET answers with status 200.
+    /// JSON of a GET that must return status 200.
     pub async fn json<T: DeserializeOwned>(&self, path: &str) -> T {
         self.get(path).await.parsed(StatusCode::OK).await
     }
 
-    /// The bytes that a GET answers with status 200 and this media type.
+    /// Body of a GET that must return status 200 and this media type.
     pub async fn bytes(&self, path: &str, media_type: &str) -> Vec<u8> {
         let response = self.get(path).await;
         assert_eq!(response.status(), StatusCode::OK, "{path}");
@@ -61,13 +61,13 @@ impl Http {
         response.bytes().await.unwrap_or_else(|error| panic!("{path}: {error}")).into()
     }
 
-    /// The answer to a POST of JSON.
+    /// Response to a POST of JSON.
     pub async fn post(&self, path: &str, body: &impl Serialize) -> Response {
         let request = self.request(Method::POST, path).json(body);
         request.send().await.unwrap_or_else(|error| panic!("POST {path}: {error}"))
     }
 
-    /// The answer to an upload of a bundle.
+    /// Response to the upload of a bundle.
     pub async fn upload(&self, zip: Vec<u8>, key: Option<&str>) -> Response {
         let mut request = self.request(Method::POST, "/v1/bundles").header("content-type", "application/zip");
         if let Some(key) = key {
@@ -76,7 +76,7 @@ impl Http {
         request.body(zip).send().await.unwrap_or_else(|error| panic!("upload: {error}"))
     }
 
-    /// One of the service's metrics that have no labels.
+    /// Value of a metric without labels.
     pub async fn metric(&self, name: &str) -> u64 {
         let text = self.get("/metrics").await.text().await.unwrap_or_default();
         let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
@@ -85,9 +85,9 @@ impl Http {
     }
 }
 
-/// Checks of an answer.
+/// Checks of a response.
 pub trait Answer {
-    /// The body as JSON. Panics if the status is another one.
+    /// The body as JSON. Panics if the status differs.
     #[allow(async_fn_in_trait, reason = "used in these tests alone")]
     async fn parsed<T: DeserializeOwned>(self, status: StatusCode) -> T;
 

@@ -1,4 +1,4 @@
-//! The database of a service that is not running, read without the service's own code.
+//! Reads the database of a stopped service without the service's own code.
 
 use forelight_protocol::JobId;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
@@ -6,35 +6,34 @@ use sqlx::{Connection as _, Row as _};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The files of a database.
 const FILES: [&str; 2] = ["forelight.sqlite", "forelight.sqlite-wal"];
 
-/// A copy of a database: looking at it changes nothing about what the next start of the service finds.
+/// A copy of a database, so that reading it cannot affect the next start of the service.
 pub struct Ledger {
     connection: SqliteConnection,
     data: PathBuf,
     _copy: tempfile::TempDir,
 }
 
-/// A lease, and what its task says.
+/// A lease and the state of its task.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LeaseLine {
     /// Hexadecimal id.
     pub id: String,
     /// Kind of the task.
     pub kind: String,
-    /// Frame, of all but previews.
+    /// Frame. `None` for previews.
     pub frame: Option<i64>,
     /// Fencing token.
     pub fence: i64,
     /// `active`, `committed`, `expired`, …
     pub state: String,
-    /// How far the task is.
+    /// Progress of the task.
     pub progress: f64,
 }
 
 impl Ledger {
-    /// Copies the database in the data folder of a service that is dead.
+    /// Copies the database from the data folder of a stopped service.
     pub async fn of(data: &Path) -> Self {
         let copy = tempfile::tempdir().expect("a temporary folder can be made");
         for name in FILES {
@@ -49,7 +48,7 @@ impl Ledger {
         Self { connection, data: data.to_owned(), _copy: copy }
     }
 
-    /// All leases of a job, by task and fence.
+    /// All leases of a job, by task and fencing token.
     pub async fn leases(&mut self, job: JobId) -> Vec<LeaseLine> {
         let rows = sqlx::query(
             "SELECT lower(hex(l.id)) AS id, t.kind, t.frame, l.fence, l.state, t.progress FROM leases l \
@@ -70,7 +69,7 @@ impl Ledger {
         rows.iter().map(line).collect()
     }
 
-    /// The counts of rows of what clients can add to, by table.
+    /// Numbers of rows that clients can add to, by table.
     pub async fn rows(&mut self) -> BTreeMap<&'static str, i64> {
         let tables = [
             ("artifacts", "SELECT count(*) FROM artifacts"),
@@ -95,9 +94,9 @@ impl Ledger {
             .unwrap_or_else(|error| panic!("{query}: {error}"))
     }
 
-    /// Checks that the books of a farm balance when all jobs are done. Every task has one result, brought by
-    /// its last lease. Tasks, leases and events agree on what was handed out, lost and brought back. Every
-    /// artefact that a row promises is there, with its content.
+    /// Checks the consistency of a farm whose jobs are all done. Every task has one result, from its last
+    /// lease. Tasks, leases and events agree on claims, losses and results. Every referenced artefact exists
+    /// with its content.
     pub async fn assert_balanced(&mut self) {
         let intact: String = sqlx::query_scalar("PRAGMA integrity_check")
             .fetch_one(&mut self.connection)
@@ -121,7 +120,7 @@ impl Ledger {
     }
 }
 
-/// What must not be, and how many times it is.
+/// Forbidden states, with queries that count them.
 const WRONGS: [(&str, &str); 14] = [
     ("rows that refer to nothing", "SELECT count(*) FROM pragma_foreign_key_check"),
     ("jobs that are not done", "SELECT count(*) FROM jobs WHERE state <> 'done'"),

@@ -1,5 +1,5 @@
-//! What several tests share: reference images, statistics, worlds built in code; the program's processes, its
-//! API, its ledger; networks, clocks and disks that fail.
+//! Shared by several tests: reference images, statistics, worlds built in code, processes, HTTP, the
+//! database, and networks, clocks and disks that fail.
 
 pub mod bundles;
 pub mod case;

@@ -1,6 +1,5 @@
-//! Everything that is read from outside, as functions of bytes: whatever the bytes, each ends without a
-//! panic, with an error of one line or with something that makes sense. Tests mutate good input; the fuzz
-//! targets of `tests/fuzz` go on from there.
+//! All parsers of outside input, as functions of bytes. None may panic. Each ends with a one-line error or a
+//! valid result. Tests mutate good input; the fuzz targets of `tests/fuzz` go further.
 
 use forelight_protocol::{
     ClaimRequest, FrameSet, JobRequest, NodeChange, NodeRegistration, Problem, ReleaseRequest, RenderStats,
@@ -19,7 +18,7 @@ use std::sync::atomic::AtomicBool;
 pub struct Parser {
     /// Name of the fuzz target and of the folder with its inputs.
     pub name: &'static str,
-    /// Reads the bytes; panics only if something is wrong with the program.
+    /// Reads the bytes. Panics only on a bug.
     pub read: fn(&[u8]),
     /// Good input to start from.
     pub seeds: fn() -> Vec<Vec<u8>>,
@@ -81,7 +80,7 @@ const GLTF: &str = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0
 "animations":[{"samplers":[{"input":3,"output":4,"interpolation":"LINEAR"}],"channels":[{"sampler":0,"target":{"node":0,"path":"translation"}}]}],
 "buffers":[{"uri":"data.bin","byteLength":44}]}"#;
 
-/// The buffer of `GLTF`: three positions, three indices of 16 bits, padding.
+/// The buffer of `GLTF`: three positions, three 16-bit indices, padding.
 fn buffer() -> Vec<u8> {
     let mut bytes: Vec<u8> =
         [0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|p| p.to_le_bytes()).collect();
@@ -111,7 +110,7 @@ fn description_seeds() -> Vec<Vec<u8>> {
     vec![DESCRIPTION.into()]
 }
 
-/// Puts `bytes` into a bundle of good files under this name, and loads it.
+/// Adds `bytes` to a good bundle under this name, and loads it.
 fn in_bundle(description: &str, name: &str, bytes: &[u8]) {
     thread_local! {
         static FOLDER: RefCell<Option<tempfile::TempDir>> = const { RefCell::new(None) };
@@ -125,7 +124,7 @@ fn in_bundle(description: &str, name: &str, bytes: &[u8]) {
     });
 }
 
-/// Writes a good bundle under this description.
+/// Writes a good bundle with this description.
 fn fill(folder: &Path, description: &str) {
     let write = |name: &str, bytes: &[u8]| {
         std::fs::write(folder.join(name), bytes).expect("a temporary file can be written");
@@ -138,7 +137,7 @@ fn fill(folder: &Path, description: &str) {
     write("scene.json", description.as_bytes());
 }
 
-/// A loaded scene has frames, and an error has one line.
+/// A loaded scene must have frames, and an error one line.
 fn survives(result: Result<Scene, SceneError>) {
     match result {
         Ok(scene) => {
@@ -179,7 +178,7 @@ pub fn mtl(bytes: &[u8]) {
     in_bundle(DESCRIPTION, "scene.mtl", bytes);
 }
 
-/// A glTF file of text.
+/// A text glTF file.
 pub fn gltf(bytes: &[u8]) {
     in_bundle(r#"{"version":1,"geometry":["scene.gltf"]}"#, "scene.gltf", bytes);
 }
@@ -234,8 +233,8 @@ fn archive_seed() -> Vec<u8> {
     zip.finish().expect("memory can be written to").into_inner()
 }
 
-/// An artefact with a checksum: as it is, and with the checksum made right, so that what lies behind it is
-/// reached.
+/// An artefact with a checksum, both as it is and with a corrected checksum. The latter reaches the code
+/// behind the check.
 fn sealed(bytes: &[u8], read: impl Fn(&[u8])) {
     read(bytes);
     if bytes.len() >= 32 {
@@ -249,7 +248,7 @@ fn sealed(bytes: &[u8], read: impl Fn(&[u8])) {
 /// Profiled pixels.
 pub fn profile(bytes: &[u8]) {
     sealed(bytes, |bytes| match Profile::from_bytes(bytes) {
-        // To the byte: what was read is all that was there.
+        // Reading and writing must give back every byte.
         Ok(profile) => assert_eq!(profile.to_bytes(), bytes),
         Err(error) => one_line(&error.to_string()),
     });
@@ -259,7 +258,7 @@ pub fn profile(bytes: &[u8]) {
 fn traced() -> Tracer {
     let folder = tempfile::tempdir().expect("a temporary folder can be made");
     fill(folder.path(), DESCRIPTION);
-    let scene = Scene::load(folder.path(), &limits()).expect("the seed is a good bundle");
+    let scene = Scene::load(folder.path(), &limits()).expect("the bundle is good");
     let cache = Some(CacheSettings { accuracy: 1000, rays: 48 });
     let settings = Settings { width: 2, height: 2, spp: 1, ambient_bounces: 2, cache, ..Settings::default() };
     Tracer::new(&scene.frame(0).expect("a shot has a frame"), &settings)
@@ -302,7 +301,7 @@ fn cache_seed() -> Vec<u8> {
     tracer.cache().expect("a cache was called for").to_bytes()
 }
 
-/// Bodies of requests and answers, in JSON.
+/// JSON bodies of requests and responses.
 pub fn protocol(bytes: &[u8]) {
     same_again::<JobRequest>(bytes);
     same_again::<NodeRegistration>(bytes);
@@ -316,7 +315,7 @@ pub fn protocol(bytes: &[u8]) {
     same_again::<Problem>(bytes);
 }
 
-/// What is understood can be said again, and is then understood in the same way.
+/// A parsed value must survive writing and reading.
 fn same_again<T: Serialize + DeserializeOwned>(bytes: &[u8]) {
     if let Ok(value) = serde_json::from_slice::<T>(bytes) {
         let said = serde_json::to_value(&value).expect("what was read can be written");
@@ -327,8 +326,7 @@ fn same_again<T: Serialize + DeserializeOwned>(bytes: &[u8]) {
     }
 }
 
-/// Equal, but for the last digit of numbers with a fraction, which the reader of JSON may round the other
-/// way.
+/// Equality, except for the last digit of fractions, which the JSON reader may round differently.
 fn alike(a: &Value, b: &Value) -> bool {
     match (a, b) {
         (Value::Array(a), Value::Array(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| alike(a, b)),

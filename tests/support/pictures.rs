@@ -1,13 +1,13 @@
-//! Images, bit by bit.
+//! Compares images bit by bit.
 
 use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-/// The one channel of an image that two runs need not agree on.
+/// The one channel that may differ between runs.
 const TIME: &str = "cost.cpu_nanos";
 
-/// Size and channels of an OpenEXR image, every sample as its bits. The channel of CPU time is left out.
+/// Size and channels of an OpenEXR image, as bits. The channel of CPU time is left out.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Channels {
     /// Width and height in pixels.
@@ -17,7 +17,7 @@ pub struct Channels {
 }
 
 impl Channels {
-    /// Reads an OpenEXR file; panics if it is none.
+    /// Reads an OpenEXR file. Panics if it is not one.
     pub fn of(file: &[u8]) -> Self {
         let image = read()
             .no_deep_data()
@@ -36,7 +36,7 @@ impl Channels {
         Self { size: (layer.size.0, layer.size.1), samples }
     }
 
-    /// Panics with the first difference, if there is one.
+    /// Panics at the first difference.
     pub fn assert_same(&self, other: &Self, what: &str) {
         assert_eq!(self.size, other.size, "{what}");
         let names = |channels: &Self| channels.samples.keys().cloned().collect::<Vec<_>>();
@@ -57,7 +57,7 @@ fn bits(samples: &FlatSamples) -> Vec<u32> {
     }
 }
 
-/// Panics unless `file` is a PNG of this size that shows more than one colour.
+/// Panics unless `file` is a PNG of this size with more than one colour.
 pub fn assert_png(file: &[u8], width: u32, height: u32, what: &str) {
     let picture = image::load_from_memory_with_format(file, image::ImageFormat::Png)
         .unwrap_or_else(|error| panic!("{what}: {error}"))

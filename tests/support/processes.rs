@@ -1,5 +1,4 @@
-//! The program itself, run as users run it; killed without mercy where a test asks for that, and always when
-//! a test ends.
+//! Runs the program as users do. Processes are killed when a test ends.
 
 use crate::http::Http;
 use crate::waiting::eventually;
@@ -11,10 +10,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::Duration;
 
-/// A process that starts, or ends when asked to, does so within this time on any machine.
+/// Time for a process to start or to stop on any machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Lines of a log that are shown when a test fails.
+/// Lines of a log to show when a test fails.
 const LAST_WORDS: usize = 25;
 
 /// The program: `FORELIGHT_BIN`, or `forelight` in the folder that the tests were built into.
@@ -43,7 +42,7 @@ pub fn run<A: AsRef<OsStr>>(arguments: &[A]) -> Output {
     command.output().expect("the program can be run")
 }
 
-/// The same, and it has to end well; returns what it printed.
+/// Runs a command that must succeed, and returns its output.
 pub fn run_well<A: AsRef<OsStr>>(arguments: &[A]) -> String {
     let output = run(arguments);
     let words: Vec<_> = arguments.iter().map(|argument| argument.as_ref().to_string_lossy()).collect();
@@ -57,24 +56,24 @@ pub fn run_well<A: AsRef<OsStr>>(arguments: &[A]) -> String {
     String::from_utf8(output.stdout).expect("what is printed is UTF-8")
 }
 
-/// A process of the program. It dies with this value.
+/// A process of the program. Dropping this value kills it.
 pub struct Process {
     child: Child,
-    /// What it prints.
+    /// File of its standard output.
     output: PathBuf,
-    /// What it logs.
+    /// File of its log.
     log: PathBuf,
-    /// When it was started.
+    /// Time of its start.
     pub started: Timestamp,
 }
 
 impl Process {
-    /// Starts the program. What it prints and logs goes to files in `logs` that begin with `name`.
+    /// Starts the program. Its output and log go to files in `logs` that begin with `name`.
     pub fn start<A: AsRef<OsStr>>(logs: &Path, name: &str, arguments: &[A]) -> Self {
         Self::start_with(logs, name, arguments, &[])
     }
 
-    /// The same with these variables in its environment.
+    /// Starts it with these environment variables.
     fn start_with<A: AsRef<OsStr>>(
         logs: &Path,
         name: &str,
@@ -97,17 +96,17 @@ impl Process {
         Self { child, output, log, started }
     }
 
-    /// What it printed so far.
+    /// Its output so far.
     pub fn printed(&self) -> String {
         fs::read_to_string(&self.output).unwrap_or_default()
     }
 
-    /// Whether it has ended.
+    /// Its exit status, if it has ended.
     pub fn has_ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().expect("a child can be asked")
     }
 
-    /// `kill -9`: no last words. It has to have been alive.
+    /// `kill -9`. The process must be alive.
     pub fn kill(mut self) {
         assert_eq!(self.has_ended(), None, "{}: it ended before it was killed", self.log.display());
         self.child.kill().expect("a child can be killed");
@@ -122,7 +121,7 @@ impl Process {
         assert!(sent.success(), "{line}");
     }
 
-    /// Asks it to end, and waits for that; it has to end well.
+    /// Asks it to stop, waits, and requires success.
     pub async fn end(mut self) {
         self.signal("TERM");
         let status = eventually("the end of a process", PATIENCE, async || self.has_ended()).await;
@@ -141,14 +140,13 @@ impl Drop for Process {
         if std::thread::panicking() {
             println!("---- the end of {}\n{}", self.log.display(), self.last_words());
         }
-        // It may have ended by itself.
+        // It may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// A service with its data in a temporary folder; `forelight serve`, or `forelight farm`, which brings
-/// workers along.
+/// A service with its data in a temporary folder: `forelight serve`, or `forelight farm` with workers.
 pub struct Service {
     folder: tempfile::TempDir,
     arguments: Vec<String>,
@@ -159,7 +157,7 @@ pub struct Service {
 }
 
 impl Service {
-    /// Starts `command` (`serve` or `farm`) on a free port with these flags, and waits until it answers.
+    /// Starts `command` (`serve` or `farm`) on a free port with these flags, and waits until it is ready.
     pub async fn start(command: &str, flags: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder can be made");
         let mut service = Self::prepared(folder, command, flags);
@@ -167,7 +165,7 @@ impl Service {
         service
     }
 
-    /// A service that has not been started, with its data in this folder.
+    /// A service that is not started yet, with its data in this folder.
     pub fn prepared(folder: tempfile::TempDir, command: &str, flags: &[&str]) -> Self {
         let data = folder.path().join("data");
         let mut arguments = vec![command.to_owned(), "--data".to_owned(), data.display().to_string()];
@@ -175,13 +173,13 @@ impl Service {
         Self { folder, arguments, environment: Vec::new(), process: None, address: String::new(), starts: 0 }
     }
 
-    /// Starts of the service from here on have these variables in their environment.
+    /// Sets these environment variables for all later starts.
     pub fn set_environment(&mut self, environment: &[(&str, &Path)]) {
         let owned = |&(name, value): &(&str, &Path)| (name.to_owned(), value.to_owned());
         self.environment = environment.iter().map(owned).collect();
     }
 
-    /// Starts it for the first time, on a free port, and waits until it answers.
+    /// Starts it for the first time, on a free port, and waits until it is ready.
     pub async fn launch(&mut self) {
         self.listen("127.0.0.1:0").await;
     }
@@ -201,7 +199,7 @@ impl Service {
         .await;
         self.process = Some(process);
         self.address = address;
-        // Whatever it printed, it has to answer; tokens are made before the address is printed.
+        // Tokens exist before the address is printed.
         let http = self.anonymous();
         let ready = eventually("the service to be ready", PATIENCE, async || {
             http.request(reqwest::Method::GET, "/readyz").send().await.ok()
@@ -214,7 +212,7 @@ impl Service {
         self.process.take().expect("the service runs").kill();
     }
 
-    /// Starts it again after a kill, with the same data at the same address.
+    /// Starts it again after a kill, with the same data and address.
     pub async fn start_again(&mut self) {
         assert!(self.process.is_none(), "the service runs");
         let address = self.address.clone();
@@ -223,7 +221,7 @@ impl Service {
         assert_eq!(self.address, address);
     }
 
-    /// Asks it to end, and waits for that. The data stay until this value is dropped.
+    /// Asks it to stop, and waits. The data stay until this value is dropped.
     pub async fn end(&mut self) {
         self.process.take().expect("the service runs").end().await;
     }
@@ -233,7 +231,7 @@ impl Service {
         self.folder.path().join("data")
     }
 
-    /// A folder for whatever else belongs to the test.
+    /// A folder for other files of the test.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
@@ -260,18 +258,17 @@ impl Service {
         Http::new(&self.address, None)
     }
 
-    /// Starts a worker of one thread that calls itself `name`. All workers keep fetched bundles in the same
-    /// folder.
+    /// Starts a worker with one thread whose node is `name`. All workers share the folder of fetched bundles.
     pub fn worker(&self, name: &str, process: &str) -> Process {
         self.worker_at(&self.address, name, process, "1m")
     }
 
-    /// The same by way of another address, and with checkpoints at this interval.
+    /// Starts a worker with another address and interval of checkpoints.
     pub fn worker_at(&self, address: &str, name: &str, process: &str, checkpoints: &str) -> Process {
         let (token, bundles) = (self.token_file(Role::Worker), self.folder().join("bundles"));
         let calibration = self.folder().join("calibration.json");
         if !calibration.exists() {
-            // Measuring takes longer than many a worker here lives.
+            // Measuring would take longer than many workers live.
             let picos_per_work = ByClass::from_array([1000; ByClass::CLASSES]);
             let made = NodeCalibration { picos_per_work, kernels: Vec::new() };
             fs::write(&calibration, serde_json::to_vec(&made).unwrap()).unwrap();

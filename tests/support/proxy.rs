@@ -1,8 +1,8 @@
-//! A proxy that loses, doubles and delays messages between workers and service.
+//! A proxy that loses, doubles and delays messages between workers and the service.
 //!
-//! One request a connection: what a client sends is read whole (head, and as many bytes as it announces),
-//! then passed on or not; the answer is passed back as it comes. A message that is lost ends its connection
-//! without an answer, which is what a network does.
+//! Each connection carries one request. The proxy reads it completely, then passes it on or drops it.
+//! Responses are passed back as they arrive. A lost message ends its connection without a response, as in a
+//! real network.
 
 use forelight_random::Random;
 use std::net::SocketAddr;
@@ -13,25 +13,25 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinHandle;
 
-/// Longest head of a request.
+/// Longest head of a request, bytes.
 const LONGEST_HEAD: usize = 1 << 16;
 
-/// How often each fault was made.
+/// Number of times each fault was made.
 #[derive(Debug, Default)]
 pub struct Faults {
     /// Requests that never arrived.
     pub lost_requests: AtomicU64,
-    /// Answers that never arrived: the request did.
+    /// Responses that never arrived, although the request did.
     pub lost_answers: AtomicU64,
-    /// Requests that arrived twice, one right after the other.
+    /// Requests that arrived twice in a row.
     pub doubled: AtomicU64,
-    /// Requests that arrived once more, seconds later.
+    /// Requests that arrived again seconds later.
     pub late: AtomicU64,
     /// Requests that arrived late.
     pub delayed: AtomicU64,
 }
 
-/// A proxy. It ends with this value.
+/// A proxy. It stops when this value is dropped.
 pub struct Proxy {
     address: SocketAddr,
     calm: Arc<AtomicBool>,
@@ -40,7 +40,7 @@ pub struct Proxy {
 }
 
 impl Proxy {
-    /// A proxy for the service at `address` (`http://host:port`); the faults follow from the seed and the
+    /// A proxy for the service at `address` (`http://host:port`). The faults follow from the seed and the
     /// order of connections.
     pub async fn start(address: &str, seed: u64) -> Self {
         let service: SocketAddr = address
@@ -57,7 +57,7 @@ impl Proxy {
                 while let Ok((client, _)) = listener.accept().await {
                     let seed = random.number();
                     let faults = (!calm.load(Ordering::Relaxed)).then(|| faults.clone());
-                    // A broken connection is no error here.
+                    // A broken connection is not an error here.
                     tokio::spawn(
                         async move { drop(serve(client, service, Random::new(seed), faults).await) },
                     );
@@ -72,12 +72,12 @@ impl Proxy {
         format!("http://{}", self.address)
     }
 
-    /// No more faults from here on.
+    /// Makes no more faults.
     pub fn calm(&self) {
         self.calm.store(true, Ordering::Relaxed);
     }
 
-    /// How often each fault was made.
+    /// Number of times each fault was made.
     pub fn faults(&self) -> &Faults {
         &self.faults
     }
@@ -137,7 +137,7 @@ async fn serve(
     Ok(())
 }
 
-/// A request, whole, with the wish that the connection ends after its answer.
+/// Reads a complete request, and asks for the connection to close after its response.
 async fn read_request(client: &mut TcpStream) -> std::io::Result<Vec<u8>> {
     let broken = || std::io::Error::from(std::io::ErrorKind::InvalidData);
     let mut bytes = Vec::new();
@@ -164,7 +164,7 @@ async fn read_request(client: &mut TcpStream) -> std::io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Sends a request, and returns all that comes back.
+/// Sends a request, and returns the whole response.
 async fn ask(service: SocketAddr, request: &[u8]) -> std::io::Result<Vec<u8>> {
     let mut service = TcpStream::connect(service).await?;
     service.write_all(request).await?;

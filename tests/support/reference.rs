@@ -1,4 +1,4 @@
-//! Reference images with their standard errors, and our own image with its own.
+//! Reference images and our own, with their standard errors.
 
 use crate::statistics::{Moments, Sample};
 use forelight_scene::Scene;
@@ -20,13 +20,13 @@ pub struct Estimate {
     pub width: u32,
     /// Pixels.
     pub height: u32,
-    /// Mean, its variance, and the degrees of freedom behind the variance.
+    /// Means, their variances, and the degrees of freedom.
     pub values: Vec<Sample>,
 }
 
 impl Estimate {
-    /// The mean over the image. Its variance is that of independent pixels whose channels err together:
-    /// whatever the channels' correlation, the true variance is not larger.
+    /// The mean over the image. Its variance assumes independent pixels with fully correlated channels, which
+    /// is an upper bound.
     pub fn mean(&self) -> Sample {
         let count = self.values.len() as f64;
         let error = |pixel: &[Sample]| pixel.iter().map(|v| v.variance.sqrt()).sum::<f64>();
@@ -38,9 +38,8 @@ impl Estimate {
         }
     }
 
-    /// The same with every variance raised to the mean over the 5 × 5 pixels around it, where that is higher.
-    /// In a penumbra a pixel may see none of its rare events in all its passes and then believe itself
-    /// certain; its neighbours know better.
+    /// The same, with each variance raised to the mean over the 5 × 5 pixels around it. A pixel in a penumbra
+    /// may miss its rare events in all passes and underestimate its variance.
     #[must_use]
     pub fn pooled(&self) -> Self {
         let (width, height) = (self.width as i64, self.height as i64);
@@ -59,7 +58,7 @@ impl Estimate {
         Self { values, ..*self }
     }
 
-    /// Means over blocks of `edge` × `edge` pixels: a small difference that all pixels share shows here.
+    /// Means over blocks of `edge` × `edge` pixels. They show small differences that all pixels share.
     #[must_use]
     pub fn blocks(&self, edge: u32) -> Self {
         let (width, height) = (self.width / edge, self.height / edge);
@@ -100,7 +99,7 @@ pub fn read(mean: &Path, standard_error: &Path, passes: u32) -> Image {
     Image { mean: pixels.mean(), pixels }
 }
 
-/// Renders a frame this many times with different seeds, and estimates means and variances from the passes.
+/// Renders a frame `passes` times with different seeds, and estimates means and variances from the passes.
 pub fn render(scene: &Path, frame: u32, settings: &Settings, passes: u32) -> Image {
     let scene = Scene::load(scene, &Default::default()).expect("the bundle loads");
     let frame = scene.frame(frame).expect("the frame exists");

@@ -1,7 +1,7 @@
-/* Loaded into a service under test (LD_PRELOAD): sets its clock and fills its disk, without the program knowing of either.
+/* Loaded into a service under test (LD_PRELOAD) to set its clock and fill its disk.
  *
- * The file named by FORELIGHT_SHIM holds two 64-bit integers that a test writes at any time: seconds to add to the time of day,
- * and whether writing to files fails for want of room.
+ * The file FORELIGHT_SHIM holds two 64-bit integers that a test may write at any time: seconds to add to the
+ * time of day, and whether writing to files fails with ENOSPC.
  */
 #define _GNU_SOURCE
 #include <errno.h>
@@ -31,7 +31,7 @@ int clock_gettime(clockid_t clock, struct timespec *time) {
     return result;
 }
 
-/* Logs go on: a test that fails wants to be read. */
+/* Standard streams still work, for the logs of failing tests. */
 static int is_full(int file) {
     struct stat status;
     return control && control[1] && file > 2 && fstat(file, &status) == 0 && S_ISREG(status.st_mode);

@@ -1,5 +1,4 @@
-//! A clock that can be set and a disk that can be full, for a service that knows nothing of either: see
-//! `shim.c`.
+//! Sets the clock and fills the disk of a service from outside: see `shim.c`.
 
 use forelight_test_needs::not_run;
 use std::fs::File;
@@ -7,7 +6,7 @@ use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The library that is loaded into the service, and the file by which it is told what to do.
+/// The library loaded into the service, and the file that controls it.
 pub struct Shim {
     library: PathBuf,
     path: PathBuf,
@@ -15,8 +14,8 @@ pub struct Shim {
 }
 
 impl Shim {
-    /// Compiles it into this folder. `None` where there is no C compiler; that part of the test counts as not
-    /// run.
+    /// Compiles it into this folder. Without a C compiler, reports that part of the test as not run and
+    /// returns `None`.
     pub fn compile(folder: &Path) -> Option<Self> {
         let (library, path) = (folder.join("shim.so"), folder.join("shim.control"));
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/support/shim.c");
@@ -35,17 +34,17 @@ impl Shim {
         Some(Self { library, path, control })
     }
 
-    /// The variables that a process is to be started with.
+    /// Environment variables to start a process with.
     pub fn environment(&self) -> [(&'static str, &Path); 2] {
         [("LD_PRELOAD", &self.library), ("FORELIGHT_SHIM", &self.path)]
     }
 
-    /// Sets the clock to so many seconds after the true time (before, if negative).
+    /// Sets the clock this many seconds after the true time, or before it if negative.
     pub fn set_clock(&self, seconds: i64) {
         self.control.write_all_at(&seconds.to_ne_bytes(), 0).expect("a file can be written");
     }
 
-    /// Fills the disk, or makes room again.
+    /// Fills the disk, or frees it again.
     pub fn fill_disk(&self, full: bool) {
         self.control.write_all_at(&i64::from(full).to_ne_bytes(), 8).expect("a file can be written");
     }

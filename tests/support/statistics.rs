@@ -1,4 +1,4 @@
-//! The statistics by which images are compared.
+//! Statistics to compare images.
 
 use forelight_forecast::student_two_sided;
 
@@ -22,7 +22,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Takes in one value.
+    /// Adds a value.
     pub fn add(&mut self, value: f64) {
         self.count += 1.0;
         let delta = value - self.mean;
@@ -30,15 +30,15 @@ impl Moments {
         self.squares += delta * (value - self.mean);
     }
 
-    /// The mean so far, with the variance of the mean.
+    /// The mean so far, with its variance.
     pub fn sample(&self) -> Sample {
         let freedom = self.count - 1.0;
         Sample { mean: self.mean, variance: self.squares / freedom / self.count, freedom }
     }
 }
 
-/// Two-sided p-value of the hypothesis that two estimates have the same mean: Welch's t-test, with a floor
-/// under the variance (`resolution`² is the variance of what rounding alone may differ by).
+/// Two-sided p-value that two estimates have the same mean: Welch's t-test. `resolution`² is a lower bound of
+/// the variance, for differences by rounding.
 pub fn welch(a: Sample, b: Sample, resolution: f64) -> f64 {
     let variance = a.variance + b.variance + resolution * resolution;
     let t = (a.mean - b.mean).abs() / variance.sqrt();
@@ -46,9 +46,8 @@ pub fn welch(a: Sample, b: Sample, resolution: f64) -> f64 {
     student_two_sided(t, if freedom.is_finite() { freedom } else { 1e6 })
 }
 
-/// P(χ² > x) with this many degrees of freedom: the upper regularised incomplete gamma function Q(ν/2, x/2),
-/// by its series below the mean and by its continued fraction above (Abramowitz and Stegun 6.5.29 and
-/// 6.5.31).
+/// P(χ² > x): the upper regularised incomplete gamma function Q(ν/2, x/2). Uses the series below the mean,
+/// and the continued fraction above (Abramowitz and Stegun 6.5.29 and 6.5.31).
 pub fn chi_square_upper(x: f64, freedom: f64) -> f64 {
     let (a, x) = (freedom / 2.0, x / 2.0);
     if x <= 0.0 {
@@ -81,8 +80,8 @@ pub fn chi_square_upper(x: f64, freedom: f64) -> f64 {
     front * fraction
 }
 
-/// p-value of the hypothesis that `seen` counts come from these `expected` ones, which have the same sum
-/// (Pearson 1900). Cells in which fewer than ten are expected are joined.
+/// p-value that the counts `seen` come from `expected`, which have the same sum (Pearson 1900). Cells with
+/// fewer than ten expected counts are merged.
 pub fn pearson(seen: &[f64], expected: &[f64]) -> f64 {
     let (mut square, mut cells) = (0.0, 0.0);
     let mut rest = (0.0, 0.0);

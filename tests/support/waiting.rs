@@ -1,12 +1,12 @@
-//! Waiting for what has to happen, with an end to the patience.
+//! Waits for conditions, with a time limit.
 
 use std::time::{Duration, Instant};
 
-/// Time between two looks.
+/// Time between two calls.
 const PAUSE: Duration = Duration::from_millis(40);
 
-/// Calls `look` until it has an answer. Panics with `what` when `patience` is over. Make it generous: it only
-/// ends a test that waits in vain, and does not test speed.
+/// Calls `look` until it returns a value. Panics with `what` after `patience`, which should be generous: it
+/// detects hangs and does not test speed.
 pub async fn eventually<T>(what: &str, patience: Duration, mut look: impl AsyncFnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {

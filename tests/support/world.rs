@@ -1,4 +1,4 @@
-//! Scenes built in code, in `f64`, so that a test can move, turn and scale them before anything is rounded.
+//! Scenes built in code, in `f64`, so that a test can move, turn and scale them before rounding.
 
 use forelight_scene::{
     Camera, Color, Environment, Frame, Geometry, Material, PointLight, Sun, Surface, Texture,
@@ -30,22 +30,22 @@ pub fn grey(value: f32) -> Color {
     Color::plain(Vec3::splat(value))
 }
 
-/// Where a world is put: scaled about its origin, turned, then moved.
+/// A placement: scale about the origin, then rotation, then translation.
 #[derive(Debug, Clone, Copy)]
 pub struct Similarity {
     /// Factor on all lengths.
     pub scale: f64,
-    /// Turn.
+    /// Rotation.
     pub rotation: DQuat,
-    /// Shift, after scale and turn.
+    /// Translation.
     pub translation: DVec3,
 }
 
 impl Similarity {
-    /// Where it was built.
+    /// The identity.
     pub const NONE: Self = Self { scale: 1.0, rotation: DQuat::IDENTITY, translation: DVec3::ZERO };
 
-    /// Only a factor on all lengths.
+    /// A scale only.
     pub fn scaled(scale: f64) -> Self {
         Self { scale, ..Self::NONE }
     }
@@ -64,7 +64,7 @@ impl Similarity {
 pub struct View {
     /// Centre of projection.
     pub eye: DVec3,
-    /// What stands in the middle of the image.
+    /// Centre of the image.
     pub target: DVec3,
     /// Tangent of half the field of view.
     pub tan_half: f64,
@@ -77,7 +77,7 @@ impl View {
     }
 }
 
-/// Shapes, lights and sky. Every shape is an object of its own.
+/// Shapes, lights and sky. Every shape is its own object.
 #[derive(Debug, Clone, Default)]
 pub struct World {
     positions: Vec<DVec3>,
@@ -89,14 +89,14 @@ pub struct World {
     pub points: Vec<(DVec3, f32)>,
     /// Direction to the sun, irradiance, angular diameter in degrees.
     pub suns: Vec<(DVec3, f32, f32)>,
-    /// What surrounds everything.
+    /// The environment.
     pub environment: Environment,
     /// Images, by index.
     pub textures: Vec<Texture>,
 }
 
 impl World {
-    /// Under a sky of this radiance.
+    /// An empty world under a sky of this radiance.
     pub fn under(sky: f32) -> Self {
         let environment =
             if sky > 0.0 { Environment::Constant(Vec3::splat(sky)) } else { Environment::Black };
@@ -109,7 +109,7 @@ impl World {
         self.materials.len() as u32 - 1
     }
 
-    /// Adds a vertex; a normal of zero stands for none.
+    /// Adds a vertex. A zero normal means none.
     pub fn vertex(&mut self, position: DVec3, normal: DVec3) -> u32 {
         self.positions.push(position);
         self.normals.push(normal);
@@ -156,14 +156,14 @@ impl World {
         self.quad(centre + DVec3::new(-half, 0.0, -half), u, v, material)
     }
 
-    /// A box with shared vertices, so that its edges are closed; fronts outward, or inward for a room.
+    /// A box with shared vertices, so that its edges are closed. Fronts are outward, or inward for a room.
     #[must_use]
     pub fn cuboid(self, low: DVec3, high: DVec3, inward: bool, material: Material) -> Self {
         let (positions, triangles) = cuboid(low, high, inward);
         self.mesh(&positions, &triangles, material)
     }
 
-    /// A sphere of triangles, 20 · 4^`level` of them, with smooth normals outward.
+    /// A sphere of 20 · 4^`level` triangles, with smooth normals outward.
     #[must_use]
     pub fn sphere(mut self, centre: DVec3, radius: f64, level: u32, material: Material) -> Self {
         self.object(material);
@@ -178,7 +178,7 @@ impl World {
         self
     }
 
-    /// Positions as the tracer will see them, and triangles.
+    /// Triangles and positions, as the tracer gets them.
     pub fn geometry(&self, place: &Similarity) -> Geometry {
         let count = self.materials.len() as u32;
         let mut geometry = Geometry {
@@ -194,12 +194,12 @@ impl World {
         geometry
     }
 
-    /// The frame that a camera sees, where it was built.
+    /// The frame of a camera, without a placement.
     pub fn frame(&self, view: View) -> Frame {
         self.frame_at(view, &Similarity::NONE)
     }
 
-    /// The frame that a camera sees, with everything put elsewhere.
+    /// The frame of a camera, with everything placed.
     pub fn frame_at(&self, view: View, place: &Similarity) -> Frame {
         let forward = place.direction((view.target - view.eye).normalize());
         let above =
@@ -217,7 +217,7 @@ impl World {
             aperture_radius: 0.0,
             focus_distance: 1.0,
         };
-        // A point light's intensity grows with the square of the scale, so that irradiance stays.
+        // Intensity grows with the square of the scale, so irradiance stays the same.
         let grown = (place.scale * place.scale) as f32;
         let point = |&(position, intensity): &(DVec3, f32)| PointLight {
             position: place.point(position).as_vec3(),
@@ -257,7 +257,8 @@ pub fn cuboid(low: DVec3, high: DVec3, inward: bool) -> (Vec<DVec3>, Vec<[u32; 3
     (positions, triangles)
 }
 
-/// Unit directions and outward triangles of an icosahedron, each triangle divided into four `level` times.
+/// Unit directions and outward triangles of an icosahedron whose triangles are divided into four `level`
+/// times.
 pub fn icosphere(level: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
     let g = (1.0 + 5f64.sqrt()) / 2.0;
     let mut points: Vec<DVec3> = Vec::new();
@@ -312,13 +313,13 @@ pub fn mean(image: &Image) -> f64 {
     values(image).iter().sum::<f64>() / image.pixels.len() as f64
 }
 
-/// Number of pixels with a channel that is negative or no finite number.
+/// Number of pixels with a negative or non-finite channel.
 pub fn unsound(image: &Image) -> u64 {
     let sound = |c: &f32| c.is_finite() && *c >= 0.0;
     image.pixels.iter().filter(|p| !p.color.iter().all(sound)).count() as u64
 }
 
-/// All of an image that two runs must agree on: colours, rays, work.
+/// Everything that two runs must agree on: colours, rays, work.
 pub fn bits(image: &Image) -> Vec<([u32; 3], [u32; 7], u64)> {
     image.pixels.iter().map(|p| (p.color.map(f32::to_bits), p.rays, p.work)).collect()
 }

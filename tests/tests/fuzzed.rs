@@ -1,7 +1,7 @@
-//! Damaged input of every kind: what fuzzing has found, again, and a fixed number of mutations of good input.
+//! Damaged input of every kind: past findings of fuzzing, and a fixed number of mutations of good input.
 //!
 //! `FORELIGHT_MUTATIONS` sets the number of mutations of each parser's input (default 400). `FORELIGHT_SEEDS`
-//! names a folder into which the good input is written, for fuzzing to start from: `tests/fuzz/corpus`.
+//! names a folder to write the good input to, as a start for fuzzing: `tests/fuzz/corpus`.
 
 use forelight_random::Random;
 use forelight_tests::parsers::{PARSERS, Parser};
@@ -9,7 +9,7 @@ use forelight_tests::repository;
 use serde_json::Value;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// What is written in place of something else now and then.
+/// Words that sometimes replace something else.
 const WORDS: [&str; 24] = [
     "-1",
     "0",
@@ -37,8 +37,8 @@ const WORDS: [&str; 24] = [
     "0.1.2",
 ];
 
-/// One to eight changes: bits, bytes, words, ranges left out, doubled or moved, numbers of four bytes, an
-/// early end.
+/// One to eight changes: bits, bytes, words, four-byte numbers, ranges removed, doubled or moved, an early
+/// end.
 fn mutated(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..=random.index(8) {
@@ -59,7 +59,7 @@ fn mutated(bytes: &[u8], random: &mut Random) -> Vec<u8> {
                 let word = WORDS[random.index(WORDS.len())];
                 bytes.splice(at..at + length, word.bytes());
             }
-            // A word in place of a number.
+            // Replace a number with a word.
             5 => {
                 let is_number = |b: &u8| b.is_ascii_digit() || matches!(b, b'.' | b'-' | b'e');
                 if let Some(start) = bytes[at..].iter().position(is_number).map(|p| at + p) {
@@ -80,7 +80,7 @@ fn mutated(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     bytes
 }
 
-/// Reads the bytes; a panic is repeated with what they were.
+/// Reads the bytes. A panic is repeated with the bytes.
 fn read(parser: &Parser, bytes: &[u8], which: &str) {
     if catch_unwind(AssertUnwindSafe(|| (parser.read)(bytes))).is_err() {
         panic!("{} {which}: {:?}", parser.name, String::from_utf8_lossy(bytes));

@@ -1,4 +1,4 @@
-//! A user picks a quality by what the quote of a job says that others cost, and gets it for that.
+//! A user picks a quality by its quoted cost, and gets it at that cost.
 
 use forelight_protocol::{AccuracyDoc, AccuracyRung, FrameRow, LadderKind};
 use forelight_tests::bundles::shipped;
@@ -41,7 +41,7 @@ async fn other_qualities_cost_what_the_quote_of_a_job_says_of_them() {
             frames.iter().map(|row| row.actual.as_ref().expect("what it took").work).sum::<u64>() as f64;
         let off = quoted.work.mean / work - 1.0;
         println!("{} of {}: {off:+.3}", quoted.ladder.name(), quoted.settings.spp);
-        // 128 pixels of one frame speak for three.
+        // 128 pixels of one frame represent three frames.
         assert!(off.abs() < 0.05, "{}: {work} for {:?}", quoted.ladder.name(), quoted.work);
     }
     let table = run_well(&[&["accuracy", "--job", &id][..], &farm].concat());

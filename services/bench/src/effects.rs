@@ -68,7 +68,6 @@ struct Measured {
     variants: Vec<Variant>,
 }
 
-/// One way to simulate the frame.
 #[derive(Debug, Serialize)]
 struct Variant {
     name: String,
@@ -93,7 +92,6 @@ struct Ratio {
     highest: f64,
 }
 
-/// A tracer and its measurements.
 struct Runner {
     name: String,
     tracer: Tracer,
@@ -164,7 +162,6 @@ fn measure(args: &Args, bundle: &Path, pool: &rayon::ThreadPool, interrupt: &Int
     })
 }
 
-/// All ways to simulate a frame.
 fn runners(frame: &Frame, settings: &Settings) -> Vec<Runner> {
     let runner = |name: String, tracer| Runner { name, tracer, image: None, nanos: Vec::new() };
     let plain = Tracer::new(frame, settings);

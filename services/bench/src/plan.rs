@@ -45,7 +45,6 @@ struct Document {
     tiny: Vec<Tiny>,
 }
 
-/// One studio's week.
 #[derive(Debug, Serialize)]
 struct Studio {
     seed: u64,

@@ -129,7 +129,6 @@ fn calibration(program: &Path) -> Result<NodeCalibration> {
     Ok(calibration)
 }
 
-/// Standard output of a program.
 fn answer(command: &mut Command) -> Result<Vec<u8>> {
     let program = command.get_program().to_string_lossy().into_owned();
     let done = command
@@ -144,7 +143,6 @@ fn answer(command: &mut Command) -> Result<Vec<u8>> {
     Ok(done.stdout)
 }
 
-/// What to quote and render.
 struct Trial<'a> {
     bundle: &'a Path,
     settings: &'a RenderSettings,
@@ -305,7 +303,7 @@ fn report(cases: &[Case]) -> Report {
     }
     let mean = |error: fn(&Case) -> f64| 100.0 * mean_absolute(cases.iter().map(error));
     Report::default().table(table).text(format!(
-        "\nmean absolute error: {:.1} % here, {:.1} % there, of which carrying it over makes {:.1} %\n",
+        "\nmean absolute error: {:.1} % here, {:.1} % there, of which {:.1} % by carrying the quote over\n",
         mean(|case| case.error.here),
         mean(|case| case.error.there),
         mean(|case| case.carried),

@@ -1,7 +1,7 @@
-//! A bundle folder as one zip file that depends on nothing but the files' names and contents.
+//! Packs a bundle folder into one zip file. The bytes depend only on the names and contents of the files.
 //!
-//! Entries are in byte order of their paths, carry no time of their own and no permissions of this machine, so that
-//! the same folder has the same hash wherever it is packed: the service keeps it once.
+//! Entries are in byte order of their paths, with fixed times and permissions. So the same folder has the
+//! same hash on every machine, and the service stores it once.
 
 use anyhow::{Context, Result};
 use forelight_terminal::failure::BadInput;
@@ -14,7 +14,7 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 /// Entries above this size are written in the zip64 form.
 const ZIP64_FROM: u64 = u32::MAX as u64;
 
-/// Writes `folder` as a zip to `target`. Hidden files (leading dot) stay behind.
+/// Writes `folder` as a zip to `target`, without hidden files (leading dot).
 pub fn pack<W: Write + Seek>(folder: &Path, target: W) -> Result<W> {
     let mut files = Vec::new();
     collect(folder, "", &mut files)?;
@@ -38,7 +38,7 @@ pub fn pack<W: Write + Seek>(folder: &Path, target: W) -> Result<W> {
     Ok(zip.finish()?)
 }
 
-/// Adds the regular files below `folder` with their paths relative to the bundle, `/` between the parts.
+/// Adds the regular files below `folder`, with paths relative to the bundle and `/` as separator.
 fn collect(folder: &Path, prefix: &str, files: &mut Vec<(String, PathBuf)>) -> Result<()> {
     let entries =
         fs::read_dir(folder).with_context(|| format!("cannot read the folder {}", folder.display()))?;
@@ -56,7 +56,7 @@ fn collect(folder: &Path, prefix: &str, files: &mut Vec<(String, PathBuf)>) -> R
         let kind = entry.file_type().with_context(|| format!("cannot read {}", path.display()))?;
         if kind.is_symlink() {
             return Err(BadInput::new(format!("{}: a bundle may not hold links", path.display()))
-                .hint("replace the link by the file that it points to")
+                .hint("replace the link with the file that it points to")
                 .into());
         }
         let relative = format!("{prefix}{name}");

@@ -1,29 +1,26 @@
-//! All frames of a job on one picture: thumbnails in reading order, below each row the cost maps of the same frames.
+//! All frames of a job in one picture. Rows of thumbnails alternate with rows of the same frames' cost maps.
 
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
 
-/// One frame's pictures; a picture that is missing leaves its cell dark.
+/// A frame's pictures. A missing one leaves its cell dark.
 #[derive(Debug, Default)]
 pub struct Cell {
-    /// Frame number, written into the corner.
     pub frame: u32,
-    /// The finished image.
     pub image: Option<RgbImage>,
-    /// The cost map, in the paper's scale.
+    /// In the colours of cost maps.
     pub cost_map: Option<RgbImage>,
 }
 
-/// Widest thumbnail, pixels.
+/// Largest width of a thumbnail, pixels.
 const THUMBNAIL_WIDTH: u32 = 240;
-/// Widest sheet, in thumbnails.
+/// Largest number of columns.
 const MOST_COLUMNS: u32 = 8;
 /// Space between cells and around the sheet, pixels.
 const GAP: u32 = 6;
 const BACKGROUND: Rgb<u8> = Rgb([24, 24, 26]);
 const EMPTY: Rgb<u8> = Rgb([40, 40, 44]);
 
-/// Where the cells of a sheet go.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
     columns: u32,
@@ -32,7 +29,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// Columns so that the sheet, with two pictures a frame, is about as wide as it is high.
+    /// Chooses the number of columns that makes the sheet about square. Each frame has two pictures.
     fn new(cells: usize, size: (u32, u32)) -> Self {
         let width = size.0.clamp(1, THUMBNAIL_WIDTH);
         let height = (u64::from(size.1) * u64::from(width) / u64::from(size.0.max(1))).clamp(1, 4_096) as u32;
@@ -47,7 +44,7 @@ impl Layout {
         (GAP + self.columns * (width + GAP), GAP + self.rows * (2 * height + 2 * GAP))
     }
 
-    /// Top-left corners of the image and of the cost map of one cell.
+    /// Top-left corners of a cell's image and cost map.
     fn corners(&self, cell: u32) -> [(u32, u32); 2] {
         let (width, height) = self.thumbnail;
         let x = GAP + cell % self.columns * (width + GAP);
@@ -56,7 +53,6 @@ impl Layout {
     }
 }
 
-/// The sheet of these frames, in the order given.
 pub fn contact_sheet(cells: &[Cell]) -> RgbImage {
     let pictures = cells.iter().flat_map(|c| [&c.image, &c.cost_map]).flatten();
     let size = pictures.map(RgbImage::dimensions).next().unwrap_or((16, 9));
@@ -79,7 +75,7 @@ pub fn contact_sheet(cells: &[Cell]) -> RgbImage {
     sheet
 }
 
-/// Digits of 3 × 5 dots, a row per entry, the leftmost dot is bit 2.
+/// Digits of 3 × 5 dots, one row per entry. The leftmost dot is bit 2.
 const DIGITS: [[u8; 5]; 10] = [
     [0b111, 0b101, 0b101, 0b101, 0b111],
     [0b010, 0b110, 0b010, 0b010, 0b111],
@@ -92,10 +88,9 @@ const DIGITS: [[u8; 5]; 10] = [
     [0b111, 0b101, 0b111, 0b101, 0b111],
     [0b111, 0b101, 0b111, 0b001, 0b111],
 ];
-/// Pixels per dot of a digit.
 const DOT: u32 = 2;
 
-/// Writes a number, white on a dark plate; what falls outside the sheet is cut off.
+/// Writes a number in white on a dark plate. The part outside the sheet is cut off.
 fn label(sheet: &mut RgbImage, x: u32, y: u32, number: u32) {
     let text = number.to_string();
     let plate = (DOT * (4 * text.len() as u32 + 1), DOT * 7);

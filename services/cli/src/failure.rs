@@ -1,8 +1,11 @@
-//! How the program ends: one `error: …` line, an optional hint, and an exit code.
+//! Ends the program: one `error: …` line, an optional hint, and an exit code.
 //!
-//! Exit code 2 means that the input was wrong and running again unchanged cannot help (usage, bundle, a request that
-//! the service refuses as invalid); 1 means that something failed on the way (network, disk, a frame that was not
-//! delivered); 130 means that the user stopped it.
+//! Exit codes:
+//! - 1: something failed, such as the network, a disk, or a frame.
+//! - 2: the input was wrong, so the same command would fail again: usage, bundle, or a request that the
+//!   service calls invalid.
+//! - 3: a budget is threatened.
+//! - 130: the user stopped the program.
 
 use forelight_api::ServiceError;
 use forelight_client::ClientError;
@@ -12,7 +15,7 @@ use forelight_store::StoreError;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use std::fmt;
 
-/// A budget is threatened: nothing failed, and whoever called has to know. Ends the program with exit code 3.
+/// A budget is threatened. Nothing failed. Ends the program with exit code 3.
 #[derive(Debug)]
 pub struct Threatened(pub String);
 
@@ -24,7 +27,6 @@ impl fmt::Display for Threatened {
 
 impl std::error::Error for Threatened {}
 
-/// The exit code that belongs to an error.
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
         if cause.is::<Interrupted>() {
@@ -40,7 +42,7 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
     1
 }
 
-/// The message, on one line, with its causes, and the hint on a second line.
+/// The message and its causes on one line, and the hint on a second line.
 pub fn describe(error: &anyhow::Error) -> String {
     let mut message = String::new();
     for cause in error.chain() {
@@ -62,7 +64,7 @@ pub fn describe(error: &anyhow::Error) -> String {
     text
 }
 
-/// Whether a bundle, or a file that goes with it, says something that cannot be.
+/// Whether a bundle, or a file that belongs to it, is invalid.
 fn is_bad_bundle(cause: &(dyn std::error::Error + 'static)) -> bool {
     match cause.downcast_ref::<RenderError>() {
         Some(RenderError::Preview(error)) => matches!(
@@ -76,13 +78,12 @@ fn is_bad_bundle(cause: &(dyn std::error::Error + 'static)) -> bool {
     }
 }
 
-/// Whether the service refused the request for what it says, rather than for who asks or when.
+/// Whether the service rejected the content of the request, not its token or its time.
 fn is_refused_request(cause: &(dyn std::error::Error + 'static)) -> bool {
     let problem = cause.downcast_ref::<ClientError>().and_then(ClientError::problem);
     problem.is_some_and(|problem| matches!(problem.status, 400 | 404 | 413 | 415 | 422))
 }
 
-/// What to do about it, where that is known.
 fn hint(error: &anyhow::Error) -> Option<String> {
     error.chain().find_map(|cause| {
         if let Some(bad) = cause.downcast_ref::<BadInput>() {
@@ -90,13 +91,13 @@ fn hint(error: &anyhow::Error) -> Option<String> {
         }
         if let Some(ServiceError::Store(StoreError::Damaged { path, .. })) = cause.downcast_ref() {
             return Some(format!(
-                "nothing was changed. Move {path} and the files {path}-* away, put the newest backup in its place (`forelight backup --help`), \
-                 and start again"
+                "nothing was changed. Move {path} and the files {path}-* away, put the newest backup in their \
+                 place, and start again (see `forelight backup --help`)"
             ));
         }
         match cause.downcast_ref::<ClientError>()? {
             ClientError::Unreachable { .. } => {
-                Some("is the service running? start one with `forelight farm`, or name it by --server".into())
+                Some("is the service running? start it with `forelight farm`, or set its address with --server".into())
             }
             ClientError::Refused(problem) => problem_hint(problem),
             _ => None,
@@ -106,9 +107,9 @@ fn hint(error: &anyhow::Error) -> Option<String> {
 
 fn problem_hint(problem: &Problem) -> Option<String> {
     match (problem.status, &problem.pointer) {
-        (401, _) => Some("the token is not known to this service; see `forelight token --help`".into()),
-        (403, _) => Some("this needs a token of another role; see `forelight token --help`".into()),
-        (_, Some(pointer)) => Some(format!("the field is {pointer} of the request")),
+        (401, _) => Some("the service does not know this token; see `forelight token --help`".into()),
+        (403, _) => Some("this needs a token with another role; see `forelight token --help`".into()),
+        (_, Some(pointer)) => Some(format!("the wrong field of the request is {pointer}")),
         _ => None,
     }
 }

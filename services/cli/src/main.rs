@@ -1,4 +1,4 @@
-//! `forelight`: the one binary. Every command is in a file of its own under `commands`; what several of them need is beside it.
+//! The `forelight` program. Each command is a file under `commands`; code that they share is beside it.
 
 mod archive;
 mod caches;
@@ -33,9 +33,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// The last words, for whoever reads them.
 fn say(words: &str) {
-    // There is nowhere else to say that nobody can hear it.
+    // If this write fails, there is no other place to report it.
     let _ = writeln!(std::io::stderr(), "{words}");
 }
 
@@ -47,23 +46,22 @@ fn log(verbosity: u8) {
         2 => "info,forelight=debug",
         _ => "debug,forelight=trace",
     };
-    // Crates of this project are logged under names that begin with `forelight_`, which the filter `forelight` includes.
+    // The crates' log targets begin with `forelight_`, which the filter `forelight` includes.
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
-        // What cannot be written, for a disk is full or nobody reads it, is lost. To say so on standard error would panic.
+        // A log line that cannot be written is dropped. A report on standard error would panic.
         .log_internal_errors(false)
         .init();
 }
 
-/// Graphics drivers look for a display by this variable, and complain on standard error where it is missing. No display is
-/// wanted here, and standard error is for this program's own words.
+/// Sets `XDG_RUNTIME_DIR` if it is missing, because graphics drivers complain on standard error without it.
 fn quiet_display_lookup() {
     const RUNTIME_FOLDER: &str = "XDG_RUNTIME_DIR";
     if std::env::var_os(RUNTIME_FOLDER).is_none() {
-        // SAFETY: this is called first thing in `main`, when no other thread exists that could read the environment meanwhile.
+        // SAFETY: `main` calls this first, when no other thread exists that could read the environment.
         unsafe { std::env::set_var(RUNTIME_FOLDER, std::env::temp_dir()) };
     }
 }

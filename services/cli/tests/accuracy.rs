@@ -1,4 +1,4 @@
-//! `forelight accuracy` as it is typed.
+//! `forelight accuracy` as a user runs it.
 
 use forelight_protocol::{AccuracyDoc, LadderKind};
 use std::process::{Command, Output};

@@ -1,34 +1,34 @@
-//! How long to wait before the next attempt.
+//! The wait before the next attempt.
 
 use std::time::Duration;
 
-/// Exponential back-off with full jitter. The wait after failure *n* is uniform in [0, min(`longest`, `first` · 2ⁿ⁻¹)].
-/// So workers that lost the service at the same moment do not all come back at the same moment.
+/// Exponential back-off with full jitter. The wait after failure *n* is uniform in [0, min(`longest`, `first`
+/// · 2ⁿ⁻¹)]. So workers that lost the service together do not all return at the same moment.
 #[derive(Debug, Clone)]
 pub struct Backoff {
-    /// Upper end of the first wait.
+    /// Upper limit of the first wait.
     pub first: Duration,
-    /// Upper end of all later waits.
+    /// Upper limit of all later waits.
     pub longest: Duration,
-    /// Number of attempts, the first included. `None` never gives up.
+    /// Number of attempts, including the first. `None` never gives up.
     pub attempts: Option<u32>,
 }
 
 impl Backoff {
-    /// For a person who waits for an answer. It gives up after about ten seconds.
+    /// For a person who waits. Gives up after about ten seconds.
     pub const PATIENT: Self =
         Self { first: Duration::from_millis(100), longest: Duration::from_secs(4), attempts: Some(7) };
 
-    /// For a worker that has a result to deliver. It waits until the service is back.
+    /// For a worker with a result to deliver. Waits until the service is back.
     pub const FOREVER: Self =
         Self { first: Duration::from_millis(100), longest: Duration::from_secs(5), attempts: None };
 
-    /// The wait after `failures` failed attempts; `None` when it is time to give up.
+    /// The wait after `failures` failed attempts. `None` gives up.
     ///
-    /// `fraction` in [0, 1) is the jitter. `asked` is the wait that the service asked for in `Retry-After`; it is added to the
+    /// `fraction` in [0, 1) is the jitter. `asked` is the wait from `Retry-After`. It is added to the
     /// jittered wait, up to a minute.
     pub fn wait(&self, failures: u32, fraction: f64, asked: Option<Duration>) -> Option<Duration> {
-        /// A service cannot make its clients wait longer than this.
+        /// Longest wait that a service can ask for.
         const LONGEST_ASKED: Duration = Duration::from_secs(60);
         if self.attempts.is_some_and(|attempts| failures >= attempts) {
             return None;
@@ -39,7 +39,7 @@ impl Backoff {
         Some(asked.map_or(jittered, |asked| asked.min(LONGEST_ASKED) + jittered))
     }
 
-    /// The same with a random jitter.
+    /// [`Self::wait`] with a random jitter.
     pub fn jittered(&self, failures: u32, asked: Option<Duration>) -> Option<Duration> {
         self.wait(failures, rand::random::<f64>(), asked)
     }

@@ -1,4 +1,4 @@
-//! The service's REST API as typed calls, a file for each subject.
+//! The service's REST API as typed calls, one file per subject.
 
 mod artifacts;
 mod events;

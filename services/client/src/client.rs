@@ -1,4 +1,4 @@
-//! A client of one service: its address, its token, its back-off. The calls are in `calls`, a file for each subject.
+//! A client of one service. Its calls are in `calls`.
 
 use crate::backoff::Backoff;
 use crate::error::ClientError;
@@ -7,14 +7,14 @@ use bytes::Bytes;
 use forelight_protocol::PageToken;
 use serde::de::DeserializeOwned;
 
-/// A client of one service. It is cheap to clone; clones share their connections.
+/// A client of one service. It is cheap to clone. Clones share their connections.
 #[derive(Debug, Clone)]
 pub struct Client {
     pub(crate) transport: Transport,
 }
 
 impl Client {
-    /// A client of the service at `address` (`http://host:port`). It retries as [`Backoff::PATIENT`] says.
+    /// A client of the service at `address` (`http://host:port`), with [`Backoff::PATIENT`].
     pub fn new(address: &str, token: Option<Token>) -> Result<Self, ClientError> {
         Ok(Self { transport: Transport::new(address, token, Backoff::PATIENT)? })
     }
@@ -34,12 +34,10 @@ impl Client {
         self.transport.send(&Request::get("/readyz")).await.map(drop)
     }
 
-    /// The JSON document at this path.
     pub(crate) async fn get<T: DeserializeOwned>(&self, path: impl Into<String>) -> Result<T, ClientError> {
         self.transport.json(&Request::get(path)).await
     }
 
-    /// The answer to a request as bytes.
     pub(crate) async fn bytes(&self, request: &Request) -> Result<Bytes, ClientError> {
         let response = self.transport.send(request).await?;
         self.transport.body(request, response).await

@@ -1,16 +1,16 @@
-//! Why a request failed.
+//! Errors of requests.
 
 use forelight_protocol::{Problem, ProblemKind};
 use reqwest::StatusCode;
 use std::path::PathBuf;
 
-/// Why a request failed after its last attempt.
+/// The reason why a request failed after its last attempt.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// The text is not the address of a service.
     #[error("`{address}` is not the address of a service: {reason}")]
     Address {
-        /// The text that was given.
+        /// The rejected text.
         address: String,
         /// What is wrong with it.
         reason: String,
@@ -26,17 +26,17 @@ pub enum ClientError {
     /// The service refused the request and said why.
     #[error("{0}")]
     Refused(Box<Problem>),
-    /// The answer is not one that this service gives.
+    /// The answer is not one that the service gives.
     #[error("{url} answered {status}, which forelight does not understand: {excerpt}")]
     Unexpected {
         /// The address.
         url: String,
         /// The HTTP status.
         status: StatusCode,
-        /// The beginning of the answer on one line, or what is wrong with it.
+        /// The beginning of the answer on one line, or the reason why it is wrong.
         excerpt: String,
     },
-    /// A file that was to be sent or written.
+    /// A file could not be read or written.
     #[error("{}", path.display())]
     File {
         /// The file.
@@ -47,17 +47,17 @@ pub enum ClientError {
     /// The content is longer than the caller accepts.
     #[error("{what} is longer than {most} bytes")]
     TooLarge {
-        /// The thing that was asked for.
+        /// The requested thing.
         what: String,
         /// The limit in bytes.
         most: u64,
     },
-    /// The content that arrived has another hash than the one that was asked for.
+    /// The content has another hash than the requested one.
     #[error("{what} arrived with the wrong content: its hash is {received}")]
     Corrupt {
-        /// The thing that was fetched.
+        /// The fetched thing.
         what: String,
-        /// The hash of what arrived.
+        /// The hash of the received content.
         received: String,
     },
 }
@@ -76,12 +76,12 @@ impl ClientError {
         self.problem().and_then(Problem::known_kind) == Some(kind)
     }
 
-    /// Whether the same request may succeed once the service, or the artefact store behind it, is back.
+    /// Whether the same request may succeed once the service or its artefact store is back.
     pub fn is_passing(&self) -> bool {
         matches!(self, Self::Unreachable { .. }) || self.is_not_now()
     }
 
-    /// Whether the service answered that the same request may succeed a little later.
+    /// Whether the service answered that the same request may succeed later.
     pub(crate) fn is_not_now(&self) -> bool {
         let busy = |status: u16| matches!(status, 429 | 502 | 503 | 504 | 507);
         match self {

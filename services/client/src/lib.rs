@@ -1,7 +1,5 @@
-//! The service's REST API as a client sees it: typed calls, retries, events.
-//!
-//! Workers, the command line and tests use it. It depends on the words on the wire (`forelight-protocol`) and on no
-//! other crate of forelight.
+//! A client of the service's REST API: typed calls, retries, events. Workers, the command line and tests use
+//! it. The only other crate of forelight that it needs is `forelight-protocol`.
 //!
 //! | file | subject |
 //! | --- | --- |

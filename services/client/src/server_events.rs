@@ -11,7 +11,7 @@ pub struct ServerEvent {
     pub data: String,
 }
 
-/// Collects the bytes of a stream and returns the events that are complete.
+/// Parses the bytes of a stream into complete events.
 #[derive(Debug, Default)]
 pub struct EventParser {
     line: Vec<u8>,
@@ -20,11 +20,12 @@ pub struct EventParser {
     has_data: bool,
 }
 
-/// The rest of a longer line is dropped, so that memory stays bounded. The service writes no such lines. In bytes.
+/// Longest line, bytes. The rest of a longer line is dropped, to limit memory. The service never sends such
+/// lines.
 const LONGEST_LINE: usize = 1 << 20;
 
 impl EventParser {
-    /// Takes the next bytes of the stream, wherever it is cut, and returns the events that they complete.
+    /// Takes the next bytes of the stream, cut anywhere, and returns the events that they complete.
     pub fn feed(&mut self, bytes: &[u8]) -> Vec<ServerEvent> {
         let mut events = Vec::new();
         for &byte in bytes {
@@ -64,7 +65,8 @@ impl EventParser {
             }
             "event" => self.event.kind = value.into(),
             "id" => self.event.id = Some(value.into()),
-            // An empty field name is a comment (keep-alive). `retry` is ignored: the client has its own back-off.
+            // An empty field name is a comment (keep-alive). `retry` is ignored, because the client has its
+            // own back-off.
             _ => {}
         }
     }

@@ -1,12 +1,11 @@
 //! Sends a request until it is answered.
 //!
-//! Every request of this crate may be sent twice. Results carry a fencing token, artefacts are named by their hash, and
-//! a request that creates something (a claim creates a lease) carries an idempotency key. A request is therefore sent
-//! again in two cases:
+//! Any request may be sent twice. Results carry a fencing token, artefacts are named by their hash, and
+//! requests that create something carry an idempotency key. So a request is sent again in two cases:
 //!
-//! * no answer came: the connection was refused or reset, or the attempt timed out;
-//! * the answer was "not now": 429, 502, 503, 504, 507 (the service's disk is full), or an idempotency key whose first
-//!   request is still running.
+//! - there was no answer: the connection was refused or reset, or the attempt timed out;
+//! - the answer was "not now": 429, 502, 503, 504, 507 (the service's disk is full), or an idempotency key
+//!   whose first request is still running.
 
 use crate::backoff::Backoff;
 use crate::error::ClientError;
@@ -22,12 +21,12 @@ use std::time::Duration;
 use tokio_util::io::ReaderStream;
 use uuid::Uuid;
 
-/// A bearer token. Its debug form hides it, so no log shows it.
+/// A bearer token. Its debug form hides it, so logs do not show it.
 #[derive(Clone)]
 pub struct Token(String);
 
 impl Token {
-    /// The token of this text. White space around it is dropped, such as the last line feed of a file.
+    /// The token in this text, without surrounding white space such as a file's last newline.
     pub fn new(text: &str) -> Self {
         Self(text.trim().to_owned())
     }
@@ -45,18 +44,18 @@ pub(crate) enum Payload {
     Empty,
     Json(Bytes),
     Bytes(Bytes),
-    /// A file, streamed anew for each attempt, with its media type.
+    /// A file with its media type. Each attempt streams it again.
     File(PathBuf, &'static str),
 }
 
-/// One request, which can be sent as often as needed.
+/// A request that can be sent any number of times.
 #[derive(Debug, Clone)]
 pub(crate) struct Request {
     pub method: Method,
     pub path: String,
     pub payload: Payload,
     pub headers: HeaderMap,
-    /// Limit of one attempt; `None` if the length of the transfer is not known.
+    /// Limit of one attempt. `None` if the length of the transfer is unknown.
     pub timeout: Option<Duration>,
 }
 
@@ -75,9 +74,9 @@ impl Request {
         Self::new(Method::GET, path)
     }
 
-    /// A request whose body is this document.
+    /// A request with this document as its body.
     pub fn json<T: Serialize>(method: Method, path: impl Into<String>, body: &T) -> Self {
-        // The wire types have string keys and finite numbers only, so they always have a JSON form.
+        // Wire types have only string keys and finite numbers, so they always have a JSON form.
         let body = serde_json::to_vec(body).unwrap_or_default();
         Self::new(method, path).payload(Payload::Json(body.into()))
     }
@@ -95,7 +94,7 @@ impl Request {
         self
     }
 
-    /// The same request with an idempotency key: the service carries it out once, however often it is sent.
+    /// The same request with an idempotency key. The service carries it out once.
     pub fn with_key(mut self, key: Uuid) -> Self {
         if let Ok(key) = HeaderValue::from_str(&key.to_string()) {
             self.headers.insert(HeaderName::from_static("idempotency-key"), key);
@@ -104,16 +103,16 @@ impl Request {
     }
 }
 
-/// Limit of one attempt at a short JSON request.
+/// Limit of one attempt of a short JSON request.
 const SHORT_REQUEST: Duration = Duration::from_secs(30);
-/// A transfer that stays silent for this long has lost its connection.
+/// A transfer that is silent for this long has lost its connection.
 const SILENCE: Duration = Duration::from_secs(75);
 
 /// The connection to one service.
 #[derive(Debug, Clone)]
 pub(crate) struct Transport {
     http: reqwest::Client,
-    /// The address, without a slash at its end.
+    /// The address, without a trailing slash.
     base: String,
     token: Option<Token>,
     backoff: Backoff,
@@ -130,7 +129,8 @@ impl Transport {
         let mut builder = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             .read_timeout(SILENCE)
-            // Only http:// is spoken here. No certificates are loaded, so machines without any work too.
+            // The client speaks http:// only. It loads no certificates, so it also works on machines without
+            // any.
             .tls_certs_only([])
             // A redirect could carry the token to another host.
             .redirect(reqwest::redirect::Policy::none())
@@ -153,7 +153,7 @@ impl Transport {
         Self { backoff, ..self.clone() }
     }
 
-    /// Sends until there is an answer other than "not now". Returns it if it is a success.
+    /// Sends until an answer is not "not now". Returns the answer if it is a success.
     pub async fn send(&self, request: &Request) -> Result<Response, ClientError> {
         let mut failures = 0;
         loop {
@@ -176,7 +176,7 @@ impl Transport {
         }
     }
 
-    /// Sends, and reads the answer as JSON. A connection that breaks in the middle of the answer is a failed attempt.
+    /// Sends, and reads the answer as JSON. An answer that breaks off is a failed attempt.
     pub async fn json<T: DeserializeOwned>(&self, request: &Request) -> Result<T, ClientError> {
         let mut failures = 0;
         loop {
@@ -214,7 +214,7 @@ impl Transport {
         })
     }
 
-    /// The error of a request whose answer did not come, or broke off.
+    /// The error of an answer that did not come or broke off.
     pub fn unreachable(&self, request: &Request, source: reqwest::Error) -> ClientError {
         ClientError::Unreachable { url: self.url(request), source: source.without_url() }
     }
@@ -223,7 +223,7 @@ impl Transport {
         format!("{}{}", self.base, request.path)
     }
 
-    /// One attempt. The outer error is one that another attempt cannot mend.
+    /// One attempt. Another attempt cannot help after the outer error.
     async fn attempt(&self, request: &Request) -> Result<Result<Response, reqwest::Error>, ClientError> {
         let mut builder = self.http.request(request.method.clone(), self.url(request));
         if let Some(token) = &self.token {
@@ -251,7 +251,7 @@ impl Transport {
     }
 }
 
-/// The service's refusal as an error.
+/// The error in the service's answer.
 async fn refusal(response: Response) -> ClientError {
     let (status, url) = (response.status(), response.url().to_string());
     let body = response.bytes().await.unwrap_or_default();
@@ -265,8 +265,7 @@ async fn refusal(response: Response) -> ClientError {
     }
 }
 
-/// The wait that the service asks for in `Retry-After`, in whole seconds. The service does not use the header's other
-/// form, a date.
+/// The wait in `Retry-After`, whole seconds. The service does not use the header's date form.
 pub(crate) fn retry_after(headers: &HeaderMap) -> Option<Duration> {
     headers.get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
 }

@@ -1,4 +1,4 @@
-//! The client against a small server that misbehaves on purpose.
+//! Tests the client against a small server with errors.
 
 use axum::Router;
 use axum::body::Bytes;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
-/// Requests as they came, and answers to be given, the first first.
+/// Received requests, and the answers to give, first to last.
 #[derive(Default)]
 struct Script {
     answers: Vec<(StatusCode, HeaderMap, String)>,

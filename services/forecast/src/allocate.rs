@@ -21,9 +21,9 @@ pub struct Cell {
 /// Neyman optimum allocation for sampling and equal proportions for apportioning the U.S. House of
 /// Representatives").
 ///
-/// The result sums to `samples`, or to the number of pixels if less. Ties go to the greater N_h / √(n_h (n_h
-/// + 1)), then the lower index. If samples do not suffice for the floors, they are dealt out one by one in
-/// the order of N_h S_h.
+/// The result sums to `samples`, or to the number of pixels if less. Ties go to the greater
+/// N_h / √(n_h (n_h + 1)), then the lower index. If samples do not suffice for the floors, they are dealt out
+/// one by one in the order of N_h S_h.
 pub fn allocate(cells: &[Cell], samples: u64) -> Vec<u64> {
     let mut allocation = vec![0u64; cells.len()];
     let mut left = samples;

@@ -3,10 +3,10 @@
 //!
 //! A forecast has a mean ŷ and a spread s, its estimate of the standard deviation of ln y plus a constant
 //! ([`Measure`]). A finished job yields the *residual* z = ln(y / ŷ) / s. If the next job is exchangeable
-//! with n past ones, its z has each of the n + 1 ranks with the same probability. So it stays below the ⌈(n +
-//! 1) p⌉-th smallest past residual with probability p at least. This is split conformal prediction with a
-//! normalised residual (Papadopoulos et al. 2002; Vovk, Gammerman, Shafer 2005). The calibrated quantile ŷ
-//! exp(s z_(p)) is one-sided and corrects bias as well.
+//! with n past ones, its z has each of the n + 1 ranks with the same probability. So it stays below the
+//! ⌈(n + 1) p⌉-th smallest past residual with probability p at least. This is split conformal prediction with
+//! a normalised residual (Papadopoulos et al. 2002; Vovk, Gammerman, Shafer 2005). The calibrated quantile
+//! ŷ exp(s z_(p)) is one-sided and corrects bias as well.
 //!
 //! Frames of one job share their errors. So for a frame of a new job, each of J past jobs has the weight one,
 //! divided over its n_j frames, and the new job has the weight one at infinity. The result is the quantile of

@@ -73,8 +73,9 @@ pub(crate) fn schedule<'p, 'a>(
     let count = problem.jobs.iter().map(|work| work.frames.len() + 1).sum::<usize>().max(1);
     let mut ahead: Vec<u32> = vec![0; problem.jobs.len()];
     let mut best: Option<(Score, State)> = None;
+    let keeps_nothing = start.kept.iter().all(|&kept| kept == 0);
     for round in 0..=most_rounds.min(MOST_PLACEMENTS / count) {
-        let mut state = if round == 0 || start.kept.iter().all(|&kept| kept == 0) {
+        let mut state = if round == 0 || keeps_nothing {
             start.clone()
         } else {
             // Kept bookings may be what is in the way.
@@ -87,12 +88,12 @@ pub(crate) fn schedule<'p, 'a>(
             .filter(|&job| problem.jobs[job].job.deadline.is_some() && admission.admitted[job])
             .filter(|&job| !state.is_kept(job))
             .collect();
-        let overcharged = overcharged(&state, admission);
+        let overcharged = if keeps_nothing { overcharged(&state, admission) } else { Vec::new() };
         if best.as_ref().is_none_or(|(least, _)| score < *least) {
             best = Some((score, state));
         }
         // Late jobs go first in the next round (squeaky wheel optimisation, Joslin and Clements 1999). Jobs
-        // that pay too much go first once.
+        // that pay too much go first once. Kept bookings make way for late jobs only, not for a lower cost.
         let squeaky = if broken.is_empty() && round == 0 { overcharged } else { broken };
         if squeaky.is_empty() {
             break;

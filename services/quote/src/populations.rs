@@ -22,7 +22,6 @@ pub(crate) struct Populations {
     index: BTreeMap<(u32, u32), usize>,
     /// Stratum of each name, and of the background.
     places: Vec<u32>,
-    /// Indices of the strata of records.
     pub records: RecordStrata,
     pub pixel_strata: usize,
 }

@@ -1,9 +1,9 @@
-//! Artefacts: files named by the BLAKE3 hash of their content, so that storing the same bytes twice is storing them
-//! once, and so that a name can never come to mean other bytes.
+//! Artefacts: files named by the BLAKE3 hash of their content. The same bytes are stored once, and a name
+//! never comes to mean other bytes.
 //!
-//! Whatever comes in is staged in the data folder and hashed on the way: only what came in whole, and is what it was announced as, is
-//! given its name. It rests in the data folder then, where it is renamed into its place, or in a bucket, where it is sent as
-//! one object ([`ArtifactPlace`]). Either way the row is written after the file is durable.
+//! Uploads are staged in the data folder and hashed on the way. An upload gets its name only if it arrived
+//! whole and has the announced hash. It is then renamed into place in the data folder, or sent to a bucket as
+//! one object ([`ArtifactPlace`]). In both cases the row is written after the file is durable.
 
 mod place;
 mod reader;
@@ -20,31 +20,30 @@ use sqlx::SqlitePool;
 use uuid::Uuid;
 
 use self::remote::Remote;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::writing::{Writer, ask};
 
 pub use self::place::{ArtifactPlace, BadPlace};
 pub use self::reader::ArtifactReader;
 
-/// Bytes per write to disk.
 const CHUNK: usize = 1 << 20;
 
-/// Writes under way per upload: bounds what an upload holds in memory.
+/// Concurrent writes per upload: bounds the memory of an upload.
 const WRITES_UNDER_WAY: usize = 4;
 
 /// The artefacts of one farm.
 #[derive(Clone)]
 pub struct Artifacts {
-    /// Where uploads are staged, and artefacts rest that have no other place.
+    /// Where uploads are staged, and where artefacts are kept unless there is a `remote`.
     files: LocalFileSystem,
-    /// Where artefacts rest, if not in `files`.
+    /// Where artefacts are kept, if not in `files`.
     remote: Option<Remote>,
     writer: Writer,
     readers: SqlitePool,
 }
 
-/// Bytes that have come in whole and been hashed, but that nobody has asked to keep yet. Dropped, they are deleted: a
-/// request that fails, or whose client goes away, leaves nothing behind.
+/// Bytes that were received whole and hashed, but are not kept yet. Dropping them deletes them: a request
+/// that fails, or whose client disconnects, leaves nothing behind.
 #[derive(Debug)]
 pub struct Staged {
     location: object_store::path::Path,
@@ -57,7 +56,7 @@ pub struct Staged {
 }
 
 impl Staged {
-    /// Where the bytes lie on the local disk, for code that reads files.
+    /// Path on the local disk, for code that reads files.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -68,7 +67,7 @@ impl Drop for Staged {
         if !self.kept
             && let Err(error) = std::fs::remove_file(&self.path)
         {
-            tracing::warn!(path = %self.path.display(), %error, "an upload that nobody keeps could not be deleted");
+            tracing::warn!(path = %self.path.display(), %error, "could not delete an unused upload");
         }
     }
 }
@@ -79,40 +78,40 @@ impl Artifacts {
         at: &ArtifactPlace,
         writer: Writer,
         readers: SqlitePool,
-    ) -> Result<Self, StoreError> {
+    ) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(|error| StoreError::file(folder, error))?;
         let files = LocalFileSystem::new_with_prefix(folder)?.with_fsync(true);
         let remote = match at {
             ArtifactPlace::DataFolder => None,
             ArtifactPlace::S3 { bucket, prefix } => {
-                Some(Remote::new(place::open_s3(bucket)?, place::folder(prefix), at.to_string()))
+                Some(Remote::new(place::open_s3(bucket)?, prefix.as_str().into(), at.to_string()))
             }
         };
         Ok(Self { files, remote, writer, readers })
     }
 
-    /// The same artefacts in another object store.
+    /// The same artefacts, kept in another object store.
     #[cfg(test)]
     pub(crate) fn resting_in(&self, objects: std::sync::Arc<dyn object_store::ObjectStore>) -> Self {
         let remote = Remote::new(objects, "shots/2026".into(), "a test".to_owned());
         Self { remote: Some(remote), ..self.clone() }
     }
 
-    /// Whether the place where artefacts rest can be used, as far as it says so.
-    pub(crate) async fn probe(&self) -> Result<(), StoreError> {
+    /// Checks that the place where artefacts are kept can be used, as far as it answers.
+    pub(crate) async fn probe(&self) -> Result<()> {
         match &self.remote {
             None => Ok(()),
             Some(remote) => remote.probe().await,
         }
     }
 
-    /// Takes in a stream of at most `limit` bytes and hashes it on the way. Nothing is left behind if the stream
-    /// fails, is too long, or is dropped half-way.
+    /// Receives a stream of at most `limit` bytes and hashes it on the way. Nothing is left behind if the
+    /// stream fails, is too long, or is dropped half-way.
     pub async fn stage<E: std::fmt::Display>(
         &self,
         content: impl Stream<Item = Result<Bytes, E>>,
         limit: u64,
-    ) -> Result<Staged, StoreError> {
+    ) -> Result<Staged> {
         let location = object_store::path::Path::from(format!("staging/{}.zip", Uuid::now_v7().simple()));
         let upload = self.files.put_multipart(&location).await?;
         let mut writer = WriteMultipart::new_with_chunk_size(upload, CHUNK);
@@ -138,7 +137,7 @@ impl Artifacts {
         };
         if let Err(error) = outcome {
             if let Err(leftover) = writer.abort().await {
-                tracing::warn!(%location, error = %leftover, "an upload that was cut off could not be cleared away");
+                tracing::warn!(%location, error = %leftover, "could not delete an upload that was cut off");
             }
             return Err(error);
         }
@@ -147,11 +146,11 @@ impl Artifacts {
         Ok(Staged { location, path, kept: false, hash: ArtifactHash(*hasher.finalize().as_bytes()), size })
     }
 
-    /// Keeps staged bytes. When this returns the file is durable where artefacts rest, and its row is on disk.
-    pub async fn keep(&self, mut staged: Staged, now: Timestamp) -> Result<ArtifactStored, StoreError> {
+    /// Keeps staged bytes. On return, the file is durable where artefacts are kept, and its row is on disk.
+    pub async fn keep(&self, mut staged: Staged, now: Timestamp) -> Result<ArtifactStored> {
         let (hash, size) = (staged.hash, staged.size);
-        // The file first, then the row: a row without a file would promise what is not there, a file without a
-        // row is only waste, and is overwritten by the same bytes when they come again.
+        // The file first, then the row. A row without a file would promise missing bytes. A file without a
+        // row is only waste, and the same bytes overwrite it later.
         let Some(remote) = &self.remote else {
             self.files.rename(&staged.location, &place_of(hash)).await?;
             staged.kept = true;
@@ -161,7 +160,7 @@ impl Artifacts {
         if known && remote.holds(&place_of(hash), size).await? {
             return self.remember(hash, size, now).await;
         }
-        // On a task of its own: a client that goes away meanwhile would leave the parts of half an upload behind.
+        // In a task of its own, so that a client that disconnects leaves no parts of half an upload behind.
         let (own, remote) = (self.clone(), remote.clone());
         let kept = tokio::spawn(async move {
             remote.upload(&staged.path, &place_of(hash)).await?;
@@ -170,12 +169,7 @@ impl Artifacts {
         kept.await.unwrap_or_else(|error| Err(StoreError::BrokenOff(error.to_string())))
     }
 
-    async fn remember(
-        &self,
-        hash: ArtifactHash,
-        size: u64,
-        now: Timestamp,
-    ) -> Result<ArtifactStored, StoreError> {
+    async fn remember(&self, hash: ArtifactHash, size: u64, now: Timestamp) -> Result<ArtifactStored> {
         let mut write = self.writer.write().await?;
         let inserted: Option<(i64,)> = ask!(
             write,
@@ -191,14 +185,14 @@ impl Artifacts {
         Ok(ArtifactStored { hash, size, existed: inserted.is_none() })
     }
 
-    /// Stages and keeps a stream that was announced under a hash; other bytes are refused and thrown away.
+    /// Stages and keeps a stream that was announced under a hash. Other bytes are refused and deleted.
     pub async fn put<E: std::fmt::Display>(
         &self,
         expected: ArtifactHash,
         content: impl Stream<Item = Result<Bytes, E>>,
         limit: u64,
         now: Timestamp,
-    ) -> Result<ArtifactStored, StoreError> {
+    ) -> Result<ArtifactStored> {
         let staged = self.stage(content, limit).await?;
         if staged.hash != expected {
             return Err(StoreError::HashMismatch { expected, actual: staged.hash });
@@ -207,7 +201,7 @@ impl Artifacts {
     }
 
     /// The artefact's length in bytes.
-    pub async fn size(&self, hash: ArtifactHash) -> Result<u64, StoreError> {
+    pub async fn size(&self, hash: ArtifactHash) -> Result<u64> {
         sqlx::query_scalar!("SELECT size FROM artifacts WHERE hash = ?", &hash.0[..])
             .fetch_optional(&self.readers)
             .await?
@@ -215,7 +209,7 @@ impl Artifacts {
     }
 
     /// The artefact's content.
-    pub async fn get(&self, hash: ArtifactHash) -> Result<ArtifactReader, StoreError> {
+    pub async fn get(&self, hash: ArtifactHash) -> Result<ArtifactReader> {
         let size = self.size(hash).await?;
         let found = match &self.remote {
             Some(remote) => remote.get(&place_of(hash)).await?,
@@ -223,13 +217,13 @@ impl Artifacts {
         };
         let reason = match found {
             Some(reader) if reader.size == size => return Ok(reader),
-            Some(reader) => format!("its file has {} bytes in place of {size}", reader.size),
-            None => "its file is not there".to_owned(),
+            Some(reader) => format!("its file has {} bytes instead of {size}", reader.size),
+            None => "its file is missing".to_owned(),
         };
         Err(StoreError::ArtifactLost { hash, reason })
     }
 
-    async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>, StoreError> {
+    async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>> {
         match self.files.get(&place_of(hash)).await {
             Ok(object) => {
                 let size = object.meta.size;
@@ -243,8 +237,8 @@ impl Artifacts {
         }
     }
 
-    /// Deletes what uploads left behind that were under way when the last process died.
-    pub(crate) async fn discard_unfinished(&self) -> Result<(), StoreError> {
+    /// Deletes uploads that were unfinished when the last process died.
+    pub(crate) async fn discard_unfinished(&self) -> Result<()> {
         let folder = self.files.path_to_filesystem(&object_store::path::Path::from("staging"))?;
         match tokio::fs::remove_dir_all(&folder).await {
             Ok(()) => Ok(()),
@@ -254,7 +248,7 @@ impl Artifacts {
     }
 }
 
-/// `blake3/ab/abcd…`: 256 folders keep each of them short.
+/// `blake3/ab/abcd…`: with 256 folders, each stays small.
 fn place_of(hash: ArtifactHash) -> object_store::path::Path {
     let name = hash.to_string();
     object_store::path::Path::from(format!("blake3/{}/{name}", &name[..2]))

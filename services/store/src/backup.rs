@@ -1,4 +1,4 @@
-//! A copy of the database that can be trusted, made while the service runs.
+//! Verified copies of the database, made while the service runs.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -7,38 +7,37 @@ use sqlx::Connection as _;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 
 use crate::database::{DATABASE, find_damage, restrict_to_owner};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
-/// What a backup holds.
+/// The content of a backup.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Backup {
     /// Length of the file in bytes.
     pub bytes: u64,
     /// Jobs in it.
     pub jobs: u64,
-    /// Artefacts that it speaks of, which lie in files of their own.
+    /// Artefacts that it refers to. Their files are not part of the backup.
     pub artifacts: u64,
     /// Bytes of these artefacts.
     pub artifact_bytes: u64,
 }
 
-/// Copies the database in the data folder to a file that is not there yet, as it is at one instant, and checks the copy from its first
-/// page to its last. The service may be running and is not held up: SQLite copies what one read transaction sees. At `to` there is
-/// either the whole copy, checked and flushed, or nothing.
-pub async fn backup(data: &Path, to: &Path) -> Result<Backup, StoreError> {
+/// Copies the database in the data folder to a new file, as it is at one instant, and checks every page of
+/// the copy. The service may be running and is not held up: SQLite copies the state of one read transaction.
+/// On return, `to` is the whole copy, checked and flushed; after an error it does not exist.
+pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     let source = data.join(DATABASE);
     if !source.is_file() {
         return Err(StoreError::NotFound("database in this folder"));
     }
     if to.exists() {
-        return Err(StoreError::Conflict(format!("{} is there already", to.display())));
+        return Err(StoreError::Conflict(format!("{} already exists", to.display())));
     }
     let unfinished = Unfinished(beside(to));
-    let file = unfinished
-        .0
-        .to_str()
-        .ok_or_else(|| StoreError::Conflict(format!("{}: the name of a backup is UTF-8", to.display())))?;
-    // A read transaction of its own: what is committed meanwhile is not in it, what was before is, whole.
+    let file = unfinished.0.to_str().ok_or_else(|| {
+        StoreError::Conflict(format!("{}: the name of a backup must be UTF-8", to.display()))
+    })?;
+    // One read transaction: it sees every earlier commit whole, and no later one.
     let mut connection = open(&source, false).await?;
     sqlx::query!("VACUUM INTO ?", file).execute(&mut connection).await?;
     connection.close().await?;
@@ -55,8 +54,8 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup, StoreError> {
     Ok(backup)
 }
 
-/// Whether a file is a whole database of a farm, and what is in it.
-async fn check(path: &Path) -> Result<Backup, StoreError> {
+/// Checks that a file is an intact database of a farm, and counts its content.
+async fn check(path: &Path) -> Result<Backup> {
     let mut connection = open(path, true).await?;
     find_damage(&mut connection, "integrity_check").await?;
     let row = sqlx::query!(
@@ -75,7 +74,7 @@ async fn check(path: &Path) -> Result<Backup, StoreError> {
     Ok(found)
 }
 
-async fn open(path: &Path, immutable: bool) -> Result<SqliteConnection, StoreError> {
+async fn open(path: &Path, immutable: bool) -> Result<SqliteConnection> {
     let options = SqliteConnectOptions::from_str("sqlite:")?
         .filename(path)
         .read_only(true)
@@ -84,7 +83,7 @@ async fn open(path: &Path, immutable: bool) -> Result<SqliteConnection, StoreErr
     Ok(SqliteConnection::connect_with(&options).await?)
 }
 
-/// A name in the same folder, so that the last step is a rename.
+/// A temporary name in the same folder, so that the last step is a rename.
 fn beside(to: &Path) -> PathBuf {
     let mut name = std::ffi::OsString::from(".");
     name.push(to.file_name().unwrap_or_default());
@@ -92,12 +91,12 @@ fn beside(to: &Path) -> PathBuf {
     to.with_file_name(name)
 }
 
-/// Goes away with whatever was written so far, unless it was renamed.
+/// Deleted on drop, unless it was renamed.
 struct Unfinished(PathBuf);
 
 impl Drop for Unfinished {
     fn drop(&mut self) {
-        // It is not there if it was renamed, or never begun.
+        // The file is missing if it was renamed or never created.
         let _ = std::fs::remove_file(&self.0);
     }
 }

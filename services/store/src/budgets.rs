@@ -1,10 +1,11 @@
-//! Budgets, the ledger that they are held against, and what was said of nights to come.
+//! Budgets, the ledger that they are compared with, and forecasts of nights.
 //!
-//! The ledger has a row for each lease, written by triggers (`migrations/0003_budgets.sql`): what was paid for is known whatever way a lease
-//! ends. A budget that is used up holds its project's tasks back: they stay `ready`, and `held` keeps them from being handed out.
+//! Triggers write a ledger row for each lease (`migrations/0003_budgets.sql`), so payments are known however
+//! a lease ends. A budget that is used up holds its project's tasks back: they stay `ready`, and `held` keeps
+//! them from being handed out.
 //!
-//! An action, once in force, stays so until its period is over or the budget is set again. Without that, stopping what runs would free what was
-//! committed for it, and so start it again.
+//! An action stays in force until its period ends or the budget is set again. Otherwise, stopping the running
+//! tasks would release the money committed to them, and so start them again.
 
 pub(crate) mod ledger;
 pub(crate) mod nights;
@@ -17,13 +18,13 @@ use sqlx::SqliteConnection;
 use crate::budgets::ledger::{committed, spent};
 use crate::columns::{Json, corrupt};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event};
 use crate::leases;
 use crate::plans::replans;
 use crate::policy::budgets as policy;
+use crate::writing::run;
 
-/// A budget as it is kept.
 struct Kept {
     request: BudgetRequest,
     action: Option<BudgetAction>,
@@ -32,10 +33,12 @@ struct Kept {
 }
 
 impl Store {
-    /// Sets a budget; one of the same project and period is replaced, and what it had in force is over. The time zone must be known.
-    pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget, StoreError> {
+    /// Sets a budget, whose time zone must be known. It replaces one of the same project and period and ends
+    /// its action.
+    pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget> {
         let mut write = self.write().await?;
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO budgets (project, period, amount, zone, thresholds, updated_at) \
              VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (project, period) DO UPDATE \
              SET amount = excluded.amount, zone = excluded.zone, thresholds = excluded.thresholds, \
@@ -46,9 +49,7 @@ impl Store {
             request.zone,
             Json(&request.thresholds),
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         enforce(&mut write, now).await?;
         let found = budgets(write.connection().await?, now)
             .await?
@@ -59,15 +60,15 @@ impl Store {
         Ok(budget)
     }
 
-    /// All budgets and how they stand, by project and period.
-    pub async fn budgets(&self, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
-        let mut transaction = self.read().await?;
-        budgets(&mut transaction, now).await
+    /// All budgets with their current spending, by project and period.
+    pub async fn budgets(&self, now: Timestamp) -> Result<Vec<Budget>> {
+        budgets(&mut *self.read().await?, now).await
     }
 
-    /// Puts into force what spending calls for, and ends what is over. Writes only if something changes. Says how many budgets changed.
-    pub async fn enforce_budgets(&self, now: Timestamp) -> Result<u32, StoreError> {
-        // Most farms have no budget, and most of the time nothing changes: that is found without the write lock.
+    /// Puts actions into force that spending calls for, and ends those of past periods. Writes only if
+    /// something changes. Returns how many budgets changed.
+    pub async fn enforce_budgets(&self, now: Timestamp) -> Result<u32> {
+        // Most farms have no budget, and usually nothing changes: reading needs no write lock.
         let mut transaction = self.read().await?;
         let due = due(&mut transaction, now).await?;
         drop(transaction);
@@ -81,7 +82,7 @@ impl Store {
     }
 }
 
-async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError> {
+async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>> {
     let rows = sqlx::query!("SELECT * FROM budgets ORDER BY project, period").fetch_all(connection).await?;
     Ok(rows
         .into_iter()
@@ -100,7 +101,7 @@ async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>, StoreError
         .collect())
 }
 
-async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>, StoreError> {
+async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>> {
     let mut found = Vec::new();
     for kept in kept(connection).await? {
         found.push(as_it_stands(connection, kept, now).await?);
@@ -108,15 +109,11 @@ async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Ve
     Ok(found)
 }
 
-async fn as_it_stands(
-    connection: &mut SqliteConnection,
-    kept: Kept,
-    now: Timestamp,
-) -> Result<Budget, StoreError> {
+async fn as_it_stands(connection: &mut SqliteConnection, kept: Kept, now: Timestamp) -> Result<Budget> {
     let Kept { request, action, period_at, updated_at } = kept;
     let BudgetRequest { project, period, amount, zone, thresholds } = request;
     let (from, until) =
-        period.bounds(&zone, now).ok_or_else(|| corrupt("zone", format!("{zone} is no time zone")))?;
+        period.bounds(&zone, now).ok_or_else(|| corrupt("zone", format!("{zone} is not a time zone")))?;
     let spent = spent(connection, &project, from, now).await?;
     let committed = committed(connection, &project, now).await?;
     let action = action.filter(|_| period_at == Some(from));
@@ -135,11 +132,11 @@ async fn as_it_stands(
     })
 }
 
-/// The budgets of which something has to be written, as they stand, with the action that comes into force.
+/// The budgets whose row has to change, with the action that comes into force.
 async fn due(
     connection: &mut SqliteConnection,
     now: Timestamp,
-) -> Result<Vec<(Budget, Option<BudgetAction>)>, StoreError> {
+) -> Result<Vec<(Budget, Option<BudgetAction>)>> {
     let mut due = Vec::new();
     for kept in kept(connection).await? {
         let written = (kept.action, kept.period_at);
@@ -152,22 +149,21 @@ async fn due(
     Ok(due)
 }
 
-async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
+async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32> {
     let due = due(write.connection().await?, now).await?;
     for (budget, action) in &due {
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE budgets SET action = ?, period_at = ? WHERE project = ? AND period = ?",
             action.map(BudgetAction::name),
             action.map(|_| budget.from.micros()),
             budget.project,
             budget.period.name()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let message = policy::message(budget, *action);
-        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) })?;
+        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) });
     }
-    // A budget that was just set again has no action in force, and may have had one.
+    // A budget that was just set again has no action, but may have had one.
     let kept = kept(write.connection().await?).await?;
     let in_force = policy::strongest(kept.into_iter().map(|kept| (kept.request.project, kept.action)));
     let held = sqlx::query_scalar!(
@@ -195,35 +191,33 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
 }
 
 /// Keeps a project's tasks from being handed out.
-async fn hold(write: &mut Write, project: &str) -> Result<(), StoreError> {
-    let held = sqlx::query!(
+async fn hold(write: &mut Write, project: &str) -> Result<()> {
+    let held = run!(
+        write,
         "UPDATE tasks SET held = 1 WHERE held = 0 AND state IN ('waiting', 'ready', 'leased') \
          AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
         project
-    )
-    .execute(write.connection().await?)
-    .await?;
-    // Plans say what waits, and why.
-    if held.rows_affected() > 0 {
+    );
+    if held > 0 {
         replans::want(write, &format!("the budget of project {project} holds its tasks")).await?;
     }
     Ok(())
 }
 
-/// Lets a project's tasks be handed out again; what ended meanwhile is not held either.
-async fn let_go(write: &mut Write, project: &str) -> Result<(), StoreError> {
-    sqlx::query!(
+/// Lets a project's tasks be handed out again. Tasks that ended meanwhile are released too.
+async fn let_go(write: &mut Write, project: &str) -> Result<()> {
+    run!(
+        write,
         "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
         project
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     replans::want(write, &format!("the budget of project {project} holds its tasks no more")).await?;
     Ok(())
 }
 
-/// Takes back what a project has running: the next renewal brings the order to stop, and the task goes back, held.
-async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<(), StoreError> {
+/// Takes back a project's running tasks. The next renewal brings the order to stop; the tasks are ready but
+/// held.
+async fn stop(write: &mut Write, project: &str, now: Timestamp) -> Result<()> {
     let running = sqlx::query_scalar!(
         "SELECT l.id FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id \
          WHERE l.state = 'active' AND j.project = ? ORDER BY l.id",

@@ -5,66 +5,60 @@ use sqlx::SqliteConnection;
 
 use crate::columns::Json;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::writing::run;
 
-/// A bundle that was uploaded and found to be a scene.
+/// An uploaded bundle that contains a valid scene.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewBundle {
     /// Its zip file, stored as an artefact.
     pub hash: ArtifactHash,
-    /// What is in it.
+    /// Its content.
     pub scene: SceneSummary,
 }
 
 impl Store {
-    /// Remembers a bundle.
+    /// Stores a bundle.
     pub async fn create_bundle(
         &self,
         new: NewBundle,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Answered<Bundle>, StoreError> {
+    ) -> Result<Answered<Bundle>> {
         let mut write = self.write().await?;
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
         }
         let bundle_id = BundleId::new();
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO bundles (id, hash, scene, created_at) VALUES (?, ?, ?, ?)",
             bundle_id.0,
             &new.hash.0[..],
             Json(&new.scene),
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let bundle = read(write.connection().await?, bundle_id).await?;
-        record(&mut write, key, 201, &bundle, now)?;
+        record(&mut write, key, 201, &bundle, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(bundle))
     }
 
     /// A bundle.
-    pub async fn bundle(&self, bundle: BundleId) -> Result<Bundle, StoreError> {
+    pub async fn bundle(&self, bundle: BundleId) -> Result<Bundle> {
         read(&mut *self.readers().acquire().await?, bundle).await
     }
 }
 
-async fn read(connection: &mut SqliteConnection, bundle: BundleId) -> Result<Bundle, StoreError> {
-    let row = sqlx::query!(
+async fn read(connection: &mut SqliteConnection, bundle: BundleId) -> Result<Bundle> {
+    let bundle = sqlx::query_as!(
+        Bundle,
         "SELECT b.id, b.hash, b.scene, b.created_at, a.size FROM bundles b \
          JOIN artifacts a ON a.hash = b.hash WHERE b.id = ?",
         bundle.0
     )
     .fetch_optional(connection)
-    .await?
-    .ok_or(StoreError::NotFound("bundle"))?;
-    Ok(Bundle {
-        id: row.id.into(),
-        hash: row.hash.into(),
-        size: row.size,
-        scene: row.scene.0,
-        created_at: row.created_at.into(),
-    })
+    .await?;
+    bundle.ok_or(StoreError::NotFound("bundle"))
 }

@@ -13,9 +13,8 @@ use sqlx::{FromRow, SqliteConnection};
 
 use self::asking::{Asking, Offer, OfferedTask, next_task, task_columns};
 use crate::columns::{Json, Word};
-use crate::database::Store;
-use crate::database::Write;
-use crate::error::StoreError;
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
 use crate::leases::sweeping::sweep;
@@ -25,20 +24,20 @@ use crate::policy::availability::{Opening, forecast_seconds_within, opening};
 use crate::writing::{ask, later};
 
 impl Store {
-    /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that a task whose
-    /// worker is gone can be handed out at once. The node counts as heard of.
+    /// Hands the node its next task, if there is one and the node is not draining. Sweeps first, so that the
+    /// task of a lost worker can be handed out at once. The node counts as heard of.
     pub async fn claim(
         &self,
         node: NodeId,
         ttl: Duration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         self.hand_out(node, None, ttl, key, now).await
     }
 
-    /// Hands the node exactly this task, whatever was planned for the node: nothing while another holds it, a
-    /// [`StoreError::Conflict`] once it is over.
+    /// Hands the node exactly this task, whatever is planned for the node. `None` while another worker holds
+    /// it; a [`StoreError::Conflict`] once it is over.
     pub async fn claim_task(
         &self,
         node: NodeId,
@@ -46,19 +45,20 @@ impl Store {
         ttl: Duration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         self.hand_out(node, Some(task), ttl, key, now).await
     }
 
-    /// What a claim gets while no task is to be handed out: the lease that the same request got before, or nothing. The node counts as heard of; a
-    /// task that is over is a [`StoreError::Conflict`] as ever.
+    /// Answers a claim while no task may be handed out: with the lease that the same request got before, or
+    /// `None`. The node counts as heard of. A task that is over is a [`StoreError::Conflict`], as in
+    /// [`Store::claim_task`].
     pub async fn claim_nothing_new(
         &self,
         node: NodeId,
         wanted: Option<TaskId>,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         let mut write = self.write().await?;
         let asker = asker(&mut write, node, key, now).await?;
         if let Some(answer) = asker.answered {
@@ -79,7 +79,7 @@ impl Store {
         ttl: Duration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Option<Answered<Lease>>, StoreError> {
+    ) -> Result<Option<Answered<Lease>>> {
         let mut write = self.write().await?;
         let asker = asker(&mut write, node, key, now).await?;
         if let Some(answer) = asker.answered {
@@ -102,71 +102,19 @@ impl Store {
             self.commit(write).await?;
             return Ok(None);
         };
-        let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
-        let (spec, work) = (task.spec.0, task.work_by_class.map(|it| it.0));
-        let fence = task.fence + 1;
-        later!(
-            write,
-            "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = \
-             ?, started_at = ? WHERE id = ?",
-            fence,
-            node.id.0,
-            now.micros(),
-            task_id.0
-        );
-        let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
-        let lease = Lease {
-            lease_id: LeaseId::new(),
-            task_id,
-            job_id,
-            fence: fence.unsigned_abs(),
-            expires_at: now.plus_micros(ttl_micros),
-            ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
-            spec,
-            limits: task.limits.0,
-        };
-        later!(
-            write,
-            "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
-                 VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
-            lease.lease_id.0,
-            task_id.0,
-            node.id.0,
-            fence,
-            node.speed_for(work.as_ref()),
-            now.micros(),
-            lease.expires_at.micros()
-        );
-        if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
-            later!(write, "UPDATE jobs SET state = 'rendering' WHERE id = ?", job_id.0);
-            job_state(&mut write, job_id, JobState::Rendering, None, now)?;
-        }
-        append(
-            &mut write,
-            Event {
-                job_id: Some(job_id),
-                task_id: Some(task_id),
-                task_kind: Some(lease.spec.kind()),
-                frame: lease.spec.frame(),
-                node_id: Some(node.id),
-                ..event(EventKind::TaskLeased, now)
-            },
-        )?;
-        record(&mut write, key, 200, &lease, now)?;
+        let lease = lease(&mut write, &node, task, ttl, now);
+        record(&mut write, key, 200, &lease, now);
         self.commit(write).await?;
         Ok(Some(Answered::Fresh(lease)))
     }
 
-    /// Whether a claim could find something for the node, or exactly this task: asked by those who wait, so that they need not take the write lock.
-    pub async fn may_have_work(
-        &self,
-        node: NodeId,
-        wanted: Option<TaskId>,
-        now: Timestamp,
-    ) -> Result<bool, StoreError> {
+    /// Whether a claim could find a task for the node, or exactly this task. Waiting claims ask this, because
+    /// it needs no write lock.
+    pub async fn may_have_work(&self, node: NodeId, wanted: Option<TaskId>, now: Timestamp) -> Result<bool> {
         let mut connection = self.readers().acquire().await?;
         let some_ran_out = sqlx::query_scalar!(
-            r#"SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?) AS "some_ran_out!: bool""#,
+            r#"SELECT EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?)
+               AS "some_ran_out!: bool""#,
             now.micros()
         );
         if some_ran_out.fetch_one(&mut *connection).await? {
@@ -175,7 +123,7 @@ impl Store {
         match wanted {
             Some(task) => match this_task(&mut connection, task, now).await {
                 Ok(task) => Ok(task.is_some()),
-                // There is an answer, though no task.
+                // The claim gets an answer, although no task.
                 Err(StoreError::Conflict(_)) => Ok(true),
                 Err(error) => Err(error),
             },
@@ -186,11 +134,12 @@ impl Store {
         }
     }
 
-    /// Until when the node sleeps; `None` if it is awake.
-    pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>, StoreError> {
+    /// When the node wakes up; `None` if it is awake.
+    pub async fn sleeps_until(&self, node: NodeId, now: Timestamp) -> Result<Option<Timestamp>> {
         let mut connection = self.readers().acquire().await?;
         let has_calendar = sqlx::query_scalar!(
-            r#"SELECT coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}' AS "has_calendar!: bool" FROM nodes WHERE id = ?"#,
+            r#"SELECT coalesce(schedule_set, schedule) IS NOT NULL OR terms <> '{}'
+               AS "has_calendar!: bool" FROM nodes WHERE id = ?"#,
             node.0
         )
         .fetch_optional(&mut *connection)
@@ -199,20 +148,69 @@ impl Store {
     }
 }
 
-/// What a claim has to know before it looks for a task: one question, for nearly always nothing comes of the other two.
-struct Asker {
-    node: Node,
-    /// What the request of this key was answered before.
-    answered: Option<RecordedAnswer>,
-    /// Whether there are leases that have run out.
-    some_ran_out: bool,
+/// Leases the task to the node, and starts its job if it is the first.
+fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: Timestamp) -> Lease {
+    let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
+    let (spec, work) = (task.spec.0, task.work_by_class.map(|it| it.0));
+    let fence = task.fence + 1;
+    later!(
+        write,
+        "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = \
+         ?, started_at = ? WHERE id = ?",
+        fence,
+        node.id.0,
+        now.micros(),
+        task_id.0
+    );
+    let ttl_micros = i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX);
+    let lease = Lease {
+        lease_id: LeaseId::new(),
+        task_id,
+        job_id,
+        fence: fence.unsigned_abs(),
+        expires_at: now.plus_micros(ttl_micros),
+        ttl_ms: u64::try_from(ttl.as_millis()).unwrap_or(u64::MAX),
+        spec,
+        limits: task.limits.0,
+    };
+    later!(
+        write,
+        "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
+         VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
+        lease.lease_id.0,
+        task_id.0,
+        node.id.0,
+        fence,
+        node.speed_for(work.as_ref()),
+        now.micros(),
+        lease.expires_at.micros()
+    );
+    if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
+        later!(write, "UPDATE jobs SET state = 'rendering' WHERE id = ?", job_id.0);
+        job_state(write, job_id, JobState::Rendering, None, now);
+    }
+    let leased = Event {
+        job_id: Some(job_id),
+        task_id: Some(task_id),
+        task_kind: Some(lease.spec.kind()),
+        frame: lease.spec.frame(),
+        node_id: Some(node.id),
+        ..event(EventKind::TaskLeased, now)
+    };
+    append(write, leased);
+    lease
 }
 
+/// What a claim reads before it looks for a task. One query answers all three, because the last two are
+/// nearly always negative.
 #[derive(FromRow)]
-struct AskerRow {
-    #[sqlx(flatten)]
-    node: NodeRow,
+struct Asker {
+    #[sqlx(flatten, try_from = "NodeRow")]
+    node: Node,
+    /// Whether the request with this key was answered before.
     was_answered: bool,
+    #[sqlx(skip)]
+    answered: Option<RecordedAnswer>,
     some_ran_out: bool,
 }
 
@@ -221,8 +219,8 @@ async fn asker(
     node: NodeId,
     key: Option<&IdempotencyKey>,
     now: Timestamp,
-) -> Result<Asker, StoreError> {
-    let AskerRow { node, was_answered, some_ran_out } = ask!(
+) -> Result<Asker> {
+    let asker: Option<Asker> = ask!(
         write,
         "SELECT n.*, (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
                       ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id, \
@@ -235,34 +233,37 @@ async fn asker(
         node.0
     )
     .first_row()
-    .await?
-    .ok_or(StoreError::NotFound("node"))?;
-    let answered = if was_answered { earlier_answer(write, key).await? } else { None };
-    Ok(Asker { node: node.into(), answered, some_ran_out })
+    .await?;
+    let mut asker = asker.ok_or(StoreError::NotFound("node"))?;
+    if asker.was_answered {
+        asker.answered = earlier_answer(write, key).await?;
+    }
+    Ok(asker)
 }
 
-/// The task that the node should do next, if it may be given any.
+/// The task that the node should do next, if it may have one.
 ///
-/// 1. Previews and profiles of any job, and plans and merges of irradiance caches: they are short, and every quote, and with it every
-///    booking, waits for them. By priority, then deadline, then age of the job.
-/// 2. The node's own bookings, earliest planned start first: frames, and parts of irradiance caches.
-/// 3. Any of these, by the job's deadline, then priority, then age of the job, then frame, as far as that is not against what the plan
-///    wanted: see [`work_stealing`].
+/// 1. Previews and profiles of any job, and plans and merges of irradiance caches. They are short, and every
+///    quote and booking waits for them. By priority, then deadline, then age of the job.
+/// 2. The node's own bookings, by planned start: frames, and parts of irradiance caches.
+/// 3. Any other frames and parts, by the job's deadline, then priority, then age of the job, then frame, as
+///    far as the plan allows it: see [`work_stealing`].
 ///
-/// Each of the three is one step into an index made for it, which is named because SQLite, left alone, prefers the index of
-/// all ready tasks and sorts them; later ones are taken only if those before found nothing. Only if the first of the third kind is not for everybody, the
-/// booked jobs are looked at one by one.
+/// Each of the three is one step into an index of its own. The index is named because SQLite would otherwise
+/// sort all ready tasks. A later step runs only if the earlier ones found nothing. Booked jobs are examined
+/// one by one only if the first task of the third kind is not free for every node.
 ///
-/// A task that failed is passed over while it waits, and for a while longer on the nodes that it failed on. Such tasks are few, so
-/// the steps over them are.
+/// A failed task is skipped while it waits, and for longer on the nodes on which it failed. Such tasks are
+/// few, so these steps are few.
 ///
-/// Before the node's window ends, frames are passed over that would not be done by then in one case of twenty.
+/// Before the node's window ends, frames are skipped that would run past its end in more than one case of
+/// twenty.
 async fn offer(
     connection: &mut SqliteConnection,
     node: &Node,
     up_since: Timestamp,
     now: Timestamp,
-) -> Result<Offer, StoreError> {
+) -> Result<Offer> {
     let until = match opening(node, now) {
         Opening::Awake(until) if node.takes_tasks() => until,
         Opening::Awake(_) | Opening::Asleep(_) => return Ok(Offer::default()),
@@ -281,12 +282,12 @@ async fn offer(
     Ok(Some(first).into())
 }
 
-/// A task by its id, if it is ready; nothing while it is leased, or waits after a failure.
+/// A task by its id, if it is ready; `None` while it is leased, or waits after a failure.
 async fn this_task(
     connection: &mut SqliteConnection,
     task: TaskId,
     now: Timestamp,
-) -> Result<Option<OfferedTask>, StoreError> {
+) -> Result<Option<OfferedTask>> {
     let row = sqlx::query!(
         r#"SELECT id, job_id, spec, limits, fence, not_before,
                   (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS "job_state!: Word<JobState>",
@@ -314,9 +315,9 @@ async fn this_task(
     }
 }
 
-/// By job, in JSON, how many of its forecast's CPU seconds the node does in so many microseconds: as plans have it, for work of the job's classes, and after what
-/// finished frames took.
-async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String, StoreError> {
+/// JSON object by job: forecast CPU seconds that the node does in so many microseconds. As in plans, it is
+/// for the job's classes of work and corrected by finished frames.
+async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String> {
     let rows = sqlx::query!(
         "SELECT hex(id) AS \"name!: String\", work_by_class, factor FROM jobs \
          WHERE state IN ('booked', 'rendering')"
@@ -333,11 +334,12 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
     Ok(serde_json::to_string(&limits)?)
 }
 
-/// What the node is given if nothing is against it; and whether there may be.
+/// The next task of the node by the three steps of [`offer`], and whether it is booked elsewhere.
 pub(crate) const NEXT: &str = concat!(
     "SELECT ",
     task_columns!(),
-    ", kind IN ('cache_fill', 'render') AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
+    ", kind IN ('cache_fill', 'render') AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 \
+     AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
     next_task!(
         "tasks_ready_quotes",
         "kind NOT IN ('cache_fill', 'render')",

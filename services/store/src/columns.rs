@@ -1,10 +1,11 @@
-//! Types of columns. `sqlx.toml` says which column has which of them, so that `query!` and its kin decode a row of any
-//! table into these.
+//! Types of columns. `sqlx.toml` assigns them to columns, and `query!` and its relatives decode rows into
+//! them.
 
 use std::marker::PhantomData;
 
 use forelight_protocol::{
-    ArtifactHash, BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, TaskId, Timestamp,
+    ArtifactHash, BookingId, BudgetForecast, BundleId, JobId, JobState, LeaseId, LogLevel, NodeId, PlanId,
+    SceneSummary, TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -14,22 +15,28 @@ use sqlx::sqlite::{SqliteArgumentsBuffer, SqliteTypeInfo, SqliteValueRef};
 use sqlx::{Decode, Encode, Sqlite, Type};
 use uuid::Uuid;
 
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
+use crate::leases::LeaseState;
 
-/// A column holds something that this program never writes there.
+/// The error for a column value that this program never writes.
 pub(crate) fn corrupt(column: &str, reason: impl std::fmt::Display) -> StoreError {
     StoreError::Corrupt(format!("column {column}: {reason}"))
 }
 
+macro_rules! text {
+    ($($name:ident),*) => {
+        $(impl<T> Type<Sqlite> for $name<T> {
+            fn type_info() -> SqliteTypeInfo {
+                <str as Type<Sqlite>>::type_info()
+            }
+        })*
+    };
+}
+text!(Json, Unread, Word);
+
 /// A wire type as JSON.
 #[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Json<T>(pub T);
-
-impl<T> Type<Sqlite> for Json<T> {
-    fn type_info() -> SqliteTypeInfo {
-        <str as Type<Sqlite>>::type_info()
-    }
-}
 
 impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Json<T> {
     fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
@@ -44,7 +51,7 @@ impl<'q, T: Serialize> Encode<'q, Sqlite> for Json<T> {
     }
 }
 
-/// A wire type as JSON that is long, and read only where it is needed.
+/// A long JSON value that is parsed only where it is needed.
 #[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Unread<T> {
     text: String,
@@ -52,15 +59,8 @@ pub(crate) struct Unread<T> {
 }
 
 impl<T: DeserializeOwned> Unread<T> {
-    /// Reads it.
-    pub fn read(self) -> Result<T, StoreError> {
+    pub fn read(self) -> Result<T> {
         serde_json::from_str(&self.text).map_err(|error| StoreError::Corrupt(named::<T>(error).to_string()))
-    }
-}
-
-impl<T> Type<Sqlite> for Unread<T> {
-    fn type_info() -> SqliteTypeInfo {
-        <str as Type<Sqlite>>::type_info()
     }
 }
 
@@ -70,15 +70,9 @@ impl<'r, T> Decode<'r, Sqlite> for Unread<T> {
     }
 }
 
-/// A value of an enumeration, by the name that it has in JSON.
+/// A value of an enumeration, by its JSON name.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Word<T>(pub T);
-
-impl<T> Type<Sqlite> for Word<T> {
-    fn type_info() -> SqliteTypeInfo {
-        <str as Type<Sqlite>>::type_info()
-    }
-}
 
 impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Word<T> {
     fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
@@ -88,7 +82,7 @@ impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Word<T> {
     }
 }
 
-/// An error of decoding with the name of the type that was expected.
+/// A decoding error with the name of the expected type.
 fn named<T>(error: serde_json::Error) -> BoxDynError {
     let name = std::any::type_name::<T>();
     format!("{}: {error}", name.rsplit("::").next().unwrap_or(name)).into()
@@ -105,7 +99,7 @@ impl From<Time> for Timestamp {
     }
 }
 
-/// An id, 16 bytes. It becomes the id of whatever is asked for.
+/// An id, 16 bytes. It converts into the id of any kind of thing.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug, sqlx::Type)]
 #[sqlx(transparent)]
 pub(crate) struct Id(pub Uuid);
@@ -120,6 +114,18 @@ macro_rules! from_id {
     };
 }
 from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, TaskId);
+
+macro_rules! from_column {
+    ($($column:ident<$name:ty>),* $(,)?) => {
+        $(impl From<$column<$name>> for $name {
+            fn from(column: $column<$name>) -> Self {
+                column.0
+            }
+        })*
+    };
+}
+from_column!(Json<BudgetForecast>, Json<SceneSummary>, Json<TaskSpec>);
+from_column!(Word<JobState>, Word<LeaseState>, Word<LogLevel>, Word<TaskKind>);
 
 /// A BLAKE3 hash, 32 bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

@@ -10,7 +10,7 @@ use sqlx::SqliteConnection;
 
 use crate::columns::Unread;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events;
 use crate::jobs::{job_rows, progress};
 use crate::nodes;
@@ -21,16 +21,16 @@ use crate::policy::projection::{Projection, project};
 use crate::quotes::track_record;
 use crate::shared_cache::parts;
 
-/// How much of everything the dashboard shows.
+/// Most rows of each kind that the dashboard shows.
 const JOBS: u32 = 200;
 const NODES: u32 = 1000;
 const BOOKINGS: usize = 1000;
 const EVENTS: u32 = 50;
 
 impl Store {
-    /// Everything a dashboard shows, read in one transaction. A node is alive if it was heard of within the last three
-    /// lease times.
-    pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard, StoreError> {
+    /// Everything that a dashboard shows, read in one transaction. A node is alive if it was heard of within
+    /// the last three lease times.
+    pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard> {
         let silent_since = now.plus_micros(-silent_after(ttl));
         let mut transaction = self.read().await?;
         let connection = &mut *transaction;
@@ -53,18 +53,14 @@ impl Store {
         })
     }
 
-    /// The farm in numbers.
-    pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts, StoreError> {
+    /// The farm's counts.
+    pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts> {
         let silent_since = now.plus_micros(-silent_after(ttl));
-        let mut transaction = self.read().await?;
-        counts(&mut transaction, silent_since).await
+        counts(&mut *self.read().await?, silent_since).await
     }
 }
 
-async fn counts(
-    connection: &mut SqliteConnection,
-    silent_since: Timestamp,
-) -> Result<DashboardCounts, StoreError> {
+async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> Result<DashboardCounts> {
     let mut counts = DashboardCounts::default();
     for row in sqlx::query!("SELECT state, count(*) AS \"number!: u64\" FROM jobs GROUP BY state")
         .fetch_all(&mut *connection)
@@ -95,7 +91,8 @@ async fn counts(
     }
     let row = sqlx::query!(
         r#"SELECT count(*) AS "nodes!: u64",
-                  coalesce(sum(last_seen_at >= ? AND NOT drain AND set_aside IS NULL), 0) AS "alive!: u64" FROM nodes"#,
+                  coalesce(sum(last_seen_at >= ? AND NOT drain AND set_aside IS NULL), 0)
+                  AS "alive!: u64" FROM nodes"#,
         silent_since.micros()
     )
     .fetch_one(connection)
@@ -109,7 +106,7 @@ async fn dashboard_jobs(
     connection: &mut SqliteConnection,
     projected: &Projection,
     unattended: &Unattended,
-) -> Result<Vec<DashboardJob>, StoreError> {
+) -> Result<Vec<DashboardJob>> {
     let rows = job_rows!("ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?", JOBS)
         .fetch_all(&mut *connection)
         .await?;
@@ -148,7 +145,7 @@ async fn dashboard_nodes(
     connection: &mut SqliteConnection,
     ttl: Duration,
     now: Timestamp,
-) -> Result<Vec<DashboardNode>, StoreError> {
+) -> Result<Vec<DashboardNode>> {
     let mut list = Vec::new();
     for node in nodes::list(connection, None, NODES).await? {
         let activity = activity(connection, node.id).await?;
@@ -158,23 +155,13 @@ async fn dashboard_nodes(
     Ok(list)
 }
 
-async fn activity(
-    connection: &mut SqliteConnection,
-    node: NodeId,
-) -> Result<Option<NodeActivity>, StoreError> {
-    let task = sqlx::query!(
-        r#"SELECT id, kind, job_id, frame, progress, started_at AS "started_at!" FROM tasks
+async fn activity(connection: &mut SqliteConnection, node: NodeId) -> Result<Option<NodeActivity>> {
+    Ok(sqlx::query_as!(
+        NodeActivity,
+        r#"SELECT id AS task_id, kind, job_id, frame, progress, started_at AS "started!" FROM tasks
            WHERE node_id = ? AND state = 'leased' ORDER BY started_at DESC, id LIMIT 1"#,
         node.0
     )
     .fetch_optional(connection)
-    .await?;
-    Ok(task.map(|task| NodeActivity {
-        task_id: task.id.into(),
-        kind: task.kind.0,
-        job_id: task.job_id.into(),
-        frame: task.frame,
-        progress: task.progress,
-        started: task.started_at.into(),
-    }))
+    .await?)
 }

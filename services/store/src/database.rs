@@ -1,4 +1,4 @@
-//! Opening the database, and reading from it; writing is in `writing`.
+//! Opens the database and reads from it. `writing` writes to it.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -15,16 +15,15 @@ use sqlx::sqlite::{
 use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
 
-use crate::artifacts::ArtifactPlace;
-use crate::artifacts::Artifacts;
-use crate::error::StoreError;
-pub(crate) use crate::writing::Write;
+use crate::artifacts::{ArtifactPlace, Artifacts};
+use crate::error::{Result, StoreError};
 use crate::writing::{WRITE_TURN, Writer};
+pub(crate) use crate::writing::{Write, run};
 
-/// How long SQLite waits for a lock that another process holds (`forelight token` beside a running service).
+/// How long SQLite waits for a lock of another process, such as `forelight token` beside a running service.
 const LOCK_WAIT: Duration = Duration::from_secs(5);
 
-/// Connections that only read. Readers never wait for the writer (write-ahead log), nor it for them.
+/// Read-only connections. With a write-ahead log, readers and the writer never wait for each other.
 const READERS: u32 = 4;
 
 /// Name of the database in the data folder.
@@ -32,7 +31,7 @@ pub const DATABASE: &str = "forelight.sqlite";
 
 static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 
-/// The farm's memory. Cheap to clone; all clones are one store.
+/// The farm's database and artefacts. Cheap to clone; all clones are one store.
 #[derive(Clone)]
 pub struct Store {
     inner: Arc<Inner>,
@@ -42,25 +41,24 @@ struct Inner {
     writer: Writer,
     readers: SqlitePool,
     artifacts: Artifacts,
-    /// Since when the service is there for its nodes; microseconds.
+    /// Start of the service in microseconds.
     up_since: AtomicI64,
-    /// The data folder.
     data: PathBuf,
-    /// Held while the store is open. The system lets go of it when the process dies, however it dies.
+    /// Held while the store is open. The operating system releases it when the process dies.
     _lock: Option<File>,
 }
 
 impl Store {
-    /// Opens the store in `data`, for a service: checks the database, brings the schema up to date, clears away
-    /// uploads that were cut off. Only one process at a time can do this. A damaged database is refused before anything is written to it.
-    /// Artefacts rest in the data folder.
-    pub async fn open(data: &Path) -> Result<Self, StoreError> {
+    /// Opens the store in `data` for a service: checks the database, brings the schema up to date and deletes
+    /// unfinished uploads. Only one process at a time can do this. A damaged database is refused before
+    /// anything is written to it. Artefacts are kept in the data folder.
+    pub async fn open(data: &Path) -> Result<Self> {
         Self::open_with(data, &ArtifactPlace::DataFolder, false).await
     }
 
-    /// As [`Store::open`], with artefacts in this place. A farm that has artefacts in another is refused, unless they `moved`: they have
-    /// been copied there by hand.
-    pub async fn open_with(data: &Path, artifacts: &ArtifactPlace, moved: bool) -> Result<Self, StoreError> {
+    /// As [`Store::open`], with artefacts in this place. A farm that has artefacts elsewhere is refused,
+    /// unless they `moved`: they were copied by hand.
+    pub async fn open_with(data: &Path, artifacts: &ArtifactPlace, moved: bool) -> Result<Self> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
         let lock = lock(data)?;
         let opened = Self::open_shared(data, Some(lock), artifacts).await;
@@ -76,14 +74,14 @@ impl Store {
         Ok(store)
     }
 
-    /// Opens the store in `data` beside a service that may be running, for small administration such as making a
-    /// token. Brings the schema up to date, checks nothing.
-    pub async fn open_beside(data: &Path) -> Result<Self, StoreError> {
+    /// Opens the store in `data` beside a service that may be running, for small administration such as
+    /// making a token. Brings the schema up to date but does not check the database.
+    pub async fn open_beside(data: &Path) -> Result<Self> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
         Self::open_shared(data, None, &ArtifactPlace::DataFolder).await
     }
 
-    async fn open_shared(data: &Path, lock: Option<File>, at: &ArtifactPlace) -> Result<Self, StoreError> {
+    async fn open_shared(data: &Path, lock: Option<File>, at: &ArtifactPlace) -> Result<Self> {
         let path = data.join(DATABASE);
         let options = SqliteConnectOptions::from_str("sqlite:")?
             .filename(&path)
@@ -101,7 +99,7 @@ impl Store {
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .acquire_timeout(WRITE_TURN)
-            // There is nobody at the other end who could have hung up.
+            // The database is in this process, so a connection cannot be closed by a server.
             .test_before_acquire(false)
             .connect_with(options.read_only(true))
             .await?;
@@ -122,7 +120,7 @@ impl Store {
         &self.inner.artifacts
     }
 
-    /// Since when the service is there for its nodes; nobody was heard of before.
+    /// When the service started. No node was heard of before.
     pub(crate) fn up_since(&self) -> Timestamp {
         Timestamp::from_micros(self.inner.up_since.load(Ordering::Relaxed))
     }
@@ -145,12 +143,12 @@ impl Store {
         self.inner.writer.signals().work.subscribe()
     }
 
-    /// Changes whenever something happened that the newest plan does not know of.
+    /// Changes whenever something happens that the newest plan does not take into account.
     pub fn watch_plans(&self) -> watch::Receiver<u64> {
         self.inner.writer.signals().plans.subscribe()
     }
 
-    /// Closes all connections and waits for them; further calls fail.
+    /// Closes all connections and waits for them. Further calls fail.
     pub async fn close(&self) {
         self.inner.readers.close().await;
         if let Err(error) = self.inner.writer.close().await {
@@ -159,13 +157,13 @@ impl Store {
     }
 
     /// Whether the database answers.
-    pub async fn ping(&self) -> Result<(), StoreError> {
+    pub async fn ping(&self) -> Result<()> {
         sqlx::query_scalar!("SELECT 1 AS one").fetch_one(self.readers()).await?;
         Ok(())
     }
 
-    /// Bytes that can still be written to the disk of the data folder.
-    pub fn free_disk_space(&self) -> Result<u64, StoreError> {
+    /// Free bytes on the disk of the data folder.
+    pub fn free_disk_space(&self) -> Result<u64> {
         let there = rustix::fs::statvfs(&self.inner.data);
         let there = there.map_err(|error| StoreError::file(&self.inner.data, error.into()))?;
         Ok(there.f_bavail.saturating_mul(there.f_frsize))
@@ -176,71 +174,67 @@ impl Store {
     }
 
     /// Begins a write.
-    pub(crate) async fn write(&self) -> Result<Write, StoreError> {
+    pub(crate) async fn write(&self) -> Result<Write> {
         self.inner.writer.write().await
     }
 
-    /// Begins a read of several statements that all see the same state.
-    pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>, StoreError> {
+    /// Begins a read transaction: all its statements see the same state.
+    pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>> {
         Ok(self.inner.readers.begin().await?)
     }
 
-    /// Makes a write last, and only then wakes those who wait for what it changed.
-    pub(crate) async fn commit(&self, write: Write) -> Result<(), StoreError> {
+    pub(crate) async fn commit(&self, write: Write) -> Result<()> {
         self.inner.writer.commit(write).await
     }
 
-    /// Remembers where artefacts rest: a farm that was started with them elsewhere would have rows of files that are not there.
-    async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<(), StoreError> {
+    /// Stores where artefacts are kept. With another place, the farm would have rows of missing files.
+    async fn settle_artifact_place(&self, place: &ArtifactPlace, moved: bool) -> Result<()> {
         let mut write = self.write().await?;
         let known = sqlx::query_scalar!("SELECT place FROM artifact_place")
             .fetch_optional(write.connection().await?)
             .await?;
-        // Before there was a choice they rested in the data folder.
+        // Older farms have no such row: they kept artefacts in the data folder.
         let known = known.unwrap_or_else(|| ArtifactPlace::DataFolder.to_string());
         let any = sqlx::query_scalar!(r#"SELECT EXISTS (SELECT 1 FROM artifacts) AS "any!: bool""#)
             .fetch_one(write.connection().await?)
             .await?;
         if any && !moved && known != place.to_string() {
             return Err(StoreError::ArtifactPlace(format!(
-                "{place}: this farm's are in {known}; start it with --artifacts {known}, or copy the folder `blake3` from there to {place} and add --artifacts-moved once"
+                "{place}: this farm's are in {known}; start it with --artifacts {known}, or copy the folder \
+                 `blake3` from there to {place} and add --artifacts-moved once"
             )));
         }
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO artifact_place (one, place) VALUES (1, ?) ON CONFLICT DO UPDATE \
              SET place = excluded.place",
             place.to_string()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         self.commit(write).await
     }
 }
 
-/// Looks for damage: by `quick_check` (pages, order of keys) or `integrity_check` (indexes against tables as well), and for rows
-/// that refer to nothing.
-pub(crate) async fn find_damage(
-    connection: &mut SqliteConnection,
-    check: &'static str,
-) -> Result<(), StoreError> {
-    // A pragma takes its check as a name, not as a parameter.
+/// Looks for damage, by `quick_check` (pages, order of keys) or `integrity_check` (indexes against tables as
+/// well), and for rows with dangling references.
+pub(crate) async fn find_damage(connection: &mut SqliteConnection, check: &'static str) -> Result<()> {
+    // A pragma's name cannot be a parameter.
     let check = sqlx::AssertSqlSafe(format!("PRAGMA {check}(10)"));
     let complaints: Vec<String> = sqlx::query_scalar(check).fetch_all(&mut *connection).await?;
     if complaints != ["ok"] {
         return Err(StoreError::Corrupt(complaints.join("; ")));
     }
-    // A table that the pragma makes up has no columns that could be checked at compile time.
+    // The virtual table of a pragma cannot be checked at compile time.
     let dangling: Option<String> =
         sqlx::query_scalar(r#"SELECT "table" FROM pragma_foreign_key_check LIMIT 1"#)
             .fetch_optional(connection)
             .await?;
     match dangling {
         None => Ok(()),
-        Some(table) => Err(StoreError::Corrupt(format!("a row of {table} refers to one that is not there"))),
+        Some(table) => Err(StoreError::Corrupt(format!("a row of {table} refers to a missing row"))),
     }
 }
 
-fn lock(data: &Path) -> Result<File, StoreError> {
+fn lock(data: &Path) -> Result<File> {
     let path: PathBuf = data.join("service.lock");
     let file = File::options()
         .create(true)
@@ -255,8 +249,8 @@ fn lock(data: &Path) -> Result<File, StoreError> {
     }
 }
 
-/// The database holds hashes of tokens and the names of unreleased films: other users have no business in it.
-pub(crate) fn restrict_to_owner(path: &Path) -> Result<(), StoreError> {
+/// The database holds hashes of tokens and names of unreleased films: other users must not read it.
+pub(crate) fn restrict_to_owner(path: &Path) -> Result<()> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;

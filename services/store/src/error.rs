@@ -1,47 +1,50 @@
-//! What can go wrong in the store.
+//! The errors of the store.
 
 use forelight_protocol::ArtifactHash;
 
-/// Why the store did not do what it was asked. Nothing was changed, unless the variant says otherwise.
+/// The result of a call to the store.
+pub(crate) type Result<T, E = StoreError> = std::result::Result<T, E>;
+
+/// Why a call failed. Nothing was changed, unless the variant says otherwise.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoreError {
     /// There is no such thing.
     #[error("there is no such {0}")]
     NotFound(&'static str),
-    /// The lease is not, or no longer, the caller's. Recorded as an event.
+    /// The caller does not hold the lease, or holds it no longer. Recorded as an event.
     #[error("the lease has ended or its task was handed to another worker; drop the task")]
     LeaseLost,
-    /// The thing is not in a state for this.
+    /// The state of the thing does not allow this.
     #[error("{0}")]
     Conflict(String),
-    /// A one-time token is none, or expired.
+    /// A one-time token is unknown or has expired.
     #[error("{0}")]
     JoinRefused(String),
     /// A result names an artefact that was never stored.
-    #[error("artefact {0} is not there; it has to be stored before a result names it")]
+    #[error("artefact {0} is not stored; store it before a result names it")]
     MissingArtifact(ArtifactHash),
     /// The idempotency key was used for another request.
     #[error("the idempotency key was used for another request")]
     KeyReused,
-    /// What was received does not have the hash that it was announced with.
+    /// The received content does not have the announced hash.
     #[error("the content has the hash {actual}, not {expected}")]
     HashMismatch {
         /// The announced hash.
         expected: ArtifactHash,
-        /// The hash of what came.
+        /// The hash of the received content.
         actual: ArtifactHash,
     },
     /// More bytes than allowed.
-    #[error("more than the {limit} bytes that are allowed")]
+    #[error("the content is longer than the limit of {limit} bytes")]
     TooLarge {
         /// The limit, in bytes.
         limit: u64,
     },
-    /// The stream that was to be stored broke off.
-    #[error("the content broke off: {0}")]
+    /// The upload ended too early.
+    #[error("the upload ended too early: {0}")]
     BrokenOff(String),
-    /// The database is locked or all its connections are taken; try again.
+    /// The database is locked, or all its connections are in use. Try again.
     #[error("the database is busy")]
     Busy,
     /// The disk is full.
@@ -50,23 +53,23 @@ pub enum StoreError {
     /// Another service has this data folder open.
     #[error("another service uses the data folder {0}")]
     InUse(String),
-    /// The content of an artefact that was kept is gone, or is not what was kept.
+    /// The content of a kept artefact is missing or has changed.
     #[error("the farm no longer has the content of artefact {hash}: {reason}")]
     ArtifactLost {
         /// The artefact.
         hash: ArtifactHash,
-        /// What is found in its place.
+        /// What was found instead.
         reason: String,
     },
-    /// The database does not hold what it should.
+    /// The database contains invalid data.
     #[error("the database is damaged: {0}")]
     Corrupt(String),
-    /// The database that a service was to open is damaged. Nothing was written to it.
+    /// The database that a service should open is damaged. Nothing was written to it.
     #[error("the database {path} is damaged: {reason}")]
     Damaged {
         /// Its file.
         path: String,
-        /// What is wrong with it.
+        /// The damage.
         reason: String,
     },
     /// The database failed.
@@ -78,10 +81,10 @@ pub enum StoreError {
     /// The artefact store failed.
     #[error("the artefact store failed: {0}")]
     Artifacts(#[source] object_store::Error),
-    /// The artefact store beyond this machine does not take or give anything just now; try again.
-    #[error("the artefact store cannot be used just now: {0}")]
+    /// The remote artefact store is not available. Try again.
+    #[error("the artefact store is not available: {0}")]
     ArtifactsAway(#[source] object_store::Error),
-    /// Artefacts cannot rest where they are told to.
+    /// The configured place for artefacts cannot be used.
     #[error("artefacts cannot be kept in {0}")]
     ArtifactPlace(String),
     /// A file could not be read or written.
@@ -103,7 +106,7 @@ impl StoreError {
     }
 }
 
-/// SQLite's primary result codes that mean something to a caller.
+/// SQLite's primary result codes that callers tell apart.
 const SQLITE_BUSY: i32 = 5;
 const SQLITE_LOCKED: i32 = 6;
 const SQLITE_CORRUPT: i32 = 11;

@@ -1,18 +1,17 @@
-//! What happened, in one order.
+//! The farm's events, in one order.
 
-use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, Timestamp};
+use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, NodeId, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::columns::Json;
-use crate::database::Store;
-use crate::database::Write;
-use crate::error::StoreError;
-use crate::writing::later;
+use crate::database::{Store, Write};
+use crate::error::Result;
+use crate::writing::{later, run};
 
-/// For how long reports of progress are kept: an hour, in microseconds. All other events are kept for good.
+/// How long progress events are kept: an hour, in microseconds. All other events are kept permanently.
 const PROGRESS_KEPT: i64 = 3_600_000_000;
 
-/// An event of which only kind and time are known.
+/// An event with only its kind and time.
 pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
     Event {
         id: 0,
@@ -32,8 +31,8 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
     }
 }
 
-/// Appends an event; its id is given by the database.
-pub(crate) fn append(write: &mut Write, event: Event) -> Result<(), StoreError> {
+/// Appends an event. The database assigns its id.
+pub(crate) fn append(write: &mut Write, event: Event) {
     later!(
         write,
         "INSERT INTO events (at, kind, job_id, body) VALUES (?, ?, ?, ?)",
@@ -43,34 +42,32 @@ pub(crate) fn append(write: &mut Write, event: Event) -> Result<(), StoreError> 
         Json(&event)
     );
     write.wrote_events = true;
-    Ok(())
 }
 
-/// Appends the event that a job went into a state.
 pub(crate) fn job_state(
     write: &mut Write,
     job: JobId,
     state: JobState,
     message: Option<String>,
     now: Timestamp,
-) -> Result<(), StoreError> {
-    append(
-        write,
-        Event { job_id: Some(job), job_state: Some(state), message, ..event(EventKind::JobState, now) },
-    )
+) {
+    let of_job = Event { job_id: Some(job), job_state: Some(state), ..event(EventKind::JobState, now) };
+    append(write, Event { message, ..of_job });
 }
 
-pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query!(
+pub(crate) fn node_event(write: &mut Write, kind: EventKind, node: NodeId, message: String, now: Timestamp) {
+    append(write, Event { node_id: Some(node), message: Some(message), ..event(kind, now) });
+}
+
+pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<()> {
+    run!(
+        write,
         "DELETE FROM events WHERE kind = 'task_progress' AND at < ?",
         now.plus_micros(-PROGRESS_KEPT).micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }
 
-/// A row of the events.
 pub(crate) struct EventRow {
     id: EventId,
     body: Json<Event>,
@@ -83,7 +80,7 @@ impl From<EventRow> for Event {
 }
 
 /// The newest events of the farm, newest first.
-pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>, StoreError> {
+pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>> {
     let rows = sqlx::query_as!(EventRow, "SELECT id, body FROM events ORDER BY id DESC LIMIT ?", limit)
         .fetch_all(connection)
         .await?;
@@ -92,40 +89,23 @@ pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Res
 
 impl Store {
     /// The events after the event `after`, oldest first, at most `limit`; of one job, or of the whole farm.
-    pub async fn events_after(
-        &self,
-        job: Option<JobId>,
-        after: EventId,
-        limit: u32,
-    ) -> Result<Vec<Event>, StoreError> {
+    pub async fn events_after(&self, job: Option<JobId>, after: EventId, limit: u32) -> Result<Vec<Event>> {
+        macro_rules! rows {
+            ($rest:literal $(, $value:expr)*) => {
+                sqlx::query_as!(EventRow, "SELECT id, body FROM events WHERE " + $rest $(, $value)*)
+                    .fetch_all(self.readers())
+                    .await?
+            };
+        }
         let rows = match job {
-            Some(job) => {
-                sqlx::query_as!(
-                    EventRow,
-                    "SELECT id, body FROM events WHERE job_id = ? AND id > ? ORDER BY id LIMIT ?",
-                    job.0,
-                    after,
-                    limit
-                )
-                .fetch_all(self.readers())
-                .await?
-            }
-            None => {
-                sqlx::query_as!(
-                    EventRow,
-                    "SELECT id, body FROM events WHERE id > ? ORDER BY id LIMIT ?",
-                    after,
-                    limit
-                )
-                .fetch_all(self.readers())
-                .await?
-            }
+            Some(job) => rows!("job_id = ? AND id > ? ORDER BY id LIMIT ?", job.0, after, limit),
+            None => rows!("id > ? ORDER BY id LIMIT ?", after, limit),
         };
         Ok(rows.into_iter().map(Event::from).collect())
     }
 
     /// The id of the newest event; 0 if there is none.
-    pub async fn last_event_id(&self) -> Result<EventId, StoreError> {
+    pub async fn last_event_id(&self) -> Result<EventId> {
         Ok(sqlx::query_scalar!(r#"SELECT coalesce(max(id), 0) AS "id!" FROM events"#)
             .fetch_one(self.readers())
             .await?)

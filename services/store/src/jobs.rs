@@ -1,4 +1,4 @@
-//! Jobs, as they are read.
+//! Reading jobs.
 
 pub(crate) mod ending;
 pub(crate) mod frames;
@@ -17,7 +17,7 @@ use self::outlooks::JobOutlook;
 use self::progress::Progress;
 use crate::columns::{Id, Json, Time, Unread, Word, corrupt};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use forelight_quote::JobForecast;
 
 /// Which jobs to list.
@@ -31,7 +31,7 @@ pub struct JobFilter {
     pub name: Option<String>,
 }
 
-/// A job's row, without what only claims need of it.
+/// A job's row, without the columns that only claims read.
 pub(crate) struct JobRow {
     pub id: Id,
     pub name: String,
@@ -71,9 +71,10 @@ macro_rules! job_rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             $crate::jobs::JobRow,
-            "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, frames_total, settings, \
-             samples, profile_frames, profiles_more, ladders, cache, within, limits, deadline_at, budget, confidence, \
-             priority, weight, forecast, plan_id, verdict, outlook, factor, error, created_at, finished_at FROM jobs "
+            "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
+             frames_total, settings, samples, profile_frames, profiles_more, ladders, cache, within, limits, \
+             deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
+             error, created_at, finished_at FROM jobs "
                 + $rest
             $(, $value)*
         )
@@ -83,18 +84,12 @@ pub(crate) use job_rows;
 
 impl Store {
     /// A job.
-    pub async fn job(&self, job: JobId) -> Result<Job, StoreError> {
-        let mut transaction = self.read().await?;
-        read(&mut transaction, job).await
+    pub async fn job(&self, job: JobId) -> Result<Job> {
+        read(&mut *self.read().await?, job).await
     }
 
     /// The jobs submitted before `before`, newest first, at most `limit`.
-    pub async fn jobs(
-        &self,
-        filter: &JobFilter,
-        before: Option<JobId>,
-        limit: u32,
-    ) -> Result<Vec<Job>, StoreError> {
+    pub async fn jobs(&self, filter: &JobFilter, before: Option<JobId>, limit: u32) -> Result<Vec<Job>> {
         let mut transaction = self.read().await?;
         let rows = job_rows!(
             "WHERE id < ?1 AND (?2 IS NULL OR state = ?2) AND (?3 IS NULL OR project = ?3) \
@@ -115,8 +110,8 @@ impl Store {
         Ok(jobs)
     }
 
-    /// The jobs for which the service itself may have something to do: those before `booked`, oldest first.
-    pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>, StoreError> {
+    /// The jobs that the service itself may have to move on: those before `booked`, oldest first.
+    pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>> {
         let ids =
             sqlx::query_scalar!("SELECT id FROM jobs WHERE state IN ('previewing', 'profiling') ORDER BY id")
                 .fetch_all(self.readers())
@@ -125,20 +120,18 @@ impl Store {
     }
 }
 
-/// A job's state, by one look-up.
-pub(crate) async fn state(connection: &mut SqliteConnection, job: JobId) -> Result<JobState, StoreError> {
+pub(crate) async fn state(connection: &mut SqliteConnection, job: JobId) -> Result<JobState> {
     let state = sqlx::query_scalar!("SELECT state FROM jobs WHERE id = ?", job.0);
     let state = state.fetch_optional(connection).await?;
     Ok(state.ok_or(StoreError::NotFound("job"))?.0)
 }
 
-/// A job's row.
-pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<JobRow, StoreError> {
+pub(crate) async fn row(connection: &mut SqliteConnection, job: JobId) -> Result<JobRow> {
     let row = job_rows!("WHERE id = ?", job.0).fetch_optional(connection).await?;
     row.ok_or(StoreError::NotFound("job"))
 }
 
-pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Job, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Job> {
     let row = row(&mut *connection, job).await?;
     let progress = progress::of_job(connection, job).await?;
     row.job(progress)
@@ -146,13 +139,13 @@ pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Resul
 
 impl JobRow {
     /// The numbers of its frames.
-    pub fn frame_set(&self) -> Result<FrameSet, StoreError> {
+    pub fn frame_set(&self) -> Result<FrameSet> {
         self.frames.parse().map_err(|error| corrupt("frames", error))
     }
 
-    /// A job from its row. Its `eta` depends on what else the farm has to do: whoever needs it fills it in from
-    /// [`crate::project`].
-    pub fn job(self, progress: Progress) -> Result<Job, StoreError> {
+    /// A job from its row. Its `eta` depends on the other work of the farm; callers that need it compute it
+    /// with [`crate::project`].
+    pub fn job(self, progress: Progress) -> Result<Job> {
         let frames = self.frame_set()?;
         let (state, outlook) = (self.state.0, self.outlook.0);
         Ok(Job {
@@ -181,8 +174,7 @@ impl JobRow {
             progress: progress.fraction,
             verdict: self.verdict.map(|it| it.0),
             plan_id: self.plan_id.map(Into::into),
-            // Who has a frame with a worker does not wait, whatever the newest plan knew.
-            // Whoever has begun may still be held for money.
+            // A job with a running frame does not wait, whatever the plan says. Its budget may still hold it.
             waits: outlook
                 .waits
                 .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),

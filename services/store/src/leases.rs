@@ -1,11 +1,11 @@
-//! Leases: who works on what, and for how long. Who is given what is in `claims`.
+//! Leases: which worker holds which task, and for how long. `claims` hands tasks out.
 //!
 //! The state machine of a task and of its leases:
 //!
 //! ```text
 //! task    waiting ──what it waits for is committed──► ready
 //!         ready ──claim──► leased ──commit──► done
-//!           ▲                │ ├──error (on the third node, or permanent), tenth expiry──► failed (and with it the job)
+//!           ▲                │ ├──error (permanent or on the third node), 10th expiry──► failed with its job
 //!           └─release, error,┘ └──job cancelled or failed──► cancelled
 //!             expiry, taken away
 //! lease   active ──► committed | failed | expired | released | revoked
@@ -13,19 +13,21 @@
 //!
 //! Hazards, and what guards against them:
 //!
-//! * *A worker is paused for a minute, loses its lease, wakes up and reports.* Its task may have been done by another
-//!   worker by now. Every hand-out raises the task's `fence`; the database holds one active lease per task, with the
-//!   newest fence; what is said with another is refused ([`StoreError::LeaseLost`]) and changes nothing.
-//! * *The answer to a result is lost, and the worker sends it again.* The lease is `committed` then; the same
-//!   result is answered as a duplicate, another one is a conflict. The first commit wins for good.
-//! * *The service was down for longer than a lease lasts.* The workers could not renew, and would all lose hours of
-//!   work. So time alone ends no lease: the sweep does, in a transaction, and a service that starts gives every lease
-//!   one more term before its first sweep ([`Store::extend_leases_after_start`]).
-//! * *The job was cancelled while a worker renders it.* The lease is `revoked`: renewals answer with the order to stop.
-//! * *A task kills every worker that touches it.* Expiries are counted: the tenth fails the job. A worker that can say
-//!   what went wrong says so; what follows from that is in `failures`.
-//! * *The clock is set.* While the service runs, the caller's clock is steady, and says by how much the other one was set
-//!   ([`Store::clock_was_set`]). If it was set while the service was down, every lease has exactly one more term all the same.
+//! * *A worker is paused for a minute, loses its lease, wakes up and reports.* Another worker may have done
+//!   its task by then. Every hand-out raises the task's fencing token. The database allows one active lease
+//!   per task, with the newest token. A report with another token is refused ([`StoreError::LeaseLost`]) and
+//!   changes nothing.
+//! * *The answer to a result is lost, and the worker sends it again.* The lease is `committed` then. The same
+//!   result is answered as a duplicate; another one is a conflict. The first commit is final.
+//! * *The service was down for longer than a lease lasts.* All workers would lose hours of work. So time
+//!   alone ends no lease: the sweep does. A service that starts first gives every lease one more term
+//!   ([`Store::extend_leases_after_start`]).
+//! * *The job was cancelled while a worker renders it.* The lease is `revoked`: renewals answer with the
+//!   order to stop.
+//! * *A task kills every worker that touches it.* The tenth expiry fails the job.
+//! * *The clock is set.* While the service runs, its own clock is steady, and [`Store::clock_was_set`]
+//!   corrects times. If the clock was set while the service was down, every lease still has exactly one more
+//!   term.
 
 pub(crate) mod checkpoints;
 pub(crate) mod failing;
@@ -36,16 +38,15 @@ pub(crate) mod sweeping;
 use forelight_protocol::{
     Event, EventKind, JobId, JobState, LeaseId, NodeId, TaskId, TaskKind, TaskSpec, Timestamp,
 };
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row as _, SqliteConnection};
+use sqlx::{FromRow, SqliteConnection};
 
 use crate::columns::{Id, Word};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event};
 use crate::writing::later;
 
-/// What a lease is about.
+/// The task of a lease, and its holder.
 #[derive(Clone, PartialEq, Debug)]
 pub struct LeaseInfo {
     /// The job.
@@ -56,30 +57,38 @@ pub struct LeaseInfo {
     pub node_id: NodeId,
     /// Its fencing token.
     pub fence: u64,
-    /// What is to be done.
+    /// The task's specification.
     pub spec: TaskSpec,
 }
 
 /// A lease as the functions of this crate see it.
+#[derive(FromRow)]
 pub(crate) struct LeaseRow {
+    #[sqlx(try_from = "Id")]
     pub id: LeaseId,
+    #[sqlx(try_from = "Word<LeaseState>")]
     pub state: LeaseState,
     pub fence: u64,
+    #[sqlx(try_from = "Id")]
     pub node_id: NodeId,
-    /// Speed of the node for work like the job's when it was leased: a CPU second there is this many on a node of speed 1.
+    /// Speed of the node for the job's classes of work when the lease began, relative to speed 1.
     pub node_speed: f64,
+    #[sqlx(try_from = "Id")]
     pub task_id: TaskId,
+    #[sqlx(try_from = "Id")]
     pub job_id: JobId,
+    #[sqlx(try_from = "Word<TaskKind>")]
     pub kind: TaskKind,
     pub frame: Option<u32>,
     pub failures: u32,
     pub expiries: u32,
     pub progress: f64,
+    #[sqlx(try_from = "Word<JobState>")]
     pub job_state: JobState,
-    /// What the operator wants of the node.
+    /// The operator's orders for the node.
     pub pause: bool,
     pub drain: bool,
-    /// Whether there is anything by which the node might sleep.
+    /// Whether the node has a schedule or terms, so that it may sleep.
     pub has_calendar: bool,
 }
 
@@ -94,8 +103,8 @@ pub(crate) enum LeaseState {
     Revoked,
 }
 
-/// A statement for rows of leases. It is composed, and so not checked at compile time, because the same text is run
-/// by itself and asked with what was left for later.
+/// A statement for rows of leases. It is composed, so it is not checked at compile time: the same text is run
+/// by itself and as a question after deferred statements.
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
@@ -109,47 +118,35 @@ macro_rules! select_leases {
 }
 
 impl Store {
-    /// What a lease is about, whatever became of it.
-    pub async fn lease(&self, lease: LeaseId) -> Result<LeaseInfo, StoreError> {
-        let row = sqlx::query!(
+    /// The task of a lease, in any state of the lease.
+    pub async fn lease(&self, lease: LeaseId) -> Result<LeaseInfo> {
+        let lease = sqlx::query_as!(
+            LeaseInfo,
             "SELECT l.fence, l.node_id, l.task_id, t.job_id, t.spec FROM leases l \
              JOIN tasks t ON t.id = l.task_id WHERE l.id = ?",
             lease.0
         )
         .fetch_optional(self.readers())
-        .await?
-        .ok_or(StoreError::NotFound("lease"))?;
-        Ok(LeaseInfo {
-            job_id: row.job_id.into(),
-            task_id: row.task_id.into(),
-            node_id: row.node_id.into(),
-            fence: row.fence,
-            spec: row.spec.0,
-        })
+        .await?;
+        lease.ok_or(StoreError::NotFound("lease"))
     }
 
     /// The node that holds or held a lease.
-    pub async fn lease_holder(&self, lease: LeaseId) -> Result<NodeId, StoreError> {
+    pub async fn lease_holder(&self, lease: LeaseId) -> Result<NodeId> {
         let node = sqlx::query_scalar!("SELECT node_id FROM leases WHERE id = ?", lease.0);
         let node = node.fetch_optional(self.readers()).await?;
         Ok(node.ok_or(StoreError::NotFound("lease"))?.into())
     }
 
-    /// Refuses a worker that does not hold its lease any more, and remembers that it tried.
-    pub(crate) async fn refuse<T>(
-        &self,
-        mut write: Write,
-        row: &LeaseRow,
-        now: Timestamp,
-    ) -> Result<T, StoreError> {
-        append(&mut write, row.event(EventKind::LeaseLost, now))?;
+    /// Refuses a worker that no longer holds its lease, and records the attempt.
+    pub(crate) async fn refuse<T>(&self, mut write: Write, row: &LeaseRow, now: Timestamp) -> Result<T> {
+        append(&mut write, row.event(EventKind::LeaseLost, now));
         self.commit(write).await?;
         Err(StoreError::LeaseLost)
     }
 }
 
-/// The active leases that have run out.
-pub(crate) async fn ran_out(write: &mut Write, now: Timestamp) -> Result<Vec<LeaseRow>, StoreError> {
+pub(crate) async fn ran_out(write: &mut Write, now: Timestamp) -> Result<Vec<LeaseRow>> {
     let ran_out =
         select_leases!("WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id");
     Ok(sqlx::query_as(ran_out).bind(now.micros()).fetch_all(write.connection().await?).await?)
@@ -179,7 +176,7 @@ pub(crate) fn back_to_ready(write: &mut Write, row: &LeaseRow, error: Option<&st
     write.made_work = true;
 }
 
-/// Ends an active lease. One whose worker was not heard of is paid for only until it ran out.
+/// Ends an active lease. If its worker fell silent, it is paid only until it expired.
 pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: Timestamp) {
     let (now, lease) = (now.micros(), row.id.0);
     if ["expired", "revoked"].contains(&state) {
@@ -202,58 +199,35 @@ pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: T
     }
 }
 
-/// Takes back the tasks of these leases: they are ready for another, and the next renewal brings each worker the order to stop.
+/// Takes back the tasks of these leases. They are ready again; the next renewal tells each worker to stop.
 pub(crate) async fn take_back(
     write: &mut Write,
     leases: impl IntoIterator<Item = LeaseId>,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     for lease in leases {
         let row = read_in(write, lease).await?;
         end(write, &row, "revoked", now);
         back_to_ready(write, &row, None);
-        append(write, row.event(EventKind::LeaseReleased, now))?;
+        append(write, row.event(EventKind::LeaseReleased, now));
     }
     Ok(())
 }
 
-/// Says that a node, if it is there, was heard of.
+/// Records that a node, if it exists, was heard of.
 pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
     later!(write, "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?", now.micros(), node.0);
 }
 
 const BY_ID: &str = select_leases!("WHERE l.id = ?");
 
-pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> Result<LeaseRow, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, lease: LeaseId) -> Result<LeaseRow> {
     let row = sqlx::query_as(BY_ID).bind(lease.0).fetch_optional(connection).await?;
     row.ok_or(StoreError::NotFound("lease"))
 }
 
 /// As [`read`], inside a write.
-pub(crate) async fn read_in(write: &mut Write, lease: LeaseId) -> Result<LeaseRow, StoreError> {
+pub(crate) async fn read_in(write: &mut Write, lease: LeaseId) -> Result<LeaseRow> {
     let row = write.ask(BY_ID).bind(lease.0).first_row().await?;
     row.ok_or(StoreError::NotFound("lease"))
-}
-
-impl FromRow<'_, SqliteRow> for LeaseRow {
-    fn from_row(row: &SqliteRow) -> Result<Self, sqlx::Error> {
-        Ok(Self {
-            id: row.try_get::<Id, _>("id")?.into(),
-            state: row.try_get::<Word<LeaseState>, _>("state")?.0,
-            fence: row.try_get("fence")?,
-            node_id: row.try_get::<Id, _>("node_id")?.into(),
-            node_speed: row.try_get("node_speed")?,
-            task_id: row.try_get::<Id, _>("task_id")?.into(),
-            job_id: row.try_get::<Id, _>("job_id")?.into(),
-            kind: row.try_get::<Word<TaskKind>, _>("kind")?.0,
-            frame: row.try_get("frame")?,
-            failures: row.try_get("failures")?,
-            expiries: row.try_get("expiries")?,
-            progress: row.try_get("progress")?,
-            job_state: row.try_get::<Word<JobState>, _>("job_state")?.0,
-            pause: row.try_get("pause")?,
-            drain: row.try_get("drain")?,
-            has_calendar: row.try_get("has_calendar")?,
-        })
-    }
 }

@@ -1,19 +1,20 @@
-//! What the farm remembers: jobs, tasks, leases, forecasts, plans, events in one SQLite database; images, profiles
-//! and bundles as files named by their hash. Knows nothing of HTTP and nothing of tracing light.
+//! The farm's storage: jobs, tasks, leases, forecasts, plans and events in one SQLite database; images,
+//! profiles and bundles as files named by their hash. It knows nothing of HTTP or of tracing light.
 //!
-//! Three promises, and what keeps them:
+//! Three promises, and how they are kept:
 //!
 //! * **Nothing acknowledged is lost.** Every write is part of a transaction on one writing connection with
-//!   `synchronous = FULL`: its commit is on disk before the caller hears of it, whether the process is killed or the
-//!   power goes. Writes that come at the same time share a flush (`writing`). (With `NORMAL` a killed process loses nothing either, but a power cut takes the last commits. `FULL`
-//!   costs a flush per commit, some thousand commits a second on a disk with a write cache; a farm makes a
-//!   few per frame.) An artefact is flushed before its row is written, and a result names only artefacts with rows.
-//! * **Two workers never hold the same task.** One writer at a time, `BEGIN IMMEDIATE`, and a unique index over the
-//!   active leases that makes the database itself refuse.
-//! * **A worker that lost its lease harms nothing.** Every hand-out raises the task's fencing token, and whatever is
-//!   said with an older token is refused.
+//!   `synchronous = FULL`. Its commit is on disk before the caller is answered, so neither a killed process
+//!   nor a power cut loses it. (`NORMAL` would lose the last commits in a power cut.) `FULL` costs a flush
+//!   per commit. Disks with a write cache flush some thousand times a second, and a farm needs a few flushes
+//!   per frame. Concurrent writes share a flush (`writing`). An artefact is flushed before its row is
+//!   written, and a result names only artefacts with rows.
+//! * **Two workers never hold the same task.** There is one writer at a time, with `BEGIN IMMEDIATE`. A
+//!   unique index over the active leases makes the database itself refuse a second one.
+//! * **A worker that lost its lease does no harm.** Every hand-out raises the task's fencing token, and every
+//!   message with an older token is refused.
 //!
-//! Time is never read here: every function that needs it is given `now`.
+//! This crate never reads the clock: every function that needs the time takes `now`.
 
 mod artifacts;
 mod backup;

@@ -1,11 +1,12 @@
-//! The living estimate of a job: made again as its frames are finished, in the transaction that keeps what they took.
+//! The living estimate of a job. It is updated as frames are finished, in the transaction that stores their
+//! cost.
 //!
-//! What it says and when it is due is in [`forelight_quote::living`]. Here it is read from the database, compared with
-//! what is booked, and kept.
+//! [`forelight_quote::living`] computes the estimate and decides when it is due. This module reads its input,
+//! compares it with the booking, and stores it.
 //!
-//! Whether the estimate has left what is booked is kept with it. So leaving and coming back are each one event, in the
-//! same transaction. A new plan for the job books what was expected when it was made. An estimate that plans should
-//! know of calls for a new one.
+//! The row also stores whether the estimate has left the booking. So leaving and coming back are one event
+//! each, in the same transaction. A new plan books the estimate of its time. An estimate that plans should
+//! take into account calls for a new plan.
 
 mod frames;
 mod rows;
@@ -21,10 +22,9 @@ use self::rows::{Before, Kept, count_frame, keep};
 use crate::budgets::ledger;
 use crate::columns::Time;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::{append, event};
-use crate::plans::bookings;
-use crate::plans::replans;
+use crate::plans::{bookings, replans};
 use crate::policy::projection::{project, stretched};
 use crate::shared_cache::parts;
 use forelight_quote::JobForecast;
@@ -32,25 +32,20 @@ use forelight_quote::JobForecast;
 pub(crate) use self::rows::{before, newest};
 pub(crate) use forelight_quote::living::Occasion;
 
-/// Makes the estimate again inside a write, if it is due.
-pub(crate) async fn update(
-    write: &mut Write,
-    job: JobId,
-    occasion: Occasion,
-    now: Timestamp,
-) -> Result<(), StoreError> {
+/// Updates the estimate inside a write, if it is due.
+pub(crate) async fn update(write: &mut Write, job: JobId, occasion: Occasion, now: Timestamp) -> Result<()> {
     let before = before(write, job).await?;
     update_after(before, write, job, occasion, now).await
 }
 
-/// As [`update`], for a caller that has read what there was before.
+/// As [`update`], for a caller that has read [`Before`].
 pub(crate) async fn update_after(
     before: Before,
     write: &mut Write,
     job: JobId,
     occasion: Occasion,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     if let Some(kept) = &before.estimate
         && !is_due(&kept.last, occasion, now)
     {
@@ -80,7 +75,7 @@ pub(crate) async fn update_after(
     let frames_done = frames.done;
     let live = Comparison { at: now, frames_done, estimate, cost, finish, booked, delay, was_off }.live();
     if !is_given_up {
-        tell(write, job, quoted.plan, &live, was_off)?;
+        tell(write, job, quoted.plan, &live, was_off);
     }
     if !is_over && let Some(cause) = living::cause_of_plan(&live, was_off, quoted.factor, &quoted.job_name) {
         replans::want(write, &cause).await?;
@@ -88,8 +83,8 @@ pub(crate) async fn update_after(
     keep(write, job, quoted.plan, &baseline, &live).await
 }
 
-/// Makes estimates again that have not taken a finished frame into account for a while.
-pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
+/// Updates estimates that have left out a finished frame for a while.
+pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<()> {
     let behind = sqlx::query_scalar!(
         "SELECT job_id FROM live_forecasts INDEXED BY live_forecasts_behind WHERE frames_since > 0 \
          AND updated_at <= ? ORDER BY updated_at, job_id",
@@ -103,10 +98,9 @@ pub(crate) async fn catch_up(write: &mut Write, now: Timestamp) -> Result<(), St
     Ok(())
 }
 
-/// What was quoted and is booked for a job.
 struct Quoted {
     job_name: String,
-    /// The factor on the forecast that its plan was made with.
+    /// The factor that its plan applied to the forecast.
     factor: f64,
     forecast: JobForecast,
     plan: PlanId,
@@ -116,7 +110,7 @@ struct Quoted {
 
 impl Quoted {
     /// `None` for a job that is not booked.
-    async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Self>, StoreError> {
+    async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Option<Self>> {
         let row = sqlx::query!(
             "SELECT name, factor, forecast, verdict, confidence, plan_id FROM jobs WHERE id = ?",
             job.0
@@ -146,7 +140,7 @@ impl Quoted {
     }
 }
 
-/// What the job's plan was made for: the quote, if there was no estimate before it.
+/// The cost that the job's plan was made for: the quote, if there was no estimate before the plan.
 fn baseline(before: Option<&Kept>, quoted: &Quoted, estimate: &Estimate) -> Baseline {
     match before {
         Some(kept) if kept.plan == quoted.plan => kept.baseline,
@@ -155,14 +149,14 @@ fn baseline(before: Option<&Kept>, quoted: &Quoted, estimate: &Estimate) -> Base
     }
 }
 
-/// When the job's last frame is expected if bookings are longer by this factor; `None` if frames are booked nowhere.
+/// When the job's last frame is expected if bookings are longer by this factor; `None` without bookings.
 async fn expected_finish(
     connection: &mut SqliteConnection,
     job: JobId,
     frames: &Frames,
     stretch: f64,
     now: Timestamp,
-) -> Result<Option<Timestamp>, StoreError> {
+) -> Result<Option<Timestamp>> {
     let bookings = bookings::open_of(connection, job).await?;
     if bookings.len() + (frames.done as usize) < frames.count() {
         return Ok(None);
@@ -171,7 +165,7 @@ async fn expected_finish(
     Ok(project(&stretched(&bookings, stretch), &parts, now).finish_of(job))
 }
 
-/// The job in money; `None` if it was quoted without a price.
+/// The job's cost in money; `None` if it was quoted without a price.
 async fn cost(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -179,7 +173,7 @@ async fn cost(
     estimate: &Estimate,
     is_given_up: bool,
     now: Timestamp,
-) -> Result<Option<MoneyQuantiles>, StoreError> {
+) -> Result<Option<MoneyQuantiles>> {
     let Some(price) = quote.cost else { return Ok(None) };
     let for_cache = quote.shared_cache_seconds();
     let cache = match parts::progress(connection, job).await? {
@@ -193,13 +187,13 @@ async fn cost(
     Ok(living::cost(&estimate.cpu_seconds.remaining, &cache, (price, quoted), spent))
 }
 
-/// By how many microseconds the job must end later than booked to count as late.
+/// How many microseconds after its booked end the job counts as late.
 async fn delay_that_counts(
     connection: &mut SqliteConnection,
     plan: PlanId,
     job: JobId,
     finish: Option<Timestamp>,
-) -> Result<i64, StoreError> {
+) -> Result<i64> {
     let begin = sqlx::query_scalar!(
         r#"SELECT min(start_at) AS "begin?: Time" FROM bookings WHERE plan_id = ? AND job_id = ?"#,
         plan.0,
@@ -210,14 +204,8 @@ async fn delay_that_counts(
     Ok(living::delay_that_counts(begin.map(Into::into), finish))
 }
 
-/// Writes an event for what left the booking, and for what came back to it.
-fn tell(
-    write: &mut Write,
-    job: JobId,
-    plan: PlanId,
-    live: &LiveForecast,
-    was_off: Off,
-) -> Result<(), StoreError> {
+/// Writes an event for each figure that left the booking or came back to it.
+fn tell(write: &mut Write, job: JobId, plan: PlanId, live: &LiveForecast, was_off: Off) {
     for living::News { is_off, message, off } in living::news(live, was_off) {
         let kind = if is_off { EventKind::JobOffForecast } else { EventKind::JobOnForecast };
         append(
@@ -229,7 +217,6 @@ fn tell(
                 message: Some(message),
                 ..event(kind, live.at)
             },
-        )?;
+        );
     }
-    Ok(())
 }

@@ -11,15 +11,15 @@ use sqlx::{FromRow, SqliteConnection};
 
 use crate::columns::{Id, Json, Time};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::policy::availability::{Opening, opening, silence};
 use crate::policy::nodes::{Switches, state};
 
-/// A node that was not heard of for this long while it should have been awake is lost to plans: five minutes, in microseconds. Longer than a
-/// worker takes to be started again, and much shorter than a night.
+/// Plans count a node as lost if it was silent for this long while it should have been awake: five minutes,
+/// in microseconds. That is longer than a worker takes to restart, and much shorter than a night.
 pub const LOST: i64 = 300_000_000;
 
-/// A node's row, with the task that it works on.
+/// A node's row, with its current task.
 #[derive(FromRow)]
 pub(crate) struct NodeRow {
     id: Id,
@@ -50,9 +50,9 @@ macro_rules! node_rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             $crate::nodes::NodeRow,
-            "SELECT n.id, n.name, n.speed, n.speed_set, n.price_per_hour, n.price_set, n.cores, n.drain, n.pause, n.paused, \
-             n.set_aside, n.idle_reason, n.capabilities, n.learned_millionths, n.learned_jobs, n.schedule, n.schedule_set, \
-             n.terms, n.created_at, n.last_seen_at, \
+            "SELECT n.id, n.name, n.speed, n.speed_set, n.price_per_hour, n.price_set, n.cores, n.drain, \
+             n.pause, n.paused, n.set_aside, n.idle_reason, n.capabilities, n.learned_millionths, \
+             n.learned_jobs, n.schedule, n.schedule_set, n.terms, n.created_at, n.last_seen_at, \
              (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
               ORDER BY l.granted_at DESC, l.id LIMIT 1) AS \"task_id?: crate::columns::Id\" FROM nodes n "
                 + $rest
@@ -63,37 +63,36 @@ macro_rules! node_rows {
 pub(crate) use node_rows;
 
 impl Store {
-    /// Refuses a process whose node was taken over by another.
-    pub async fn check_worker(&self, node: NodeId, worker: uuid::Uuid) -> Result<(), StoreError> {
+    /// Refuses a worker process whose node was taken over by another process.
+    pub async fn check_worker(&self, node: NodeId, worker: uuid::Uuid) -> Result<()> {
         let mut connection = self.readers().acquire().await?;
         if !has_another_worker(&mut connection, node, worker).await? {
             return Ok(());
         }
         let Node { name, .. } = read(&mut connection, node).await?;
         Err(StoreError::Conflict(format!(
-            "another worker has registered as {name:?} since, and has taken the node over; if both are to work, give each a name of its own"
+            "another worker has registered as {name:?} and taken the node over; to run both, \
+             give each its own name"
         )))
     }
 
     /// A node.
-    pub async fn node(&self, node: NodeId) -> Result<Node, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        read(&mut connection, node).await
+    pub async fn node(&self, node: NodeId) -> Result<Node> {
+        read(&mut *self.readers().acquire().await?, node).await
     }
 
     /// The nodes after `after`, oldest first, at most `limit`.
-    pub async fn nodes(&self, after: Option<NodeId>, limit: u32) -> Result<Vec<Node>, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        list(&mut connection, after, limit).await
+    pub async fn nodes(&self, after: Option<NodeId>, limit: u32) -> Result<Vec<Node>> {
+        list(&mut *self.readers().acquire().await?, after, limit).await
     }
 }
 
-/// Whether the node was registered last by another process than this one.
+/// Whether another process registered the node last.
 pub(crate) async fn has_another_worker(
     connection: &mut SqliteConnection,
     node: NodeId,
     worker: uuid::Uuid,
-) -> Result<bool, StoreError> {
+) -> Result<bool> {
     sqlx::query_scalar!(
         r#"SELECT coalesce(worker <> ?, 0) AS "is_another!: bool" FROM nodes WHERE id = ?"#,
         worker,
@@ -104,25 +103,22 @@ pub(crate) async fn has_another_worker(
     .ok_or(StoreError::NotFound("node"))
 }
 
-pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node> {
     let row = node_rows!("WHERE n.id = ?", node.0).fetch_optional(connection).await?;
     Ok(row.ok_or(StoreError::NotFound("node"))?.into())
 }
 
-pub(crate) async fn by_name(
-    connection: &mut SqliteConnection,
-    name: &str,
-) -> Result<Option<Node>, StoreError> {
+pub(crate) async fn by_name(connection: &mut SqliteConnection, name: &str) -> Result<Option<Node>> {
     let row = node_rows!("WHERE n.name = ?", name).fetch_optional(connection).await?;
     Ok(row.map(Node::from))
 }
 
-/// The nodes that have frames booked that wait, and get no tasks, or were not heard of for too long since the service is up.
+/// The nodes with waiting booked frames that get no tasks or are lost, counted from the start of the service.
 pub(crate) async fn gone(
     connection: &mut SqliteConnection,
     up_since: Timestamp,
     now: Timestamp,
-) -> Result<Vec<NodeId>, StoreError> {
+) -> Result<Vec<NodeId>> {
     let rows = node_rows!(
         "WHERE (drain OR pause OR set_aside IS NOT NULL OR n.last_seen_at < ?) AND EXISTS (SELECT 1 \
          FROM tasks t INDEXED BY tasks_ready_booked WHERE t.state = 'ready' \
@@ -142,16 +138,17 @@ pub(crate) async fn gone(
     Ok(gone)
 }
 
-/// A node of which nobody knows when it wakes up asks again after a day.
+/// A node with an unknown wake-up time asks again after a day.
 const ASLEEP_FOR_LONG: i64 = 24 * 3_600_000_000;
 
-/// Until when a node sleeps. One without a calendar, as most are, is not read for it: every heartbeat asks.
+/// When a node wakes up; `None` if it is awake. Every heartbeat asks, so nodes without a calendar are not
+/// read.
 pub(crate) async fn sleep_of(
     connection: &mut SqliteConnection,
     node: NodeId,
     has_calendar: bool,
     now: Timestamp,
-) -> Result<Option<Timestamp>, StoreError> {
+) -> Result<Option<Timestamp>> {
     if !has_calendar {
         return Ok(None);
     }
@@ -165,7 +162,7 @@ pub(crate) async fn list(
     connection: &mut SqliteConnection,
     after: Option<NodeId>,
     limit: u32,
-) -> Result<Vec<Node>, StoreError> {
+) -> Result<Vec<Node>> {
     let after = after.map_or(uuid::Uuid::nil(), |node| node.0);
     let rows = node_rows!("WHERE n.id > ? ORDER BY n.id LIMIT ?", after, limit).fetch_all(connection).await?;
     Ok(rows.into_iter().map(Node::from).collect())

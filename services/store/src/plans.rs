@@ -1,4 +1,4 @@
-//! Plans: keeping them, and booking the jobs that they name.
+//! Stores plans and books their jobs.
 
 pub(crate) mod bookings;
 pub(crate) mod farm_jobs;
@@ -15,7 +15,7 @@ use forelight_quote::{JobForecast, QuoteBasis};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::jobs::outlooks::{self, JobOutlook};
 use crate::living::{self, Occasion};
@@ -26,44 +26,46 @@ use crate::quotes;
 use crate::quotes::calibration;
 use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Slot, rates};
+use crate::writing::run;
 use crate::{jobs, nodes};
 
-/// A plan to be kept.
+/// A plan to store.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewPlan {
     /// The newest plan when this one was made.
     pub parent: Option<PlanId>,
     /// Why it was made.
     pub reason: PlanReason,
-    /// What it takes into account.
+    /// The causes that it takes into account.
     pub wanted: Wanted,
-    /// The jobs that it books. All others stay as they are booked.
+    /// The jobs that it books. All others keep their bookings.
     pub jobs: Vec<NewJobPlan>,
-    /// Why jobs wait, and what is left of promises, of all jobs of which something new is to be said.
+    /// New outlooks of jobs: why they wait, and the state of their promises.
     pub outlooks: Vec<(JobId, JobOutlook)>,
-    /// The irradiance cache that the frames of a newly booked job share and wait for; `None` if they share none.
+    /// The irradiance cache that the frames of a newly booked job wait for; `None` if they share none.
     pub shared_cache: Option<NewSharedCache>,
 }
 
-/// A job in a plan to be kept.
+/// A job in a plan to store.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewJobPlan {
-    /// The plan's word on it.
+    /// The plan's verdict.
     pub verdict: JobVerdict,
-    /// Where its frames are booked that wait for a worker. All others keep the bookings that they have.
+    /// Bookings of its frames that wait for a worker. All other frames keep their bookings.
     pub bookings: Vec<NewBooking>,
-    /// Its frames that were done or with a worker when the plan was made. Should one have come back since then, it has its place still.
+    /// Its frames that had begun when the plan was made. One that waits again by now keeps its booking.
     pub begun: BTreeSet<u32>,
-    /// What the plan multiplies its forecast by.
+    /// The factor that the plan applies to its forecast.
     pub factor: f64,
 }
 
 impl Store {
-    /// Keeps a job's forecast and the plan that books it, and makes its render tasks: all of it or nothing. The plan may book other
-    /// jobs anew, too. Without a `basis` nothing will be learnt from the forecast once the job is finished.
+    /// Stores a job's forecast and the plan that books it, and makes its render tasks, in one transaction.
+    /// The plan may rebook other jobs, too. Without a `basis`, nothing is learnt from the forecast when the
+    /// job is finished.
     ///
-    /// A [`StoreError::Conflict`] if the job is not waiting for this (it was cancelled, or was booked before), or if
-    /// another plan was kept since this one was begun, on whose bookings it may lie.
+    /// A [`StoreError::Conflict`] if the job is not `profiling` (it was cancelled or booked before), or if
+    /// another plan was stored since this one was begun: their bookings could overlap.
     pub async fn book(
         &self,
         job: JobId,
@@ -72,7 +74,7 @@ impl Store {
         basis: Option<&QuoteBasis>,
         plan: &NewPlan,
         now: Timestamp,
-    ) -> Result<PlanId, StoreError> {
+    ) -> Result<PlanId> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
         let state = row.state.0;
@@ -83,23 +85,20 @@ impl Store {
         if let Some(basis) = basis {
             calibration::keep(&mut write, job, forecast, frames, basis).await?;
         }
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE jobs SET forecast = ?, work_by_class = ? WHERE id = ?",
             Json(forecast),
             forecast.work_by_class.map(Json),
             job.0
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let mut common = Common::of(&row);
         let mut profiles: BTreeMap<_, _> =
             Self::profile_artifacts(write.connection().await?, job).await?.into_iter().collect();
         if let Some(spp) = forecast.chosen_spp {
             common.settings.spp = spp;
-            sqlx::query!("UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0)
-                .execute(write.connection().await?)
-                .await?;
-            // They belong to images whose pixels all have as many samples.
+            run!(write, "UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0);
+            // Profiled pixels belong to images with the same number of samples in every pixel.
             profiles.clear();
         }
         let work: BTreeMap<u32, u64> = match forecast.chosen_spp {
@@ -107,7 +106,7 @@ impl Store {
             None => BTreeMap::new(),
         };
         for frame in row.frame_set()?.iter() {
-            // What was gathered for a cache of the frame's own is of no use beside one that is shared.
+            // With a shared cache, the records of a profile's own cache are of no use.
             let profile = profiles.get(&frame).copied().filter(|_| plan.shared_cache.is_none());
             common
                 .render(
@@ -120,39 +119,37 @@ impl Store {
                 )
                 .await?;
         }
-        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) })?;
+        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) });
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
         if let Some(cache) = &plan.shared_cache {
             parts::keep_bookings(&mut write, plan_id.0, job, &cache.bookings).await?;
             shared_cache::begin(&mut write, &common, cache).await?;
         }
         let booked =
-            sqlx::query!("UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?", job.0, plan_id.0)
-                .execute(write.connection().await?)
-                .await?;
-        if booked.rows_affected() != 1 {
+            run!(write, "UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?", job.0, plan_id.0);
+        if booked != 1 {
             return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
         living::update(&mut write, job, Occasion::Booked, now).await?;
-        job_state(&mut write, job, JobState::Booked, None, now)?;
+        job_state(&mut write, job, JobState::Booked, None, now);
         self.commit(write).await?;
         Ok(plan_id)
     }
 
-    /// Keeps a plan that was made because something happened. A [`StoreError::Conflict`] if another plan was kept since it was begun, or if
-    /// one of its jobs is over.
-    pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId, StoreError> {
+    /// Stores a new plan. A [`StoreError::Conflict`] if another plan came first, or if one of its jobs is
+    /// over.
+    pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId> {
         let mut write = self.write().await?;
         let plan_id = keep(&mut write, plan, None, now).await?;
         self.commit(write).await?;
         Ok(plan_id)
     }
 
-    /// Nothing has to be booked anew after what happened; only what is said of waiting and of promises changes.
-    pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<(), StoreError> {
+    /// Stores only new outlooks, for a plan that changes no booking.
+    pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         if newest(write.connection().await?).await? != plan.parent {
-            return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
+            return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
         }
         outlooks::keep(&mut write, &plan.outlooks, now).await?;
         replans::planned(&mut write, &plan.wanted).await?;
@@ -160,20 +157,15 @@ impl Store {
     }
 }
 
-/// Keeps a plan inside a write: its bookings become those of its jobs, and their tasks know where they are booked. `fresh` is a job
-/// that has no plan yet.
-async fn keep(
-    write: &mut Write,
-    plan: &NewPlan,
-    fresh: Option<JobId>,
-    now: Timestamp,
-) -> Result<PlanId, StoreError> {
+/// Stores a plan inside a write: its jobs and their tasks get its bookings. `fresh` is a job without a plan.
+async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Timestamp) -> Result<PlanId> {
     if newest(write.connection().await?).await? != plan.parent {
-        return Err(StoreError::Conflict("another plan was kept in the meantime".to_owned()));
+        return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
     }
     let plan_id = PlanId::new();
     let verdicts: Vec<&JobVerdict> = plan.jobs.iter().map(|job| &job.verdict).collect();
-    sqlx::query!(
+    run!(
+        write,
         "INSERT INTO plans (id, parent_id, reason, causes, verdicts, created_at) VALUES (?, ?, ?, ?, ?, ?)",
         plan_id.0,
         plan.parent.map(|parent| parent.0),
@@ -181,15 +173,13 @@ async fn keep(
         Json(&plan.wanted.causes),
         Json(&verdicts),
         now.micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     for job in &plan.jobs {
         let job_id = job.verdict.job_id;
         if fresh != Some(job_id) {
             let state = jobs::state(write.connection().await?, job_id).await?;
             if !matches!(state, JobState::Booked | JobState::Rendering) {
-                return Err(StoreError::Conflict(format!("job {job_id} is {state}, and needs no plan")));
+                return Err(StoreError::Conflict(format!("job {job_id} is {state} and needs no plan")));
             }
         }
         keep_job(write, plan_id, job).await?;
@@ -199,28 +189,17 @@ async fn keep(
         let told =
             Event { job_id: Some(job_id), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) };
         let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));
-        append(write, Event { message, ..told })?;
+        append(write, Event { message, ..told });
     }
     outlooks::keep(write, &plan.outlooks, now).await?;
     replans::planned(write, &plan.wanted).await?;
     Ok(plan_id)
 }
 
-/// Books one job of a plan: what waits as the plan says, everything else as it was.
-async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Result<(), StoreError> {
+/// Books one job of a plan: waiting frames as the plan says, all others as before.
+async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<()> {
     let job_id = job.verdict.job_id;
-    let mut booked: BTreeMap<u32, NewBooking> = BTreeMap::new();
-    let rows = sqlx::query!(
-        "SELECT b.frame, b.node_id, b.start_at, b.end_at FROM bookings b \
-         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
-        job_id.0
-    )
-    .fetch_all(write.connection().await?)
-    .await?;
-    for row in rows {
-        let (node, start, end) = (row.node_id.into(), row.start_at.into(), row.end_at.into());
-        booked.insert(row.frame, NewBooking { frame: row.frame, node, start, end });
-    }
+    let before = bookings_before(write, job_id).await?;
     let waiting: Vec<u32> = sqlx::query_scalar!(
         "SELECT frame AS \"frame!\" FROM tasks WHERE job_id = ? AND kind = 'render' \
          AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
@@ -228,8 +207,58 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
     )
     .fetch_all(write.connection().await?)
     .await?;
-    let Rebooked { bookings, tasks } = rebook(booked, &waiting, &job.bookings, &job.begun);
-    let of_job = rates(write.connection().await?, job_id).await?;
+    let Rebooked { bookings, tasks } = rebook(before, &waiting, &job.bookings, &job.begun);
+    book_tasks(write, job_id, tasks).await?;
+    for NewBooking { frame, node, start, end } in bookings.into_values() {
+        run!(
+            write,
+            "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) \
+             VALUES (?, ?, ?, ?, ?, ?, ?)",
+            BookingId::new().0,
+            plan.0,
+            job_id.0,
+            frame,
+            node.0,
+            start.micros(),
+            end.micros()
+        );
+    }
+    // Parts of a shared cache keep their bookings.
+    run!(
+        write,
+        "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
+         SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \
+         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
+        plan.0,
+        job_id.0
+    );
+    run!(
+        write,
+        "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?",
+        plan.0,
+        Json(&job.verdict),
+        job.factor,
+        job_id.0
+    );
+    Ok(())
+}
+
+/// The bookings of the job's present plan, by frame.
+async fn bookings_before(write: &mut Write, job: JobId) -> Result<BTreeMap<u32, NewBooking>> {
+    let rows = sqlx::query_as!(
+        NewBooking,
+        "SELECT b.frame, b.node_id AS node, b.start_at AS start, b.end_at AS \"end\" FROM bookings b \
+         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
+        job.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    Ok(rows.into_iter().map(|booking| (booking.frame, booking)).collect())
+}
+
+/// Writes to the tasks of these frames where they are booked, with the job's rate on each node.
+async fn book_tasks(write: &mut Write, job: JobId, tasks: Vec<(u32, Option<NewBooking>)>) -> Result<()> {
+    let of_job = rates(write.connection().await?, job).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
     for (frame, booking) in tasks {
         let mut slot = None;
@@ -244,51 +273,16 @@ async fn keep_job(write: &mut Write, plan_id: PlanId, job: &NewJobPlan) -> Resul
             };
             slot = Some(Slot { node, start, rate });
         }
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? \
              AND kind = 'render' AND frame = ?",
             slot.map(|slot| slot.node.0),
             slot.map(|slot| slot.start.micros()),
             slot.and_then(|slot| slot.rate),
-            job_id.0,
+            job.0,
             frame
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
-    for booking in bookings.values() {
-        sqlx::query!(
-            "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) \
-             VALUES (?, ?, ?, ?, ?, ?, ?)",
-            BookingId::new().0,
-            plan_id.0,
-            job_id.0,
-            booking.frame,
-            booking.node.0,
-            booking.start.micros(),
-            booking.end.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
-    }
-    // Parts of a cache that the frames share stay where they are booked.
-    sqlx::query!(
-        "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
-         SELECT ?1, b.job_id, b.part, b.node_id, b.start_at, b.end_at FROM shared_cache_bookings b \
-         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?2",
-        plan_id.0,
-        job_id.0
-    )
-    .execute(write.connection().await?)
-    .await?;
-    sqlx::query!(
-        "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?",
-        plan_id.0,
-        Json(&job.verdict),
-        job.factor,
-        job_id.0
-    )
-    .execute(write.connection().await?)
-    .await?;
     Ok(())
 }

@@ -1,5 +1,5 @@
-//! Decisions, as pure functions: no SQL, no async, no clock. Transactions read what a decision needs, call it, and
-//! write what it says.
+//! Decisions, as pure functions: no SQL, no async, no clock. Transactions read what a decision needs, call
+//! it, and write what it says.
 //!
 //! | module | decides |
 //! | --- | --- |

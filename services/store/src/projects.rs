@@ -1,4 +1,4 @@
-//! Shares of the farm, and what projects had of it.
+//! Shares of the farm, and what projects used of it.
 
 use std::collections::BTreeMap;
 
@@ -6,15 +6,16 @@ use forelight_protocol::{ProjectRequest, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::plans::replans;
+use crate::writing::run;
 
-/// After this many microseconds, what a project used counts half: a week.
+/// Use counts half after this many microseconds: a week.
 pub const HALF_LIFE: i64 = 7 * 24 * HOUR;
 
 const HOUR: i64 = 3_600_000_000;
 
-/// What was used longer ago than so many half-lives counts as nothing: a thousandth is left of it.
+/// Use is forgotten after so many half-lives: less than a thousandth is left of it.
 const REMEMBERED: i64 = 10;
 
 /// A project's share, and what it used.
@@ -24,39 +25,34 @@ pub struct ProjectUse {
     pub name: String,
     /// Its share, relative to the others'.
     pub share: u32,
-    /// Node time that it had, in microseconds, by the hour in which it ended; what runs ends now.
+    /// Node time in microseconds, by the hour in which it ended. Running leases end now.
     pub used: Vec<(Timestamp, i64)>,
 }
 
 impl Store {
-    /// Sets a project's share. It calls for a new plan.
-    pub async fn set_share(&self, request: &ProjectRequest, now: Timestamp) -> Result<(), StoreError> {
+    /// Sets a project's share, and calls for a new plan.
+    pub async fn set_share(&self, request: &ProjectRequest, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO projects (name, share, updated_at) VALUES (?, ?, ?) \
              ON CONFLICT (name) DO UPDATE SET share = excluded.share, updated_at = excluded.updated_at",
             &request.project,
             request.share,
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         let cause = format!("the share of project {} is {}", request.project, request.share);
         replans::want(&mut write, &cause).await?;
         self.commit(write).await
     }
 
     /// All projects that have a share, an open job, or used the farm lately, by name.
-    pub async fn projects(&self, now: Timestamp) -> Result<Vec<ProjectUse>, StoreError> {
-        let mut transaction = self.read().await?;
-        read(&mut transaction, now).await
+    pub async fn projects(&self, now: Timestamp) -> Result<Vec<ProjectUse>> {
+        read(&mut *self.read().await?, now).await
     }
 }
 
-pub(crate) async fn read(
-    connection: &mut SqliteConnection,
-    now: Timestamp,
-) -> Result<Vec<ProjectUse>, StoreError> {
+pub(crate) async fn read(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<ProjectUse>> {
     let mut found: BTreeMap<String, ProjectUse> = BTreeMap::new();
     let rows = sqlx::query!(
         "SELECT name AS \"name!\", max(share) AS \"share!: u32\" FROM (SELECT name, share FROM projects \

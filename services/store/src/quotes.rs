@@ -1,4 +1,4 @@
-//! Quotes, as they are kept with their jobs and frames.
+//! Quotes, stored with their jobs and frames.
 
 pub(crate) mod calibration;
 pub(crate) mod profiling;
@@ -8,11 +8,12 @@ use forelight_protocol::{ForecastDoc, FrameForecast, JobId, QuotedShot};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
+use crate::writing::run;
 
 impl Store {
-    /// The job's quote; `None` until it is there.
-    pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>, StoreError> {
+    /// The job's quote; `None` before it is made.
+    pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!("SELECT forecast, scene, settings FROM jobs WHERE id = ?", job.0)
             .fetch_optional(&mut *transaction)
@@ -21,7 +22,8 @@ impl Store {
         let Some(kept) = row.forecast else { return Ok(None) };
         let of = QuotedShot { scene: row.scene.0.digest, settings: row.settings.0 };
         let frames = sqlx::query_scalar!(
-            r#"SELECT forecast AS "forecast!" FROM frames WHERE job_id = ? AND forecast IS NOT NULL ORDER BY frame"#,
+            r#"SELECT forecast AS "forecast!" FROM frames WHERE job_id = ? AND forecast IS NOT NULL
+               ORDER BY frame"#,
             job.0
         )
         .fetch_all(&mut *transaction)
@@ -31,15 +33,15 @@ impl Store {
     }
 }
 
-/// Keeps the frames' forecasts inside a write.
 pub(crate) async fn keep_frames(
     write: &mut Write,
     job: JobId,
     frames: &[FrameForecast],
     clock: &[f64],
-) -> Result<(), StoreError> {
+) -> Result<()> {
     for (place, forecast) in frames.iter().enumerate() {
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE frames SET forecast = ?, work_mean = ?, work_p50 = ?, work_p80 = ?, work_p95 = ?, \
              cpu_mean = ?, cpu_p50 = ?, cpu_p80 = ?, cpu_p95 = ?, clock = ? WHERE job_id = ? AND frame = ?",
             Json(forecast),
@@ -54,9 +56,7 @@ pub(crate) async fn keep_frames(
             clock.get(place),
             job.0,
             forecast.frame
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     Ok(())
 }

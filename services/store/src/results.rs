@@ -1,4 +1,4 @@
-//! Committing what workers bring, and reading it back.
+//! Commits results of workers, and reads them back.
 
 use std::collections::BTreeSet;
 
@@ -10,20 +10,18 @@ use forelight_quote::MeasuredProfile;
 use sqlx::FromRow;
 
 use crate::columns::{Id, Json, corrupt};
-use crate::database::Store;
-use crate::database::Write;
-use crate::error::StoreError;
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
 use crate::events::{append, job_state};
 use crate::jobs;
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::living::{self, Occasion};
-use crate::nodes::NodeRow;
-use crate::nodes::learning;
+use crate::nodes::{NodeRow, learning};
 use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::writing::{ask, later};
 
-/// What became of a result.
+/// The outcome of committing a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Committed {
     /// Whether the same result had been committed before.
@@ -34,20 +32,20 @@ pub struct Committed {
     pub task_id: TaskId,
     /// What kind of task it was.
     pub kind: TaskKind,
-    /// Where the job stands now.
+    /// The job's state now.
     pub job_state: JobState,
 }
 
 impl Store {
-    /// Commits a result. When this returns, it is on disk. The result has to fit the lease's task; that is checked by
-    /// the caller, who can say which field is wrong.
+    /// Commits a result. On return, it is on disk. The caller checks first that the result fits the lease's
+    /// task, because it can name the wrong field.
     pub async fn commit_result(
         &self,
         lease: LeaseId,
         fence: u64,
         result: &TaskResult,
         now: Timestamp,
-    ) -> Result<Committed, StoreError> {
+    ) -> Result<Committed> {
         let body = serde_json::to_string(result)?;
         let body_hash = *blake3::hash(body.as_bytes()).as_bytes();
         let mut write = self.write().await?;
@@ -95,14 +93,14 @@ impl Store {
             now.micros(),
             row.task_id.0
         );
-        append(&mut write, row.event(EventKind::TaskDone, now))?;
+        append(&mut write, row.event(EventKind::TaskDone, now));
         let state = keep(&mut write, &row, &node, result, now).await?;
         self.commit(write).await?;
         Ok(committed(false, state))
     }
 
-    /// The job's preview, if it is there.
-    pub async fn preview_result(&self, job: JobId) -> Result<Option<PreviewResult>, StoreError> {
+    /// The job's preview, if it is done.
+    pub async fn preview_result(&self, job: JobId) -> Result<Option<PreviewResult>> {
         let result = sqlx::query_scalar!(
             "SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
              AND t.kind = 'preview'",
@@ -117,10 +115,11 @@ impl Store {
         }
     }
 
-    /// The job's profiles by frame, if all that were asked for are there; `None` while one is missing.
-    pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>, StoreError> {
+    /// The job's profiles by frame; `None` while any is missing.
+    pub async fn profile_results(&self, job: JobId) -> Result<Option<Vec<MeasuredProfile>>> {
         let rows = sqlx::query!(
-            r#"SELECT t.spec, r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id", l.node_speed AS "node_speed?"
+            r#"SELECT t.spec, r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id",
+                      l.node_speed AS "node_speed?"
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id
                WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame"#,
             job.0
@@ -150,7 +149,7 @@ impl Store {
     pub(crate) async fn profile_artifacts(
         connection: &mut sqlx::SqliteConnection,
         job: JobId,
-    ) -> Result<Vec<(u32, ArtifactHash)>, StoreError> {
+    ) -> Result<Vec<(u32, ArtifactHash)>> {
         let rows = sqlx::query!(
             "SELECT t.id, r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
              AND t.kind = 'profile' ORDER BY t.frame",
@@ -173,13 +172,13 @@ impl Store {
 /// A node, and how many artefacts the result of a task names.
 #[derive(FromRow)]
 struct NamedRow {
-    #[sqlx(flatten)]
-    node: NodeRow,
+    #[sqlx(flatten, try_from = "NodeRow")]
+    node: Node,
     artifacts: i64,
 }
 
-/// Keeps which artefacts a result names: all of them have to be there. Brings the lease's node along.
-async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) -> Result<Node, StoreError> {
+/// Records the artefacts of a result; all must exist. Returns the lease's node, read in the same query.
+async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) -> Result<Node> {
     let artifacts: BTreeSet<ArtifactHash> = result.artifacts().into_iter().collect();
     for artifact in &artifacts {
         later!(
@@ -201,7 +200,7 @@ async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) 
     .await?
     .ok_or(StoreError::NotFound("node"))?;
     if usize::try_from(kept) == Ok(artifacts.len()) {
-        return Ok(node.into());
+        return Ok(node);
     }
     for artifact in artifacts {
         let found: Option<(i64,)> =
@@ -215,14 +214,14 @@ async fn name_artifacts(write: &mut Write, row: &LeaseRow, result: &TaskResult) 
     Err(corrupt("hash", format!("task {} named artefacts before it was done", row.task_id)))
 }
 
-/// Keeps what there is in a result for others to read, and moves the job on. Says where it stands then.
+/// Stores the parts of a result that others read, and moves the job on. Returns the job's state.
 async fn keep(
     write: &mut Write,
     row: &LeaseRow,
     node: &Node,
     result: &TaskResult,
     now: Timestamp,
-) -> Result<JobState, StoreError> {
+) -> Result<JobState> {
     match result {
         TaskResult::Preview(preview) => {
             for frame in &preview.frames {
@@ -260,18 +259,19 @@ fn show_preview(write: &mut Write, job: JobId, frame: u32, image: Option<Artifac
     );
 }
 
-/// Keeps what a frame took; the last frame finishes the job, and says how far its quote was off, in the same transaction. Whether it is the last.
+/// Stores the cost of a frame. The last frame finishes the job and stores how far its quote was off, in the
+/// same transaction. Returns whether it was the last.
 async fn keep_render(
     write: &mut Write,
     row: &LeaseRow,
     node: &Node,
     render: &RenderResult,
     now: Timestamp,
-) -> Result<bool, StoreError> {
+) -> Result<bool> {
     let stats = &render.stats;
     let speed = node.corrected_speed(stats.work_by_class.as_ref()).unwrap_or(row.node_speed);
-    // CPU seconds spent here, brought to a node of speed 1. What was taken over from the profile is counted at this
-    // node's speed as well: the profile does not say per pixel where it was made.
+    // CPU seconds converted to a node of speed 1. Pixels taken over from the profile count at this node's
+    // speed too: the profile does not record where each was traced.
     let cpu_at_speed_one = stats.cpu_seconds * speed;
     learning::learn(write, row, node, stats).await?;
     later!(
@@ -298,7 +298,7 @@ async fn keep_render(
     let is_last = before.job_state == JobState::Done && row.job_state != JobState::Done;
     if is_last {
         calibration::learn(write, row.job_id, now).await?;
-        job_state(write, row.job_id, JobState::Done, None, now)?;
+        job_state(write, row.job_id, JobState::Done, None, now);
     }
     living::update_after(before, write, row.job_id, Occasion::Frame, now).await?;
     Ok(is_last)

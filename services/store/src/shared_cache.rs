@@ -1,17 +1,17 @@
-//! The irradiance cache that a job's frames share: it is planned with the quote, filled in parts, put together, and then the frames that
-//! waited for it are ready.
+//! The irradiance cache that a job's frames share. It is planned with the quote, filled in parts and merged;
+//! then the frames that wait for it are ready.
 //!
 //! ```text
 //! start of profiling ──► plan (ready), profiles (waiting)
-//! plan ──► profiles (ready), with the plan's name in what they are told
+//! plan ──► profiles (ready), with the plan's name in their specification
 //! book ──► parts of round 0 (ready), frames (waiting)
 //! last part of a round ──► merge                 a cache that is filled by one task needs none
 //! merge, not full ──► parts of the next round    each round fills one level, the deepest first
-//! merge, full ──► frames (ready), with the cache's name in what they are told
+//! merge, full ──► frames (ready), with the cache's name in their specification
 //! ```
 //!
-//! Every arrow is part of the transaction that commits the result before it, and a job has each task once: a service that dies
-//! anywhere goes on where it was, and a worker that brings the same result twice changes nothing.
+//! Every arrow is part of the transaction that commits the result before it, and a job has each task once. So
+//! a restarted service continues where it stopped, and a repeated result changes nothing.
 
 pub(crate) mod parts;
 
@@ -25,42 +25,43 @@ use sqlx::SqliteConnection;
 use self::parts::NewPartBooking;
 use crate::columns::{Id, Json, corrupt};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::jobs::ending::fail_task_and_job;
 use crate::leases::LeaseRow;
 use crate::nodes;
 use crate::policy::shared_cache::{Next, after_round};
 use crate::tasks::{Common, Slot, rates};
+use crate::writing::run;
 
 /// A shared cache, to be filled before the frames of its job.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct NewSharedCache {
     /// The cache as planned.
     pub cache: ArtifactHash,
-    /// Into how many parts it is split.
+    /// Number of parts.
     pub parts: u32,
-    /// Where and when parts are to be filled; those without a booking are for whoever is idle.
+    /// Bookings of parts. Parts without a booking are for any idle node.
     pub bookings: Vec<NewPartBooking>,
 }
 
 /// The plan of the cache that a job's frames could share.
 #[derive(Clone, PartialEq, Debug)]
 pub enum PlannedCache {
-    /// None was asked for.
+    /// No plan was asked for.
     NotAsked,
-    /// A worker has yet to bring it.
+    /// The plan is not done yet.
     Pending,
-    /// It is there.
+    /// The plan is done.
     There {
         /// The plan.
         plan: Box<CachePlanResult>,
-        /// Speed of the node that made it: a CPU second there is this many on a node of speed 1.
+        /// Speed of the node that made it: CPU seconds at speed 1 per CPU second there.
         node_speed: f64,
     },
 }
 
 impl PlannedCache {
-    /// The plan, once it is there.
+    /// The plan, once it is done.
     pub fn plan(&self) -> Option<SharedCache<'_>> {
         match self {
             PlannedCache::There { plan, node_speed } => Some(SharedCache { plan, node_speed: *node_speed }),
@@ -71,7 +72,7 @@ impl PlannedCache {
 
 impl Store {
     /// The plan of the cache that the job's frames could share.
-    pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache, StoreError> {
+    pub async fn planned_cache(&self, job: JobId) -> Result<PlannedCache> {
         let row = sqlx::query!(
             r#"SELECT r.body AS "body?: Json<TaskResult>", l.node_id AS "node_id?: Id",
                       (SELECT json_extract(p.body, '$.profile.work_by_class') FROM tasks o JOIN results p ON p.task_id = o.id
@@ -90,19 +91,14 @@ impl Store {
         let TaskResult::CachePlan(plan) = result else {
             return Err(corrupt("body", format!("a {} result of a cache_plan task", result.kind())));
         };
-        // For the work that the job is, as the times of its profiles are.
+        // For the job's classes of work, as the times of its profiles are.
         let work = row.work_by_class.map(|it| it.0);
         let node = self.node(node.into()).await?;
         Ok(PlannedCache::There { plan: Box::new(plan), node_speed: node.speed_for(work.as_ref()) })
     }
 }
 
-/// Makes the tasks of the first round.
-pub(crate) async fn begin(
-    write: &mut Write,
-    common: &Common,
-    new: &NewSharedCache,
-) -> Result<(), StoreError> {
+pub(crate) async fn begin(write: &mut Write, common: &Common, new: &NewSharedCache) -> Result<()> {
     let rates = rates(write.connection().await?, common.job).await?;
     for part in 0..new.parts {
         let booked = match new.bookings.iter().find(|booking| booking.part == part) {
@@ -117,43 +113,38 @@ pub(crate) async fn begin(
     Ok(())
 }
 
-/// What follows from a plan: profiles measure pixels with it as well, if there is a cache.
-pub(crate) async fn planned(
-    write: &mut Write,
-    row: &LeaseRow,
-    planned: &CachePlanResult,
-) -> Result<(), StoreError> {
+/// Continues after a plan: profiles also measure pixels with the planned cache, if there is one.
+pub(crate) async fn planned(write: &mut Write, row: &LeaseRow, planned: &CachePlanResult) -> Result<()> {
     make_ready(write, row.job_id, ("profile", "$.profile.cache"), planned.cache).await
 }
 
-/// Hands out what waited for a cache, with its name at this place in what it is told.
+/// Makes tasks ready that waited for a cache, with its name at this place of their specification.
 async fn make_ready(
     write: &mut Write,
     job: JobId,
     (kind, place): (&'static str, &'static str),
     cache: Option<ArtifactHash>,
-) -> Result<(), StoreError> {
-    sqlx::query!(
+) -> Result<()> {
+    run!(
+        write,
         "UPDATE tasks SET state = 'ready', spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) \
          WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
         cache.map(|cache| cache.to_string()),
         place,
         job.0,
         kind
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     write.made_work = true;
     Ok(())
 }
 
-/// What follows from a part that was filled.
+/// Continues after a filled part.
 pub(crate) async fn part_filled(
     write: &mut Write,
     row: &LeaseRow,
     filled: &CacheFillResult,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let TaskSpec::CacheFill(spec) = spec(write.connection().await?, row.task_id).await? else {
         return Err(corrupt("spec", "not that of a cache_fill task"));
     };
@@ -182,13 +173,13 @@ pub(crate) async fn part_filled(
     common.cache_merge(write, spec.round, parts).await
 }
 
-/// What follows from parts that were put together.
+/// Continues after merged parts.
 pub(crate) async fn merged(
     write: &mut Write,
     row: &LeaseRow,
     merged: &CacheMergeResult,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let TaskSpec::CacheMerge(spec) = spec(write.connection().await?, row.task_id).await? else {
         return Err(corrupt("spec", "not that of a cache_merge task"));
     };
@@ -196,7 +187,7 @@ pub(crate) async fn merged(
     go_on(write, row, (spec.round, parts), merged.cache, merged.full, now).await
 }
 
-/// A round is over: the next one, or the frames.
+/// Continues after a round: with the next one, or with the frames.
 async fn go_on(
     write: &mut Write,
     row: &LeaseRow,
@@ -204,7 +195,7 @@ async fn go_on(
     cache: ArtifactHash,
     full: bool,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let next = match after_round(round, full) {
         Next::Frames => {
             return make_ready(write, row.job_id, ("render", "$.render.cache"), Some(cache)).await;
@@ -222,7 +213,7 @@ async fn go_on(
     .fetch_all(write.connection().await?)
     .await?;
     for row in before {
-        // Each round is done where the one before was.
+        // Each part stays on the node of its last round.
         let booked = row.booked_node.zip(row.booked_at).map(|(node, start)| Slot {
             node: node.into(),
             start: start.into(),
@@ -233,8 +224,7 @@ async fn go_on(
     Ok(())
 }
 
-/// What a task was told.
-async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec, StoreError> {
+async fn spec(connection: &mut SqliteConnection, task: TaskId) -> Result<TaskSpec> {
     let spec = sqlx::query_scalar!("SELECT spec FROM tasks WHERE id = ?", task.0);
     let spec = spec.fetch_optional(connection).await?;
     Ok(spec.ok_or(StoreError::NotFound("task"))?.0)

@@ -1,47 +1,54 @@
-//! What was handed to Slurm: arrays, and the task of each of their elements.
+//! Job arrays in Slurm, and the task of each of their elements.
 //!
 //! The life of a task here, beside its life in [`crate::leases`]:
 //!
 //! ```text
-//! ready, no open element ──announce──► array without Slurm's id ──sbatch──► array with it ──Slurm ends it──► element ended
-//!        ▲                                      │ sbatch says no                                              │ task not over
-//!        └──────────────────────────────────────┴─────────────────────────────────────────────────────────────┘
+//! ready, no open element ──announce──► array without Slurm's id
+//!       ▲                                │ sbatch          │ sbatch refuses
+//!       │                                ▼                 │
+//!       │                              array with Slurm's id
+//!       │                                │ Slurm ends it   │
+//!       │                                ▼                 │
+//!       └──────task not over───────────element ended       │
+//!       └──────────────────────────────────────────────────┘
 //! ```
 //!
-//! An element says only that a process was asked for; who works on a task is the lease's business alone. So an element that ran twice, or
-//! was lost, or came late is harmless: its process asks for the lease of exactly its task, and gets it or not.
+//! An element says only that a process was requested; leases alone say who works on a task. So an element
+//! that runs twice, is lost or comes late is harmless: its process asks for the lease of exactly its task,
+//! and gets it or not.
 
 use forelight_protocol::{Event, EventKind, JobId, Money, NodeId, TaskId, TaskKind, Timestamp, Verdict};
 use uuid::Uuid;
 
 use crate::columns::Time;
 use crate::database::Store;
-use crate::error::StoreError;
-use crate::events::{append, event};
+use crate::error::{Result, StoreError};
+use crate::events::{append, event, node_event};
 use crate::jobs::ending;
+use crate::writing::run;
 
-/// A task that waits to be handed to Slurm.
+/// A task that waits to be submitted to Slurm.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Waiting {
     /// The task.
     pub task: TaskId,
     /// Its job.
     pub job: JobId,
-    /// What people call the job.
+    /// The job's name.
     pub job_name: String,
-    /// What it does.
+    /// The kind of task.
     pub kind: TaskKind,
-    /// Its frame, of all but previews.
+    /// Its frame; `None` for tasks without one, such as previews.
     pub frame: Option<u32>,
     /// Where and when the plan has booked it.
     pub booked: Option<BookedTime>,
-    /// CPU seconds that the frame takes on a node of speed 1, at the 95 % quantile; absent before the forecast.
+    /// CPU seconds on a node of speed 1, 95 % quantile; `None` before the forecast.
     pub cpu_p95: Option<f64>,
-    /// The job's deadline, if the plan holds it.
+    /// The job's deadline, if the plan keeps it.
     pub deadline: Option<Timestamp>,
-    /// Elements of this task that ended without its being done, by what Slurm said of them, oldest first.
+    /// Outcomes by Slurm of elements that ended before the task was done, oldest first.
     pub lost: Vec<String>,
-    /// When the last of them ended.
+    /// When the last of these ended.
     pub lost_at: Option<Timestamp>,
 }
 
@@ -56,7 +63,7 @@ pub struct BookedTime {
     pub end: Timestamp,
 }
 
-/// An array to be submitted.
+/// A job array to submit.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct NewArray {
     /// The job of all its tasks.
@@ -65,11 +72,11 @@ pub struct NewArray {
     pub tasks: Vec<TaskId>,
     /// Minutes after which Slurm ends an element.
     pub limit_minutes: u32,
-    /// Not to be started before.
+    /// Earliest start.
     pub begin: Option<Timestamp>,
-    /// To be given up if it cannot end by then.
+    /// Latest end: Slurm gives the array up if it cannot end by then.
     pub deadline: Option<Timestamp>,
-    /// Reservation that it runs in, and until when that lasts.
+    /// Its reservation, and when that ends.
     pub reservation: Option<(String, Timestamp)>,
 }
 
@@ -78,11 +85,11 @@ pub struct NewArray {
 pub struct OpenArray {
     /// Its id, which the Slurm job's comment holds.
     pub id: Uuid,
-    /// What it was to be.
+    /// The array as submitted.
     pub array: NewArray,
-    /// Slurm's number of it; absent until that is known.
+    /// Slurm's job id; `None` until it is known.
     pub slurm_id: Option<u32>,
-    /// When it was written down.
+    /// When it was announced.
     pub announced: Timestamp,
     /// Its open elements.
     pub elements: Vec<OpenElement>,
@@ -95,11 +102,11 @@ pub struct OpenElement {
     pub position: u32,
     /// Its task.
     pub task: TaskId,
-    /// Where its task stands.
+    /// The state of its task.
     pub state: Holding,
 }
 
-/// Where a task stands, as far as Slurm has to do with it.
+/// The state of a task, as far as it matters to Slurm.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Holding {
     /// It waits for a process.
@@ -108,7 +115,7 @@ pub enum Holding {
     Leased,
     /// Its result is there.
     Done,
-    /// Nobody wants it any more: it failed, or its job was cancelled.
+    /// It is no longer wanted: it failed, or its job was cancelled.
     Withdrawn,
 }
 
@@ -121,7 +128,6 @@ pub struct SeenNode {
     pub cores: u32,
 }
 
-/// An event about the task of a row.
 macro_rules! of_task {
     ($row:expr, $kind:expr, $now:expr) => {
         Event {
@@ -135,8 +141,8 @@ macro_rules! of_task {
 }
 
 impl Store {
-    /// The tasks that are ready and in nobody's hands, by deadline, priority, age of the job, and booked time.
-    pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>, StoreError> {
+    /// The ready tasks that are in no open array, by deadline, priority, age of the job, and booked time.
+    pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>> {
         let rows = sqlx::query!(
             r#"SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS "node?",
                       coalesce(b.start_at, s.start_at) AS "start_at?: Time", coalesce(b.end_at, s.end_at) AS "end_at?: Time",
@@ -163,12 +169,10 @@ impl Store {
             .map(|row| {
                 let verdict = row.verdict.map(|it| it.0.verdict);
                 let is_held = matches!(verdict, Some(Verdict::OnTime | Verdict::OverBudget));
-                let booked = match (row.node, row.start_at, row.end_at) {
-                    (Some(node), Some(start), Some(end)) => {
-                        Some(BookedTime { node, start: start.into(), end: end.into() })
-                    }
-                    _ => None,
-                };
+                let booked = row
+                    .node
+                    .zip(row.start_at.zip(row.end_at))
+                    .map(|(node, (start, end))| BookedTime { node, start: start.into(), end: end.into() });
                 Waiting {
                     task: row.id.into(),
                     job: row.job_id.into(),
@@ -185,12 +189,13 @@ impl Store {
             .collect())
     }
 
-    /// Writes down that an array is about to be submitted, under an id of its own. A [`StoreError::Conflict`] if one of its tasks is in
-    /// somebody's hands already.
-    pub async fn announce_slurm_array(&self, new: &NewArray, now: Timestamp) -> Result<Uuid, StoreError> {
+    /// Records that an array is about to be submitted, and returns its id. A [`StoreError::Conflict`] if one
+    /// of its tasks is not ready or in an open array already.
+    pub async fn announce_slurm_array(&self, new: &NewArray, now: Timestamp) -> Result<Uuid> {
         let mut write = self.write().await?;
         let array = Uuid::now_v7();
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO slurm_arrays (id, job_id, limit_minutes, begin_at, deadline_at, reservation, \
              reserved_to, created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             array,
@@ -201,39 +206,31 @@ impl Store {
             new.reservation.as_ref().map(|(name, _)| name),
             new.reservation.as_ref().map(|(_, until)| until.micros()),
             now.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         for (task, position) in new.tasks.iter().zip(0_i64..) {
-            let written = sqlx::query!(
+            let written = run!(
+                write,
                 "INSERT INTO slurm_elements (array_id, position, task_id) SELECT ?1, ?2, id FROM tasks \
                  WHERE id = ?3 AND state = 'ready' AND NOT EXISTS (SELECT 1 FROM slurm_elements \
                  WHERE task_id = ?3 AND outcome IS NULL)",
                 array,
                 position,
                 task.0
-            )
-            .execute(write.connection().await?)
-            .await?;
-            if written.rows_affected() != 1 {
-                return Err(StoreError::Conflict(format!("task {task} is in somebody's hands already")));
+            );
+            if written != 1 {
+                return Err(StoreError::Conflict(format!(
+                    "task {task} is not ready, or already in a Slurm array"
+                )));
             }
         }
         self.commit(write).await?;
         Ok(array)
     }
 
-    /// Writes down the number that Slurm gave to an array.
-    pub async fn slurm_array_submitted(
-        &self,
-        array: Uuid,
-        slurm_id: u32,
-        now: Timestamp,
-    ) -> Result<(), StoreError> {
+    /// Records Slurm's job id of an array.
+    pub async fn slurm_array_submitted(&self, array: Uuid, slurm_id: u32, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!("UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?", slurm_id, array)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "UPDATE slurm_arrays SET slurm_id = ? WHERE id = ?", slurm_id, array);
         let elements = sqlx::query!(
             "SELECT e.position, t.id, t.job_id, t.kind, t.frame FROM slurm_elements e \
              JOIN tasks t ON t.id = e.task_id WHERE e.array_id = ? ORDER BY e.position",
@@ -243,34 +240,28 @@ impl Store {
         .await?;
         for row in elements {
             let message = Some(format!("Slurm job {slurm_id}_{}", row.position));
-            append(&mut write, Event { message, ..of_task!(row, EventKind::TaskSubmitted, now) })?;
+            append(&mut write, Event { message, ..of_task!(row, EventKind::TaskSubmitted, now) });
         }
         self.commit(write).await
     }
 
-    /// Forgets an array that Slurm did not take: its tasks wait again.
-    pub async fn slurm_array_refused(&self, array: Uuid) -> Result<(), StoreError> {
+    /// Deletes an array that Slurm refused. Its tasks wait again.
+    pub async fn slurm_array_refused(&self, array: Uuid) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!("DELETE FROM slurm_elements WHERE array_id = ?", array)
-            .execute(write.connection().await?)
-            .await?;
-        sqlx::query!("DELETE FROM slurm_arrays WHERE id = ?", array)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "DELETE FROM slurm_elements WHERE array_id = ?", array);
+        run!(write, "DELETE FROM slurm_arrays WHERE id = ?", array);
         self.commit(write).await
     }
 
-    /// Takes note that an array runs in no reservation any more.
-    pub async fn slurm_reservation_ended(&self, array: Uuid) -> Result<(), StoreError> {
+    /// Records that the array's reservation has ended.
+    pub async fn slurm_reservation_ended(&self, array: Uuid) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!("UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?", array)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "UPDATE slurm_arrays SET reservation = NULL, reserved_to = NULL WHERE id = ?", array);
         self.commit(write).await
     }
 
-    /// The arrays that need looking after: those with elements that have not ended, and those whose reservation is still there.
-    pub async fn open_slurm_arrays(&self) -> Result<Vec<OpenArray>, StoreError> {
+    /// The arrays with open elements, and those whose reservation still exists.
+    pub async fn open_slurm_arrays(&self) -> Result<Vec<OpenArray>> {
         let mut transaction = self.read().await?;
         let rows = sqlx::query!(
             "SELECT * FROM slurm_arrays a WHERE a.reservation IS NOT NULL OR EXISTS (SELECT 1 \
@@ -321,26 +312,25 @@ impl Store {
         Ok(arrays)
     }
 
-    /// Writes down how an element ended. If its task is not over, that is an event, and the task waits again.
+    /// Records how an element ended. If its task is not over, that is an event, and the task waits again.
     pub async fn slurm_element_ended(
         &self,
         array: Uuid,
         position: u32,
         outcome: &str,
         now: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let mut write = self.write().await?;
-        let ended = sqlx::query!(
+        let ended = run!(
+            write,
             "UPDATE slurm_elements SET outcome = ?, ended_at = ? WHERE array_id = ? AND position = ? \
              AND outcome IS NULL",
             outcome,
             now.micros(),
             array,
             position
-        )
-        .execute(write.connection().await?)
-        .await?;
-        if ended.rows_affected() == 1 {
+        );
+        if ended == 1 {
             let row = sqlx::query!(
                 "SELECT t.id, t.job_id, t.kind, t.frame, t.state, a.slurm_id FROM slurm_elements e \
                  JOIN tasks t ON t.id = e.task_id JOIN slurm_arrays a ON a.id = e.array_id \
@@ -355,19 +345,14 @@ impl Store {
                     .slurm_id
                     .map_or("never submitted".to_owned(), |slurm| format!("job {slurm}_{position}"));
                 let message = Some(format!("Slurm ended it: {outcome} ({number})"));
-                append(&mut write, Event { message, ..of_task!(row, EventKind::SubmissionLost, now) })?;
+                append(&mut write, Event { message, ..of_task!(row, EventKind::SubmissionLost, now) });
             }
         }
         self.commit(write).await
     }
 
-    /// Fails the job of a task that Slurm cannot bring to an end. Nothing if the task is over or in a worker's hands.
-    pub async fn fail_unrunnable(
-        &self,
-        task: TaskId,
-        reason: &str,
-        now: Timestamp,
-    ) -> Result<(), StoreError> {
+    /// Fails the job of a task that Slurm cannot complete. Does nothing if the task is over or with a worker.
+    pub async fn fail_unrunnable(&self, task: TaskId, reason: &str, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         let row = sqlx::query!(
             "UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ? \
@@ -385,28 +370,22 @@ impl Store {
         self.commit(write).await
     }
 
-    /// Takes note of the machines that are there now. New ones become nodes of speed 1 at this price, until the first process that runs
-    /// there has measured them.
-    pub async fn see_nodes(
-        &self,
-        seen: &[SeenNode],
-        price_per_hour: Money,
-        now: Timestamp,
-    ) -> Result<(), StoreError> {
+    /// Records the machines that exist now. New ones become nodes of speed 1 at this price, until measured.
+    pub async fn see_nodes(&self, seen: &[SeenNode], price_per_hour: Money, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         for node in seen {
-            let touched = sqlx::query!(
+            let touched = run!(
+                write,
                 "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE name = ?",
                 now.micros(),
                 node.name
-            )
-            .execute(write.connection().await?)
-            .await?;
-            if touched.rows_affected() == 1 {
+            );
+            if touched == 1 {
                 continue;
             }
             let new = NodeId::new();
-            sqlx::query!(
+            run!(
+                write,
                 "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at) \
                  VALUES (?, ?, 1, ?, ?, ?5, ?5)",
                 new.0,
@@ -414,20 +393,14 @@ impl Store {
                 price_per_hour.micro_units(),
                 node.cores,
                 now.micros()
-            )
-            .execute(write.connection().await?)
-            .await?;
-            let message = Some(node.name.clone());
-            append(
-                &mut write,
-                Event { node_id: Some(new), message, ..event(EventKind::NodeRegistered, now) },
-            )?;
+            );
+            node_event(&mut write, EventKind::NodeRegistered, new, node.name.clone(), now);
         }
         self.commit(write).await
     }
 
-    /// The names of nodes that are to get no further tasks: drained, paused, or set aside.
-    pub async fn closed_nodes(&self) -> Result<Vec<String>, StoreError> {
+    /// The names of nodes that get no more tasks: drained, paused, or set aside.
+    pub async fn closed_nodes(&self) -> Result<Vec<String>> {
         Ok(sqlx::query_scalar!(
             "SELECT name FROM nodes WHERE drain OR pause OR set_aside IS NOT NULL ORDER BY name"
         )
@@ -435,8 +408,8 @@ impl Store {
         .await?)
     }
 
-    /// The least that a node which is there and takes work does in a second, in seconds of a core of speed 1; absent if there is none.
-    pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>, StoreError> {
+    /// The lowest speed of a live node that takes tasks, all its cores together; `None` without such a node.
+    pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>> {
         Ok(sqlx::query_scalar!(
             r#"SELECT min(coalesce(speed_set, speed) * cores) AS "least?: f64" FROM nodes
                WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?"#,
@@ -446,13 +419,10 @@ impl Store {
         .await?)
     }
 
-    /// Tells everyone how the engine behind the farm is.
-    pub async fn tell_of_engine(&self, message: &str, now: Timestamp) -> Result<(), StoreError> {
+    /// Writes an event with the state of the engine.
+    pub async fn tell_of_engine(&self, message: &str, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
-        append(
-            &mut write,
-            Event { message: Some(message.to_owned()), ..event(EventKind::EngineState, now) },
-        )?;
+        append(&mut write, Event { message: Some(message.to_owned()), ..event(EventKind::EngineState, now) });
         self.commit(write).await
     }
 }

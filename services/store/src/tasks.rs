@@ -1,4 +1,4 @@
-//! A job's tasks: making them, and taking them all back.
+//! Makes a job's tasks, and takes them all back.
 
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, Money, NodeId,
@@ -9,16 +9,17 @@ use sqlx::SqliteConnection;
 
 use crate::columns::Json;
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::jobs::{self, JobRow};
 use crate::policy::work_stealing::{Rates, is_bounded};
+use crate::writing::run;
 
-/// To be handed out.
+/// State of a task that may be handed out.
 const READY: &str = "ready";
-/// Not before what it waits for is done.
+/// State of a task that waits for another one.
 const WAITING: &str = "waiting";
 
-/// Where a task is booked: node, planned start, and what the plan pays there (see `0010_idle_nodes.sql`).
+/// Where a task is booked: node, planned start, and the plan's rate there (see `0010_idle_nodes.sql`).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slot {
     pub node: NodeId,
@@ -30,7 +31,7 @@ pub(crate) struct Slot {
 pub(crate) struct Common {
     pub job: JobId,
     pub bundle: BundleSource,
-    /// Of the scene, as it was when the job was submitted.
+    /// Digest of the scene when the job was submitted.
     pub digest: SceneDigest,
     pub settings: RenderSettings,
     pub deadline: Option<Timestamp>,
@@ -38,19 +39,18 @@ pub(crate) struct Common {
     pub limits: TaskLimits,
 }
 
-/// What a profile is to find out.
+/// A profile to make.
 pub(crate) struct ProfileAsked {
     pub frame: u32,
     /// Pixels to profile.
     pub samples: u32,
-    /// The ladders of qualities too.
+    /// Whether to measure the ladders of qualities, too.
     pub ladders: bool,
-    /// What the pixels take with this cache too, which all frames could share.
+    /// A planned shared cache: the pixels are also measured with it.
     pub cache: Option<ArtifactHash>,
 }
 
 impl Common {
-    /// Read from a job's row.
     pub(crate) fn of(row: &JobRow) -> Self {
         Self {
             job: row.id.into(),
@@ -63,12 +63,11 @@ impl Common {
         }
     }
 
-    /// Read from the database.
-    pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self, StoreError> {
+    pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Result<Self> {
         Ok(Self::of(&jobs::row(connection, job).await?))
     }
 
-    pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
+    pub(crate) async fn preview(&self, write: &mut Write, frames: Vec<u32>) -> Result<()> {
         let spec = PreviewSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -79,13 +78,13 @@ impl Common {
         self.insert(write, TaskSpec::Preview(spec), READY, None).await
     }
 
-    /// A profile; one that waits becomes ready when the cache is planned that all frames could share.
+    /// Makes a profile task. With `waits`, it becomes ready when the shared cache is planned.
     pub(crate) async fn profile(
         &self,
         write: &mut Write,
         ProfileAsked { frame, samples, ladders, cache }: ProfileAsked,
         waits: bool,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = ProfileSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -100,7 +99,7 @@ impl Common {
         self.insert(write, TaskSpec::Profile(spec), if waits { WAITING } else { READY }, None).await
     }
 
-    pub(crate) async fn cache_plan(&self, write: &mut Write, frames: Vec<u32>) -> Result<(), StoreError> {
+    pub(crate) async fn cache_plan(&self, write: &mut Write, frames: Vec<u32>) -> Result<()> {
         let spec = CachePlanSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -111,7 +110,7 @@ impl Common {
         self.insert(write, TaskSpec::CachePlan(spec), READY, None).await
     }
 
-    /// One of `parts` equal parts of a round, from 0.
+    /// Makes the task of one of `parts` equal parts of a round, from 0.
     pub(crate) async fn cache_fill(
         &self,
         write: &mut Write,
@@ -119,7 +118,7 @@ impl Common {
         round: u32,
         (part, parts): (u32, u32),
         booked: Option<Slot>,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = CacheFillSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -138,7 +137,7 @@ impl Common {
         write: &mut Write,
         round: u32,
         parts: Vec<ArtifactHash>,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = CacheMergeSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -149,7 +148,7 @@ impl Common {
         self.insert(write, TaskSpec::CacheMerge(spec), READY, None).await
     }
 
-    /// A frame, for so much work if that is given; one that waits becomes ready when the cache is there that it shares with the others.
+    /// Makes the task of a frame, limited to `work` if given. With `waits`, it waits for the shared cache.
     pub(crate) async fn render(
         &self,
         write: &mut Write,
@@ -158,7 +157,7 @@ impl Common {
         booked: Option<Slot>,
         work: Option<u64>,
         profile: Option<ArtifactHash>,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let spec = RenderSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
@@ -178,8 +177,9 @@ impl Common {
         spec: TaskSpec,
         state: &'static str,
         booked: Option<Slot>,
-    ) -> Result<(), StoreError> {
-        sqlx::query!(
+    ) -> Result<()> {
+        run!(
+            write,
             "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, \
              booked_node, booked_at, booked_rate, limits) \
              VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
@@ -197,38 +197,34 @@ impl Common {
             booked.map(|slot| slot.start.micros()),
             booked.and_then(|slot| slot.rate),
             Json(&self.limits)
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         write.made_work |= state == READY;
         Ok(())
     }
 }
 
-/// Takes back all tasks of a job that are not finished. Leases become `revoked`, so that the next renewal of each
-/// brings its worker the order to stop.
-pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query!(
+/// Takes back all unfinished tasks of a job. Their leases become `revoked`, so that the next renewal brings
+/// each worker the order to stop.
+pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    run!(
+        write,
         "UPDATE leases SET state = 'revoked', ended_at = coalesce(paid_until, min(?, expires_at)) \
          WHERE state = 'active' AND task_id IN (SELECT id FROM tasks WHERE job_id = ? AND state = 'leased')",
         now.micros(),
         job.0
-    )
-    .execute(write.connection().await?)
-    .await?;
-    sqlx::query!(
+    );
+    run!(
+        write,
         "UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? \
          AND state IN ('waiting', 'ready', 'leased')",
         now.micros(),
         job.0
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }
 
 /// What plans pay for the work of a job.
-pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates, StoreError> {
+pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates> {
     let row = sqlx::query!("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?", job.0)
         .fetch_optional(connection)
         .await?;

@@ -106,55 +106,10 @@ impl Farm {
     async fn result_for(&self, lease: &Lease) -> TaskResult {
         let image = self.artifact("an image").await;
         match &lease.spec {
-            TaskSpec::Preview(spec) => TaskResult::Preview(PreviewResult {
-                strata: vec![stratum()],
-                background_prior_cost: 0.1,
-                record_prior_cost: None,
-                frames: spec
-                    .frames
-                    .iter()
-                    .map(|&frame| FrameStrata {
-                        frame,
-                        pixels: vec![60],
-                        background: 4,
-                        cache_records: Vec::new(),
-                        cache_plan: None,
-                        lights: 0,
-                        shining: 0,
-                        triangles: 0,
-                        preview_png: Some(image),
-                    })
-                    .collect(),
-                backend: PreviewBackend::Cpu,
-                spent: Spent { work: 100, cpu_nanos: 1000 },
-            }),
-            TaskSpec::Profile(spec) => TaskResult::Profile(ProfileResult {
-                frame: spec.frame,
-                strata: vec![stratum()],
-                samples: vec![ProfileSample {
-                    pixel: 3,
-                    stratum: 0,
-                    work: 10,
-                    extra_work: 0,
-                    work_by_ray: [1, 3, 0, 0, 0, 6, 0],
-                    cpu_nanos: 500,
-                    rays: [1, 2, 0, 0, 0, 3, 0],
-                }],
-                uncovered: None,
-                shared_samples: Vec::new(),
-                shared_cache_samples: Vec::new(),
-                cache_samples: Vec::new(),
-                noise: Vec::new(),
-                effects: vec!["ambient".to_owned()],
-                work_by_class: None,
-                left_out: Vec::new(),
-                renderer: None,
-                fixed: FixedCosts::default(),
-                ladders: None,
-                once: None,
-                spent: Spent { work: 10, cpu_nanos: 500 },
-                artifacts: ProfileArtifacts { profile: self.artifact("a profile").await, preview_png: None },
-            }),
+            TaskSpec::Preview(spec) => TaskResult::Preview(preview_result(&spec.frames, image)),
+            TaskSpec::Profile(spec) => {
+                TaskResult::Profile(profile_result(spec.frame, self.artifact("a profile").await))
+            }
             TaskSpec::CachePlan(_) => TaskResult::CachePlan(CachePlanResult {
                 cache: Some(self.artifact("a plan").await),
                 bytes: 6,
@@ -187,7 +142,8 @@ impl Farm {
         }
     }
 
-    /// Takes a job through preview and profile to `booked`, all on `node`, one frame after the other from `start`.
+    /// Takes a job through preview and profile to `booked`, all on `node`, one frame after the other from
+    /// `start`.
     async fn booked_job(&self, request: JobRequest, node: NodeId, start: Timestamp) -> JobId {
         self.quoted_job(request, node, start, &job_forecast(), None).await
     }
@@ -259,7 +215,59 @@ fn renewal(fence: u64, progress: f64) -> RenewRequest {
     RenewRequest { fence, progress, ..RenewRequest::default() }
 }
 
-/// The lock goes with the last clone of the store, and the connections are closed in the background.
+fn preview_result(frames: &[u32], image: ArtifactHash) -> PreviewResult {
+    let strata_of = |&frame: &u32| FrameStrata {
+        frame,
+        pixels: vec![60],
+        background: 4,
+        cache_records: Vec::new(),
+        cache_plan: None,
+        lights: 0,
+        shining: 0,
+        triangles: 0,
+        preview_png: Some(image),
+    };
+    PreviewResult {
+        strata: vec![stratum()],
+        background_prior_cost: 0.1,
+        record_prior_cost: None,
+        frames: frames.iter().map(strata_of).collect(),
+        backend: PreviewBackend::Cpu,
+        spent: Spent { work: 100, cpu_nanos: 1000 },
+    }
+}
+
+fn profile_result(frame: u32, profile: ArtifactHash) -> ProfileResult {
+    ProfileResult {
+        frame,
+        strata: vec![stratum()],
+        samples: vec![ProfileSample {
+            pixel: 3,
+            stratum: 0,
+            work: 10,
+            extra_work: 0,
+            work_by_ray: [1, 3, 0, 0, 0, 6, 0],
+            cpu_nanos: 500,
+            rays: [1, 2, 0, 0, 0, 3, 0],
+        }],
+        uncovered: None,
+        shared_samples: Vec::new(),
+        shared_cache_samples: Vec::new(),
+        cache_samples: Vec::new(),
+        noise: Vec::new(),
+        effects: vec!["ambient".to_owned()],
+        work_by_class: None,
+        left_out: Vec::new(),
+        renderer: None,
+        fixed: FixedCosts::default(),
+        ladders: None,
+        once: None,
+        spent: Spent { work: 10, cpu_nanos: 500 },
+        artifacts: ProfileArtifacts { profile, preview_png: None },
+    }
+}
+
+/// The last clone of the store releases the lock, and connections close in the background.
 async fn reopen(folder: &std::path::Path) -> Store {
     for _ in 0..200 {
         match Store::open(folder).await {

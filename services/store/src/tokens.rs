@@ -4,49 +4,51 @@ use forelight_protocol::{NodeId, Role, Timestamp};
 use uuid::Uuid;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
+use crate::writing::run;
 
-/// Who is asking.
+/// The caller of a request.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Principal {
     /// What the token allows.
     pub role: Role,
     /// The token's name.
     pub name: String,
-    /// BLAKE3 of the token: what idempotency keys belong to.
+    /// BLAKE3 hash of the token. Idempotency keys belong to it.
     pub hash: [u8; 32],
-    /// The node that the token speaks for, if it is a node's own.
+    /// The node that the token belongs to, if any.
     pub node: Option<NodeId>,
 }
 
-/// A token that nobody has yet.
+/// A new token.
 ///
 /// It is `forelight_` and 64 hexadecimal digits: two UUIDs of version 4, 244 random bits from the operating
-/// system. At that entropy a plain fast hash cannot be inverted by guessing, so no slow password hash is needed.
+/// system. With that much entropy, a fast hash cannot be inverted by guessing, so no slow password hash is
+/// needed.
 pub fn random() -> String {
     format!("forelight_{}{}", Uuid::new_v4().simple(), Uuid::new_v4().simple())
 }
 
-/// Makes a token and returns it, for the only time: the database keeps its hash. `name` is for people,
-/// 1 to 200 characters.
-pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String, StoreError> {
+/// Makes a token and returns it once: the database stores its hash. `name` is for people, 1 to 200
+/// characters.
+pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String> {
     let token = random();
     let mut write = store.write().await?;
-    sqlx::query!(
+    run!(
+        write,
         "INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, ?, ?)",
         &hash(&token)[..],
         name,
         role.name(),
         now.micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     store.commit(write).await?;
     Ok(token)
 }
 
-/// Whose token this is; `None` if it is nobody's. The lookup is by hash, so that its timing tells nothing of the token.
-pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>, StoreError> {
+/// The caller with this token; `None` if the token is unknown. The lookup is by hash, so its timing reveals
+/// nothing about the token.
+pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>> {
     let hash = hash(token);
     let row = sqlx::query!("SELECT role, name, node_id FROM tokens WHERE hash = ?", &hash[..])
         .fetch_optional(store.readers())
@@ -58,7 +60,7 @@ pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>, Store
 }
 
 /// How many tokens there are.
-pub async fn count(store: &Store) -> Result<u64, StoreError> {
+pub async fn count(store: &Store) -> Result<u64> {
     let count = sqlx::query_scalar!("SELECT count(*) FROM tokens").fetch_one(store.readers()).await?;
     Ok(count.unsigned_abs())
 }

@@ -1,23 +1,25 @@
-//! The one way to write to the database: one writer at a time, and one flush for all who wait for it.
+//! The only way to write to the database: one writer at a time, and one flush for all waiting writers.
 //!
-//! A flush to disk takes longer than everything else about a small write. So writes that come at the same time share a transaction, a
-//! *batch*: each runs inside a savepoint of its own, one after the other, and then the batch is committed for all. Nobody
-//! is answered before that: what was acknowledged is on disk.
+//! A flush takes longer than everything else about a small write. So concurrent writes share a transaction, a
+//! *batch*. Each runs in a savepoint of its own, one after the other; then the batch is committed for all. No
+//! caller is answered before that, so everything acknowledged is on disk.
 //!
-//! Most of what a write says needs no answer: that a lease is over, what happened. It is left for later ([`Write::later`]) and goes with the next
-//! question, the savepoint as well, and `BEGIN` with that of the first (see `statements`): a write that asks once sends two texts in all.
+//! Most statements of a write return nothing. They are deferred ([`Write::later`]) and sent with the next
+//! question, together with the savepoint and, in the first write of a batch, `BEGIN` (see `statements`). So a
+//! write that asks once sends two texts in all.
 //!
-//! Who commits? Whoever has written goes to the end of the queue again; when its turn comes, all who stood in the queue before have
-//! written too, and it commits for all of them, unless someone did already. A write that meets nobody commits at once.
+//! Which writer commits? A finished write joins the end of the queue again. When its turn comes, all that
+//! were queued before it have written too, and it commits for all of them, unless one of them has already. A
+//! write without others commits at once.
 //!
 //! Hazards:
 //!
-//! * *A write fails half-way, or whoever asked for it is gone.* Its savepoint is rolled back before anything else happens, the others' writes
-//!   stay. Should SQLite have rolled everything back by itself, as it does when the disk is full, then nothing of the batch
-//!   is there, and all of it are told to come again.
-//! * *Whoever asked goes away between a statement and its answer.* What was sent is carried out, a text with several statements perhaps
-//!   only up to one of them; its savepoint, which comes first, is rolled back then. Steps that concern the batch run as tasks of their own, which
-//!   nobody can cancel half-way.
+//! * *A write fails half-way, or its caller is gone.* Its savepoint is rolled back before anything else
+//!   happens; the others' writes stay. SQLite may roll the whole transaction back by itself, for example when
+//!   the disk is full. Then nothing of the batch is written, and all its writers are told to try again.
+//! * *The caller goes away between a statement and its answer.* What was sent is carried out, perhaps only up
+//!   to one of several statements. The savepoint comes first, so it is rolled back then. Steps that concern
+//!   the batch run as tasks of their own, which cannot be cancelled half-way.
 
 mod statements;
 
@@ -29,16 +31,16 @@ use sqlx::{ConnectOptions as _, Connection as _, Encode, Executor as _, FromRow,
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
 use self::statements::Statements;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
-/// How long a writer waits for its turn before the caller is told that the database is busy.
+/// How long a writer waits for its turn before its caller gets [`StoreError::Busy`].
 pub(crate) const WRITE_TURN: Duration = Duration::from_secs(5);
 
-/// Writes of a batch, at most: the first of them waits for the last.
+/// Most writes of a batch: the first of them waits for the last.
 const LARGEST_BATCH: u32 = 64;
 
-/// Leaves a statement for later, as [`Write::later`] does: `later!(write, "UPDATE …", a, b)`. Text and number of values are
-/// checked at compile time.
+/// Defers a statement, as [`Write::later`] does: `later!(write, "UPDATE …", a, b)`. The text and the number
+/// of values are checked at compile time.
 macro_rules! later {
     ($write:expr, $statement:literal $(, $value:expr)* $(,)?) => {{
         // Checked, never run by itself.
@@ -49,8 +51,8 @@ macro_rules! later {
     }};
 }
 
-/// Asks a question, as [`Write::ask`] does: `ask!(write, "SELECT …", a, b).first_row()`. Text and number of values are checked
-/// at compile time; the answer is decoded by name.
+/// Asks a question, as [`Write::ask`] does: `ask!(write, "SELECT …", a, b).first_row()`. The text and the
+/// number of values are checked at compile time; the answer is decoded by name.
 macro_rules! ask {
     ($write:expr, $question:literal $(, $value:expr)* $(,)?) => {{
         // Checked, never run by itself.
@@ -60,9 +62,17 @@ macro_rules! ask {
         $write.ask($question)$(.bind($value))*
     }};
 }
-pub(crate) use {ask, later};
 
-/// Where writers queue. Cheap to clone; all clones are one queue.
+/// Runs a statement inside a write, after the deferred ones, and returns how many rows it changed:
+/// `run!(write, "UPDATE …", a, b)`. Awaits, and returns errors from the calling function.
+macro_rules! run {
+    ($write:expr, $statement:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query!($statement $(, $value)*).execute($write.connection().await?).await?.rows_affected()
+    };
+}
+pub(crate) use {ask, later, run};
+
+/// The queue of writers. Cheap to clone; all clones are one queue.
 #[derive(Clone)]
 pub(crate) struct Writer {
     desk: Arc<Mutex<Desk>>,
@@ -70,21 +80,21 @@ pub(crate) struct Writer {
     signals: Arc<Signals>,
 }
 
-/// What commits tell those who wait.
+/// Signals that commits send.
 pub(crate) struct Signals {
     /// Raised by every commit that wrote events.
     pub events: watch::Sender<u64>,
     /// Raised by every commit that made a task ready.
     pub work: watch::Sender<u64>,
-    /// Raised by every commit after which the newest plan does not know everything.
+    /// Raised by every commit that the newest plan does not take into account.
     pub plans: watch::Sender<u64>,
 }
 
-/// What lies before the writer whose turn it is.
+/// What the writer at the head of the queue works with.
 #[derive(Default)]
 struct Desk {
     batch: Option<Batch>,
-    /// The connection, between two batches.
+    /// The connection between two batches.
     rests: Option<SqliteConnection>,
     is_closed: bool,
 }
@@ -92,7 +102,7 @@ struct Desk {
 /// A transaction that several writes share.
 struct Batch {
     connection: SqliteConnection,
-    /// Whether anything was sent, and `BEGIN` before it.
+    /// Whether `BEGIN` was sent.
     begun: bool,
     /// Writes in it.
     members: u32,
@@ -119,18 +129,18 @@ impl Batch {
     }
 }
 
-/// What became of a batch.
+/// The outcome of a batch.
 #[derive(Clone)]
 enum Outcome {
     Committed,
     Full,
-    /// Nothing of it is there; the same may succeed a little later.
+    /// Nothing of it was written; the same may succeed later.
     Again,
     Failed(String),
 }
 
 impl Outcome {
-    fn result(self) -> Result<(), StoreError> {
+    fn result(self) -> Result<()> {
         match self {
             Outcome::Committed => Ok(()),
             Outcome::Full => Err(StoreError::Full),
@@ -152,8 +162,8 @@ pub(crate) struct Write {
 }
 
 impl Write {
-    /// `BEGIN IMMEDIATE` takes the write lock at once: a transaction that reads first and asks for the lock later could find
-    /// that another process wrote in between, and would fail half-way.
+    /// `BEGIN IMMEDIATE` takes the write lock at once. A transaction that reads first could find that another
+    /// process wrote in between, and would fail half-way.
     fn new(batch: OwnedMappedMutexGuard<Desk, Batch>, writer: Writer) -> Self {
         let mut statements = Statements::default();
         if !batch.begun {
@@ -171,29 +181,29 @@ impl Write {
         }
     }
 
-    /// Leaves a statement for later. It runs before the next question and before the write ends. Its parameters are
+    /// Defers a statement. It runs before the next question and before the write ends. Its parameters are
     /// plain `?`. Use [`later!`] where the statement can be checked; `RELEASE` cannot.
     pub(crate) fn later(&mut self, statement: &'static str) -> Later<'_> {
         self.statements.push(statement);
         Later(self)
     }
 
-    /// A question whose parameters are plain `?`. What was left for later goes with it. Use [`ask!`] where the
+    /// Asks a question with plain `?` parameters. Deferred statements go with it. Use [`ask!`] where the
     /// question is one literal.
     pub(crate) fn ask(&mut self, question: &'static str) -> Question<'_> {
         self.statements.push(question);
         Question(self)
     }
 
-    /// Where to ask anything else. What was left for later is done first.
-    pub(crate) async fn connection(&mut self) -> Result<&mut SqliteConnection, StoreError> {
+    /// The connection, for any other statement. Deferred statements are sent first.
+    pub(crate) async fn connection(&mut self) -> Result<&mut SqliteConnection> {
         let (connection, statements) = self.open()?;
         statements.send(connection).await?;
         Ok(connection)
     }
 
-    /// For sending something. From here on there is something to clear up, whatever becomes of it.
-    fn open(&mut self) -> Result<(&mut SqliteConnection, &mut Statements), StoreError> {
+    /// Prepares for sending. From here on, the write has to be cleared up if it is not committed.
+    fn open(&mut self) -> Result<(&mut SqliteConnection, &mut Statements)> {
         self.statements.check()?;
         let batch = &mut *self.batch;
         batch.begun = true;
@@ -202,7 +212,7 @@ impl Write {
     }
 }
 
-/// Binds what a statement that is left for later needs.
+/// Binds the values of a deferred statement.
 pub(crate) struct Later<'w>(&'w mut Write);
 
 impl Later<'_> {
@@ -212,7 +222,7 @@ impl Later<'_> {
     }
 }
 
-/// A question under way. What was left for later goes before it, and with it.
+/// A question that values are bound to. Deferred statements are sent before it, in the same text.
 #[must_use = "a question that nobody sends is left for later"]
 pub(crate) struct Question<'w>(&'w mut Write);
 
@@ -223,7 +233,7 @@ impl Question<'_> {
     }
 
     /// The first row of the answer, if it has any.
-    pub async fn first_row<R>(self) -> Result<Option<R>, StoreError>
+    pub async fn first_row<R>(self) -> Result<Option<R>>
     where
         R: for<'r> FromRow<'r, SqliteRow>,
     {
@@ -236,7 +246,8 @@ impl Question<'_> {
 
 impl Drop for Write {
     fn drop(&mut self) {
-        // Someone has to clear up, and to commit for the others. Without a runtime the process ends, and the transaction with it.
+        // Another task clears up, and commits for the others. Without a runtime the process is ending, and
+        // the transaction with it.
         if !self.committed
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
         {
@@ -260,7 +271,7 @@ impl Writer {
     }
 
     /// Begins a write.
-    pub async fn write(&self) -> Result<Write, StoreError> {
+    pub async fn write(&self) -> Result<Write> {
         let desk = tokio::time::timeout(WRITE_TURN, self.desk.clone().lock_owned());
         let mut desk = desk.await.map_err(|_| StoreError::Busy)?;
         if desk.batch.as_ref().is_some_and(|batch| batch.abandoned || batch.members >= LARGEST_BATCH) {
@@ -283,7 +294,7 @@ impl Writer {
         }
     }
 
-    /// Makes the batch one that takes another write, or none.
+    /// Clears the batch up, and commits it if it cannot take another write.
     async fn make_room(&self, mut desk: OwnedMutexGuard<Desk>) -> OwnedMutexGuard<Desk> {
         if let Some(batch) = &mut desk.batch
             && (!clear_up(batch).await || batch.members >= LARGEST_BATCH)
@@ -293,13 +304,13 @@ impl Writer {
         desk
     }
 
-    /// Makes a write last, with all others that wait for the same; then wakes those who wait for what it changed.
-    pub async fn commit(&self, write: Write) -> Result<(), StoreError> {
+    /// Commits a write together with all others that wait, then wakes those who wait for its changes.
+    pub async fn commit(&self, write: Write) -> Result<()> {
         let writer = self.clone();
         uncancelled(async move { writer.end(write).await }).await
     }
 
-    async fn end(self, mut write: Write) -> Result<(), StoreError> {
+    async fn end(self, mut write: Write) -> Result<()> {
         write.later("RELEASE one");
         write.connection().await?;
         let (events, work, plans) = (write.wrote_events, write.made_work, write.wants_plan);
@@ -323,7 +334,7 @@ impl Writer {
             drop(self.finish(desk).await);
         }
         let outcome = outcome.borrow().clone();
-        // A batch that is gone without a word was not committed.
+        // A batch without an outcome was not committed.
         outcome.unwrap_or(Outcome::Again).result()
     }
 
@@ -344,8 +355,8 @@ impl Writer {
         }
         desk.rests = match outcome {
             Outcome::Committed => Some(connection),
-            // What is not committed must not be in the way of what comes next. It may be gone already, which SQLite says; anything else says that the
-            // connection is of no use.
+            // An open transaction must not get in the way of the next batch. SQLite reports an error if it is
+            // already rolled back; any other error means that the connection is unusable.
             _ => match connection.execute("ROLLBACK").await {
                 Ok(_) | Err(sqlx::Error::Database(_)) => Some(connection),
                 Err(_) => None,
@@ -355,8 +366,8 @@ impl Writer {
         desk
     }
 
-    /// Commits what is under way and closes the connection; further writes fail.
-    pub async fn close(&self) -> Result<(), StoreError> {
+    /// Commits the batch and closes the connection. Further writes fail.
+    pub async fn close(&self) -> Result<()> {
         let mut desk = self.finish(self.desk.clone().lock_owned().await).await;
         desk.is_closed = true;
         match desk.rests.take() {
@@ -378,7 +389,7 @@ async fn commit(batch: &mut Batch) -> Outcome {
     }
 }
 
-/// Rolls a write back that ended without being committed. Whether the batch is still there afterwards.
+/// Rolls back a write that ended without being committed. Returns whether the batch still exists.
 async fn clear_up(batch: &mut Batch) -> bool {
     if !batch.abandoned {
         return true;
@@ -395,13 +406,11 @@ async fn clear_up(batch: &mut Batch) -> bool {
     true
 }
 
-/// Runs to its end even if whoever waits for it goes away.
-async fn uncancelled<T: Send + 'static>(
-    work: impl Future<Output = Result<T, StoreError>> + Send + 'static,
-) -> Result<T, StoreError> {
+/// Runs to its end even if the caller goes away.
+async fn uncancelled<T: Send + 'static>(work: impl Future<Output = Result<T>> + Send + 'static) -> Result<T> {
     match tokio::spawn(work).await {
         Ok(done) => done,
-        // The runtime ends.
+        // The runtime is shutting down.
         Err(_) => Err(StoreError::Busy),
     }
 }

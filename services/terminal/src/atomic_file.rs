@@ -1,5 +1,5 @@
-//! Files that are either there whole or not there: written beside their place, then renamed into it. A link stays one, and what it points to is
-//! written; pipes and devices take the bytes as they are.
+//! Files that are written completely or not at all: first to a temporary file, then renamed. Links stay
+//! links, and their targets are written. Pipes and devices take the bytes directly.
 
 use crate::failure::BadInput;
 use anyhow::{Context, Result};
@@ -9,12 +9,12 @@ use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-/// Lets `write` fill a temporary file in the folder of `path`, then moves it to `path`. If `write` fails, or the
-/// process ends before the move, nothing is left at `path` (a process that is killed may leave the temporary file).
+/// Lets `write` fill a temporary file next to `path`, then renames it to `path`. If this fails, `path` is
+/// unchanged. A killed process may leave the temporary file.
 ///
-/// The temporary name keeps the extension, for writers that choose the format by it.
+/// The temporary name has the same extension, for writers that choose the format by it.
 pub fn write_with(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
-    // A result is for everyone whom the folder lets in.
+    // A result is readable by everyone who can enter the folder.
     place(path, 0o644, write)
 }
 
@@ -23,15 +23,15 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_with(path, |temporary| Ok(File::create(temporary)?.write_all(bytes)?))
 }
 
-/// Writes a secret as [`write_with`] does, readable by its owner alone from the first moment on.
+/// Writes a secret as [`write_with`] does. Only its owner can ever read it.
 pub fn write_secret(path: &Path, secret: &[u8]) -> Result<()> {
     place(path, 0o600, |temporary| Ok(File::options().write(true).open(temporary)?.write_all(secret)?))
 }
 
-/// Finds out whether these files will be written, before the work whose results they are. Nothing is left behind.
+/// Checks before the work that its files can be written. Leaves nothing behind.
 ///
 /// # Errors
-/// If one of them is a folder, protected, or in a place where nothing can be written, or if two of them are the same.
+/// If a path is a folder or write-protected, its folder cannot be written, or two paths are the same.
 pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()> {
     let mut seen: Vec<PathBuf> = Vec::new();
     for path in paths.into_iter().flatten() {
@@ -44,7 +44,7 @@ pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()
             })?;
         }
         if seen.contains(&target.path) {
-            return Err(refused(path, "two results are to be written there").into());
+            return Err(refused(path, "two outputs have this path; name different files").into());
         }
         seen.push(target.path);
     }
@@ -55,7 +55,6 @@ fn refused(path: &Path, reason: &str) -> BadInput {
     BadInput::new(format!("cannot write {}: {reason}", path.display()))
 }
 
-/// Where a result ends up.
 struct Target {
     path: PathBuf,
     kind: Kind,
@@ -76,7 +75,7 @@ impl Target {
 }
 
 fn target(path: &Path) -> Result<Target> {
-    // What is not there yet is named as it is.
+    // A path that does not exist yet is kept as it is.
     let path =
         if path.is_symlink() { &*fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()) } else { path };
     let found = |kind| Ok(Target { path: path.to_owned(), kind });
@@ -117,7 +116,7 @@ fn place(path: &Path, mode: u32, write: impl FnOnce(&Path) -> Result<()>) -> Res
     File::open(&temporary)
         .and_then(|f| f.sync_all())
         .with_context(|| format!("cannot write {}", path.display()))?;
-    // Temporary files are made for their owner alone.
+    // Temporary files are readable by their owner only.
     fs::set_permissions(&temporary, fs::Permissions::from_mode(mode))
         .with_context(|| format!("cannot set the permissions of {}", path.display()))?;
     temporary.persist(path).with_context(|| format!("cannot write {}", path.display()))
@@ -168,7 +167,7 @@ mod tests {
         assert!(said(&[path("kept")]).contains("write-protected"));
         assert!(said(&[path("file/a.png")]).contains("nothing can be written in"));
         assert!(said(&[PathBuf::from("/proc/a.png")]).contains("nothing can be written in /proc"));
-        assert!(said(&[path("a.png"), path("a.png")]).contains("two results"));
+        assert!(said(&[path("a.png"), path("a.png")]).contains("two outputs"));
         assert!(write_bytes(&path("kept"), b"y").is_err());
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }

@@ -1,19 +1,19 @@
-//! Files that the user names, read whole, unless they are too large to be what they should be.
+//! Reads files that the user names, up to a size.
 
 use crate::failure::BadInput;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// Reads a file of at most so many bytes, be it a pipe or a device.
+/// Reads a file, pipe or device of at most `most` bytes.
 ///
 /// # Errors
-/// With the file and the reason.
+/// Names the file and the reason.
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, BadInput> {
     let wrong = |why: String| BadInput::new(format!("{}: {why}", path.display()));
     let too_large = || wrong(format!("it is too large: more than {most} bytes"));
     let file = File::open(path).map_err(|error| wrong(error.to_string()))?;
-    // Of a device or a pipe this is nothing; of a file it spares reading it.
+    // The length of a device or a pipe is 0. That of a file saves reading it.
     if file.metadata().is_ok_and(|known| known.len() > most) {
         return Err(too_large());
     }

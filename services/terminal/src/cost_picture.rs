@@ -1,31 +1,31 @@
-//! Pictures of what pixels cost, in the paper's colours.
+//! Pictures of pixel costs, in the paper's colours.
 
 use forelight_tracer::cost_color;
 use image::{Rgb, RgbImage};
 
-/// How a picture shows a cost.
+/// The colours of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Paint {
-    /// Cyan for the least, over blue, to red for the most (figures 4, 6 and 8).
+    /// From cyan (least) over blue to red (most), as in figures 4, 6 and 8.
     Colour,
-    /// Black for the least, white for the most (figures 5, 7 and 9).
+    /// From black (least) to white (most), as in figures 5, 7 and 9.
     Grey,
 }
 
-/// The range that a picture shows.
+/// The range of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scale {
-    /// Shown as the least.
+    /// Value of the first colour. Lower values have it too.
     pub lowest: f64,
-    /// Shown as the most.
+    /// Value of the last colour. Higher values have it too.
     pub highest: f64,
 }
 
-/// One pixel in so many may be off the scale, so that a single one does not flatten all others.
+/// Share of the pixels that may lie outside the scale, so that a few extremes do not flatten the rest.
 const OFF_SCALE: f64 = 0.005;
 
 impl Scale {
-    /// From the least value to one that few exceed.
+    /// From the least value to one that only `OFF_SCALE` of the values exceed.
     pub fn of(values: &[f64]) -> Self {
         let mut sorted = values.to_vec();
         sorted.sort_unstable_by(f64::total_cmp);
@@ -39,7 +39,7 @@ impl Scale {
     }
 }
 
-/// One value a pixel, in row order.
+/// A picture of one value per pixel, in row order.
 pub fn map(width: u32, values: &[f64], scale: Scale, paint: Paint) -> RgbImage {
     let height = values.len() as u32 / width.max(1);
     RgbImage::from_fn(width, height, |x, y| Rgb(colour(scale.place(values[(y * width + x) as usize]), paint)))
@@ -48,7 +48,7 @@ pub fn map(width: u32, values: &[f64], scale: Scale, paint: Paint) -> RgbImage {
 /// Width and height of a key, pixels.
 const KEY: (u32, u32) = (256, 12);
 
-/// All colours from the least to the most.
+/// The key of the colours, from least to most.
 pub fn key(paint: Paint) -> RgbImage {
     RgbImage::from_fn(KEY.0, KEY.1, |x, _| Rgb(colour(x as f32 / (KEY.0 - 1) as f32, paint)))
 }

@@ -1,8 +1,8 @@
-//! Errors that are not the program's: wrong input, and the user's wish to stop.
+//! Errors whose cause is the user: wrong input, and the wish to stop.
 
 use std::fmt;
 
-/// What the user gave is wrong: a flag, a file, a value. Ends the program with exit code 2.
+/// The input is wrong: a flag, a file, or a value. Ends the program with exit code 2.
 #[derive(Debug)]
 pub struct BadInput {
     message: String,
@@ -15,13 +15,13 @@ impl BadInput {
         Self { message: message.into(), hint: None }
     }
 
-    /// Adds a line that says what to do about it.
+    /// Adds a line with advice.
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = Some(hint.into());
         self
     }
 
-    /// What to do about it, where that is known.
+    /// The advice, if there is one.
     pub fn advice(&self) -> Option<&str> {
         self.hint.as_deref()
     }
@@ -35,13 +35,13 @@ impl fmt::Display for BadInput {
 
 impl std::error::Error for BadInput {}
 
-/// The user pressed Ctrl-C (or the process was told to terminate); nothing half-written was left.
+/// The user pressed Ctrl-C, or the process was told to terminate. No incomplete file was left behind.
 #[derive(Debug)]
 pub struct Interrupted;
 
 impl fmt::Display for Interrupted {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("stopped; nothing half-written was left behind")
+        f.write_str("stopped; no incomplete file was left behind")
     }
 }
 

@@ -1,11 +1,11 @@
-//! Ctrl-C and the request to terminate: the first asks for an orderly end, the second ends at once.
+//! Ctrl-C and SIGTERM. The first signal asks for an orderly end, the second ends the process.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-/// Whether the program was asked to end.
+/// Whether the program has to end.
 #[derive(Debug, Clone, Default)]
 pub struct Interrupt {
     flag: Arc<AtomicBool>,
@@ -13,7 +13,7 @@ pub struct Interrupt {
 }
 
 impl Interrupt {
-    /// Listens from now on. To be called inside a runtime.
+    /// Starts to listen. Requires a runtime.
     pub fn listen() -> std::io::Result<Self> {
         let interrupt = Self::default();
         let (mut interrupted, mut terminated) =
@@ -35,17 +35,17 @@ impl Interrupt {
         Ok(interrupt)
     }
 
-    /// For code that asks now and then.
+    /// The flag, for code that polls.
     pub fn flag(&self) -> &AtomicBool {
         &self.flag
     }
 
-    /// Whether the program was asked to end.
+    /// Whether the program has to end.
     pub fn is_set(&self) -> bool {
         self.flag.load(Ordering::Relaxed)
     }
 
-    /// For code that waits.
+    /// The token, for code that waits.
     pub fn token(&self) -> CancellationToken {
         self.token.clone()
     }

@@ -1,4 +1,4 @@
-//! JSON documents that the user names.
+//! JSON documents in files that the user names.
 
 use crate::atomic_file::write_bytes;
 use crate::bounded_file;
@@ -9,23 +9,23 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Bytes of a document at most.
+/// Largest size of a document, bytes.
 const MOST: u64 = 1 << 28;
 
 /// Reads a document.
 ///
 /// # Errors
-/// With the file, the field and the reason.
+/// Names the file, the field and the reason.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     parse(path, |wrong| wrong)
 }
 
-/// The same of what a command writes, which is named where the document is another one.
+/// Like [`read`], for a document that `command` writes. An error names the command.
 pub fn read_written_by<T: DeserializeOwned>(command: &str, path: &Path) -> Result<T> {
-    parse(path, |wrong| wrong.hint(format!("such a file is written by `{command}`")))
+    parse(path, |wrong| wrong.hint(format!("this file must be written by `{command}`")))
 }
 
-/// Writes a document, if a file is named.
+/// Writes a document if `path` is set.
 pub fn write(path: Option<&Path>, document: &impl Serialize) -> Result<()> {
     path.map_or(Ok(()), |path| write_bytes(path, (pretty(document)? + "\n").as_bytes()))
 }
@@ -35,7 +35,7 @@ fn parse<T: DeserializeOwned>(path: &Path, hinted: impl Fn(BadInput) -> BadInput
     let text = bounded_file::read(path, MOST)?;
     let mut reader = serde_json::Deserializer::from_slice(&text);
     let document = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-        // What is no JSON at all has no field.
+        // Text that is not JSON has no field.
         let is_whole = error.path().iter().next().is_none();
         let place = if is_whole { String::new() } else { format!("{}: ", error.path()) };
         wrong(format!("{place}{}", error.inner()))

@@ -1,10 +1,9 @@
-//! What the commands and the benches of `forelight` have in common: flags, a bundle opened on this machine, what is printed (tables, units,
-//! progress bars, plots), and the files that are read and written.
+//! Code that the commands and benches of `forelight` share: flags, bundles on this machine, output (tables,
+//! units, progress bars, plots), and files.
 
 pub mod atomic_file;
 pub mod bounded_file;
 pub mod cost_picture;
-pub mod drawing;
 pub mod failure;
 pub mod interrupt;
 pub mod json_file;

@@ -1,4 +1,4 @@
-//! Work on this machine: a bundle opened, settings completed, a thread pool.
+//! Work on this machine: an open bundle, complete settings, and a thread pool.
 
 use crate::failure::BadInput;
 use crate::options::{MachineOptions, PreviewBackend, QualityOptions};
@@ -9,7 +9,7 @@ use forelight_protocol::{FrameSet, RenderSettings, RenderSettingsRequest};
 use forelight_renderer_own::{OwnRenderer, OwnShot};
 use std::path::Path;
 
-/// A bundle, opened for work on this machine.
+/// An open bundle with its thread pool.
 pub struct Local {
     /// The bundle.
     pub shot: OwnShot,
@@ -21,7 +21,7 @@ impl Local {
     /// Opens a bundle.
     pub fn open(bundle: &Path, machine: &MachineOptions, bars: &Bars) -> Result<Self> {
         if !bundle.exists() {
-            let missing = format!("bundle {}: there is no such file or folder", bundle.display());
+            let missing = format!("bundle {}: this file or folder does not exist", bundle.display());
             return Err(BadInput::new(missing).into());
         }
         let pool = thread_pool(machine.threads)?;
@@ -32,7 +32,7 @@ impl Local {
         Ok(Self { shot: shot.with_context(|| format!("bundle {}", bundle.display()))?, pool })
     }
 
-    /// The settings, with what was left out completed from the bundle's camera.
+    /// The settings. Missing ones come from the bundle's camera.
     pub fn settings(&self, quality: &QualityOptions) -> Result<RenderSettings> {
         quality.check()?;
         let scene = &self.shot.info().summary;
@@ -44,7 +44,7 @@ impl Local {
         Ok(settings)
     }
 
-    /// The frames, checked against the shot; all of them if none were named.
+    /// The frames, checked against the shot. `None` is all frames.
     pub fn frames(&self, wanted: Option<&FrameSet>) -> Result<Vec<u32>> {
         match wanted {
             None => Ok((0..self.shot.info().summary.frames).collect()),
@@ -55,7 +55,7 @@ impl Local {
         }
     }
 
-    /// Whether the shot has a frame, that a flag names.
+    /// Checks that the shot has a frame. An error names the flag.
     pub fn check_frame(&self, flag: &str, frame: u32) -> Result<(), BadInput> {
         let last = self.shot.info().summary.frames.saturating_sub(1);
         if frame <= last {
@@ -66,7 +66,7 @@ impl Local {
     }
 }
 
-/// The pool on which this command traces.
+/// The thread pool that traces light.
 pub fn thread_pool(threads: Option<u16>) -> Result<rayon::ThreadPool> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads.map_or(0, usize::from))
@@ -75,7 +75,7 @@ pub fn thread_pool(threads: Option<u16>) -> Result<rayon::ThreadPool> {
         .context("cannot start threads")
 }
 
-/// The previewer's word for the flag.
+/// The choice of the previewer for the flag.
 pub fn preview_choice(backend: PreviewBackend) -> Choice {
     match backend {
         PreviewBackend::Auto => Choice::Auto,
@@ -84,7 +84,7 @@ pub fn preview_choice(backend: PreviewBackend) -> Choice {
     }
 }
 
-/// The flags as a request. If only one side of the image is given, the other keeps the camera's shape.
+/// The flags as a request. If only one side of the image is set, the other keeps the camera's aspect ratio.
 pub fn settings_request(quality: &QualityOptions, camera: (u32, u32)) -> RenderSettingsRequest {
     let (width, height) = match (quality.width, quality.height) {
         (Some(width), None) => (Some(width), Some(scaled(width, camera.1, camera.0))),

@@ -9,20 +9,20 @@ use forelight_protocol::{CacheMode, Integrator, MaterialMode};
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Image and quality")]
 pub struct QualityOptions {
-    /// Image width in pixels [default: the camera's, or what keeps its shape to --height]
+    /// Image width in pixels [default: the camera's, or what keeps its aspect ratio with --height]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub width: Option<u32>,
-    /// Image height in pixels [default: the camera's, or what keeps its shape to --width]
+    /// Image height in pixels [default: the camera's, or what keeps its aspect ratio with --width]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub height: Option<u32>,
     /// Camera samples per pixel
     #[arg(long, value_name = "SAMPLES")]
     pub spp: Option<u32>,
-    /// How light is simulated [default: ambient]
+    /// Method of light transport [default: ambient]
     #[arg(long, value_name = "NAME")]
     pub integrator: Option<Integrator>,
-    /// Diffuse bounces of indirect light, 0 to 8; 0 is direct light only. With a cache at most 2. With the path integrator, how often
-    /// a path may be spread after the first time
+    /// Diffuse bounces of indirect light, 0 to 8. With a cache at most 2. 0 is direct light only. With the
+    /// path integrator: how often a path may split after its first time
     #[arg(long, value_name = "BOUNCES")]
     pub ambient_bounces: Option<u32>,
     /// Rays of one indirect gather, without a cache [default: 16]
@@ -31,27 +31,27 @@ pub struct QualityOptions {
     /// Longest chain of mirror and glass hits, 1 to 64
     #[arg(long, value_name = "HITS")]
     pub max_depth: Option<u32>,
-    /// Irradiance cache: gather indirect light at few places, and interpolate between them [default: off]
+    /// Irradiance cache: gather indirect light at a few places, and interpolate between them [default: off]
     #[arg(long, value_name = "MODE")]
     pub cache: Option<CacheMode>,
-    /// Error that the cache may make, 0.01 to 1 in steps of 0.001: a gathered place serves up to this share of the mean distance to its
-    /// surroundings; beyond 0.3 the closest places also lie farther apart [default: 0.2]
+    /// Error of the irradiance cache, 0.01 to 1 in steps of 0.001. A record is valid up to this share of the
+    /// mean distance to its surroundings. Above 0.3 the closest records also lie farther apart [default: 0.2]
     #[arg(long, value_name = "ERROR", value_parser = accuracy)]
     pub cache_accuracy: Option<u32>,
-    /// Rays gathered at a place of the cache, about a quarter of them for each further bounce, at least 48; the nearest of 48, 192, 432, 768, 1200, ... is
-    /// taken [default: 768]
+    /// Rays of each record of the cache, at least 48, and about a quarter of them for each further bounce.
+    /// Rounded to the nearest of 48, 192, 432, 768, 1200, ... [default: 768]
     #[arg(long, value_name = "RAYS")]
     pub cache_rays: Option<u32>,
-    /// Materials as they are, or every surface as Lambert of its base colour
+    /// The scene's materials, or every surface as Lambert with its base colour
     #[arg(long, value_name = "KIND")]
     pub materials: Option<MaterialMode>,
-    /// Seed of all random numbers: the same seed gives the same bits
+    /// Seed of all random numbers. The same seed gives the same bits
     #[arg(long, value_name = "NUMBER")]
     pub seed: Option<u64>,
 }
 
 impl QualityOptions {
-    /// Whether what is said of a cache is said of one.
+    /// Checks that options of a cache come with a cache.
     pub fn check(&self) -> Result<(), BadInput> {
         let of_cache = [("cache-accuracy", self.cache_accuracy), ("cache-rays", self.cache_rays)];
         match of_cache.into_iter().find(|(_, value)| value.is_some()) {
@@ -62,34 +62,37 @@ impl QualityOptions {
         }
     }
 
-    /// The same with an irradiance cache, whether or not that was said.
+    /// The same options with an irradiance cache.
+    ///
+    /// # Errors
+    /// If they exclude one.
     pub fn cached(&self) -> Result<Self, BadInput> {
         if self.cache == Some(CacheMode::Off) {
-            return Err(BadInput::new("--cache off: here an irradiance cache is used"));
+            return Err(BadInput::new("--cache off: this command needs an irradiance cache"));
         }
         if self.integrator == Some(Integrator::Path) {
-            return Err(BadInput::new("--integrator path: it has no use for an irradiance cache"));
+            return Err(BadInput::new("--integrator path: it does not use an irradiance cache"));
         }
         Ok(Self { cache: Some(CacheMode::On), ..self.clone() })
     }
 }
 
-/// How this machine does the work.
+/// Resources of this machine.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "This machine")]
 pub struct MachineOptions {
     /// Threads that trace light [default: one per core]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// Who makes the ID preview
+    /// Device that renders ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     pub preview: PreviewBackend,
 }
 
-/// Who makes ID previews.
+/// The device that renders ID previews.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PreviewBackend {
-    /// The GPU where there is one, otherwise the CPU.
+    /// The GPU if there is one, otherwise the CPU.
     Auto,
     /// The GPU, or an error.
     Gpu,
@@ -97,7 +100,7 @@ pub enum PreviewBackend {
     Cpu,
 }
 
-/// A duration flag as the standard library's type.
+/// Parses a duration flag.
 pub fn duration(text: &str) -> Result<std::time::Duration, String> {
     quantities::parse_duration(text)?.try_into().map_err(|_| "the duration is too long".to_string())
 }
@@ -106,22 +109,22 @@ pub fn duration(text: &str) -> Result<std::time::Duration, String> {
 pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
-        _ => Err("a number above 0 is wanted".into()),
+        _ => Err("expected a number above 0".into()),
     }
 }
 
-/// The accuracy of a cache in thousandths, as the wire has it.
+/// Parses the accuracy of a cache, in thousandths.
 fn accuracy(text: &str) -> Result<u32, String> {
     let value: f64 = text.parse().map_err(|_| "expected a number such as 0.2".to_string())?;
     let thousandths = (value * 1000.0).round();
     match value {
         0.01..=1.0 if (value * 1000.0 - thousandths).abs() < 1e-6 => Ok(thousandths as u32),
-        0.01..=1.0 => Err("is in steps of 0.001".into()),
-        _ => Err("must lie in 0.01 to 1".into()),
+        0.01..=1.0 => Err("must be a multiple of 0.001".into()),
+        _ => Err("must be from 0.01 to 1".into()),
     }
 }
 
-/// The arguments of a command as its flags make them: what its tests run it with.
+/// The arguments of a command from its flags, for tests.
 pub fn parsed<A: clap::Args>(words: impl IntoIterator<Item = impl Into<std::ffi::OsString> + Clone>) -> A {
     #[derive(clap::Parser)]
     struct Command<A: clap::Args> {

@@ -1,4 +1,4 @@
-//! What goes to the terminal: results to standard output, progress to standard error where someone watches.
+//! Output: results to standard output, and progress to standard error if it is a terminal.
 
 use anyhow::{Context, Result};
 use forelight_renderer_own::{Progress, Step};
@@ -7,7 +7,7 @@ use parking_lot::Mutex;
 use serde::Serialize;
 use std::io::{ErrorKind, IsTerminal, Write};
 
-/// Writes text to standard output. A reader that has gone away (`| head`) is not an error.
+/// Writes text to standard output. A closed pipe (`| head`) is not an error.
 pub fn print(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
@@ -31,22 +31,22 @@ pub fn pretty<T: Serialize>(document: &T) -> Result<String> {
     serde_json::to_string_pretty(document).context("cannot write JSON")
 }
 
-/// Names one after the other, or `none`.
+/// Names separated by commas, or `none`.
 pub fn list(names: &[impl AsRef<str>]) -> String {
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// Progress bars: shown on a terminal, unless the output is for a machine.
+/// Progress bars. Shown on a terminal, unless the output is JSON.
 #[derive(Debug, Clone)]
 pub struct Bars {
     all: MultiProgress,
-    /// Nobody watches, and somebody reads what was said later on: a log.
+    /// Standard error is not a terminal, so notes go to it as a log.
     logged: bool,
 }
 
 impl Bars {
-    /// Bars that are shown if someone watches and `json` is not wanted.
+    /// Bars that are shown on a terminal if `json` is false.
     pub fn new(json: bool) -> Self {
         let watched = std::io::stderr().is_terminal();
         let shown = !json && watched;
@@ -55,9 +55,9 @@ impl Bars {
         Self { all: MultiProgress::with_draw_target(target), logged: !json && !watched }
     }
 
-    /// A bar of so many steps.
+    /// A bar with this number of steps.
     pub fn bar(&self, name: &str, steps: u64) -> ProgressBar {
-        // The template is constant; should it ever be wrong, the bar looks plain.
+        // The template is constant. If it were invalid, the bar would have the default style.
         let style = ProgressStyle::with_template("{prefix:>10} {bar:32} {pos}/{len} {elapsed} {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar());
         let bar = self.all.add(ProgressBar::new(steps).with_style(style));
@@ -66,7 +66,7 @@ impl Bars {
         bar
     }
 
-    /// Something whose length is not known.
+    /// A spinner for work of unknown length.
     pub fn spinner(&self, what: impl Into<String>) -> ProgressBar {
         let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}")
             .unwrap_or_else(|_| ProgressStyle::default_spinner());
@@ -76,19 +76,19 @@ impl Bars {
         spinner
     }
 
-    /// A line above the bars, or in a log; for people only.
+    /// Writes a line for people, above the bars or into the log.
     pub fn note(&self, text: impl AsRef<str>) {
         if self.logged {
-            // A log that cannot be written is no reason to stop.
+            // If the log cannot be written, the work still continues.
             let _ = writeln!(std::io::stderr(), "{}", text.as_ref());
         } else {
-            // `println` of hidden bars says nothing, which is what a machine wants to read.
+            // `println` of hidden bars writes nothing, as JSON output requires.
             let _ = self.all.println(text);
         }
     }
 }
 
-/// A bar for each step of a render, one after the other.
+/// One bar for each step of a render, in turn.
 #[derive(Debug)]
 pub struct RenderBar {
     bars: Bars,
@@ -96,19 +96,19 @@ pub struct RenderBar {
 }
 
 impl RenderBar {
-    /// Nothing is shown before the first step is told.
+    /// Shows nothing before the first step is reported.
     pub fn new(bars: &Bars) -> Self {
         Self { bars: bars.clone(), current: Mutex::new(None) }
     }
 
-    /// Shows how far the render is. May be called by many threads.
+    /// Shows the progress. Any thread may call it.
     pub fn show(&self, Progress { step, done, all }: Progress) {
         let name = match step {
             Step::Planning => "planning",
             Step::Filling => "filling",
             Step::Tracing => "rendering",
         };
-        // Whoever panicked while it was held left a bar that can still be drawn.
+        // A panic while the lock was held leaves a bar that can still be drawn.
         let mut current = self.current.lock();
         match &*current {
             Some((shown, bar)) if *shown == step => bar.set_position(done),

@@ -1,29 +1,29 @@
 //! Durations, instants and amounts of money as people type and read them.
 //!
-//! Inside, time is integer microseconds UTC and money integer micro-units; nothing here goes through a float that is
-//! later compared.
+//! Time is integer microseconds UTC, and money integer micro-units. No amount passes through a float before a
+//! comparison.
 
 use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, Unit};
 
 /// Micro-units in one unit of the farm's currency.
 pub const MICRO_UNITS: i64 = 1_000_000;
 
-/// When a job has to be ready, as it was typed.
+/// A job's deadline, as typed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Deadline {
-    /// So long from the moment of submission.
+    /// This long after the submission.
     In(SignedDuration),
     /// At this instant.
     At(Timestamp),
 }
 
 impl Deadline {
-    /// The instant, seen from `now`.
+    /// The instant, if it is now `now`.
     pub fn instant(self, now: Timestamp) -> Result<Timestamp, String> {
         match self {
             Self::At(instant) => Ok(instant),
             Self::In(duration) => {
-                now.checked_add(duration).map_err(|_| "the deadline lies beyond the calendar".into())
+                now.checked_add(duration).map_err(|_| "the deadline is beyond the calendar".into())
             }
         }
     }
@@ -43,30 +43,30 @@ pub fn parse_deadline(text: &str) -> Result<Deadline, String> {
     }
 }
 
-/// Reads a positive duration such as `30s`, `45m`, `2h`, `1d12h`; a day is 24 hours.
+/// Reads a positive duration such as `30s`, `45m`, `2h`, `1d12h`. A day is 24 hours.
 pub fn parse_duration(text: &str) -> Result<SignedDuration, String> {
     let wrong = || "expected a duration such as 30s, 45m, 2h or 1h30m".to_string();
     let span: Span = text.trim().parse().map_err(|_| wrong())?;
     let duration = span.to_duration(SpanRelativeTo::days_are_24_hours()).map_err(|_| wrong())?;
     if duration.is_zero() || duration.is_negative() {
-        return Err("must be longer than nothing".into());
+        return Err("must be longer than 0".into());
     }
     Ok(duration)
 }
 
-/// Seconds of `2.5`, `90s` or `1h30m`, at most a billion.
+/// Reads seconds from `2.5`, `90s` or `1h30m`, at most a billion.
 pub fn parse_seconds(text: &str) -> Result<f64, String> {
     const MOST: f64 = 1e9;
     let seconds =
         text.trim().parse().or_else(|_| parse_duration(text).map(|duration| duration.as_secs_f64()));
     match seconds {
         Ok(seconds) if seconds > 0.0 && seconds <= MOST => Ok(seconds),
-        Ok(_) => Err("a time is more than nothing and at most a billion seconds".into()),
+        Ok(_) => Err("must be greater than 0 and at most a billion seconds".into()),
         Err(_) => Err("expected seconds such as 2.5, or a duration such as 90s, 45m or 1h30m".into()),
     }
 }
 
-/// Reads a size such as `512MiB`, `8GiB` or `1.5GiB`, at least a mebibyte, into bytes.
+/// Reads a size such as `512MiB`, `8GiB` or `1.5GiB`, at least a mebibyte, as bytes.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let wrong = || "expected a size such as 512MiB or 8GiB, at least 1MiB".to_string();
     let text = text.trim();
@@ -77,11 +77,11 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
         .unwrap_or((text, 1));
     let number: f64 = number.trim().parse().map_err(|_| wrong())?;
     let bytes = number * unit as f64;
-    // A pebibyte is more than any machine has.
+    // No machine has a pebibyte.
     if (f64::from(1 << 20)..=1e15).contains(&bytes) { Ok(bytes.round() as u64) } else { Err(wrong()) }
 }
 
-/// Reads a non-negative decimal amount such as `12.50` into micro-units, exactly.
+/// Reads a non-negative decimal amount such as `12.50` as micro-units, exactly.
 pub fn parse_money(text: &str) -> Result<i64, String> {
     let wrong = || "expected an amount such as 12.50, with at most six decimals".to_string();
     let (whole, fraction) = text.trim().split_once('.').unwrap_or((text.trim(), ""));
@@ -95,7 +95,7 @@ pub fn parse_money(text: &str) -> Result<i64, String> {
         return Err(wrong());
     }
     let whole: i64 = whole.parse().map_err(|_| "the amount is too large".to_string())?;
-    // Right-padded to six digits, the decimals are micro-units.
+    // Padded to six digits, the decimals are micro-units.
     let fraction: i64 = format!("{fraction:0<6}").parse().map_err(|_| wrong())?;
     whole
         .checked_mul(MICRO_UNITS)
@@ -103,12 +103,12 @@ pub fn parse_money(text: &str) -> Result<i64, String> {
         .ok_or_else(|| "the amount is too large".to_string())
 }
 
-/// `12.50`, `0.001234`: micro-units as the farm shows money everywhere.
+/// Formats micro-units as `12.50` or `0.001234`.
 pub fn money(micro_units: i64) -> String {
     forelight_protocol::Money(micro_units).to_string()
 }
 
-/// `0.42 s`, `12.3 s`, `3m 07s`, `2h 05m`.
+/// Formats seconds as `0.42 s`, `12.3 s`, `3m 07s` or `2h 05m`.
 pub fn seconds(seconds: f64) -> String {
     if !seconds.is_finite() {
         return "-".into();
@@ -122,7 +122,7 @@ pub fn seconds(seconds: f64) -> String {
     }
 }
 
-/// A count with the usual prefixes and three significant digits: `987`, `12.3 k`, `4.56 M`.
+/// Formats a count with a prefix and three significant digits: `987`, `12.3 k`, `4.56 M`.
 pub fn count(value: f64) -> String {
     if !value.is_finite() {
         return "-".into();
@@ -143,7 +143,7 @@ pub fn count(value: f64) -> String {
     }
 }
 
-/// A clock time of today or a date and time, in the local time zone, to the second.
+/// Formats a time of today, or a date and time, in the local time zone, to the second.
 pub fn clock(at: forelight_protocol::Timestamp, now: forelight_protocol::Timestamp) -> String {
     let instant =
         |at: forelight_protocol::Timestamp| Timestamp::from_microsecond(at.micros()).unwrap_or_default();
@@ -157,7 +157,7 @@ pub fn clock(at: forelight_protocol::Timestamp, now: forelight_protocol::Timesta
     }
 }
 
-/// Signed percentage with one decimal: `+3.2 %`.
+/// Formats a signed percentage with one decimal: `+3.2 %`.
 pub fn percent(fraction: f64) -> String {
     if fraction.is_finite() { format!("{:+.1} %", fraction * 100.0) } else { "-".into() }
 }

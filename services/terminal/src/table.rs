@@ -1,6 +1,6 @@
-//! Plain text tables: columns as wide as their widest cell, numbers to the right.
+//! Plain text tables. Columns are as wide as their widest cell.
 
-/// Side on which a column's cells are flush.
+/// Alignment of a column's cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Align {
     /// Text.
@@ -14,7 +14,7 @@ pub enum Align {
 pub struct Table {
     head: Vec<(String, Align)>,
     rows: Vec<Vec<String>>,
-    /// Index of the first row below the rule, if there are totals.
+    /// Index of the first row below the rule.
     footer: Option<usize>,
 }
 
@@ -24,17 +24,17 @@ impl Table {
         Self { head: head.iter().map(|&(t, a)| (t.into(), a)).collect(), rows: Vec::new(), footer: None }
     }
 
-    /// Adds a row; cells that are missing at its end stay empty.
+    /// Adds a row. Missing cells at its end stay empty.
     pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
         self.rows.push(cells.into_iter().collect());
     }
 
-    /// What follows are totals: they are set off by a rule.
+    /// Draws a rule. The following rows are totals.
     pub fn footer(&mut self) {
         self.footer.get_or_insert(self.rows.len());
     }
 
-    /// The whole table, every line ended.
+    /// The table as text, with a newline after every row.
     pub fn render(&self) -> String {
         let width = |column: usize| {
             let cells = self.rows.iter().filter_map(|r| r.get(column)).map(|c| c.chars().count());
@@ -54,9 +54,9 @@ impl Table {
         text
     }
 
-    /// The whole table in Markdown; totals are not set off.
+    /// The table in Markdown, without a rule above the totals.
     pub fn markdown(&self) -> String {
-        // A bar would begin another cell.
+        // A bar would start another cell.
         let line = |cells: &mut dyn Iterator<Item = String>| {
             let cells: Vec<String> = cells.map(|cell| cell.replace('|', "\\|")).collect();
             format!("| {} |\n", cells.join(" | "))

@@ -1,4 +1,4 @@
-//! Work that shows how far it is, and ends when the user wants to stop.
+//! Observers of long work: they show progress, and end the work when the user stops it.
 
 use crate::failure::{BadInput, Interrupted};
 use crate::interrupt::Interrupt;
@@ -11,7 +11,7 @@ use indicatif::ProgressBar;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-/// Bars for the steps of a quote, and the user's wish to stop.
+/// Progress bars for the steps of a quote.
 pub struct QuoteWatcher<'a> {
     previews: ProgressBar,
     profiles: ProgressBar,
@@ -19,12 +19,12 @@ pub struct QuoteWatcher<'a> {
 }
 
 impl<'a> QuoteWatcher<'a> {
-    /// Bars for a quote of so many frames.
+    /// Bars for a quote of this number of frames.
     pub fn new(bars: &Bars, frames: usize, interrupt: &'a Interrupt) -> Self {
         Self { previews: bars.bar("previews", frames as u64), profiles: bars.bar("profiling", 0), interrupt }
     }
 
-    /// A quote of the bundle that was opened as `local`, watched, until the user stops it.
+    /// Quotes the bundle that `local` has opened, until the user stops it.
     pub fn quote(
         &self,
         local: &Local,
@@ -62,7 +62,7 @@ impl Observer for QuoteWatcher<'_> {
     }
 }
 
-/// The user's wish to stop.
+/// Observes only the user's wish to stop.
 pub struct Stopping<'a>(pub &'a Interrupt);
 
 impl AccuracyObserver for Stopping<'_> {
@@ -73,14 +73,14 @@ impl AccuracyObserver for Stopping<'_> {
     }
 }
 
-/// A time too short is the user's to mend, or the money that buys it; `flag` gave it.
+/// A limit from `flag` that is too small is wrong input. Any other error stays as it is.
 pub fn allotment_failure(flag: &str, error: AllotError) -> anyhow::Error {
     match error {
         AllotError::TooLittle { .. } => BadInput::new(format!("{flag}: {error}"))
-            .hint("give it more, profile fewer pixels (--samples), or ask for a smaller image")
+            .hint("set a higher limit, profile fewer pixels (--samples), or render a smaller image")
             .into(),
         AllotError::TooLittleForCache { .. } => BadInput::new(format!("{flag}: {error}"))
-            .hint("give it more, ask for a rougher cache (--cache-rays, --cache-accuracy), or do without one (--cache off)")
+            .hint("set a higher limit, use a rougher cache (--cache-rays, --cache-accuracy), or none (--cache off)")
             .into(),
         AllotError::Shot(ShotError::Render(error)) => error.into(),
         error => error.into(),

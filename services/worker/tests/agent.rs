@@ -1,4 +1,6 @@
 //! The agent against a small service that loses leases, restarts and refuses on purpose.
+//!
+//! The file is longer than 500 lines: its tests share this service, which is a third of it.
 
 use axum::body::Bytes;
 use axum::extract::{Path, State};

@@ -1,9 +1,9 @@
-//! What a test needs and may not find on this machine: shared scenes, a GPU, a compiler.
+//! Things that a test needs and this machine may lack: shared scenes, a GPU, a compiler.
 //!
-//! A test that lacks something calls [`not_run`] and returns. Where `CI` is set, or
-//! `FORELIGHT_REQUIRE_SHARED=1`, that call fails the test. Elsewhere it adds a line (test, tab, reason) to
-//! the file that `FORELIGHT_NOT_RUN` names; `tests/run.sh` sets this variable and lists the lines at its end.
-//! The function `missing` in `tests/peers/support.bash` does the same for shell scripts.
+//! A test that lacks something calls [`not_run`] and returns. With `CI` or `FORELIGHT_REQUIRE_SHARED=1` set,
+//! that call fails the test. Otherwise it adds a line (test, tab, reason) to the file `FORELIGHT_NOT_RUN`.
+//! `tests/run.sh` sets this variable and lists the lines at its end. `missing` in `tests/peers/support.bash`
+//! does the same for shell scripts.
 
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -11,8 +11,8 @@ use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// A file or folder of the shared test input: below `FORELIGHT_SHARED`, or below `../shared` beside the
-/// repository. Where it is missing, the test counts as not run and gets `None`.
+/// A file or folder of the shared test input, below `FORELIGHT_SHARED` or `../shared` beside the repository.
+/// If it is missing, reports the test as not run and returns `None`.
 #[track_caller]
 pub fn shared(path: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("FORELIGHT_SHARED").map_or_else(beside_the_repository, PathBuf::from);
@@ -24,47 +24,47 @@ pub fn shared(path: &str) -> Option<PathBuf> {
     None
 }
 
-/// `../shared`, seen from the repository's root.
+/// `../shared`, relative to the repository's root.
 fn beside_the_repository() -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("this crate is tests/needs");
     root.parent().unwrap_or(root).join("shared")
 }
 
-/// Reports that this test, or a part of it, is not run, and why.
+/// Reports that this test, or a part of it, was not run, with the reason.
 ///
 /// # Panics
 ///
-/// Where every test has to run: with `CI` set, or `FORELIGHT_REQUIRE_SHARED=1`.
+/// With `CI` or `FORELIGHT_REQUIRE_SHARED=1` set, which require every test to run.
 #[track_caller]
 pub fn not_run(reason: impl Display) {
     let variable = |name| std::env::var_os(name);
     assert!(
         !must_run(variable("CI").as_deref(), variable("FORELIGHT_REQUIRE_SHARED").as_deref()),
-        "{reason}; with CI or FORELIGHT_REQUIRE_SHARED set, every test has to run"
+        "{reason}; with CI or FORELIGHT_REQUIRE_SHARED set, every test must run"
     );
     let test = test_name();
     match variable("FORELIGHT_NOT_RUN") {
         Some(list) => append(Path::new(&list), &format!("{test}\t{reason}\n")),
-        // Not by `eprintln!`: libtest hides what a passing test prints with it.
+        // libtest hides the `eprintln!` output of passing tests.
         None => drop(writeln!(std::io::stderr(), "not run: {test}: {reason}")),
     }
 }
 
-/// Whether every test has to run, by the values of `CI` and of `FORELIGHT_REQUIRE_SHARED`.
+/// True if every test must run, from the values of `CI` and `FORELIGHT_REQUIRE_SHARED`.
 fn must_run(ci: Option<&OsStr>, require: Option<&OsStr>) -> bool {
     ci.is_some_and(|value| !value.is_empty())
         || require.is_some_and(|value| !value.is_empty() && value != "0")
 }
 
-/// Adds a line to a file. Lines of several processes do not mix: each is appended by one call.
+/// Adds a line to a file in one call, so that lines of several processes do not mix.
 fn append(list: &Path, line: &str) {
     let written =
         File::options().create(true).append(true).open(list).and_then(|mut f| f.write_all(line.as_bytes()));
     written.unwrap_or_else(|error| panic!("{}: {error}", list.display()));
 }
 
-/// The test's binary and its name, as in `agreement makers_agree_on_the_cornell_box`. libtest names a test's
-/// thread after it.
+/// The test's binary and name, as in `agreement makers_agree_on_the_cornell_box`. libtest names threads after
+/// tests.
 fn test_name() -> String {
     let binary = std::env::current_exe().unwrap_or_default();
     let stem = binary.file_stem().unwrap_or_default().to_string_lossy();

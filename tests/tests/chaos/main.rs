@@ -1,8 +1,7 @@
-//! Any process may die at any instant, and nothing acknowledged is lost. Workers and the service are killed
-//! in the middle of their work. In the end every frame was delivered once, with the bits of an undisturbed
-//! render.
+//! Kills workers and the service in the middle of their work. Every frame must be delivered once, with the
+//! bits of an undisturbed render, and nothing acknowledged may be lost.
 //!
-//! Nothing here tests speed. Waits end after a generous time, so that a hang is an error.
+//! Speed is not tested. Waits have generous limits, so that a hang is an error.
 
 mod storm;
 
@@ -26,32 +25,30 @@ use std::time::Duration;
 const SCENE: &str = "corridor";
 const WIDTH: u32 = 48;
 const HEIGHT: u32 = 27;
-/// So many that a frame takes about two seconds of a test build: long enough for its worker to be caught in
-/// the middle of it.
+/// A frame takes about two seconds in a test build, long enough to kill its worker in the middle.
 const SAMPLES_PER_PIXEL: u32 = 24;
 const FRAMES: u32 = 10;
-/// Profiled pixels of a profiled frame, and profiled frames: the job's and those of the render without a
-/// farm.
+/// Profiled pixels of a profiled frame, and number of profiled frames, with and without a farm.
 const PROFILED_PIXELS: u32 = 64;
 const PROFILED_FRAMES: u32 = 3;
 
-/// Times that something is killed in the middle of its work.
+/// Number of kills in the middle of work.
 const KILLS: usize = 10;
-/// A task survives nine lost workers; no frame loses more than this many.
+/// Most kills of one frame. A task survives nine lost workers.
 const MOST_KILLS_OF_A_FRAME: u32 = 4;
 
-/// For anything that happens in the middle of a job.
+/// Limit for steps of a job.
 const PATIENCE: Duration = Duration::from_secs(90);
-/// For a whole job.
+/// Limit for a whole job.
 const JOB_PATIENCE: Duration = Duration::from_secs(240);
 
-/// What `forelight render` makes of the frames, without a farm: the images, and what they took.
+/// Frames of `forelight render` without a farm: images and statistics.
 struct Reference {
     images: BTreeMap<u32, Channels>,
     stats: BTreeMap<u32, RenderStats>,
 }
 
-/// Rendered once, for all tests of this file.
+/// Rendered once for all tests of this file.
 fn reference() -> &'static Reference {
     static REFERENCE: OnceLock<Reference> = OnceLock::new();
     REFERENCE.get_or_init(|| {
@@ -76,7 +73,7 @@ fn reference() -> &'static Reference {
             reference.images.insert(frame, image);
             reference.stats.insert(frame, stats);
         }
-        // The same with the pixels of a profile taken over.
+        // Render again with the pixels of a profile.
         let profiles = folder.path().join("profiles");
         let mut arguments = quality("forecast");
         arguments.extend(["--frames".into(), format!("0-{}", FRAMES - 1)]);
@@ -102,7 +99,7 @@ fn reference() -> &'static Reference {
     })
 }
 
-/// The part of a frame's cost that two runs have to agree on.
+/// The part of a frame's cost that two runs must agree on.
 fn counts(stats: &RenderStats) -> (u32, u64, Rays, Vec<String>) {
     (stats.frame, stats.work, stats.rays, stats.effects.clone())
 }
@@ -136,12 +133,12 @@ async fn frames_of(http: &Http, job: &Job) -> Vec<FrameRow> {
     page.items
 }
 
-/// Frames that are being rendered, some of their pixels being done.
+/// Frames that are partly rendered.
 fn in_the_middle(frames: &[FrameRow]) -> impl Iterator<Item = &FrameRow> {
     frames.iter().filter(|row| row.state == FrameState::Leased && row.progress > 0.0 && row.progress < 1.0)
 }
 
-/// Waits for the end of a job that has to end well.
+/// Waits until a job is done.
 async fn until_done(http: &Http, job: &Job) -> Job {
     eventually("the end of the job", JOB_PATIENCE, async || {
         let job = job_of(http, job).await;
@@ -153,7 +150,7 @@ async fn until_done(http: &Http, job: &Job) -> Job {
     .await
 }
 
-/// What was said to be done stays done, as it was.
+/// Frames reported as done. They must never change.
 #[derive(Default)]
 struct Acknowledged(BTreeMap<u32, FrameRow>);
 
@@ -169,8 +166,7 @@ impl Acknowledged {
     }
 }
 
-/// Everything that has to be true of a farm whose one job is done, whatever happened on the way. Ends the
-/// service.
+/// Checks everything about a farm whose one job is done, then stops the service.
 async fn assert_delivered(mut service: Service, job: &Job, workers: Vec<Process>) -> Vec<LeaseLine> {
     let http = service.http(Role::Viewer);
     let done = until_done(&http, job).await;
@@ -209,7 +205,7 @@ async fn events_of(http: &Http, job: &Job) -> Vec<Event> {
     events.expect("a job that is done has events").rest(PATIENCE).await
 }
 
-/// The story of a job has each step once, in order, and each task's end once.
+/// Each step of a job has one event, in order, and so has each task's end.
 fn assert_told_once(events: &[Event]) {
     assert!(events.is_sorted_by(|a, b| a.id < b.id), "events out of order");
     let states: Vec<JobState> = events.iter().filter_map(|event| event.job_state).collect();
@@ -229,7 +225,7 @@ fn assert_told_once(events: &[Event]) {
     assert_eq!((rendered.len(), frames), (FRAMES as usize, (0..FRAMES).collect()));
 }
 
-/// The record of quotes counts every frame once, and says of it what its row says.
+/// The track record must count every frame once, with the numbers of its row.
 fn assert_track_record(record: &TrackRecord, frames: &[FrameRow]) {
     assert_eq!(record.frames, u64::from(FRAMES));
     let listed: BTreeSet<u32> = record.items.iter().map(|row| row.frame).collect();
@@ -276,7 +272,7 @@ async fn workers_killed_ten_times_in_the_middle_of_a_frame_lose_no_frame_and_cha
     let mut acknowledged = Acknowledged::default();
     let mut kills_of_frame = BTreeMap::<u32, u32>::new();
     let mut hits = 0;
-    // Once in a while the worker delivers its frame before it is hit.
+    // Sometimes the worker delivers its frame before the kill.
     for attempt in 0..4 * KILLS {
         if hits == KILLS {
             break;
@@ -291,7 +287,7 @@ async fn workers_killed_ten_times_in_the_middle_of_a_frame_lose_no_frame_and_cha
                 })
                 .find_map(|row| {
                     let name = names.get(&row.node?)?;
-                    // A process of the same name may have died with a lease that has not run out yet.
+                    // A dead process of the same name may still have a valid lease.
                     let holds =
                         |w: &Worker| w.name == *name && row.started.is_some_and(|at| at >= w.process.started);
                     Some((workers.iter().position(holds)?, row.clone()))
@@ -305,14 +301,14 @@ async fn workers_killed_ten_times_in_the_middle_of_a_frame_lose_no_frame_and_cha
             hits += 1;
             *kills_of_frame.entry(row.frame).or_default() += 1;
         }
-        // Machines come back under their name; others are replaced.
+        // Half of the machines come back under their name, the others are replaced.
         let next = if attempt % 2 == 0 { name } else { format!("node-{}", attempt + 2) };
         start(&mut workers, next);
     }
     assert_eq!(hits, KILLS);
     let workers = workers.into_iter().map(|worker| worker.process).collect();
     let leases = assert_delivered(service, &job, workers).await;
-    // Who comes back under its name takes over at once what its dead process had; other leases run out.
+    // A worker that comes back takes over its node's lease at once. Other leases expire.
     let is_lost = |state: &str| ["expired", "revoked"].contains(&state);
     let lost = leases.iter().filter(|lease| is_lost(&lease.state)).count();
     assert!(lost >= KILLS, "{lost} leases were lost after {KILLS} kills");
@@ -323,16 +319,16 @@ async fn a_service_killed_ten_times_in_the_middle_of_leases_loses_nothing_that_i
     let mut service = Service::start("serve", &["--lease-ttl", "2s"]).await;
     let http = service.http(Role::Operator);
     let job = submit(&http).await;
-    // What was answered is on disk: a kill right after it changes nothing.
+    // The answered request is on disk, so a kill right after it loses nothing.
     service.kill();
     service.start_again().await;
-    // Why it waits is worked out when it is asked for.
+    // The reason to wait is computed on request.
     let kept = job_of(&http, &job).await;
     assert!(kept.waits.as_ref().is_some_and(|waits| waits.because.contains("no worker has registered")));
     assert_eq!(Job { waits: None, ..kept }, job);
     let workers: Vec<Process> =
         (0..2).map(|number| service.worker(&format!("node-{number}"), &format!("worker-{number}"))).collect();
-    // Before the job is booked: previews, profiles, and the service's own steps.
+    // Kills during previews, profiles and the service's own steps.
     for pause in [300, 700, 1100] {
         tokio::time::sleep(Duration::from_millis(pause)).await;
         service.kill();
@@ -355,7 +351,7 @@ async fn a_service_killed_ten_times_in_the_middle_of_leases_loses_nothing_that_i
             (!news.is_empty()).then(|| seen.extend(news))
         })
         .await;
-        // Not always at the same point between two renewals.
+        // Vary the moment between two renewals.
         tokio::time::sleep(Duration::from_millis(attempt * 61 % 240)).await;
         service.kill();
         let leases = Ledger::of(&service.data()).await.leases(job.id).await;
@@ -366,11 +362,11 @@ async fn a_service_killed_ten_times_in_the_middle_of_leases_loses_nothing_that_i
         service.start_again().await;
     }
     assert_eq!(hits, KILLS);
-    // An orderly end in the middle of leases is as good as any other.
+    // An orderly stop must work in the middle of leases too.
     service.end().await;
     service.start_again().await;
     let leases = assert_delivered(service, &job, workers).await;
-    // The workers' work outlives the service: some of the leases that it died with were brought to their end.
+    // Workers outlive the service: some leases that were active at a kill were committed.
     let survived =
         leases.iter().filter(|lease| lease.state == "committed" && hit.contains(&lease.id)).count();
     assert!(
@@ -385,7 +381,7 @@ async fn a_worker_that_ends_gives_its_frame_back_and_one_that_sleeps_beyond_its_
     let service = Service::start("serve", &["--lease-ttl", "1s"]).await;
     let http = service.http(Role::Operator);
     let job = submit(&http).await;
-    // One that is asked to end gives its frame back first.
+    // A worker that is asked to stop releases its frame first.
     let polite = service.worker("polite", "worker-polite");
     let begun = eventually("a frame in the middle", PATIENCE, async || {
         in_the_middle(&frames_of(&http, &job).await).next().map(|row| row.frame)

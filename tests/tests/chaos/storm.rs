@@ -1,11 +1,11 @@
-//! Everything at once. Workers and service are killed at random moments. The network between them loses,
-//! doubles and delays messages. The service's clock is set forward and back by hours, and its disk is full
-//! for moments. All the while small frames are rendered, job after job. Every second job shares an irradiance
-//! cache, which workers plan, fill in parts and merge. In the end every frame is there once, with the bits of
-//! an undisturbed render, and the books balance.
+//! Combines all faults. Workers and service are killed at random moments. The network loses, doubles and
+//! delays messages. The service's clock jumps by hours in both directions, and its disk is full at times.
+//! Meanwhile job after job is rendered. Every second job shares an irradiance cache, which workers plan, fill
+//! in parts and merge. Every frame must be delivered once, with the bits of an undisturbed render, and the
+//! database must be consistent.
 //!
-//! The story follows from a seed; exact times depend on the machine too. Twelve kills are the default. The
-//! full run has two hundred:
+//! The faults follow from a seed; exact times depend on the machine. The default is twelve kills, a full run
+//! two hundred:
 //!
 //! ```sh
 //! FORELIGHT_STORM_KILLS=200 cargo test -p forelight-tests --test chaos storm -- --nocapture
@@ -31,28 +31,27 @@ use std::time::Duration;
 const SCENE: &str = "corridor";
 const WIDTH: u32 = 32;
 const HEIGHT: u32 = 18;
-/// A frame takes about half a second of a test build.
+/// A frame takes about half a second in a test build.
 const SAMPLES_PER_PIXEL: u32 = 12;
 const FRAMES: u32 = 10;
 const WORKERS: usize = 3;
-/// For a whole job in a storm, and for what is left of it when the storm is over.
+/// Limit for a whole job during a storm, and for its rest afterwards.
 const PATIENCE: Duration = Duration::from_secs(240);
 
 fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).ok().map_or(default, |text| text.parse().expect("a number"))
 }
 
-/// Whether the frames of the job of this number share an irradiance cache: every second job, beginning with
-/// the first.
+/// True if the frames of this job share an irradiance cache: every second job, starting with the first.
 fn is_cached(number: usize) -> bool {
     number.is_multiple_of(2)
 }
 
-/// Camera samples and what else sets the two kinds of jobs apart, as flags.
+/// Flags of the two kinds of jobs.
 fn quality(cached: bool) -> Vec<String> {
     let mut flags = vec!["--width".into(), WIDTH.to_string(), "--height".into(), HEIGHT.to_string()];
     if cached {
-        // Two bounces: two levels are filled and put together, one after the other.
+        // Two bounces, so that two levels are filled and merged one after the other.
         let cache = ["--spp", "2", "--cache", "on", "--cache-rays", "48", "--ambient-bounces", "2"];
         flags.extend(cache.map(str::to_owned));
     } else {
@@ -61,8 +60,7 @@ fn quality(cached: bool) -> Vec<String> {
     flags
 }
 
-/// What the program makes of the frames without a farm: with one file for the cache that they share, if they
-/// share one.
+/// Frames of the program without a farm. Frames that share a cache use one file for it.
 fn undisturbed(cached: bool) -> BTreeMap<u32, (Channels, RenderStats)> {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).display().to_string();
@@ -103,7 +101,7 @@ async fn submit(http: &Http, bundle: &Bundle, number: usize) -> Job {
             "width": WIDTH, "height": HEIGHT, "spp": 2, "cache": "on", "cache_rays": 48, "ambient_bounces": 2,
         });
     }
-    // The disk is not full when this is asked, but a service that has just been started may be busy.
+    // The disk is not full now, but a service that has just started may be busy.
     let key = format!("storm-{number}");
     eventually("a job to be taken", PATIENCE, async || {
         let post = http.request(Method::POST, "/v1/jobs").header("idempotency-key", &key).json(&request);
@@ -119,7 +117,7 @@ async fn submit(http: &Http, bundle: &Bundle, number: usize) -> Job {
     .await
 }
 
-/// What happens, and how often it did.
+/// Number of times each fault happened.
 #[derive(Debug, Default)]
 struct Happened {
     workers_killed: u64,
@@ -176,7 +174,7 @@ impl Storm {
         tokio::time::sleep(Duration::from_millis(self.random.below(longest_ms))).await;
     }
 
-    /// One more thing goes wrong.
+    /// Makes one more fault.
     async fn strike(&mut self) {
         match self.random.below(100) {
             0..50 => {
@@ -185,7 +183,7 @@ impl Storm {
                 self.happened.workers_killed += 1;
                 self.moment(300).await;
                 let worker = self.worker(slot);
-                // The last one took the place of the one that was killed; this one takes its name.
+                // The last worker replaced the killed one; this one takes its name.
                 self.workers.push(worker);
                 let last = self.workers.len() - 1;
                 self.workers.swap(slot, last);
@@ -244,7 +242,7 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
             jobs.push(submit(&http, &bundle, jobs.len()).await);
         }
     }
-    // The storm is over. What is left is done, and nothing is held for ever.
+    // The storm is over. The rest must be done, and no lease may stay.
     storm.proxy.calm();
     if jobs.len() == 1 {
         jobs.push(submit(&http, &bundle, 1).await);

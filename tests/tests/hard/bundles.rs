@@ -1,4 +1,5 @@
-//! Nasty bundles, through the loader: what has no meaning is refused in one line, what has little is shown.
+//! Difficult bundles, through the loader. Meaningless ones are refused in one line, degenerate ones are
+//! rendered.
 
 use forelight_protocol::Integrator;
 use forelight_scene::{Limits, Scene, SceneError};
@@ -9,18 +10,17 @@ use forelight_tracer::{CacheSettings, Settings};
 use std::collections::BTreeMap;
 use tempfile::TempDir;
 
-/// The files of a bundle that is made by code.
+/// The files of a bundle made in code.
 #[derive(Default)]
 pub struct Files(BTreeMap<String, Vec<u8>>);
 
 impl Files {
-    /// With one more file.
     pub fn with(mut self, name: &str, content: impl Into<Vec<u8>>) -> Self {
         self.0.insert(name.into(), content.into());
         self
     }
 
-    /// Writes all into a new folder.
+    /// Writes all files into a new folder.
     pub fn folder(&self) -> TempDir {
         let folder = TempDir::new().expect("a temporary folder can be made");
         for (name, content) in &self.0 {
@@ -29,7 +29,6 @@ impl Files {
         folder
     }
 
-    /// What the loader makes of it.
     pub fn load(&self) -> Result<Scene, SceneError> {
         Scene::load(self.folder().path(), &Limits::default())
     }
@@ -65,8 +64,7 @@ fn settings() -> Settings {
     }
 }
 
-/// Renders all frames of a scene in every way and returns the number of pixels that are not sound, and of
-/// all.
+/// Renders all frames of a scene in every way. Returns the numbers of unsound pixels and of all.
 fn rendered(scene: &Scene) -> (u64, u64) {
     let ways = [
         settings(),
@@ -84,7 +82,7 @@ fn rendered(scene: &Scene) -> (u64, u64) {
     (wrong, all)
 }
 
-/// A floor that makes every bundle a scene.
+/// A floor that makes every bundle a valid scene.
 const FLOOR: &str = "o floor\nusemtl grey\nv -2 -0.5 -2\nv 2 -0.5 -2\nv 2 -0.5 2\nv -2 -0.5 2\nf 4 3 2 1\n";
 
 #[test]
@@ -125,8 +123,8 @@ fn degenerate_triangles_are_counted_left_out_and_reported() {
 
 #[test]
 fn a_million_lights_without_area_are_no_lights() {
-    // Against a single one: both have the same objects and materials, whose numbers random choices may depend
-    // on.
+    // Compare with a single lamp. Both have the same objects and materials, because random choices may depend
+    // on their numbers.
     let lamps = |count: usize| {
         let text =
             format!("{FLOOR}o lamps\nusemtl glow\nv 0 0.5 0\nv 1 0.5 0\n{}", "f -1 -2 -1\n".repeat(count));
@@ -188,7 +186,7 @@ fn every_bundle_of_the_collection_is_rendered_finite_or_refused_in_one_line() {
     for path in &names {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let loaded = Scene::load(path, &Limits::default());
-        // The name says what must become of it.
+        // The name says whether the bundle must be refused.
         assert_eq!(name.starts_with("refused-"), loaded.is_err(), "{name}: {:?}", loaded.err());
         match loaded {
             Ok(scene) => {

@@ -1,4 +1,4 @@
-//! The irradiance cache: furnaces, leaks, gradients, threads, and what stays true when something moves.
+//! The irradiance cache: furnaces, leaks and gradients.
 
 use forelight_scene::Surface;
 use forelight_tests::case::case;
@@ -22,22 +22,20 @@ pub fn settings(size: u32, accuracy: u32, rays: u32) -> Settings {
     }
 }
 
-/// The whole image.
 pub fn image(tracer: &Tracer) -> Image {
     tracer.render(None, &|_| {}, &AtomicBool::new(false)).expect("nobody cancels")
 }
 
-/// Lambert reflection that does not shine.
+/// Lambert reflection without emission.
 pub fn wall(albedo: f32) -> forelight_scene::Material {
     material(lambert(albedo), 0.0)
 }
 
-/// Records of all levels.
 pub fn records(tracer: &Tracer) -> u64 {
     tracer.cache().map_or(0, |cache| cache.records().iter().sum())
 }
 
-/// Calls `visit` with place, normal, irradiance and both gradients (first channel) of every record of the
+/// Calls `visit` with position, normal, irradiance and both gradients (first channel) of every record of the
 /// first level.
 fn each_record(tracer: &Tracer, mut visit: impl FnMut(DVec3, DVec3, f64, DVec3, DVec3)) -> u64 {
     let cache = tracer.cache().expect("a cache was called for");
@@ -54,7 +52,7 @@ fn each_record(tracer: &Tracer, mut visit: impl FnMut(DVec3, DVec3, f64, DVec3, 
 
 #[test]
 fn under_an_even_sky_every_record_holds_pi_and_no_gradient() {
-    // Flat sides, for smooth normals on flat triangles would see a little of the body itself.
+    // Flat sides: with smooth normals on flat triangles, rays would hit the body itself.
     let world = World::under(1.0).cuboid(DVec3::splat(-1.0), DVec3::ONE, false, wall(0.5));
     let view = View::new(DVec3::new(1.5, 2.0, 3.0), DVec3::ZERO, 0.45);
     let (mut off, mut slope, mut count, mut pixels) = (0.0f64, 0.0f64, 0, 0.0f64);
@@ -62,7 +60,7 @@ fn under_an_even_sky_every_record_holds_pi_and_no_gradient() {
         let tracer = Tracer::new(&world.frame(view), &settings(24, accuracy, 192));
         let image = image(&tracer);
         assert_eq!(unsound(&image), 0);
-        // At the outline a pixel also shows the sky.
+        // Pixels at the outline also show the sky.
         let body = image.pixels.iter().filter(|p| p.stratum == 0 && p.color[0] < 0.6);
         pixels = body.map(|p| (f64::from(p.color[0]) - 0.5).abs()).fold(pixels, f64::max);
         count += each_record(&tracer, |_, _, value, turn, shift| {
@@ -73,7 +71,7 @@ fn under_an_even_sky_every_record_holds_pi_and_no_gradient() {
     assert!(count > 50, "{count} records");
     // Sums of 192 equal f32.
     case(2, "records on a convex body under an even sky: E against π, relative").worst(off, 1e-5);
-    // All differences are exactly 0; what rotation adds up cancels over the azimuth.
+    // All differences are exactly 0. Contributions of the rotation cancel over the azimuth.
     case(2, "records on a convex body under an even sky: length of both gradients").worst(slope, 1e-4);
     case(2, "pixels of a convex body under an even sky, whatever the accuracy, against its albedo")
         .worst(pixels, 1e-5);
@@ -101,14 +99,14 @@ fn a_closed_glowing_room_sums_the_truncated_series_whatever_the_accuracy() {
             worst = worst.max((mean / expected - 1.0).abs());
         }
     }
-    // Some tens of records of 768 samples of direct light, each with a deviation of a third: 0.2 % of the
-    // bounce's share. At accuracy 1000 a single record may serve a whole wall.
+    // Tens of records with 768 samples of direct light, each with a deviation of a third: 0.2 % of the
+    // bounce's share. At accuracy 1000 one record may serve a whole wall.
     case(2, "a closed glowing room with a cache, 1 and 2 bounces, relative error of the mean")
         .worst(worst, 0.01);
 }
 
-/// A yard without a roof: a fin a millimetre thick between a half with a lamp, whose light falls on the outer
-/// wall, and a dark half from which nothing lit can be seen. Strata: 0 the lit floor, 1 the dark one.
+/// A yard without a roof, divided by a fin a millimetre thick. One half has a lamp that shines on the outer
+/// wall. The other half sees nothing lit. Strata: 0 the lit floor, 1 the dark one.
 fn yard() -> World {
     World::default()
         .floor(DVec3::new(1.0, 0.0, 0.0), 1.0, wall(0.7))
@@ -133,7 +131,7 @@ fn no_light_leaks_through_a_wall_of_a_millimetre() {
         assert_eq!(unsound(&image), 0);
         let side = |stratum: u32| image.pixels.iter().filter(move |p| p.stratum == stratum);
         let lit = side(0).map(|p| f64::from(p.color[0])).sum::<f64>() / side(0).count() as f64;
-        // Pixels at the foot of the fin show some of its sides, and at the outer edge the other floor.
+        // Pixels at the foot of the fin show its sides, and those at the outer edge the other floor.
         let dark = side(1).map(|p| f64::from(p.color[0])).fold(0.0, f64::max);
         println!(
             "         accuracy {accuracy}: lit {lit:.4}, brightest dark pixel {dark:.6}, {} records",
@@ -142,11 +140,11 @@ fn no_light_leaks_through_a_wall_of_a_millimetre() {
         (leak, dimmest) = (leak.max(dark / lit), dimmest.min(lit));
     }
     assert!(dimmest > 0.01, "{dimmest}");
-    // The table's limit.
+    // Limit of the table.
     case(18, "light behind a wall of 10⁻³ m, brightest pixel as a share of the lit side").worst(leak, 0.01);
 }
 
-/// Corners, an edge of a shelf, a contact of sphere and floor, a wire, a small hole in a lid, and a mirror
+/// Corners, the edge of a shelf, a contact of sphere and floor, a wire, a small hole in a lid, and a mirror
 /// that faces all.
 pub fn nook() -> World {
     let mirror = material(Surface::Metal { f0: grey(0.9), alpha: 0.0 }, 0.0);
@@ -162,7 +160,7 @@ pub fn nook() -> World {
         .ceiling(DVec3::new(0.5, 1.9, 0.5), 0.3, material(lambert(0.0), 10.0))
 }
 
-/// Where it is seen from.
+/// The camera of the nook.
 pub const AT_THE_NOOK: View =
     View { eye: DVec3::new(0.2, 1.2, 3.4), target: DVec3::new(0.0, 0.6, -0.5), tan_half: 0.45 };
 
@@ -196,12 +194,11 @@ fn corners_contacts_wires_and_edges_stay_within_the_bound_and_the_cap_of_records
         errors.push((f64::from(accuracy) / 1000.0, error));
         most = most.max(records(&tracer));
     }
-    // Root mean square over the image, relative to the mean of indirect light, against the bound that was
-    // asked for.
+    // Root mean square over the image relative to the mean indirect light, over the requested bound.
     let worst = errors.iter().map(|(allowed, error)| error / allowed).fold(0.0, f64::max);
     case(18, "corner, contact, wire, shelf, mirror: error of the image over the bound asked for")
         .worst(worst, 1.0);
-    // Noise of gathers and of the reference stays: a tenth of slack.
+    // A tenth of slack for the noise of gathers and reference.
     let rising = errors.windows(2).map(|w| w[1].1 / w[0].1).fold(0.0, f64::max);
     case(18, "corner, contact, wire, shelf, mirror: error at half the bound over that at the whole")
         .worst(rising, 1.1);
@@ -209,8 +206,8 @@ fn corners_contacts_wires_and_edges_stay_within_the_bound_and_the_cap_of_records
         .worst(most as f64 / f64::from(size * size), 1.0);
 }
 
-/// ½ Σ γᵢ Γᵢ: the vector of light from a polygon of radiance 1 that is wholly above the horizon; its product
-/// with a normal is the irradiance there (Lambert).
+/// ½ Σ γᵢ Γᵢ: vector irradiance of a polygon of radiance 1 that is wholly above the horizon. Its product with
+/// a normal is the irradiance there (Lambert).
 fn vector_irradiance(corners: &[DVec3], from: DVec3) -> DVec3 {
     let unit: Vec<DVec3> = corners.iter().map(|&c| (c - from).normalize()).collect();
     let sum: DVec3 = (0..unit.len())
@@ -221,14 +218,13 @@ fn vector_irradiance(corners: &[DVec3], from: DVec3) -> DVec3 {
         })
         .sum();
     let half = sum / 2.0;
-    // By the side on which the polygon is.
+    // The sign depends on the side of the polygon.
     if half.dot(unit.iter().copied().sum()) < 0.0 { -half } else { half }
 }
 
 #[test]
 fn gradients_are_the_derivatives_of_closed_forms_in_sign_and_size() {
-    // A floor under an even sky beside a black wall, that stands on it along z: the wall takes a polygon out
-    // of the sky.
+    // A floor under an even sky beside a black wall along z. The wall takes a polygon out of the sky.
     let (height, depth) = (1.0, 1.5);
     let corners = [
         DVec3::new(0.0, 0.0, -depth),
@@ -262,9 +258,9 @@ fn gradients_are_the_derivatives_of_closed_forms_in_sign_and_size() {
         }
     });
     assert!(count > 5 && largest.0 > 0.2 && largest.1 > 0.2, "{count} records, slopes up to {largest:?}");
-    // 12,288 strata of which those on the wall's outline, some 4 · 110, are in doubt: √440 / 12,288 of π.
+    // Of 12,288 strata, some 4 · 110 on the wall's outline are uncertain: √440 / 12,288 of π.
     case(19, "irradiance of records beside a wall against the closed form, relative").worst(value, 5e-3);
-    // The outline again, divided by distances of half a metre and more; a wrong sign would be twice the
+    // The outline again, divided by distances of half a metre and more. A wrong sign would give twice the
     // largest slope.
     case(19, "grad_t against the derivative of the closed form, as a share of the largest")
         .worst(shift_error / largest.0, 0.1);

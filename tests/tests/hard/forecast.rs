@@ -1,4 +1,4 @@
-//! Forecasts of costs that are known: exact where they can be, honest where they cannot.
+//! Forecasts of known costs: exact where possible, calibrated elsewhere.
 
 use crate::meshes::Stream;
 use forelight_forecast::{
@@ -9,7 +9,7 @@ use forelight_tests::case::case;
 use forelight_tests::statistics::{Moments, chi_square_upper, student_below};
 use proptest::prelude::*;
 
-/// Calibrated by the identity: quantiles as the formulas have them.
+/// The identity: quantiles as in the formulas.
 const PLAIN: Calibration = Calibration { inflation: 1.0, calibrated: true };
 
 fn strata(count: u32) -> Vec<Stratum> {
@@ -94,7 +94,7 @@ fn quantities(costs: &Costs<Quantity>) -> impl Iterator<Item = &Quantity> {
     [&costs.work, &costs.cpu_nanos, &costs.all_rays].into_iter().chain(&costs.rays)
 }
 
-/// How many quantities of a forecast are negative, no number, or out of order.
+/// Number of quantities of a forecast that are negative, NaN or out of order.
 fn unsound(costs: &Costs<Quantity>) -> u64 {
     let sound = |q: &Quantity| {
         let all = [q.mean, q.p50, q.p80, q.p95, q.variance];
@@ -118,8 +118,7 @@ fn scenes_of_constant_cost_are_forecast_exactly_from_any_sample() {
         }
     }
     case(22, "a scene of constant cost, any sample of it, relative error").worst(worst, 4.0 * f64::EPSILON);
-    // 400 samples of 40 objects leave none unsampled together with others; 17 do, and then a guess is not
-    // certain.
+    // 400 samples leave no group of the 40 objects unsampled. 17 samples do, and then a guess is uncertain.
     println!("         widest interval of a constant cost: {widest:.3}");
 }
 
@@ -157,7 +156,7 @@ fn no_budget_and_no_scene_makes_a_forecast_negative_or_nan() {
 
 #[test]
 fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
-    // A pixel of a million times the cost of its neighbours, alone in its stratum, one in 4096.
+    // One pixel of 4096 costs a million times its neighbours, alone in its stratum.
     let mut picture = Picture::mosaic(64, 1, 0.3, 6);
     picture.strata.push(Stratum { object: 1, material: 9, prior_cost: 1.0, apart: false });
     picture.ids[2077] = 1;
@@ -171,23 +170,21 @@ fn an_object_of_one_pixel_is_neither_lost_nor_blown_up() {
         moments.add(found.work.mean / truth);
     }
     let sample = moments.sample();
-    // A pixel that is joined with all others is met in 256 of 4096 designs, and then counts sixteen times.
-    // That is unbiased, at 5 standard errors of 200 designs. Only a prior cost that draws samples would do
-    // better.
+    // A pixel merged with all others is sampled in 256 of 4096 designs and then counts sixteen times. That is
+    // unbiased, at 5 standard errors of 200 designs. Only a prior cost would do better.
     case(22, "an object of one pixel: bias of 200 designs, in standard errors")
         .worst((sample.mean - 1.0).abs() / sample.variance.sqrt(), 5.0);
     case(22, "an object of one pixel: forecasts that are negative or NaN").never(wrong, 200);
-    // Where the preview knows that it is dear, it is a stratum that is always sampled, and the total is
-    // close.
+    // With the right prior cost, the pixel is a stratum that is always sampled, and the total is close.
     picture.strata[1].prior_cost = 1e6;
     let worst = (0..50)
         .map(|seed| (picture.forecast(256, seed).expect("a forecast").work.mean / truth - 1.0).abs())
         .fold(0.0, f64::max);
-    // The other 4095 pixels make 0.4 % of the total, and they are known to 2 %.
+    // The other 4095 pixels are 0.4 % of the total, known to 2 %.
     case(22, "an object of one pixel whose prior cost is right, relative error").worst(worst, 1e-3);
 }
 
-/// A shot of `frames` frames of three strata, the third seen in some frames only; everything in `known` is
+/// A shot of `frames` frames of three strata, the third visible in some frames only. Frames in `known` are
 /// profiled completely.
 fn shot(frames: usize, seen: impl Fn(usize) -> u32, known: &[usize]) -> (ShotForecast, Vec<f64>) {
     let strata = strata(3);
@@ -235,7 +232,7 @@ fn an_object_that_vanishes_and_returns_costs_only_where_it_is() {
         wrong += unsound(&frame.total);
         worst = worst.max((frame.total.work.mean / truth - 1.0).abs());
     }
-    // 280 pixels with a deviation of 0.42 each, against the mean of another frame's as many: 0.42 √(2/280) =
+    // 280 pixels with a deviation of 0.42 each, against the mean of as many in another frame: 0.42 √(2/280) =
     // 3.5 %, at four standard errors.
     case(22, "frames of an object that vanishes and returns, relative error").worst(worst, 0.14);
     case(22, "frames of a vanishing object that are negative or NaN").never(wrong, 12);
@@ -262,7 +259,7 @@ fn quantiles_hold_as_often_as_they_promise_over_200_jobs() {
         below80 += u32::from(truth <= found.p80);
         below95 += u32::from(truth <= found.p95);
         errors.add(found.mean / truth - 1.0);
-        // Probability integral transform: where the truth lies in the forecast's own distribution, log-t.
+        // Probability integral transform: position of the truth in the forecast's own distribution, log-t.
         let sigma = (found.variance / found.mean / found.mean).ln_1p().sqrt();
         let p = student_below((truth / found.mean).ln() / sigma, found.degrees_of_freedom.min(1e6));
         histogram[((p * bins as f64) as usize).min(bins - 1)] += 1.0;
@@ -284,7 +281,7 @@ fn quantiles_hold_as_often_as_they_promise_over_200_jobs() {
         .least(chi_square_upper(square, 9.0), 1e-4);
 }
 
-/// Σ N² S² / n of the sampled strata; infinite where one that varies has no sample.
+/// Σ N² S² / n of the sampled strata. Infinite if a varying stratum has no sample.
 fn variance(cells: &[Cell], allocation: &[u64]) -> f64 {
     let part = |(cell, &n): (&Cell, &u64)| {
         let spread = cell.size as f64 * cell.spread;
@@ -353,9 +350,8 @@ fn a_job_that_is_finished_costs_what_was_measured() {
 
 #[test]
 fn estimates_have_no_drift_while_frames_are_finished() {
-    // 200 jobs of ten frames whose costs wander; frames finish in any order, and after each the estimate is
-    // made anew. What the estimate will be tomorrow is what it is today, give or take: each step is 0 in the
-    // mean, and so is every error.
+    // 200 jobs of ten frames with varying costs. Frames finish in any order, each with a new estimate. The
+    // estimate must be a martingale: each step, and so each error, has mean 0.
     let (runs, frames) = (200u64, 10usize);
     let strata = strata(2);
     let mut steps = vec![Moments::default(); frames - 1];
@@ -414,7 +410,7 @@ fn estimates_have_no_drift_while_frames_are_finished() {
     let worst =
         steps.iter().map(|m| m.sample()).map(|s| s.mean.abs() / s.variance.sqrt()).fold(0.0, f64::max);
     println!("         mean width of P95 after 1, 2, … 10 frames: {widths:.3?}");
-    // Nine steps; none is off by 4 standard errors of 200 runs in 99.9 % of sets of seeds.
+    // Nine steps. In 99.9 % of sets of seeds, none is off by 4 standard errors of 200 runs.
     case(27, "mean step of the estimate from frame to frame over 200 runs, in standard errors")
         .worst(worst, 4.0);
     let widest = widths.windows(2).map(|w| w[1] - w[0]).fold(f64::NEG_INFINITY, f64::max);

@@ -1,4 +1,4 @@
-//! Nodes in nodes: mirrored, uneven, nested; against the same meshes put into place here.
+//! Nested, mirrored and unevenly scaled nodes, compared with the same meshes placed in code.
 
 use crate::bundles::Files;
 use crate::similarity::{self, compare, judge, work};
@@ -11,7 +11,7 @@ use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
 use std::sync::Arc;
 
-/// A box with a corner cut off, so that no symmetry can hide a mistake; flat normals, three vertices a
+/// A box with a corner cut off, so that no symmetry hides a mistake. Flat normals, three vertices per
 /// triangle.
 fn solid() -> (Vec<Vec3>, Vec<Vec3>) {
     let (positions, triangles) = forelight_tests::world::cuboid(DVec3::splat(-0.5), DVec3::splat(0.5), false);
@@ -26,7 +26,6 @@ fn solid() -> (Vec<Vec3>, Vec<Vec3>) {
     (out, normals)
 }
 
-/// A placement in a parent.
 #[derive(Clone, Copy)]
 struct Place {
     translation: [f64; 3],
@@ -44,7 +43,7 @@ impl Place {
         json!({"translation": self.translation, "rotation": self.quaternion().to_array(), "scale": self.scale})
     }
 
-    /// What the file says, numbers rounded to `f32` as glTF readers do.
+    /// The matrix as in the file, with numbers rounded to `f32` as in glTF.
     fn matrix(&self) -> DMat4 {
         let round = |v: [f64; 3]| DVec3::from_array(v.map(|x| f64::from(x as f32)));
         let q = DQuat::from_array(self.quaternion().to_array().map(|x| f64::from(x as f32))).normalize();
@@ -52,7 +51,7 @@ impl Place {
     }
 }
 
-/// Chains of placements, outermost first: each ends in the solid.
+/// Chains of placements, outermost first. Each ends in the solid.
 fn chains() -> Vec<(&'static str, Vec<Place>)> {
     let still = ([0.0, 1.0, 0.0], 0.0);
     let place = |translation, rotation, scale| Place { translation, rotation, scale };
@@ -97,7 +96,7 @@ fn bundle() -> Files {
     bundle_at([0.0; 3])
 }
 
-/// All of it moved: what stands in it by a node around the others, as a georeferenced building is.
+/// All of it moved by a node around the others, as in georeferenced buildings.
 fn bundle_at(offset: [f64; 3]) -> Files {
     let (positions, normals) = solid();
     let mut bin: Vec<u8> = Vec::new();
@@ -146,7 +145,7 @@ fn bundle_at(offset: [f64; 3]) -> Files {
         .with("scene.json", description.to_string())
 }
 
-/// The loaded frame with its geometry replaced by one that is put into place here.
+/// The loaded frame with its geometry replaced by one placed in code.
 fn baked(frame: &Frame) -> Frame {
     let (positions, normals) = solid();
     let mut geometry = Geometry { strata: frame.geometry.strata.clone(), ..Geometry::default() };
@@ -191,7 +190,7 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
             furthest = furthest.max(f64::from(p.distance(q)));
         }
         turned = turned.max(f64::from(1.0 - a.geometric_normal(s as u32).dot(b.geometric_normal(t as u32))));
-        // A mirror changes the winding and the side of the normal together: the shading normal stays on the
+        // A mirror changes both the winding and the side of the normal, so the shading normal stays on the
         // front.
         let n = a.normals[a.triangles[s][0] as usize];
         inside_out += u64::from(n.dot(a.geometric_normal(s as u32)) < 0.999);
@@ -204,7 +203,7 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
     case(14, "triangles whose shading normal is not on their front")
         .never(inside_out, a.triangles.len() as u64);
 
-    // Along the same rays: the same surfaces at the same distances.
+    // The same surfaces at the same distances along the same rays.
     let (own, other) = (Bvh::build(&a.positions, &a.triangles), Bvh::build(&b.positions, &b.triangles));
     let (mut apart, mut differing, mut hits) = (0.0f64, 0, 0u64);
     let camera = frame.camera.resized(128, 128);
@@ -225,7 +224,7 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
         }
     }
     assert!(hits > 2000, "{hits}");
-    // Rays that graze an edge may fall on either side of it: a handful of sixteen thousand.
+    // Rays that graze an edge may hit either side: a handful of 16,384.
     case(14, "rays that meet another instance than when baked, of 16,384").worst(f64::from(differing), 8.0);
     case(14, "distance along a ray to an instance against baked, relative").worst(apart, 1e-4);
 
@@ -242,8 +241,7 @@ fn instances_are_where_the_same_meshes_are_when_baked() {
     let pairs: Vec<(f64, f64)> = values(&x).into_iter().zip(values(&y)).collect();
     let total: f64 = pairs.iter().map(|p| p.1).sum();
     let apart: f64 = pairs.iter().map(|p| (p.0 - p.1).abs()).sum();
-    // Other roundings send single paths elsewhere; a normal on the wrong side would darken a tenth of the
-    // image.
+    // Other rounding changes single paths. A normal on the wrong side would darken a tenth of the image.
     case(14, "mean absolute difference of an image of instances from the baked one, relative")
         .worst(apart / total, 0.01);
 }
@@ -257,7 +255,7 @@ fn scenes_moved_by_ten_million_times_their_size_look_and_cost_the_same() {
     };
     let base = at([0.0; 3], &settings);
     let reseeded = at([0.0; 3], &Settings { seed: 1, ..settings });
-    // Six metres of solids. glTF has numbers of 24 bits, so that the place is what it is when it is read.
+    // Six metres of solids. glTF has 24-bit numbers, so the offsets survive reading exactly.
     let places = [1e4, 1e5, 1e6, 1e7].map(|times| {
         let offset = [0.6, -0.5, 0.6244998].map(|x| f64::from((x * 6.0 * times) as f32));
         (format!("moved by {times:e} times its size"), at(offset, &settings))

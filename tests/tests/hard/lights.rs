@@ -1,4 +1,4 @@
-//! Where light goes and how much of it: energy balance, closed forms, lights in bad places, extreme radiance.
+//! Energy balance, closed forms, lights in difficult places, extreme radiance.
 
 use forelight_scene::{Environment, Surface};
 use forelight_tests::case::case;
@@ -14,11 +14,11 @@ fn settings(size: u32, spp: u32) -> Settings {
     Settings { width: size, height: size, spp, ambient_bounces: 0, ..Settings::default() }
 }
 
-/// Albedo of the floor on which irradiance is measured.
+/// Albedo of the floor where irradiance is measured.
 const ALBEDO: f32 = 0.5;
 
 /// Irradiance at the origin of a horizontal plane that faces up, and its standard error. The camera looks
-/// straight at the point, from above or past what is there.
+/// straight at the point.
 fn irradiance(world: &World, eye: DVec3, settings: &Settings) -> (f64, f64) {
     let world = world.clone().floor(DVec3::ZERO, 50.0, material(lambert(ALBEDO), 0.0));
     let image = render(&world.frame(View::new(eye, DVec3::ZERO, 0.0)), settings);
@@ -29,7 +29,7 @@ fn irradiance(world: &World, eye: DVec3, settings: &Settings) -> (f64, f64) {
     (sample.mean, sample.variance.sqrt())
 }
 
-/// How far a deviation is beyond five of its standard errors.
+/// Deviation beyond five standard errors.
 fn beyond(deviation: f64, error: f64) -> f64 {
     (deviation.abs() - 5.0 * error).max(0.0)
 }
@@ -42,7 +42,7 @@ fn lambert_polygon(corners: &[DVec3]) -> f64 {
         .map(|i| {
             let (a, b) = (unit[i], unit[(i + 1) % unit.len()]);
             let normal = a.cross(b);
-            // atan2 keeps the digits of small angles, which acos would lose.
+            // atan2 keeps the digits of small angles that acos would lose.
             normal.length().atan2(a.dot(b)) * normal.normalize_or_zero().y
         })
         .sum();
@@ -89,8 +89,8 @@ fn polygon_lights_give_lamberts_irradiance() {
         // Positions and products are f32: 1e-6 of the value is rounding.
         worst = worst.max((value - expected).abs() / error.max(1e-6 * expected));
     }
-    // Of five values none is off by 5 standard errors in 99.9997 % of runs (64 pixels: Student's tails are
-    // near the normal's).
+    // In 99.9997 % of runs none of five values is off by 5 standard errors. With 64 pixels, Student's tails
+    // are close to normal.
     case(6, "polygon lights give Lambert's irradiance, in standard errors").worst(worst, 5.0);
 }
 
@@ -110,9 +110,9 @@ fn parallel_discs_and_perpendicular_rectangles_have_their_form_factors() {
     let (value, error) = irradiance(&polygon_light(World::default(), &disc, 1.0), ASIDE, &settings(8, 1024));
     case(6, "point to coaxial disc, F = r²/(r²+h²), relative error beyond 5 standard errors")
         .worst(beyond(value / by_formula - 1.0, error / by_formula), 5e-5);
-    // From a point at distance c before the middle of a rectangle a high, b wide that stands on its plane
-    // (Howell B-4, twice a corner): E = L [atan(1/Y) − Y/√(X²+Y²) atan(1/√(X²+Y²))] with X = a/(b/2), Y =
-    // c/(b/2).
+    // From a point at distance c before the middle of a rectangle, a high and b wide, that stands on its
+    // plane (Howell B-4, twice a corner). With X = a/(b/2) and Y = c/(b/2): E = L
+    // [atan(1/Y) − Y/√(X²+Y²) atan(1/√(X²+Y²))].
     let (a, b, c) = (1.5, 2.0, 1.0);
     let (px, py) = (a / (b / 2.0), c / (b / 2.0));
     let r = f64::hypot(px, py);
@@ -147,8 +147,8 @@ fn a_sphere_light_gives_the_irradiance_of_its_disc() {
         let expected = PI * 5.0 * (radius / centre.length()).powi(2) * centre.y / centre.length();
         worst = worst.max(beyond(value / expected - 1.0, error / expected));
     }
-    // 5120 triangles whose corners lie on the sphere: edges of 0.07 R sink in by 0.07²/8 = 6e-4 at most; the
-    // area of the silhouette is smaller by less than twice that.
+    // 5120 triangles with corners on the sphere. Edges of 0.07 R lie 0.07²/8 = 6e-4 inside at most, so the
+    // silhouette is smaller by less than twice that.
     case(6, "sphere lights give π L (R/d)² cos θ, relative error beyond 5 standard errors")
         .worst(worst, 1.2e-3);
 }
@@ -168,8 +168,7 @@ fn a_constant_and_a_sampled_sky_light_a_plane_alike() {
     world.environment = Environment::Image { texture: TextureId(0), scale: 1.0, rotation_deg: 33.0 };
     let (value, error) = irradiance(&world, ASIDE, &settings(8, 1024));
     let expected = PI * (1.0 + 1.0 / 3.0);
-    // Bilinear lookup over rows of 1.4°: the second difference of cos θ / 2 is 3e-4, an eighth of it is the
-    // error.
+    // Bilinear lookup over rows of 1.4°: an eighth of the second difference of cos θ / 2, which is 3e-4.
     case(6, "a sky of radiance 1 + y/2 gives 4π/3, relative error beyond 5 standard errors")
         .worst(beyond(value / expected - 1.0, error / expected), 1e-4);
     let (value, _) = irradiance(&World::under(1.0), ASIDE, &settings(4, 64));
@@ -179,9 +178,9 @@ fn a_constant_and_a_sampled_sky_light_a_plane_alike() {
 /// Half the width of the lamp of the room below.
 const LAMP: f64 = 0.25 * 0.999;
 
-/// Power that arrives on each of the six walls of a room −1 … 1, and on the lamp below its ceiling. Each is
-/// seen squarely from the middle, so that all pixels see equal areas. `walls` are the albedos, as −x, +x, −y,
-/// +y, −z, +z.
+/// Power that arrives on the six walls of a room −1 … 1, and on the lamp below its ceiling. Each is seen
+/// squarely from the middle, so that all pixels see equal areas. `walls` are the albedos: −x, +x, −y, +y, −z,
+/// +z.
 fn arriving(walls: [f32; 6], bounces: u32, seed: u64) -> [f64; 7] {
     let lamp_albedo = 0.5f32;
     let mut world = World::default();
@@ -192,7 +191,7 @@ fn arriving(walls: [f32; 6], bounces: u32, seed: u64) -> [f64; 7] {
         let v = normal.cross(u);
         world = world.quad(-normal - u - v, 2.0 * u, 2.0 * v, material(lambert(albedo), 0.0));
     }
-    // Seen from the middle its edges lie on edges of pixels, so that none shows both lamp and ceiling.
+    // Its edges lie on edges of pixels, so no pixel shows both lamp and ceiling.
     let world = world.ceiling(DVec3::new(0.0, 0.999, 0.0), LAMP, material(lambert(lamp_albedo), 3.0));
     let mut power = [0.0; 7];
     for wall in 0..6 {
@@ -207,7 +206,7 @@ fn arriving(walls: [f32; 6], bounces: u32, seed: u64) -> [f64; 7] {
         assert_eq!(unsound(&image), 0);
         let area = 4.0 / image.pixels.len() as f64;
         for Pixel { color, stratum, .. } in &image.pixels {
-            // The lamp is a thousandth nearer, and seen larger by that.
+            // The lamp is nearer by a thousandth, and appears larger by that.
             let (index, albedo, own, nearer) =
                 if *stratum == 6 { (6, lamp_albedo, 3.0, 0.999f64) } else { (wall, walls[wall], 0.0, 1.0) };
             power[index] += (f64::from(color[0]) - own) * PI / f64::from(albedo) * area * nearer * nearer;
@@ -219,8 +218,7 @@ fn arriving(walls: [f32; 6], bounces: u32, seed: u64) -> [f64; 7] {
 #[test]
 fn in_a_closed_room_what_arrives_is_what_is_emitted_and_reflected() {
     let emitted = PI * 3.0 * (2.0 * LAMP).powi(2);
-    // The second room has an opening: a wall of one per mille, which reflects next to nothing of what leaves
-    // by it.
+    // The wall of albedo 0.001 acts as an opening.
     for (name, walls) in [("grey", [0.5f32; 6]), ("with an opening", [0.001, 0.2, 0.8, 0.4, 0.6, 0.7])] {
         let mut worst = 0.0f64;
         for bounces in 0..3 {
@@ -242,8 +240,7 @@ fn in_a_closed_room_what_arrives_is_what_is_emitted_and_reflected() {
                 sample.mean,
                 sample.variance.sqrt()
             );
-            // Student's t of 5 degrees at 1e-4 is 9.7. The slit behind the lamp, a thousandth wide, takes
-            // what flies in.
+            // Student's t of 5 degrees at 1e-4 is 9.7. The slit behind the lamp absorbs a thousandth.
             worst = worst.max(sample.mean.abs() - 9.7 * sample.variance.sqrt());
         }
         case(3, format!("a room {name}: arriving = emitted + reflected, relative, beyond t(1e-4)"))
@@ -268,7 +265,7 @@ fn lights_without_area_emit_nothing_and_are_not_sampled() {
         world
             .mesh(&[a, b, a.midpoint(b)], &flat, material(lambert(0.0), 1e6))
             .mesh(&[a, a, a], &[[0, 1, 2]], material(lambert(0.0), 1e12))
-            // An area of 1e-60 m² is none in f32.
+            // An area of 1e-60 m² is zero in f32.
             .quad(DVec3::new(0.0, 0.5, 0.0), DVec3::X * 1e-30, DVec3::Z * 1e-30, material(lambert(0.0), 1e12))
     };
     let view = View::new(DVec3::new(0.0, 0.8, 1.5), DVec3::ZERO, 0.6);
@@ -292,15 +289,15 @@ fn a_tiny_light_of_enormous_radiance_is_a_point_light() {
         let expected = f64::from(radiance) * size * size / 4.0;
         worst = worst.max((value / expected - 1.0).abs());
     }
-    // The largest, 1 : 200, deviates from a point by (size/d)² = 2.5e-5; at 2 m, f32 places corners of a
-    // micrometre to 6 %: the light is at (0, 2, 0), whose x and z have all digits.
+    // The largest light (1 : 200) deviates from a point by (size/d)² = 2.5e-5. At 2 m, f32 places corners of
+    // a micrometre to 6 %, so the light is at (0, 2, 0), where x and z are exact.
     case(16, "tiny lights of up to 10¹² radiance give I cos θ / d², relative error").worst(worst, 1e-4);
 }
 
 #[test]
 fn a_hundred_thousand_lights_give_the_sum_of_all_and_none_gives_all() {
-    // Lamps of very different power in a ring of one radius and height, so that each gives in proportion to
-    // its power.
+    // Lamps of very different power in a ring of one radius and height. Each contributes in proportion to its
+    // power.
     let lights = 100_000u32;
     let mut world = World::default();
     let mut total = 0.0f64;
@@ -313,16 +310,15 @@ fn a_hundred_thousand_lights_give_the_sum_of_all_and_none_gives_all() {
     }
     let expected = total * 1e-6 * 4.0 / 13.0 / 13.0;
     let (value, error) = irradiance(&world, ASIDE, &settings(4, 256));
-    // Lamps are chosen in proportion to power, so every choice is worth the same. Shares of 1e-6 are
-    // differences of f32 near 1, good to 6 %, but drawing and weighing use the same ones. The square's extent
-    // adds 1e-7.
+    // Lamps are chosen by power, so every choice has the same weight. Shares of 1e-6 are differences of f32
+    // near 1, good to 6 %, but drawing and weighting use the same ones. The square's extent adds 1e-7.
     case(16, "100,000 lights give the sum of all, relative error beyond 5 standard errors")
         .worst(beyond(value / expected - 1.0, error / expected), 1e-3);
 }
 
 #[test]
 fn a_black_light_is_never_chosen() {
-    // Nine shining lamps, so that lamps are drawn by power, with a thousand black ones between them.
+    // Nine lamps, so that they are drawn by power, with a thousand black ones between them.
     let scene = |black: bool| {
         let mut world = World::default().floor(DVec3::ZERO, 2.0, material(lambert(0.5), 0.0));
         for i in 0..9 {
@@ -374,8 +370,7 @@ fn lights_that_touch_a_surface_or_stand_behind_it_stay_finite() {
     }
     case(16, "pixels near lights in, on, across and under a surface that are no finite number")
         .never(wrong, pixels);
-    // Radiance 10 over a white floor cannot make more than the light's own radiance of it: E ≤ π L, times
-    // albedo / π.
+    // A light of radiance 10 above a white floor: E ≤ π L, times albedo / π.
     let image = render(&touching.frame(view), &settings(48, 64));
     let brightest = values(&image).into_iter().fold(0.0, f64::max);
     case(16, "brightest pixel beside lights of radiance 10 that touch a floor of albedo 0.8")
@@ -386,7 +381,7 @@ fn lights_that_touch_a_surface_or_stand_behind_it_stay_finite() {
     case(16, "pixels lit by a light behind the floor").never(lit, 256);
 }
 
-/// A room with everything in it, its lights times `factor`.
+/// A room with everything in it and its lights times `factor`.
 fn lit(factor: f32) -> World {
     let mut world = World::under(0.1 * factor)
         .floor(DVec3::ZERO, 3.0, material(lambert(0.6), 0.0))
@@ -422,8 +417,7 @@ fn an_image_is_linear_in_its_lights_to_the_bit_from_1e_minus_30_to_1e30() {
         let factor = 2f32.powi(power);
         let image = render(&lit(factor).frame(AT_THE_ROOM), &settings);
         for (a, b) in base.pixels.iter().zip(&image.pixels) {
-            // Exact where nothing underflows: contributions below 2⁻²⁶ of a pixel of 1 lie beneath the normal
-            // numbers at 2⁻¹⁰⁰.
+            // Exact without underflow. At 2⁻¹⁰⁰, contributions below 2⁻²⁶ of a pixel of 1 are denormal.
             let same = a.color.map(|c| c * factor) == b.color && a.rays == b.rays && a.work == b.work;
             wrong += u64::from(!same);
             pixels += 1;
@@ -447,7 +441,7 @@ fn black_empty_and_absorbing_scenes_are_black() {
     let lost = dark(&unlit, AT_THE_ROOM) + dark(&World::default(), AT_THE_ROOM) + dark(&absorbing, below);
     case(17, "pixels of an unlit, an empty and an absorbing scene that are not exactly black")
         .never(lost, 768);
-    // An empty scene under a sky is the sky.
+    // An empty scene shows the sky.
     let image = render(&World::under(0.25).frame(AT_THE_ROOM), &settings);
     case(17, "an empty scene under a sky of 0.25").worst((mean(&image) - 0.25).abs(), 0.0);
 }

@@ -1,5 +1,5 @@
-//! Materials in a furnace, reciprocity, sampling against densities, Fresnel's equations: all through finished
-//! pixels.
+//! Materials in a furnace, reciprocity, sampling against densities and Fresnel's equations, all through
+//! finished pixels.
 
 use forelight_scene::{Environment, Surface, Texels, Texture, TextureId};
 use forelight_tests::case::case;
@@ -18,7 +18,7 @@ fn settings(size: u32, spp: u32) -> Settings {
     Settings { width: size, height: size, spp, ambient_bounces: 0, max_depth: 64, ..Settings::default() }
 }
 
-/// All samples go along one and the same ray, which meets the plane y = 0 at the origin under this angle.
+/// All samples use one ray, which meets the plane y = 0 at the origin under this angle.
 fn view(angle_deg: f64) -> View {
     let (s, c) = angle_deg.to_radians().sin_cos();
     View::new(DVec3::new(s, c, 0.0), DVec3::ZERO, 0.0)
@@ -39,7 +39,7 @@ fn seen(world: &World, angle_deg: f64, settings: &Settings) -> (f64, f64) {
     (sample.mean, sample.variance.sqrt())
 }
 
-/// GGX with Smith's height-correlated masking, in `f64` and from the definitions: y is the normal.
+/// GGX with Smith's height-correlated masking, in `f64` and from the definitions. The normal is y.
 #[derive(Clone, Copy)]
 struct Ggx(f64);
 
@@ -58,13 +58,13 @@ impl Ggx {
         (1.0 + self.lambda(wi)) / (1.0 + self.lambda(wi) + self.lambda(wo))
     }
 
-    /// Calls `visit` for each cell of the unit square: with its facet normal, its place (ξ, φ/2π), and the
-    /// probability of a visible facet within it. ξ is the distribution function of GGX in the facets' angle:
-    /// tan²θ = α² ξ / (1 − ξ).
+    /// Calls `visit` for each cell of the unit square, with its facet normal, its position (ξ, φ/2π) and the
+    /// probability of a visible facet within it. The variable ξ is the GGX distribution function of the
+    /// facets' angle: tan²θ = α² ξ / (1 − ξ).
     fn facets(self, wi: DVec3, cells: u32, mut visit: impl FnMut(DVec3, [f64; 2], f64)) {
         let n = f64::from(cells);
         for i in 0..cells {
-            // ξ = 1 − s²: dense where facets stand upright and the integrand grows like 1/√(1 − ξ).
+            // ξ = 1 − s²: dense near upright facets, where the integrand grows like 1/√(1 − ξ).
             let s = (f64::from(i) + 0.5) / n;
             let xi = 1.0 - s * s;
             let tan = self.0 * (xi / (1.0 - xi)).sqrt();
@@ -124,7 +124,7 @@ fn white_lambert_mirrors_and_panes_vanish_in_a_furnace_at_every_angle() {
             }
         }
     }
-    // Every single path carries 1: nothing but the rounding of some ten operations may show.
+    // Every path carries 1, so only the rounding of about ten operations may show.
     case(1, "white Lambert, mirrors and panes of air vanish in a furnace, 0° to 89.99°").worst(worst, 1e-6);
     let mut worst = 0.0f64;
     for ior in [1.1f32, 1.5, 2.4] {
@@ -133,15 +133,15 @@ fn white_lambert_mirrors_and_panes_vanish_in_a_furnace_at_every_angle() {
             worst = worst.max((seen(&pane, angle, &settings(8, 256)).0 - 1.0).abs());
         }
     }
-    // What is below 2 % of a pixel survives by roulette: 16,384 chances of 0.02 have a standard error of at
-    // most 8e-5.
+    // Paths below 2 % of a pixel survive by roulette: 16,384 chances of 0.02 have a standard error of at most
+    // 8e-5.
     case(1, "panes of glass vanish in a furnace, 0° to 89.99°").worst(worst, 4e-4);
 }
 
 #[test]
 fn smooth_white_plastic_vanishes_in_a_furnace_at_every_angle() {
-    // The share F that the coat reflects and the share that the base sends back through it add up to 1 by the
-    // definition of the coat's internal reflectance.
+    // The share F that the coat reflects and the share that the base sends back through it add up to 1, by
+    // the definition of the coat's internal reflectance.
     let mut worst = 0.0f64;
     for ior in [1.3f32, 1.5, 2.5] {
         let world = plate(1.0, Surface::Plastic { albedo: grey(1.0), ior, alpha: 0.0 });
@@ -149,8 +149,8 @@ fn smooth_white_plastic_vanishes_in_a_furnace_at_every_angle() {
             worst = worst.max((seen(&world, angle, &settings(4, 256)).0 - 1.0).abs());
         }
     }
-    // 4096 cosine-weighted samples of a factor 1 − F(θ) with a standard deviation of at most 0.25: 5 standard
-    // errors of random numbers are 0.02, and the (0,2)-sequences do ten times better.
+    // 4096 cosine-weighted samples of a factor 1 − F(θ) with a standard deviation of at most 0.25. 5 standard
+    // errors of random numbers are 0.02; (0,2)-sequences are ten times better.
     case(1, "smooth white plastic vanishes in a furnace, 0° to 89.99°").worst(worst, 2e-3);
 }
 
@@ -168,9 +168,9 @@ fn rough_white_metal_in_a_furnace_loses_what_single_scattering_loses_and_no_more
             least = least.min(value);
         }
     }
-    // In standard errors: of 50 values none is off by 5 in 99.997 % of runs.
+    // In 99.997 % of runs none of 50 values is off by 5 standard errors.
     case(1, "rough white metal reflects its directional albedo, in standard errors").worst(worst, 5.0);
-    // A weight never passes 1, and neither can a mean.
+    // A weight never exceeds 1, and neither can a mean.
     case(1, "rough white metal never reflects more than arrives").worst(most, 1.0 + 1e-6);
     case(1, "rough white metal loses by single scattering, at alpha 1, no more than the declared 70 %")
         .least(least, 0.3);
@@ -189,7 +189,7 @@ fn rough_white_plastic_in_a_furnace_never_reflects_more_than_arrives() {
     }
     case(1, "rough white plastic never reflects more than arrives, beyond 5 standard errors")
         .worst(most, 1.0 + 1e-4);
-    // The coat's single scattering can lose all that the coat reflects, and no more; at 89.99° that is nearly
+    // The coat's single scattering can lose at most what the coat reflects. At 89.99° that is nearly
     // everything.
     case(1, "rough white plastic keeps some light at every angle").least(least, 0.0);
 }
@@ -203,16 +203,16 @@ fn a_clear_slab_vanishes_in_a_furnace_after_64_hits_without_cut_off() {
         let world = World::under(1.0).cuboid(low, high, false, material(glass, 0.0));
         for angle in ANGLES {
             let (value, error) = seen(&world, angle, &settings(8, 256));
-            // What enters, (1 − F), and is thrown back F each time, may still be inside after 64 hits, of
-            // which at most one in eight is at a narrow side. Beyond 89.98° the squared cosine, 1e-7, is lost
-            // in f32 beside 1: from inside, reflection looks total.
+            // Light that enters (1 − F) and is reflected inside (F each time) may remain after 64 hits, of
+            // which at most one in eight is at a narrow side. Beyond 89.98°, f32 loses the squared cosine,
+            // 1e-7, beside 1, and reflection inside looks total.
             let f = fresnel(towards(angle).y, f64::from(ior));
             let lost = towards(angle).y.powi(2) < 2f64.powi(-23);
             let inside = (1.0 - f) * if lost { 1.0 } else { f.powi(56) };
             worst = worst.max((value - 1.0).abs() - inside - 5.0 * error);
         }
     }
-    // Reflection and refraction are chosen with their own probabilities: each path carries exactly 1 or is
+    // Reflection and refraction are chosen with their own probabilities, so each path carries exactly 1 or is
     // still inside.
     case(1, "a clear slab vanishes in a furnace (64 hits), beyond 5 standard errors").worst(worst, 1e-5);
 }
@@ -238,7 +238,7 @@ fn rough_glass_in_a_furnace_never_passes_on_more_than_arrives() {
 
 #[test]
 fn every_response_is_reciprocal_down_to_grazing_directions() {
-    // A sun without size from wo, a camera along wi: the pixel is f(wi, wo) cos θo E.
+    // A point sun along wo and a camera along wi: the pixel is f(wi, wo) cos θo E.
     let response = |surface: Surface, wi: DVec3, wo: DVec3| {
         let mut world = plate(0.0, surface);
         world.suns.push((wo, 1.0, 0.0));
@@ -278,7 +278,7 @@ fn every_response_is_reciprocal_down_to_grazing_directions() {
     case(4, "f(wi, wo) = f(wo, wi) for all surfaces, down to a cosine of 1e-5").worst(worst, 1e-5);
 }
 
-/// A sky that tells a ray's direction: 1, and x and z moved into 0 … 1.
+/// A sky that encodes a ray's direction: 1, and x and z moved into 0 … 1.
 fn telling_sky(world: &mut World) {
     let (width, height) = (1024u32, 512u32);
     let texel = |i: u32| {
@@ -293,7 +293,7 @@ fn telling_sky(world: &mut World) {
     world.environment = Environment::Image { texture: TextureId(0), scale: 1.0, rotation_deg: 0.0 };
 }
 
-/// What a surface did with one ray a pixel: weight, direction (its y always positive), and whether the ray
+/// How a surface scattered one ray per pixel: weight, direction (with y always positive), and whether the ray
 /// was refracted.
 fn scattered(surface: Surface, angle_deg: f64) -> Vec<(f64, DVec3, bool)> {
     let mut world = plate(0.0, surface);
@@ -310,7 +310,7 @@ fn scattered(surface: Surface, angle_deg: f64) -> Vec<(f64, DVec3, bool)> {
     image.pixels.iter().map(decode).collect()
 }
 
-/// Cells a side of the histograms over facet normals.
+/// Cells per side of the histograms over facet normals.
 const CELLS: usize = 12;
 
 /// The histogram's cell of a facet normal.
@@ -325,7 +325,7 @@ fn at(x: f64) -> usize {
     ((x * CELLS as f64) as usize).min(CELLS - 1)
 }
 
-/// Weights below this one may have been thinned by roulette, and are counted together with what was lost.
+/// Roulette may have thinned lower weights, so they count with the lost ones.
 const COUNTED: f64 = 0.05;
 
 #[test]
@@ -353,10 +353,10 @@ fn glossy_reflections_follow_the_density_of_visible_facets() {
             least = least.min(pearson(&found, &expected));
         }
     }
-    // Of 12 tests the smallest p is below 1e-4 once in 800 sets of seeds; this set is fixed.
+    // Of 12 tests, the smallest p is below 1e-4 once in 800 sets of seeds; this set is fixed.
     case(5, "smallest p of χ² tests of 65,536 glossy reflections each against their density")
         .least(least, 1e-4);
-    // F · G₂/G₁, which rounding may lift by an ulp or two; the sky's texels add their interpolation.
+    // F · G₂/G₁, which rounding may raise by an ulp or two, plus the interpolation of the sky's texels.
     case(5, "no glossy reflection weighs more than 1").worst(heaviest, 1.0 + 1e-5);
     // Midpoint rule over 384 × 384 cells with a kink at the horizon.
     case(5, "the density of visible facets integrates to 1").worst(furthest, 1e-3);
@@ -408,13 +408,13 @@ fn rough_glass_follows_the_density_of_visible_facets_times_fresnel() {
             least = least.min(pearson(&found, &expected));
         }
     }
-    // Of 9 tests the smallest p is below 1e-4 once in a thousand sets of seeds; this set is fixed.
+    // Of 9 tests, the smallest p is below 1e-4 once in a thousand sets of seeds; this set is fixed.
     case(5, "smallest p of χ² tests of 65,536 reflections and refractions by rough glass").least(least, 1e-4);
     case(5, "no reflection or refraction by rough glass weighs more than 1").worst(heaviest, 1.0 + 1e-5);
 }
 
-/// Reflectance of a smooth interface, read off a pixel: white light above (or, from inside, below), a black
-/// floor far on the other side. `ior` below 1 looks from inside.
+/// Reflectance of a smooth interface, from a pixel. White light is above (or inside, if seen from inside),
+/// and a black floor far on the other side. `ior` below 1 looks from inside.
 fn reflectance(cos: f64, ior: f64) -> f64 {
     let sin = ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt();
     let eye = DVec3::new(sin, cos, 0.0);
@@ -433,7 +433,7 @@ fn reflectance(cos: f64, ior: f64) -> f64 {
 #[test]
 fn smooth_interfaces_reflect_what_fresnel_says_from_both_sides() {
     let mut worst = 0.0f64;
-    // Indices whose reflectance nowhere falls below what roulette leaves alone.
+    // Indices whose reflectance is always above the roulette threshold.
     for ior in [1.4, 1.5, 2.4, 10.0, 1.0 / 1.5, 1.0 / 2.4] {
         let rounded = if ior < 1.0 { 1.0 / f64::from((1.0 / ior) as f32) } else { f64::from(ior as f32) };
         for angle in (0..90).map(f64::from).chain([89.9, 89.99, 89.999]) {
@@ -441,8 +441,8 @@ fn smooth_interfaces_reflect_what_fresnel_says_from_both_sides() {
             worst = worst.max((reflectance(cos, ior) - fresnel(cos, rounded)).abs());
         }
     }
-    // In f32, the cosine on the other side comes from 1 − sin², good to 1e-7. At the critical angle itself a
-    // square root makes 3e-4 of that. Whole degrees stay 0.1° away from it, where it is 3e-6 at most.
+    // In f32, the cosine on the other side comes from 1 − sin², good to 1e-7. At the critical angle, a square
+    // root makes 3e-4 of that. Whole degrees are at least 0.1° away, where it is 3e-6 at most.
     case(6, "smooth interfaces reflect Fresnel's share, index 0.42 to 10, 0° to 89.999°").worst(worst, 5e-6);
 }
 
@@ -462,7 +462,7 @@ fn at_brewsters_angle_only_one_polarisation_is_left() {
 
 #[test]
 fn at_the_edge_of_total_reflection_nothing_but_a_share_is_reflected() {
-    // The viewer's cosine goes by single ulps over the critical one, from 2000 below to 2000 above.
+    // The viewer's cosine crosses the critical one in single ulps, from 2000 below to 2000 above.
     let glass =
         material(Surface::Glass { ior: 1.5, transmittance: grey(1.0), alpha: 0.0, priority: None }, 0.0);
     let world = World::under(1.0)
@@ -480,8 +480,8 @@ fn at_the_edge_of_total_reflection_nothing_but_a_share_is_reflected() {
         frame.camera.origin = glam::Vec3::new(sin, cos, 0.0);
         let value = f64::from(render(&frame, &settings(1, 1)).pixels[0].color[0]);
         total += u64::from(value == 1.0);
-        // 2000 ulps above the edge R is 0.87 still, for it falls with the square root; it falls all the way
-        // but for rounding.
+        // R falls with the square root, so it is still 0.87 at 2000 ulps above the edge. It falls
+        // monotonically, except for rounding.
         wrong += u64::from(!(value <= 1.0 && value > 0.85 && value <= before + 1e-5));
         before = value;
     }

@@ -1,6 +1,5 @@
-//! Dielectrics in dielectrics without priorities: every interface has one index, that of its inside relative
-//! to its outside. A medium in a medium is an interface with the relative index, and where two media touch
-//! there is one interface (with priorities: see `nested`).
+//! Dielectrics in dielectrics without priorities. Every interface has one index, that of its inside relative
+//! to its outside. Where two media touch, there is one interface. `nested` tests priorities.
 
 use forelight_scene::Surface;
 use forelight_tests::case::case;
@@ -17,7 +16,7 @@ fn settings(spp: u32) -> Settings {
     Settings { width: 16, height: 16, spp, ambient_bounces: 0, max_depth: 64, ..Settings::default() }
 }
 
-/// Mean and standard error, and the number of pixels that are not sound.
+/// Mean and standard error, and the number of unsound pixels.
 fn seen(world: &World, view: View) -> (f64, f64, u64) {
     let image = render(&world.frame(view), &settings(64));
     let mut moments = Moments::default();
@@ -31,8 +30,8 @@ pub fn from(x: f64, y: f64, z: f64) -> View {
 
 #[test]
 fn media_within_media_vanish_in_a_furnace() {
-    // Flat interfaces: a smooth normal over flat triangles bends light into the surface at a silhouette,
-    // which loses some.
+    // Flat interfaces: smooth normals over flat triangles bend light into the surface at a silhouette, which
+    // loses some.
     let slab = |world: World, half: f64, ior: f32| {
         let corner = DVec3::new(8.0 + half, half, 8.0 + half);
         world.cuboid(-corner, corner, false, glass(ior))
@@ -52,7 +51,7 @@ fn media_within_media_vanish_in_a_furnace() {
             (wrong, pixels) = (wrong + unsound, pixels + 256);
         }
     }
-    // What is still inside after 64 hits, at most 85° from the normal: R² < 0.4 a round trip, and nothing is
+    // Light still inside after 64 hits, at most 85° from the normal: R² < 0.4 per round trip, so nothing is
     // left.
     case(15, "two and three media within each other vanish in a furnace, beyond 5 standard errors")
         .worst(worst, 1e-3);
@@ -64,7 +63,7 @@ fn a_shared_interface_that_is_modelled_once_vanishes_in_a_furnace() {
     // Water on glass: the faces between them are one interface, glass seen from the water.
     let (low, middle, high) = (-0.5, 0.0, 0.5);
     let face = |world: World, y: f64, ior: f32| world.floor(DVec3::new(0.0, y, 0.0), 50.0, glass(ior));
-    // Fronts face up: below the upper face is water (1.33), below the middle one glass (1.5 / 1.33), and
+    // Fronts face up. Below the upper face is water (1.33), below the middle one glass (1.5 / 1.33), and
     // below the lower one air.
     let world = face(face(face(World::under(1.0), high, 1.33), middle, 1.5 / 1.33), low, 1.0 / 1.5);
     let mut worst = 0.0f64;
@@ -77,9 +76,8 @@ fn a_shared_interface_that_is_modelled_once_vanishes_in_a_furnace() {
 
 #[test]
 fn faces_in_the_same_place_bend_light_wrongly_but_make_none_beyond_their_indices() {
-    // Two solids that touch: nothing in the format says which of the coincident faces counts. Radiance grows
-    // by η² on the way out of what it did not enter, so the sum of all indices' squares is the most that can
-    // be made of it.
+    // Two solids that touch: the format does not say which of the coincident faces counts. Radiance grows by
+    // η² on leaving a medium that it did not enter, so the product of the squared indices is the maximum.
     let low = DVec3::new(-8.0, -0.5, -8.0);
     let world = World::under(1.0).cuboid(low, DVec3::new(8.0, 0.0, 8.0), false, glass(1.5)).cuboid(
         DVec3::new(-8.0, 0.0, -8.0),
@@ -109,7 +107,6 @@ fn a_camera_inside_a_medium_sees_radiance_times_the_squared_index() {
         assert_eq!(unsound, 0);
         worst = worst.max((value / f64::from(ior * ior) - 1.0).abs());
     }
-    // From the centre every ray meets the sphere along its normal: reflected light comes back and has its
-    // next chance.
+    // From the centre, every ray meets the sphere along its normal. Reflected light returns and tries again.
     case(15, "a camera inside a glass sphere in a furnace sees η²").worst(worst, 1e-4);
 }

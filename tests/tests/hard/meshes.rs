@@ -1,5 +1,5 @@
-//! Closed meshes without cracks, degenerate triangles, rays along axes and through corners, coplanar
-//! surfaces: the tree alone.
+//! The tree alone: closed meshes without cracks, degenerate triangles, rays along axes and through corners,
+//! coplanar surfaces.
 
 use forelight_bvh::{Bvh, Hit, Ray, Traversal};
 use forelight_random::Random;
@@ -47,7 +47,7 @@ impl Mesh {
     }
 }
 
-/// Two cones over a polygon of many corners: long thin fans that meet in two tips.
+/// Two cones over a polygon with many corners: long thin fans that meet in two tips.
 fn fans(corners: u32, height: f64) -> Mesh {
     let mut positions = vec![DVec3::new(0.0, height, 0.0), DVec3::new(0.0, -height, 0.0)];
     positions.extend((0..corners).map(|i| {
@@ -62,7 +62,7 @@ fn fans(corners: u32, height: f64) -> Mesh {
     Mesh::new(format!("fans of {corners}"), &positions, triangles, Vec3::splat(0.2))
 }
 
-/// A box whose faces are grids, the inner vertices moved out and in.
+/// A box whose faces are grids, with inner vertices moved out and in.
 fn rough_box(n: u32) -> Mesh {
     let mut stream = Stream::new(3);
     let mut positions = Vec::new();
@@ -103,7 +103,7 @@ fn closed_meshes() -> Vec<Mesh> {
         .collect();
     let (positions, triangles) = cuboid(DVec3::splat(-1.0), DVec3::ONE, false);
     meshes.push(Mesh::new("box".into(), &positions, triangles, Vec3::splat(0.9)));
-    // Distances along a ray are known to 6e-8 of the triangle's size: a wall must be farther away than that.
+    // Distances along a ray are known to 6e-8 of the triangle's size. A wall must be farther away than that.
     let (positions, triangles) = cuboid(DVec3::new(-1.0, -1e-2, -1e2), DVec3::new(1.0, 1e-2, 1e2), false);
     meshes.push(Mesh::new("box 1 : 10² : 10⁴".into(), &positions, triangles, Vec3::new(0.9, 9e-3, 90.0)));
     meshes.extend([fans(5, 1.0), fans(10_000, 1.0), fans(1000, 1e4), rough_box(32)]);
@@ -147,14 +147,14 @@ fn no_ray_escapes_from_a_closed_mesh() {
     case(10, "rays at vertices, edges and along axes that escape from closed meshes").never(escaped, shot);
 }
 
-/// From inside towards a vertex, a point of an edge, a hair beside either, or along an axis.
+/// From inside towards a vertex, a point of an edge, slightly beside either, or along an axis.
 fn aimed(stream: &mut Stream, mesh: &Mesh, origin: Vec3) -> Vec3 {
     let corners = mesh.triangles[stream.below(mesh.triangles.len())].map(|i| mesh.positions[i as usize]);
     let direction = match stream.below(6) {
         0 => corners[0] - origin,
         1 => corners[0].lerp(corners[1], stream.uniform() as f32) - origin,
         2 => {
-            // The same, one or a few ulps beside.
+            // The same, one or a few ulps away.
             let d = corners[0].lerp(corners[1], stream.uniform() as f32) - origin;
             let step = stream.below(7) as i32 - 3;
             let axis = stream.below(3);
@@ -167,21 +167,19 @@ fn aimed(stream: &mut Stream, mesh: &Mesh, origin: Vec3) -> Vec3 {
             d[stream.below(3)] = if stream.below(2) == 0 { 1.0 } else { -1.0 };
             Vec3::from_array(d)
         }
-        // Along an edge, and anywhere.
+        // Along an edge, or anywhere.
         4 => corners[1] - corners[0],
         _ => stream.point(),
     };
     if direction.is_finite() && direction != Vec3::ZERO { direction } else { Vec3::X }
 }
 
-/// Triangles without a tree: each in a tree of its own, so that the same test decides and no box can hide
-/// anything.
+/// Brute force: each triangle in its own tree, so that the same test decides and no box can hide anything.
 struct Loose(Vec<Bvh>);
 
 impl Loose {
     fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> Self {
-        // A tree of one triangle has one leaf in one box; the box may still be missed, so it is made large by
-        // two far, tiny triangles that no ray of these tests meets.
+        // A tree of one triangle is one box, which rays may miss. Two far, tiny triangles enlarge it.
         let mut wide = positions.to_vec();
         let first = wide.len() as u32;
         for corner in [Vec3::splat(-1e6), Vec3::splat(1e6)] {
@@ -205,7 +203,7 @@ impl Loose {
     }
 }
 
-/// A grid of boxes whose faces share planes, and a soup between them.
+/// A grid of boxes whose faces share planes, with random triangles between them.
 fn lattice() -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let (mut positions, mut triangles) = (Vec::new(), Vec::new());
     let mut stream = Stream::new(11);
@@ -268,7 +266,7 @@ fn rays_along_axes_and_from_box_faces_hit_what_testing_every_triangle_hits() {
         }
     }
     assert!(hits > rays / 4, "the boxes must be hit often enough to prove something: {hits}");
-    // None: t, triangle and barycentric weights are the same bits.
+    // None: t, triangle and barycentric weights have the same bits.
     case(12, "rays along axes, from corners, edges and faces, that differ from brute force")
         .never(wrong, rays);
 }
@@ -300,7 +298,7 @@ fn degenerate_triangles_are_never_hit_and_hide_nothing() {
     let (mut wrong, mut shot) = (0, 0u64);
     for i in 0..100_000 {
         let origin = stream.point() * 0.3;
-        // Every third ray is aimed at a degenerate triangle.
+        // Aim every third ray at a degenerate triangle.
         let target = positions[162 + stream.below(positions.len() - 162)];
         let direction = if i % 3 == 0 { target - origin } else { stream.point() };
         if direction == Vec3::ZERO {
@@ -312,8 +310,8 @@ fn degenerate_triangles_are_never_hit_and_hide_nothing() {
             all.closest(&ray, |_| true, &mut Traversal::default()),
         );
         shot += 1;
-        // What is met is the sphere, at a finite distance with weights inside the triangle; or, of the tiny
-        // ones, a hit that is itself sound.
+        // The hit must be the sphere, at a finite distance with weights inside the triangle, or a sound hit
+        // of a tiny one.
         let is_sound =
             |h: &Hit| h.t.is_finite() && h.t > 0.0 && h.u >= 0.0 && h.v >= 0.0 && h.u + h.v <= 1.0 + 1e-6;
         let ok = match (a, b) {
@@ -330,8 +328,7 @@ fn degenerate_triangles_are_never_hit_and_hide_nothing() {
 
 #[test]
 fn slivers_are_hit_where_they_are() {
-    // Side by side, slivers of 1 : 10⁷ tile a square; a ray through it meets exactly one of them or their
-    // common edge.
+    // Slivers of 1 : 10⁷ tile a square. A ray through it hits exactly one of them, or their common edge.
     let count = 1000u32;
     let mut positions: Vec<Vec3> = Vec::new();
     let mut triangles = Vec::new();
@@ -360,14 +357,14 @@ fn slivers_are_hit_where_they_are() {
         }
     }
     case(11, "rays that pass between slivers of 1 : 10⁷").never(missed, rays);
-    // Weights are quotients of areas of 1e-7 whose rounding is 1e-7 of them; positions of size 1 follow to an
+    // Weights are quotients of areas of 1e-7 with relative rounding 1e-7. Positions of size 1 follow to an
     // ulp or two.
     case(11, "distance of the point hit on a sliver from the ray").worst(furthest, 3e-7);
 }
 
 #[test]
 fn of_surfaces_in_the_same_place_the_same_one_wins_whatever_the_tree() {
-    // The same rectangle several times, some of them turned, flipped and cut along the other diagonal.
+    // The same rectangle several times, some turned, flipped or cut along the other diagonal.
     let mut stream = Stream::new(13);
     let (mut wrong, mut rays, mut not_lowest) = (0u64, 0u64, 0u64);
     for tilted in [false, true] {
@@ -400,15 +397,14 @@ fn of_surfaces_in_the_same_place_the_same_one_wins_whatever_the_tree() {
             let (Some(a), Some(b)) = (hit(&bvh), loose.closest(&ray)) else { continue };
             rays += 1;
             wrong += u64::from(a != b);
-            // In the other tree another one may have the lowest number, but the surface is at the same
-            // distance to the bit.
+            // Another triangle may have the lowest number there, but t has the same bits.
             wrong += u64::from(hit(&other).is_none_or(|c| c.t != a.t));
-            // The first copy holds every point; where rounding puts another cut of the same plane an ulp
-            // nearer, that one wins.
+            // The first copy contains every point. A copy cut differently wins where rounding puts it an ulp
+            // nearer.
             not_lowest += u64::from(a.primitive > 1);
         }
     }
-    // t is compared to the bit, and of equal ones the lowest number wins.
+    // t is compared to the bit, and the lowest number wins a tie.
     case(13, "rays at 24 surfaces in one place whose winner depends on the tree").never(wrong, rays);
     println!("         (a later copy was nearer by rounding in {not_lowest} of {rays})");
 }
@@ -419,7 +415,7 @@ fn of_equal_surfaces_the_first_one_wins() {
     let positions: Vec<Vec3> = sphere.iter().map(|p| p.as_vec3()).collect();
     let once: Vec<[u32; 3]> = faces.clone();
     let count = once.len() as u32;
-    // Ten times the same triangles, in blocks turned against each other.
+    // Ten copies of the same triangles, in blocks rotated against each other.
     let copies: Vec<[u32; 3]> =
         (0..10 * count).map(|i| once[((i + i / count * 37) % count) as usize]).collect();
     let (bvh, single) = (Bvh::build(&positions, &copies), Bvh::build(&positions, &once));
@@ -436,8 +432,8 @@ fn of_equal_surfaces_the_first_one_wins() {
 
 #[test]
 fn rays_at_the_long_edges_of_a_flat_box_do_not_slip_out() {
-    // Found among a hundred million. The triangle test rounds by 2⁻²⁴ of the box's 200 m, which moves the
-    // edge. One face's triangle takes the hit, but the ray misses that triangle's exact bounding box.
+    // Found among a hundred million rays. The triangle test rounds by 2⁻²⁴ of the box's 200 m, which moves
+    // the edge. One face's triangle takes the hit, but the ray misses its exact bounding box.
     let (positions, triangles) = cuboid(DVec3::new(-1.0, -1e-2, -1e2), DVec3::new(1.0, 1e-2, 1e2), false);
     let positions: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
     let bvh = Bvh::build(&positions, &triangles);

@@ -1,4 +1,4 @@
-//! Solid dielectrics with priorities: overlap, faces in the same place, a camera inside, equal priorities.
+//! Solid dielectrics with priorities: overlap, coincident faces, a camera inside, equal priorities.
 
 use crate::media::{from, glass};
 use forelight_protocol::Integrator;
@@ -36,8 +36,8 @@ fn slab(world: World, low: f64, high: f64, medium: Material) -> World {
     cube(world, [-8.0, low, -8.0], [8.0, high, 8.0], medium)
 }
 
-/// Both integrators: the mean's distance from `truth` beyond five standard errors, the worst of the two, and
-/// unsound pixels of how many.
+/// Distance of the mean from `truth` beyond five standard errors, the worse of both integrators. Then the
+/// numbers of unsound and of all pixels.
 fn off(world: &World, view: View, truth: f64) -> (f64, u64, u64) {
     let (mut worst, mut wrong, mut pixels) = (f64::NEG_INFINITY, 0, 0);
     for integrator in [Integrator::Ambient, Integrator::Path] {
@@ -53,8 +53,8 @@ fn off(world: &World, view: View, truth: f64) -> (f64, u64, u64) {
 
 #[test]
 fn media_that_overlap_or_touch_vanish_in_a_furnace() {
-    // Water on glass that reaches into it, lies on it, or has a gap that a ray's start steps over; ice in
-    // both.
+    // Water on glass: it overlaps the glass, touches it, or has a gap that a ray's start steps over. Ice
+    // overlaps both.
     let (glass, water, ice) = (medium(1.5, 3), medium(1.33, 1), medium(1.31, 2));
     let worlds = [0.05, 0.0, -1e-7].map(|reach| {
         let world = slab(World::under(1.0), -0.5, reach, glass.clone());
@@ -69,7 +69,7 @@ fn media_that_overlap_or_touch_vanish_in_a_furnace() {
             (wrong, pixels) = (wrong + unsound, pixels + of);
         }
     }
-    // What is still inside after 64 hits is lost.
+    // Light still inside after 64 hits is lost.
     case(15, "glass, water and ice with priorities, overlapping or touching, vanish in a furnace")
         .worst(worst, 1e-3);
     case(15, "pixels of media with priorities that are no finite number").never(wrong, pixels);
@@ -77,8 +77,8 @@ fn media_that_overlap_or_touch_vanish_in_a_furnace() {
 
 #[test]
 fn faces_in_the_same_place_are_one_interface() {
-    // A bright square under water on glass is seen where Snell's law puts it, whether their common face is
-    // there twice or, as an interface with the relative index, once.
+    // A bright square under water on glass appears where Snell's law puts it. It does not matter whether
+    // their common face exists twice, or once with the relative index.
     let lamp = |world: World| world.floor(DVec3::new(0.0, -1.0, 0.0), 0.5, material(lambert(0.0), 1.0));
     let twice = slab(slab(lamp(World::under(0.0)), -0.5, 0.0, medium(1.5, 2)), 0.0, 0.5, medium(1.33, 1));
     let face = |world: World, y: f64, ior: f32| world.floor(DVec3::new(0.0, y, 0.0), 50.0, glass(ior));
@@ -92,8 +92,8 @@ fn faces_in_the_same_place_are_one_interface() {
         let off: f64 = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / b.iter().sum::<f64>();
         worst = worst.max(off);
     }
-    // The same camera samples; what differs is the choice between reflection and refraction at the second and
-    // third face.
+    // Camera samples are the same. Only the choice between reflection and refraction at the second and third
+    // face differs.
     case(15, "a face that is there twice bends light as one does: mean difference relative to the mean")
         .worst(worst, 0.01);
 }
@@ -101,7 +101,7 @@ fn faces_in_the_same_place_are_one_interface() {
 #[test]
 fn the_highest_priority_fills_the_place_that_the_camera_is_in() {
     let at = |y: f64| View::new(DVec3::new(0.013, y, 0.021), DVec3::new(0.02, y + 5.0, 0.03), 0.05);
-    // Glass from -0.5 to 0.1, water from -0.1 to 0.5; straight up, so that hardly anything is reflected.
+    // Glass from -0.5 to 0.1, water from -0.1 to 0.5, seen straight up so that little is reflected.
     let world = |glass, water| {
         slab(slab(World::under(1.0), -0.5, 0.1, medium(1.5, glass)), -0.1, 0.5, medium(1.33, water))
     };
@@ -119,9 +119,8 @@ fn the_highest_priority_fills_the_place_that_the_camera_is_in() {
 
 #[test]
 fn what_is_inside_a_place_does_not_depend_on_the_way_there() {
-    // Boxes on a grid: they overlap, share faces, edges and corners, and lie within each other. Whatever way
-    // light takes through them, it comes out as it went in; an event that is lost would leave it compressed
-    // by some index.
+    // Boxes on a grid that overlap, share faces, edges and corners, and contain each other. Light leaves as
+    // it entered. A lost event would leave it compressed by some index.
     let mut random = Random::new(15);
     let (mut worst, mut wrong, mut pixels) = (0.0f64, 0, 0);
     for _ in 0..12 {
@@ -133,7 +132,7 @@ fn what_is_inside_a_place_does_not_depend_on_the_way_there() {
                 (low, low + (b + 1.0) / 2.0)
             };
             let [x, y, z] = [edge(), edge(), edge()];
-            // Indices so close that nothing is caught by total reflection for long.
+            // Similar indices, so that total reflection traps no light for long.
             let ior = 1.05 + 0.05 * random.below(4) as f32;
             world = cube(world, [x.0, y.0, z.0], [x.1, y.1, z.1], medium(ior, 1 + random.below(3) as u8));
         }
@@ -150,7 +149,7 @@ fn what_is_inside_a_place_does_not_depend_on_the_way_there() {
 
 #[test]
 fn a_lost_event_cannot_take_a_medium_away_twice() {
-    // A sheet that only faces down, as of a solid that was not closed: it is left, never entered.
+    // A sheet that only faces down, as of an open solid: light leaves it but never enters.
     let world = World::under(1.0).ceiling(DVec3::ZERO, 50.0, medium(1.5, 1));
     let world = slab(world, 0.2, 0.4, medium(1.33, 2));
     let (mut most, mut wrong, mut pixels) = (0.0f64, 0, 0);

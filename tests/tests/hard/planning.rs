@@ -1,4 +1,4 @@
-//! Plans: bounds that hold, promises that follow from bookings, and no worse for having more.
+//! Plans: valid bounds, promises that follow from bookings, and no harm from more resources.
 
 use forelight_planner::{
     Booking, Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Task, Verdict, Weekly,
@@ -27,11 +27,11 @@ fn job(id: u64, works: &[u64], deadline: Option<i64>) -> Job {
     }
 }
 
-/// One unit of work takes a microsecond at speed one; a price of one is a micro-unit a microsecond.
+/// One unit of work takes a microsecond at speed one. A price of one is a micro-unit per microsecond.
 const SPEED: u64 = 1_000_000;
 const PRICE: i64 = 3_600_000_000;
 
-/// What is wrong with a plan, found without the planner's own verifier: the essentials, written once more.
+/// Faults of a plan, found by a second, minimal verifier.
 fn wrongs(input: &Input, plan: &Plan) -> Vec<String> {
     let mut wrongs = Vec::new();
     for (i, b) in plan.bookings.iter().enumerate() {
@@ -43,7 +43,7 @@ fn wrongs(input: &Input, plan: &Plan) -> Vec<String> {
         };
         let place = job.frames.iter().position(|f| Task::Frame(f.number) == b.task);
         let work = place.map_or(0, |place| job.bought_work()[place]);
-        // Exactly as long as the work takes, rounded up to a microsecond, and at least one.
+        // Exactly the work's time, rounded up to a microsecond, and at least one.
         let work = i128::from(work) * 1_000_000;
         let wanted = ((work + i128::from(node.speed) - 1) / i128::from(node.speed)).max(1);
         if place.is_none() || i128::from(b.end) - i128::from(b.start) != wanted {
@@ -52,7 +52,7 @@ fn wrongs(input: &Input, plan: &Plan) -> Vec<String> {
         if b.start < job.release.max(node.available_from).max(input.now) {
             wrongs.push(format!("{b:?} starts too early"));
         }
-        // Every instant of it is inside the union of the calendar.
+        // Every instant is inside the union of the calendar.
         let mut at = b.start;
         while at < b.end {
             let reach =
@@ -65,7 +65,7 @@ fn wrongs(input: &Input, plan: &Plan) -> Vec<String> {
                 }
             }
         }
-        // What has no length takes nothing.
+        // Empty intervals overlap nothing.
         let overlaps = |s: i64, e: i64| s < e && b.start < b.end && b.start < e && s < b.end;
         if plan.bookings[..i].iter().any(|o| o.node == b.node && overlaps(o.start, o.end))
             || input.fixed.iter().any(|f| f.node == b.node && overlaps(f.start, f.end))
@@ -152,7 +152,7 @@ proptest! {
 
     #[test]
     fn a_later_deadline_or_a_cheaper_node_never_costs_more(input in instance()) {
-        // One job, for a deadline also orders jobs among each other.
+        // One job only, because deadlines also order jobs.
         let mut input = input;
         input.jobs.truncate(1);
         if input.jobs.is_empty() {
@@ -205,12 +205,12 @@ proptest! {
         let moved = plan(&other).unwrap();
         let back = |b: &Booking| Booking { start: b.start - shift, end: b.end - shift, ..*b };
         prop_assert_eq!(moved.bookings.iter().map(back).collect::<Vec<_>>(), found.bookings);
-        // Prices are whole micro-units a microsecond here, so seven times the price is seven times the cost.
+        // Prices are whole micro-units per microsecond, so seven times the price is seven times the cost.
         prop_assert_eq!(moved.cost, 7 * found.cost);
     }
 }
 
-/// The least end over all ways to put the works onto the nodes, in any order: nodes without gaps.
+/// The earliest end over all assignments of works to nodes without gaps.
 fn optimum(speeds: &[u64], loads: &mut Vec<u64>, works: &[u64]) -> u64 {
     let Some((&work, rest)) = works.split_first() else {
         return loads.iter().copied().max().unwrap_or(0);
@@ -249,8 +249,8 @@ fn bound_optimum_and_plan_stand_in_this_order_on_all_small_farms() {
         tried += 1;
     }
     case(25, "small farms where bound ≤ optimum ≤ plan does not hold").never(wrong, tried);
-    // Longest first by earliest finish on uniform nodes: below 2m/(m + 1) of the optimum (Gonzalez, Ibarra,
-    // Sahni 1977), and rounding up to microseconds can add one for each frame to ends of at least eleven.
+    // Longest first by earliest finish on uniform nodes is below 2m/(m + 1) of the optimum (Gonzalez, Ibarra,
+    // Sahni 1977). Rounding up adds at most a microsecond per frame to ends of at least eleven.
     case(25, "end of the plan over the optimum's, up to three nodes of speeds 1 to 3")
         .worst(widest, 1.5 + 0.1);
 }
@@ -258,8 +258,8 @@ fn bound_optimum_and_plan_stand_in_this_order_on_all_small_farms() {
 #[test]
 fn slots_of_no_length_and_bookings_that_touch_leave_exactly_the_time_between() {
     let at = |start, end| Interval { start, end: Some(end) };
-    // Free 0–10, 10–10, 10–30, 30–31; booked 5–10 and 10–20 and 30–30: a frame of 10 fits at 20 to the
-    // microsecond, one of 12 does not fit at all.
+    // Free 0–10, 10–10, 10–30, 30–31; booked 5–10, 10–20 and 30–30. A frame of 10 fits at 20 exactly, one of
+    // 12 does not fit.
     let calendar = vec![at(0, 10), at(10, 10), at(10, 30), at(30, 31)];
     let booked = |start, end| FixedBooking { node: 0, start, end, ..FixedBooking::default() };
     let fixed = vec![booked(5, 10), booked(10, 20), booked(30, 30)];
@@ -302,8 +302,8 @@ fn the_ends_of_time_are_verdicts_and_no_panic() {
 #[test]
 fn nights_in_which_clocks_change_lose_and_gain_their_hour() {
     use jiff::civil::{Weekday, time};
-    // From 22:00 to 06:00 in Vienna: seven hours in the night to 29 March 2026, nine in that to 25 October,
-    // eight in others.
+    // 22:00 to 06:00 in Vienna: seven hours in the night to 29 March 2026, nine in that to 25 October, eight
+    // in others.
     let night = Weekly {
         zone: jiff::tz::TimeZone::get("Europe/Vienna").expect("a time zone"),
         days: vec![Weekday::Saturday],
@@ -332,7 +332,7 @@ fn nights_in_which_clocks_change_lose_and_gain_their_hour() {
     case(25, "nights in Vienna that do not have their 7, 9 and 8 hours").never(wrong, 3);
 }
 
-/// The least cost over all ways to put the works onto the nodes such that all is done by the deadline.
+/// The least cost over all assignments of works to nodes that finish by the deadline.
 fn cheapest(nodes: &[(u64, u64)], loads: &mut Vec<u64>, works: &[u64], deadline: u64) -> Option<u64> {
     let Some((&work, rest)) = works.split_first() else { return Some(0) };
     let mut least = None;
@@ -376,6 +376,6 @@ fn on_tiny_farms_a_plan_is_found_whenever_there_is_one_and_none_is_cheaper() {
     case(25, "tiny farms with a plan in time that is not found").never(missed, tried);
     case(25, "tiny farms whose bound is above the optimum, or whose verdict is impossible")
         .never(wrong, tried);
-    // Nodes are billed as used, without set-up: every assignment is tried.
+    // Nodes are billed as used, without set-up. Every assignment is tried.
     case(25, "cost of the plan over the optimum's by enumeration, tiny farms").worst(dearest, 1.0);
 }

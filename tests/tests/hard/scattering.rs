@@ -1,5 +1,5 @@
-//! Scattering functions by themselves, beside what finished pixels say of them: symmetry under an exchange of
-//! directions, energy from any direction, Fresnel's equations to the last ulps.
+//! Scattering functions alone: symmetry under an exchange of directions, energy from any direction, Fresnel's
+//! equations to the last ulps.
 
 use forelight_tests::case::case;
 use forelight_tracer::bsdf::Bsdf;
@@ -49,7 +49,7 @@ fn reflection_is_symmetric_down_to_a_cosine_of_1e_minus_7() {
         }
     }
     assert!(pairs > 500, "{pairs} pairs reflect anything");
-    // f32: some forty roundings of 6e-8, four times that.
+    // f32: some forty roundings of 6e-8, times four.
     case(4, "BSDFs by themselves: f(wi, wo) = f(wo, wi) down to a cosine of 1e-7").worst(worst, 1e-5);
 }
 
@@ -58,7 +58,7 @@ fn transmission_is_symmetric_but_for_the_squared_index() {
     let (mut worst, mut pairs) = (0.0f64, 0);
     for ior in [1.1f32, 1.5, 2.4] {
         for alpha in [0.1f32, 0.4, 1.0] {
-            // The same interface from both sides; the other side's frame is mirrored in the plane.
+            // The same interface from both sides. The other side's frame is mirrored in the plane.
             let (outside, inside) =
                 (Bsdf::glass(ior, Vec3::ONE, alpha), Bsdf::glass(1.0 / ior, Vec3::ONE, alpha));
             let flipped = |w: Vec3| Vec3::new(w.x, w.y, -w.z);
@@ -79,7 +79,7 @@ fn transmission_is_symmetric_but_for_the_squared_index() {
     }
     assert!(pairs > 100, "{pairs} pairs transmit anything");
     // The half vector wi + η wo shrinks to η − 1 of their length. At an index of 1.1 its rounding is ten
-    // times larger, and the distribution of facets takes its fourth power.
+    // times larger, and the facet distribution uses its fourth power.
     case(4, "BSDFs by themselves: transmission there = transmission back · η²").worst(worst, 1e-4);
 }
 
@@ -100,26 +100,24 @@ fn fresnel_is_exact_at_its_edges() {
         for i in 0..=1000 {
             let cos = i as f32 / 1000.0;
             let expected = exact(f64::from(cos), f64::from(eta));
-            // Close to the critical angle the slope is without bound; see below.
+            // The slope is unbounded close to the critical angle; see below.
             let near = ((1.0 - f64::from(cos).powi(2)) / f64::from(eta).powi(2) - 1.0).abs() < 1e-3;
             if !near {
                 worst = worst.max((at(cos, eta) - expected).abs());
             }
         }
     }
-    // 1 − sin² loses at most ten bits where that is 1e-3 from the edge.
+    // 1 − sin² loses at most ten bits at 1e-3 from the edge.
     case(6, "Fresnel's reflectance against f64, index 0.67 to 10, a thousandth from the edge")
         .worst(worst, 2e-5);
-    // At the critical angle itself, ulp by ulp: never above 1, and within what a few ulps of the cosine can
-    // do.
+    // Ulp by ulp at the critical angle: never above 1, and within the effect of a few ulps of the cosine.
     let (mut wrong, mut tried) = (0, 0);
     for eta in [1.0f32 / 1.1, 1.0 / 1.5, 1.0 / 2.4, 0.1] {
         let critical = ((1.0 - f64::from(eta)) * (1.0 + f64::from(eta))).sqrt() as f32;
         for step in -100..=100 {
             let cos = |step: i32| f32::from_bits(critical.to_bits().wrapping_add_signed(step));
             let found = at(cos(step), eta);
-            // Nine ulps of the cosine are what the rounding of sin² may stand for; the square root's own is
-            // 1e-6.
+            // Nine ulps of the cosine cover the rounding of sin²; that of the square root is 1e-6.
             let (highest, lowest) =
                 (exact(cos(step - 9).into(), eta.into()), exact(cos(step + 9).into(), eta.into()));
             wrong += u64::from(!(found <= highest.min(1.0) + 1e-6 && found >= lowest - 1e-6 && found <= 1.0));
@@ -159,8 +157,8 @@ proptest! {
                 prop_assert!(density.is_finite() && density > 0.0, "{:?}", chosen);
             }
             // White surfaces: a weight is a share of light over the probability of its lobe. Refraction into
-            // a thinner medium compresses light by the squared index; mixtures of two lobes weigh at most one
-            // over the rarer one's least share.
+            // a thinner medium compresses light by the squared index. Mixtures of two lobes weigh at most one
+            // over the rarer lobe's least share.
             if matches!(kind, 0 | 2 | 3) {
                 prop_assert!(chosen.weight.max_element() <= 1.0 + 1e-5, "{:?}", chosen);
             }

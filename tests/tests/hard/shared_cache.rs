@@ -1,5 +1,4 @@
-//! The irradiance cache among threads and frames: what must be the same, and what stays true when something
-//! moves.
+//! The irradiance cache across threads and frames.
 
 use crate::cache::{AT_THE_NOOK, image, nook, records, settings, wall};
 use forelight_tests::case::case;
@@ -33,7 +32,7 @@ fn plan_records_and_image_are_the_same_for_any_number_of_threads() {
     case(20, "caches whose filled records are not as many as were forecast by the plan").never(unequal, 4);
 }
 
-/// A long hall whose far end holds a box, at `x`.
+/// A long hall with a box at its far end, at `x`.
 fn hall(x: f64) -> World {
     let (low, high) = (DVec3::new(-2.0, 0.0, -20.0), DVec3::new(2.0, 2.5, 0.0));
     let mut world = World::default().cuboid(low, high, true, wall(0.6)).cuboid(
@@ -82,11 +81,11 @@ fn what_a_moved_object_does_not_touch_is_used_again_and_what_it_does_is_not() {
     assert!(old > 50 && shared.dropped[0] > 0);
     case(21, "records nine metres and more from a moved object that are used again, share")
         .least(reused, 0.95);
-    // Another seed moves every record; carried ones have no reason to be farther from fresh ones than that.
+    // Another seed moves every record. Carried records must not differ more from fresh ones.
     let ratio = apart(&carried, &fresh) / apart(&fresh, &other_seed);
     case(21, "image from carried records against a fresh one, in units of another seed's difference")
         .worst(ratio, 1.1);
-    // A light that changes leaves nothing.
+    // A changed light invalidates all records.
     let mut brighter = hall(0.6);
     brighter.points.push((DVec3::new(0.0, 2.0, -5.0), 1.0));
     let brighter = Tracer::new(&brighter.frame(view), &settings);

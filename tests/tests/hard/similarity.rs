@@ -67,8 +67,8 @@ fn scaled_by_powers_of_two_image_and_counters_have_the_same_bits() {
         .never(wrong, 1024 * powers.len() as u64);
 }
 
-/// How far an image is from another: the root mean square difference of pixels, and the relative difference
-/// of the means in standard errors; then the relative difference of cost, as `cost` counts it.
+/// Distances of two images: root mean square of pixels, difference of means in standard errors, and relative
+/// difference of `cost`.
 fn distance(a: &Image, b: &Image, cost: fn(&Image) -> f64) -> (f64, f64, f64) {
     let (va, vb) = (values(a), values(b));
     let n = va.len() as f64;
@@ -87,8 +87,8 @@ fn rays(image: &Image) -> f64 {
     image.totals().rays.iter().sum::<u64>() as f64
 }
 
-/// The worst over images of: pixels' difference as a share of what another seed makes, bias in standard
-/// errors, cost.
+/// The worst over images of: pixel difference relative to that of another seed, bias in standard errors,
+/// cost.
 pub fn compare(
     base: &Image,
     reseeded: &Image,
@@ -117,8 +117,8 @@ fn rooms(places: &[(String, Similarity)], count: fn(&Image) -> f64) -> (f64, f64
 }
 
 pub fn judge(what: &str, (difference, bias, cost): (f64, f64, f64)) {
-    // Another seed changes pixels by 1; a rounding that sends paths elsewhere can do no more. A quarter of
-    // slack, as the ratio of two root mean squares over 1024 pixels with bright outliers.
+    // Another seed changes pixels by 1, and other rounding can do no more. A quarter of slack for the ratio
+    // of two root mean squares over 1024 pixels with bright outliers.
     case(7, format!("{what}: pixels' difference in units of another seed's")).worst(difference, 1.25);
     case(7, format!("{what}: difference of the image means in standard errors")).worst(bias, 5.0);
     // The table allows 1 %.
@@ -148,7 +148,7 @@ fn turned_scenes_look_and_cost_the_same() {
             (format!("turned by {angle}"), Similarity { rotation, ..Similarity::NONE })
         })
         .collect();
-    // Boxes of a tree fit a turned room worse, so its work is more; its rays are not.
+    // Boxes of a tree fit a turned room worse, so its work grows; its rays do not.
     judge("a room turned by odd angles (rays)", rooms(&turns, rays));
 }
 
@@ -162,8 +162,8 @@ fn scenes_moved_by_a_hundred_times_their_size_look_and_cost_the_same() {
     judge("a room of 4 m moved by 40 and 400 m", rooms(&[moved(40.0), moved(400.0)], work));
 }
 
-/// A bundle of a closed room of side 1, far from the origin, with steps of a millimetre along a wall.
-/// Everything in it glows, so that without a bounce every point shows emission and what it reflects of it.
+/// A closed room of side 1, far from the origin, with millimetre steps along a wall. Everything glows, so
+/// without a bounce every point shows its emission and its reflection of the rest.
 fn far_room(distance: f64) -> Files {
     let mut obj = String::from("mtllib scene.mtl\no room\nusemtl glow\n");
     let mut faces = String::new();
@@ -203,7 +203,7 @@ fn scenes_scaled_down_to_a_hundredth_look_and_cost_the_same() {
     judge("a room scaled by 0.1 and 0.01", rooms(&scales(&[0.1, 0.01]), work));
 }
 
-/// The worst deviation of a pixel from what it must be, or `None` where the bundle is refused with a reason.
+/// The worst error of a pixel, or `None` if the bundle is refused with a reason.
 fn far(distance: f64) -> Option<f64> {
     let scene = match far_room(distance).load() {
         Ok(scene) => scene,
@@ -222,7 +222,7 @@ fn far(distance: f64) -> Option<f64> {
 #[test]
 fn details_of_a_millimetre_are_right_up_to_ten_metres_from_the_origin() {
     let worst = [0.0, 1.0, 10.0].into_iter().filter_map(far).fold(0.0, f64::max);
-    // Direct light of the room on itself: 64 samples of both kinds, a noise of 3 % at most by pixel; acne or
+    // Direct light of the room on itself: 64 samples of both kinds, with at most 3 % noise per pixel. Acne or
     // a leak is 33 %.
     case(8, "a glowing room with millimetre steps 0 to 10 m away, worst pixel").worst(worst, 0.2);
 }
@@ -234,7 +234,7 @@ fn details_of_a_millimetre_far_from_the_origin_are_right_or_refused() {
         .worst(worst, 0.2);
 }
 
-/// Whether a glowing plate at height `height` is seen through a clear pane that hangs `gap` above it.
+/// True if a glowing plate at height `height` is visible through a clear pane `gap` above it.
 fn seen_through_gap(height: f64, gap: f64) -> bool {
     let pane = Surface::ThinGlass { ior: 1.0, transmittance: grey(1.0) };
     let world = World::default().floor(DVec3::new(0.0, height, 0.0), 1.0, material(lambert(0.0), 1.0)).floor(
@@ -247,12 +247,12 @@ fn seen_through_gap(height: f64, gap: f64) -> bool {
     values(&render(&frame, &settings)).iter().all(|&v| v == 1.0)
 }
 
-/// The number of gaps through which nothing is seen.
+/// The numbers of gaps that hide the plate, and of all.
 fn blind(gaps: &[f64], heights: &[f64]) -> (u64, u64) {
     let (mut wrong, mut tried) = (0, 0);
     for &height in heights {
         for &gap in gaps {
-            // A gap that positions cannot tell from none is none.
+            // A gap below the resolution of positions does not exist.
             if ((height + gap) as f32) <= height as f32 {
                 continue;
             }
@@ -286,8 +286,7 @@ fn a_plate_a_ten_millionth_behind_another_is_seen() {
 
 #[test]
 fn a_lamp_a_hair_above_a_floor_lights_it() {
-    // A lamp as wide as the floor, so close that all its light falls on what lies below it: E = π L, whatever
-    // the gap.
+    // A lamp as wide as the floor, so close that all its light falls on the floor: E = π L, whatever the gap.
     let mut worst = 0.0f64;
     for gap in [1e-2, 1e-3] {
         let world = World::default().floor(DVec3::ZERO, 1.0, material(lambert(0.5), 0.0)).ceiling(
@@ -300,6 +299,6 @@ fn a_lamp_a_hair_above_a_floor_lights_it() {
         let settings = Settings { width: 8, height: 8, spp: 64, ambient_bounces: 0, ..Settings::default() };
         worst = worst.max((mean(&render(&frame, &settings)) - 1.0).abs());
     }
-    // The rays that leave between floor and lamp are a share of (gap)² / 2.
+    // A share of (gap)² / 2 of the rays leaves between floor and lamp.
     case(9, "a lamp 10⁻² and 10⁻³ above a floor gives π L, relative error").worst(worst, 1e-3);
 }

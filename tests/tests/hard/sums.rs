@@ -1,4 +1,4 @@
-//! Sums and variances where digits are lost.
+//! Sums and variances that lose digits.
 
 use forelight_forecast::{Calibration, Cost, Observation, Stratum, estimate};
 use forelight_tests::case::case;
@@ -17,31 +17,30 @@ fn observe(stratum: u32, work: u64) -> Observation {
 
 #[test]
 fn a_tiny_variance_on_a_huge_offset_is_found() {
-    // Costs of 10⁹ … 10¹⁷ that differ by one unit: the textbook E[x²] − E[x]² has lost everything at 10⁹
-    // already.
+    // Costs of 10⁹ … 10¹⁷ that differ by one unit. The textbook E[x²] − E[x]² has lost everything at 10⁹.
     let mut worst = 0.0f64;
     for offset in [1_000_000_000u64, 1_000_000_000_000, 1_000_000_000_000_000] {
         let n = 1000u64;
         let observations: Vec<Observation> = (0..n).map(|i| observe(0, offset + i % 2)).collect();
         let found =
             estimate(&strata(1), &[1_000_000], &observations, Calibration::NONE).expect("an estimate");
-        // N² (1 − n/N) s²/n with s² = n / (4 (n − 1)); the tail allowance is the square of the influence of
-        // one pixel that lies half a unit above the mean: (N (1 − n/N) · 0.5 / n)².
+        // N² (1 − n/N) s²/n with s² = n / (4 (n − 1)). The tail allowance is the squared influence of one
+        // pixel half a unit above the mean: (N (1 − n/N) · 0.5 / n)².
         let (n, size) = (n as f64, 1e6);
         let unseen = 1.0 - n / size;
         let sampling = size * size * unseen * (n / (4.0 * (n - 1.0))) / n;
         let allowance = (size * unseen * 0.5 / n).powi(2);
         worst = worst.max((found.total.work.variance / (sampling + allowance) - 1.0).abs());
     }
-    // The mean of 10¹⁵ is rounded to 0.125, an eighth of the deviations: Welford's sum of squares then errs
-    // by 2⁻⁶ at most.
+    // The mean of 10¹⁵ is rounded to 0.125, an eighth of the deviations, so Welford's sum of squares errs by
+    // 2⁻⁶ at most.
     case(26, "variance of costs 10⁹ … 10¹⁵ that differ by one unit, relative error").worst(worst, 0.016);
 }
 
 #[test]
 fn totals_of_whole_frames_are_exact_whatever_their_size() {
-    // Complete samples of strata whose costs span nineteen orders of magnitude: the total is the exact sum,
-    // rounded once for each stratum and once for each addition, and corrected.
+    // Complete samples of strata with costs over nineteen orders of magnitude. The total is the exact sum,
+    // rounded once for each stratum and each addition, with compensation.
     let costs = [1u64, 3, 1_000_003, 999_999_999_989, 900_000_000_000_000_007, 5, 7];
     let mut exact = 0u128;
     let (mut observations, mut counts) = (Vec::new(), Vec::new());
@@ -60,8 +59,7 @@ fn totals_of_whole_frames_are_exact_whatever_their_size() {
 
 #[test]
 fn a_billion_pixels_of_one_cost_add_up_exactly() {
-    // Four strata of 2²⁸ pixels, a billion together, of a cost whose products with the counts still have 53
-    // bits.
+    // Four strata of 2²⁸ pixels, a billion together. Products of cost and count fit 53 bits.
     let observations: Vec<Observation> = (0..16).map(|i| observe(i % 4, 1_000_003)).collect();
     let found = estimate(&strata(4), &[1 << 28; 4], &observations, Calibration::NONE).expect("an estimate");
     let exact = (1u64 << 30) as f64 * 1_000_003.0;
@@ -73,7 +71,7 @@ fn a_billion_pixels_of_one_cost_add_up_exactly() {
 
 #[test]
 fn a_pixels_mean_does_not_drift_with_the_number_of_samples() {
-    // 65,536 samples of exactly 0.1f32 (a plate that emits): the running sum of f32 would be off by 1e-4.
+    // 65,536 samples of exactly 0.1f32 (a plate that emits). A running sum in f32 would be off by 1e-4.
     let world = World::under(0.0).floor(DVec3::ZERO, 8.0, material(lambert(0.0), 0.1));
     let view = View::new(DVec3::new(0.0, 1.0, 0.0), DVec3::ZERO, 0.1);
     let settings = Settings { width: 1, height: 1, spp: 65_536, ambient_bounces: 0, ..Settings::default() };

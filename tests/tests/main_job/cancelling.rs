@@ -1,4 +1,4 @@
-//! Jobs that are cancelled while workers are at them.
+//! Jobs that are cancelled while workers are busy with them.
 
 use crate::{JOB_PATIENCE, PATIENCE, farm, frames_of, request, until, upload};
 use forelight_protocol::{BookingPage, Dashboard, FrameRow, FrameState, Job, JobState, NodePage, Role};
@@ -13,7 +13,7 @@ async fn a_job_cancelled_in_the_middle_of_its_frames_stops_and_frees_its_workers
     let mut service = farm().await;
     let http = service.http(Role::Submitter);
     let bundle = upload(&http, "corridor").await;
-    // While it is profiled.
+    // During profiling.
     let job: Job =
         http.post("/v1/jobs", &request(&bundle, "0-47", 256)).await.parsed(StatusCode::CREATED).await;
     until(&http, &job, PATIENCE, |job| job.state == JobState::Profiling).await;
@@ -25,7 +25,7 @@ async fn a_job_cancelled_in_the_middle_of_its_frames_stops_and_frees_its_workers
     cancel(&http, &job).await;
     idle(&http).await;
 
-    // In the middle of its frames, all of which take longer than a test can wait.
+    // During its frames, which take longer than a test can wait.
     let mut long = request(&bundle, "0-47", 192);
     long["samples"] = json!(16);
     let job: Job = http.post("/v1/jobs", &long).await.parsed(StatusCode::CREATED).await;
@@ -38,7 +38,7 @@ async fn a_job_cancelled_in_the_middle_of_its_frames_stops_and_frees_its_workers
     let cancelled = cancel(&http, &job).await;
     idle(&http).await;
 
-    // The farm is free for others.
+    // The farm is free for other jobs.
     let short: Job =
         http.post("/v1/jobs", &request(&bundle, "0-1", 1)).await.parsed(StatusCode::CREATED).await;
     until(&http, &short, JOB_PATIENCE, |job| job.state == JobState::Done).await;
@@ -58,7 +58,7 @@ async fn a_job_cancelled_in_the_middle_of_its_frames_stops_and_frees_its_workers
     assert!(held.len() >= 2 && held.iter().all(|lease| lease.state == "revoked"), "{held:?}");
 }
 
-/// Cancels a job, and again, which changes nothing.
+/// Cancels a job twice. The second time changes nothing.
 async fn cancel(http: &Http, job: &Job) -> Job {
     let path = format!("/v1/jobs/{}/cancel", job.id);
     let cancelled: Job = http.post(&path, &json!({})).await.parsed(StatusCode::OK).await;

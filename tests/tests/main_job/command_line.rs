@@ -52,7 +52,7 @@ async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet
         }
     }
 
-    // The same submission again is the same job, and the table for people has a line for each of its frames.
+    // The same submission again is the same job. The table has a line for each of its frames.
     let again = run_well(&submit(&scene, &wanted));
     assert_eq!(again.trim(), printed["job"]["id"].as_str().unwrap());
     let data = data.display().to_string();
@@ -61,7 +61,7 @@ async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet
     let table = run_well(&follow);
     assert!(table.contains("delivered  3 of 3 frames"), "{table}");
 
-    // What cannot be is said in one line, with the exit code for wrong input.
+    // Wrong input gives a one-line error and its exit code.
     let missing = service.folder().join("no such bundle");
     let empty = service.folder().join("empty.zip");
     std::fs::write(&empty, zip_of([])).unwrap();

@@ -1,5 +1,5 @@
-//! The main job of the program, over HTTP and by the command line: a bundle goes in; a quote, bookings and
-//! images come out. What cannot be done is refused and leaves nothing behind.
+//! The main job of the program, over HTTP and by the command line: from a bundle to a quote, bookings and
+//! images. Refused requests leave nothing behind.
 
 mod cancelling;
 mod command_line;
@@ -18,9 +18,9 @@ use std::time::Duration;
 const WIDTH: u32 = 48;
 const HEIGHT: u32 = 27;
 
-/// For anything that happens in the middle of a job.
+/// Limit for steps of a job.
 const PATIENCE: Duration = Duration::from_secs(90);
-/// For a whole job.
+/// Limit for a whole job.
 const JOB_PATIENCE: Duration = Duration::from_secs(240);
 
 /// A farm of two workers on this machine.

@@ -1,4 +1,4 @@
-//! What is refused: malformed bundles, impossible jobs, tokens of the wrong role.
+//! Refused requests: malformed bundles, impossible jobs, tokens of the wrong role.
 
 use forelight_protocol::{Bundle, Problem, ProblemKind, Role};
 use forelight_tests::bundles::{shipped, zip_of, zipped};
@@ -57,7 +57,7 @@ async fn a_malformed_bundle_is_refused_with_its_reason_and_leaves_nothing_behind
             assert!(problem.detail.contains(said), "{what}: {}", problem.detail);
         }
     }
-    // Nor do jobs that cannot be.
+    // Impossible jobs leave nothing either.
     for (body, pointer) in [
         (json!({"name": "x", "bundle": {"path": "/etc"}, "frames": "0"}), "/bundle/path"),
         (
@@ -75,13 +75,13 @@ async fn a_malformed_bundle_is_refused_with_its_reason_and_leaves_nothing_behind
     let rows = Ledger::of(&service.data()).await.rows().await;
     assert!(rows.values().all(|count| *count == 0), "{rows:?}");
 
-    // A key that came with a refused bundle is free for a good one.
+    // The key of a refused bundle can be used for a good one.
     service.start_again().await;
     let bundle: Bundle = http.upload(good, Some("key 0")).await.parsed(StatusCode::CREATED).await;
     assert_eq!(bundle.scene.triangles, 1);
 }
 
-/// All files below a folder, without those of the database.
+/// All files below a folder, except the database.
 fn files(folder: &Path) -> BTreeSet<PathBuf> {
     let mut found = BTreeSet::new();
     let mut folders = vec![folder.to_owned()];
@@ -102,7 +102,7 @@ async fn a_token_that_is_missing_unknown_or_of_the_wrong_role_opens_nothing() {
     let service = Service::start("serve", &[]).await;
     let nothing = "0198c0de-0000-7000-8000-000000000000";
     let hash = "0".repeat(64);
-    // What each role may not do; all else of this list is answered by another status than 401 and 403.
+    // Forbidden roles of each operation. All others must not get status 401 or 403.
     let doors: [(Method, String, &[Role]); 14] = [
         (Method::POST, "/v1/bundles".into(), &[Role::Worker, Role::Viewer]),
         (Method::GET, format!("/v1/bundles/{nothing}"), &[]),
@@ -144,7 +144,7 @@ async fn a_token_that_is_missing_unknown_or_of_the_wrong_role_opens_nothing() {
     for path in ["/healthz", "/readyz", "/openapi.yaml"] {
         assert_eq!(anonymous.get(path).await.status(), StatusCode::OK, "{path}");
     }
-    // The command line says which of the two it is, and ends with the code for failure.
+    // The command line names the reason, and exits with the code for failure.
     let (address, bundle) = (service.address().to_owned(), shipped("corridor").display().to_string());
     let viewer = service.token_file(Role::Viewer).display().to_string();
     for (flag, token, said) in [("--token", "wrong", "401"), ("--token-file", viewer.as_str(), "403")] {

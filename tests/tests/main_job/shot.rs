@@ -20,7 +20,7 @@ async fn a_shot_is_quoted_booked_rendered_and_every_step_can_be_read() {
     let mut service = farm().await;
     let http = service.http(Role::Submitter);
 
-    // A bundle, sent twice under one key, is one bundle; another body under the same key is a mistake.
+    // A bundle sent twice with one key is one bundle. Another body with the same key is an error.
     let zip = zipped(&shipped("kitchen"));
     let key = "0198c0de-0000-7000-8000-000000000001";
     let bundle: Bundle = http.upload(zip.clone(), Some(key)).await.parsed(StatusCode::CREATED).await;
@@ -40,7 +40,7 @@ async fn a_shot_is_quoted_booked_rendered_and_every_step_can_be_read() {
         let request = http.request(Method::POST, "/v1/jobs").header("idempotency-key", key).json(body);
         request.send().await.unwrap()
     };
-    // The key belongs to an upload already.
+    // The key belongs to an upload.
     submit(&wanted).await.problem(ProblemKind::IdempotencyKeyReused).await;
     let key = "0198c0de-0000-7000-8000-000000000002";
     let submit = async |body: &Value| {
@@ -52,7 +52,7 @@ async fn a_shot_is_quoted_booked_rendered_and_every_step_can_be_read() {
     submit(&request(&bundle, "0-3", 2)).await.problem(ProblemKind::IdempotencyKeyReused).await;
     assert_eq!((job.state, job.frames_total), (JobState::Previewing, FRAMES.len() as u32));
 
-    // Its events up to the first frame that is handed out: by then there is a quote and a plan.
+    // Events up to the first leased frame. A quote and a plan exist by then.
     let path = format!("/v1/jobs/{}", job.id);
     let mut stream = Events::open(&http, &format!("{path}/events"), None).await.expect("the job lives");
     let mut events: Vec<Event> = Vec::new();
@@ -62,7 +62,7 @@ async fn a_shot_is_quoted_booked_rendered_and_every_step_can_be_read() {
     let quote: ForecastDoc = http.json(&format!("{path}/forecast")).await;
     events.extend(stream.rest(JOB_PATIENCE).await);
     assert_story(&events, FRAMES.len());
-    // From any event on, the rest is the same again; after the last there is nothing.
+    // From any event on, the rest is the same. After the last there is nothing.
     let middle = events.len() / 2;
     let rest = Events::open(&http, &format!("{path}/events"), Some(events[middle].id)).await.expect("a rest");
     assert_eq!(rest.rest(PATIENCE).await, events[middle + 1..]);
@@ -90,7 +90,7 @@ async fn a_shot_is_quoted_booked_rendered_and_every_step_can_be_read() {
     Ledger::of(&service.data()).await.assert_balanced().await;
 }
 
-/// Each step of the job's way once, the quote and the plan before any frame.
+/// Each step of the job happens once, the quote and the plan before any frame.
 fn assert_story(events: &[Event], frames: usize) {
     assert!(events.windows(2).all(|pair| pair[0].id < pair[1].id));
     assert_eq!(events[0].kind, EventKind::JobCreated);
@@ -112,7 +112,7 @@ fn assert_story(events: &[Event], frames: usize) {
     assert_eq!(delivered.len(), frames);
 }
 
-/// A frame that is done has every cell of its row.
+/// A finished frame has every cell of its row.
 fn assert_complete(row: &FrameRow) {
     let frame = row.frame;
     assert_eq!((row.state, row.attempts, row.progress), (FrameState::Done, 1, 1.0), "frame {frame}");
@@ -138,8 +138,8 @@ fn assert_complete(row: &FrameRow) {
     assert!(all.iter().all(Option::is_some), "frame {frame}: {there:?}");
 }
 
-/// The quote is consistent in itself, and not absurd: within a factor of two of the truth in total, of three for each frame. How good
-/// it is beyond that is for other tests to say.
+/// The quote is consistent, within a factor of two of the truth in total, and of three for each frame. Other
+/// tests check its accuracy.
 fn assert_quote(quote: &ForecastDoc, frames: &[FrameRow]) {
     let rising = |q: &Quantiles| 0.0 < q.p50 && q.p50 <= q.p80 && q.p80 <= q.p95 && q.mean > 0.0;
     assert!(rising(&quote.total.work) && rising(&quote.total.cpu_seconds));
@@ -168,7 +168,7 @@ fn assert_quote(quote: &ForecastDoc, frames: &[FrameRow]) {
     assert_eq!(reusing, quote.profiled.frames, "the frames whose profiled pixels were taken over");
 }
 
-/// The plan has a word on the job, and a node for every frame; no node has two frames at once.
+/// The plan has a verdict on the job and a node for every frame. No node has two frames at once.
 async fn assert_booked(http: &Http, job: &Job, frames: &[FrameRow]) {
     let verdict = job.verdict.as_ref().expect("a verdict");
     assert_eq!(

@@ -39,7 +39,7 @@ async fn assert_pictures(farm: &Farm, job: &Job) {
     std::fs::remove_file(kept).unwrap();
     let path = format!("/v1/jobs/{}/frames/6/image.exr", job.id);
     let lost = farm.viewer.get(&path).await.problem(ProblemKind::ArtifactLost).await;
-    assert!(lost.detail.contains(&format!("{name}: its file is not there; bring it back")), "{lost:?}");
+    assert!(lost.detail.contains(&format!("{name}: its file is missing; bring it back")), "{lost:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

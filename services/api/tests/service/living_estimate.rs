@@ -2,8 +2,8 @@
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    Event, EventKind, Explanation, ForecastDoc, ForecastHistory, Job, Lease, MoneyQuantiles, Node, Problem,
-    ProblemKind, TaskResult,
+    BookedQuantity, Event, EventKind, Explanation, ForecastDoc, ForecastHistory, Job, Lease, MoneyQuantiles,
+    Node, Problem, ProblemKind, TaskResult,
 };
 use reqwest::StatusCode;
 use serde_json::json;
@@ -74,8 +74,17 @@ async fn a_dearer_job_is_seen_as_such_told_of_and_drawn_and_its_quote_stays() {
 
     let store = farm.service.store();
     let events: Vec<Event> = store.events_after(Some(job.id), 0, 1000).await.unwrap();
-    let told: Vec<&Event> = events.iter().filter(|event| event.kind == EventKind::JobOffForecast).collect();
-    assert!(!told.is_empty() && told.len() <= 2, "{told:?}");
+    let is_news =
+        |event: &&Event| [EventKind::JobOffForecast, EventKind::JobOnForecast].contains(&event.kind);
+    let told: Vec<&Event> = events.iter().filter(is_news).collect();
+    assert!(!told.is_empty());
+    for quantity in [BookedQuantity::Cost, BookedQuantity::Finish] {
+        // Each new plan may bring the estimate back to its booking: it leaves and comes back in turns.
+        let of_it =
+            told.iter().filter(|event| event.off_forecast.is_some_and(|off| off.quantity == quantity));
+        let turns = [EventKind::JobOffForecast, EventKind::JobOnForecast].into_iter().cycle();
+        assert!(of_it.zip(turns).all(|(event, kind)| event.kind == kind), "{quantity:?}: {told:?}");
+    }
     assert!(told[0].off_forecast.unwrap().cpu_seconds > begin.booked.cpu_seconds);
     let drawn = farm.viewer.get(&format!("{path}.svg")).await;
     assert_eq!(drawn.headers()["content-type"], "image/svg+xml");

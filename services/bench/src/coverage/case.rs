@@ -19,9 +19,7 @@ pub struct Known {
 
 pub struct KnownFrame {
     pub number: i64,
-    /// Stratum by pixel.
     pub ids: Vec<u32>,
-    /// Cost by pixel.
     pub costs: Vec<Cost>,
     /// Fixed cost. A forecast knows it once the frame is profiled.
     pub fixed: Cost,
@@ -61,14 +59,12 @@ pub struct Case {
     /// Strata of profiled frames with at least two profiled pixels and some unprofiled ones.
     pub strata: Vec<Judged>,
     pub frames: Vec<Judged>,
-    /// All frames together.
     pub shot: Vec<Judged>,
 }
 
 /// Size of a quote.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// Frames to profile.
     pub frames: usize,
     /// Pixels to profile in each frame.
     pub samples: u32,
@@ -167,7 +163,6 @@ impl Known {
 }
 
 impl KnownFrame {
-    /// Judges each unprofiled pixel.
     fn judge_pixels(
         &self,
         strata: &[StratumEstimate],

@@ -2,21 +2,19 @@
 
 use super::rows::{Coverage, Level, Row};
 use super::share::Share;
-use anyhow::Result;
-use forelight_terminal::drawing::{self, Area, Drawn};
+use forelight_plots::{self as plots, Area, Drawn, PlotError};
 use plotters::prelude::*;
 
-/// Size of a panel, pixels.
 const PANEL: (u32, u32) = (420, 440);
 const FORMULAS: RGBColor = RGBColor(213, 94, 0);
 const CALIBRATED: RGBColor = RGBColor(0, 114, 178);
 const GREY: RGBColor = RGBColor(215, 215, 215);
 
 /// One row of panels for each kind of shots, with a panel for each level.
-pub fn svg(report: &Coverage) -> Result<String> {
+pub fn svg(report: &Coverage) -> Result<String, PlotError> {
     let columns = Level::ALL.len();
     let lines = report.rows.len().div_ceil(columns).max(1);
-    drawing::svg((PANEL.0 * columns as u32, PANEL.1 * lines as u32), |root| {
+    plots::svg((PANEL.0 * columns as u32, PANEL.1 * lines as u32), |root| {
         for (area, row) in root.split_evenly((lines, columns)).iter().zip(&report.rows) {
             panel(area, row)?;
         }

@@ -35,7 +35,7 @@ pub fn of(report: &Coverage) -> Report {
     }
     let teachers = report.rows.iter().map(|row| row.calibrated_on).max().unwrap_or(0);
     Report::default().table(table).text(format!(
-            "\nShares of truths at or below the quantile, with 95 % intervals. {} pixels in {} frames of a shot were profiled; calibrated: on up to {teachers} other quotes, \
+            "\nShares of truths at or below the quantile, with 95 % intervals. {} pixels in {} frames of a shot were profiled. Calibrated quantiles rest on up to {teachers} quotes \
              of other shots.\n",
             report.samples, report.profile_frames
         ))

@@ -14,7 +14,6 @@ pub enum Level {
     /// The pixels of one surface in a profiled frame.
     Stratum,
     Frame,
-    /// All frames together.
     Shot,
 }
 
@@ -55,11 +54,9 @@ pub struct Coverage {
 pub struct Row {
     pub shots: String,
     pub level: Level,
-    /// Number of quotes.
     pub cases: usize,
     /// Number of different shots. Quotes of one shot are not independent.
     pub independent: usize,
-    /// Number of forecasts.
     pub forecasts: usize,
     /// Number of quotes that calibrated the quantiles.
     pub calibrated_on: usize,

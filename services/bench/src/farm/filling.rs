@@ -15,7 +15,6 @@ use std::time::Duration;
 /// Duration of leases. Long, so that none expires during a measurement.
 pub const LEASE: Duration = Duration::from_secs(30);
 
-/// Content of all images.
 const IMAGE: &[u8] = b"an image";
 
 /// Name of a simulated worker's node.
@@ -26,7 +25,6 @@ pub fn name_of(worker: u32) -> String {
 /// Registers a node for each worker, then adds jobs with `frames` frames in total, ready to render. All are
 /// booked on another node. Nodes come first: a node that joins later causes a new plan.
 pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>> {
-    /// Frames per job.
     const FRAMES: u32 = 1000;
     /// Time of a frame in microseconds, as in `frame_forecasts` and `rendered`.
     const SECOND: i64 = 1_000_000;
@@ -82,7 +80,6 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
     Ok(nodes)
 }
 
-/// Registers a node.
 async fn register(store: &Store, name: &str) -> Result<Node> {
     match store.register_node(&registration(name), None, Timestamp::now()).await? {
         Answered::Fresh(node) => Ok(node),
@@ -125,12 +122,10 @@ async fn submit(store: &Store, frames: u32) -> Result<Job> {
     }
 }
 
-/// The artefact of all images.
 pub fn image() -> ArtifactHash {
     ArtifactHash(*blake3::hash(IMAGE).as_bytes())
 }
 
-/// An empty preview.
 fn previewed(spec: &TaskSpec) -> Result<TaskResult> {
     let TaskSpec::Preview(spec) = spec else { bail!("the task is a {}", spec.kind()) };
     let frames: Vec<serde_json::Value> = spec

@@ -80,7 +80,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     report(&document).printed(args.json, &document)
 }
 
-/// Makes a new farm in this folder.
 async fn prepare(data: &Path, frames: u32, workers: u16) -> Result<Vec<Node>> {
     let store = Store::open(data).await?;
     let nodes = fill(&store, frames, u32::from(workers)).await?;

@@ -20,7 +20,6 @@ pub fn temporary_folder(parent: Option<&Path>) -> Result<TempDir> {
 pub struct ServiceProcess {
     child: Child,
     pub address: String,
-    /// A worker's token.
     pub token: String,
 }
 
@@ -65,7 +64,6 @@ impl ServiceProcess {
         Ok(kibibytes.with_context(|| format!("/proc has no {name} of the service"))? * 1024)
     }
 
-    /// CPU seconds used by the process.
     pub fn cpu_seconds(&self) -> Result<f64> {
         let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id()))?;
         // The name in brackets may hold anything. The state and then numbers follow it.

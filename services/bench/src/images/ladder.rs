@@ -2,16 +2,13 @@
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rung {
-    /// Distance from the reference.
     pub error: f64,
     /// Cost in any unit.
     pub cost: f64,
 }
 
-/// Cost of an error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cost {
-    /// Between two rungs.
     Is(f64),
     /// An upper bound: the cheapest rung is better than asked for.
     AtMost(f64),

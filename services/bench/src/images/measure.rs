@@ -50,7 +50,7 @@ impl<'a> Bench<'a> {
         interrupt: &'a Interrupt,
     ) -> Result<Self> {
         if !bundle.exists() {
-            let missing = format!("bundle {}: no such file or folder", bundle.display());
+            let missing = format!("bundle {}: this file or folder does not exist", bundle.display());
             return Err(BadInput::new(missing).into());
         }
         let spinner = bars.spinner(format!("loading {}", bundle.display()));

@@ -6,7 +6,6 @@ use crate::statistics::median;
 use anyhow::Result;
 use serde::Serialize;
 
-/// A bundle, measured.
 #[derive(Debug, Serialize)]
 pub struct Measured {
     pub bundle: String,
@@ -41,11 +40,9 @@ pub struct Gathered {
 pub struct MeasuredRung {
     pub flags: String,
     pub cached: bool,
-    /// Distance from the converged image.
     pub error: Distance,
     /// Distance from the same camera samples with gathers of very many rays.
     pub indirect_error: Option<Distance>,
-    /// Deterministic.
     pub work: u64,
     /// Share of the work that planned and filled the cache.
     pub plan_share: f64,
@@ -69,7 +66,6 @@ pub struct Saved {
 #[derive(Debug, Serialize)]
 pub struct SpeedUp {
     pub flags: String,
-    /// Median over the repeats.
     pub ratio: f64,
     pub lowest: f64,
     pub highest: f64,

@@ -6,9 +6,7 @@ use std::str::FromStr;
 /// An image, its cost and its reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Peer {
-    /// Program and settings.
     pub name: String,
-    /// EXR file.
     pub image: PathBuf,
     /// CPU time of rendering, seconds.
     pub cpu_seconds: f64,

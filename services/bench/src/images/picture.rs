@@ -37,7 +37,6 @@ impl Picture {
         Self { width: image.width, height: image.height, pixels }
     }
 
-    /// Reads an EXR file.
     pub fn read(path: &Path) -> Result<Self> {
         let context = || format!("{}", path.display());
         let image = image::open(path).with_context(context)?.into_rgb32f();
@@ -45,7 +44,6 @@ impl Picture {
         Ok(Self { width, height, pixels: image.pixels().map(|pixel| pixel.0).collect() })
     }
 
-    /// Writes an EXR file.
     pub fn write(&self, path: &Path) -> Result<()> {
         let image = Rgb32FImage::from_fn(self.width, self.height, |x, y| Rgb(self.at(x, y)));
         image
@@ -53,7 +51,6 @@ impl Picture {
             .with_context(|| format!("cannot write {}", path.display()))
     }
 
-    /// Mean over pixels and channels.
     pub fn mean(&self) -> f64 {
         mean(self.pixels.iter())
     }

@@ -76,7 +76,6 @@ impl Quality {
         format!("--spp {spp} --ambient-divisions {rays}").parse()
     }
 
-    /// The settings for the tracer.
     pub fn settings(&self, base: &RenderSettings) -> Result<Settings, BadInput> {
         Ok(Settings::from(&self.asked(base)?))
     }

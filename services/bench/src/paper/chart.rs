@@ -1,22 +1,19 @@
 //! Plots the error against the number of profiled pixels, both logarithmic.
 
 use super::study::{Curve, CurvePoint};
-use anyhow::Result;
 use forelight_forecast::Strategy;
-use forelight_terminal::drawing::{self, Area, Drawn};
+use forelight_plots::{self as plots, Area, Drawn, PlotError};
 use forelight_terminal::quantities::seconds;
 use plotters::prelude::*;
 
-/// Size of a panel, pixels.
 const PANEL: (u32, u32) = (520, 460);
 
-/// Panels per row.
 const COLUMNS: usize = 2;
 
 /// Draws the panels from their titles and curves.
-pub fn draw(panels: &[(&str, Vec<&Curve>)]) -> Result<String> {
+pub fn draw(panels: &[(&str, Vec<&Curve>)]) -> Result<String, PlotError> {
     let rows = panels.len().div_ceil(COLUMNS).max(1);
-    drawing::svg((PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32), |root| {
+    plots::svg((PANEL.0 * COLUMNS as u32, PANEL.1 * rows as u32), |root| {
         for (area, (title, curves)) in root.split_evenly((rows, COLUMNS)).iter().zip(panels) {
             panel(area, title, curves)?;
         }

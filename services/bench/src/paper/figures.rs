@@ -13,7 +13,6 @@ use forelight_terminal::cost_picture::{Paint, Scale, key, map};
 use image::RgbImage;
 use std::path::{Path, PathBuf};
 
-/// A file of the report.
 #[derive(Debug)]
 pub struct File {
     /// Relative to the report's folder.
@@ -25,7 +24,6 @@ pub struct File {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shown {
     Cost,
-    /// Rays of all categories.
     Rays,
 }
 

@@ -26,7 +26,6 @@ pub const LADDER: [u32; 5] = [16, 64, 256, 1024, 4096];
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
-    /// No indirect light.
     NoAmbient,
     /// One bounce, gathered by every pixel.
     OneBounce,
@@ -41,7 +40,6 @@ impl Level {
     pub const ALL: [Level; 4] =
         [Level::NoAmbient, Level::OneBounce, Level::OneBounceCached, Level::TwoBouncesCached];
 
-    /// Name in a report.
     pub const fn title(self) -> &'static str {
         match self {
             Level::NoAmbient => "no ambient bounce",
@@ -92,7 +90,6 @@ impl Level {
 #[derive(Debug, Clone)]
 pub struct Seen {
     pub strata: Vec<Stratum>,
-    /// Stratum of every pixel.
     pub ids: Vec<u32>,
     /// Position that every pixel shows.
     pub positions: Vec<Vec3>,
@@ -104,7 +101,6 @@ pub struct Seen {
 #[derive(Debug, Clone)]
 pub struct Truth {
     pub level: Level,
-    /// Cost of every pixel.
     pub pixels: Vec<Cost>,
     /// Cost of every pixel if profiled with an empty cache, as in the paper: see [`cold`].
     pub cold: Vec<Cost>,
@@ -112,7 +108,6 @@ pub struct Truth {
     pub plan: Cost,
     /// Cost of gathering all records.
     pub fill: Cost,
-    /// Records by level.
     pub records: Vec<u32>,
     /// Visible records of the first level, each with its pixel and cost, for pictures.
     pub seen_records: Vec<(u32, Cost)>,
@@ -216,13 +211,10 @@ pub fn mean_record(sampled: &[Vec<(u32, Cost)>]) -> Costs<f64> {
 pub struct Task<'a> {
     pub local: &'a Local,
     pub frame: u32,
-    /// Width and height, pixels.
     pub size: u32,
-    /// Rays of a gather.
     pub gather_rays: u32,
     /// Pixels that a forecast profiles. They determine the number of records that it gathers.
     pub samples: u32,
-    /// Forecasts at each level.
     pub seeds: u32,
     /// Renders at each level. The median of their times counts.
     pub repeats: u32,

@@ -47,7 +47,6 @@ mod tests {
     use super::*;
     use forelight_forecast::Cost;
 
-    /// Width and height of the picture, pixels.
     const SIDE: u32 = 32;
 
     #[test]

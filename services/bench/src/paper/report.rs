@@ -11,7 +11,6 @@ use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use std::fmt::Write;
 
-/// Pictures per row.
 const COLUMNS: usize = 3;
 
 /// The whole report. Each study comes with the folder of its pictures.
@@ -110,8 +109,8 @@ fn scene(text: &mut String, folder: &str, study: &Study) {
     // Writing to a string cannot fail.
     let _ = write!(
         text,
-        "\n## {bundle}\n\nFrame {frame}, {size} × {size} pixels, of which {samples} are profiled ({}); {strata_seen} pairs of object \
-         and material are seen; {seeds} seeds; {gather_rays} rays a gather.\n\n",
+        "\n## {bundle}\n\nFrame {frame}, {size} × {size} pixels, of which {samples} are profiled ({}); {strata_seen} visible pairs of \
+         object and material; {seeds} seeds; {gather_rays} rays per gather.\n\n",
         share(profiled)
     );
     pictures(
@@ -127,17 +126,17 @@ fn scene(text: &mut String, folder: &str, study: &Study) {
     }
     let _ = write!(
         text,
-        "\n### Error against profiled pixels\n\nThe thin grey line falls with the root of their number, as it would for random \
-         pixels. At ours stands the CPU time of profiling. With a cache every strategy has its records planned, and gathers more of them the more pixels it profiles (96 for 256).\n\n![root mean square error of work against the number of profiled pixels]({folder}/samples.svg)\n\n\
+        "\n### Error against profiled pixels\n\nThe thin grey line falls with the root of their number, as for random \
+         pixels. Labels of ours are the CPU time of profiling. With a cache, every strategy has planned records, and gathers more of them with more pixels (96 for 256).\n\n![root mean square error of work against the number of profiled pixels]({folder}/samples.svg)\n\n\
          ### Where pixels are profiled\n\nWith seed 0, over the darkened preview.\n\n"
     );
     pictures(text, folder, Strategy::ALL.map(|strategy| (strategy.title(), positions_file(strategy))));
     for level in Level::ALL {
         let _ = write!(text, "\n### Maps: {}\n\n", level.title());
         text.push_str(if level.is_cached() {
-            "The truth shows each record of the first level at the pixel where it is seen, and so does our prediction, which has them planned. "
+            "The truth shows each record of the first level at the pixel that shows it, and so does our prediction with planned records. "
         } else {
-            "Blind predictions give each pixel the cost of the nearest profiled one; those by preview the mean of what it shows. "
+            "Blind predictions give each pixel the cost of the nearest profiled one; those by preview the mean of what the pixel shows. "
         });
         let _ = write!(
             text,
@@ -183,17 +182,20 @@ fn tables(text: &mut String, study: &Study, level: &LevelStudy) {
     text.push_str(&one_run(level, &level.outcomes).markdown());
     let _ = write!(
         text,
-        "\nOver {} seeds: mean absolute error, standard deviation, bias; *σ* is the standard deviation that a strategy estimates \
-         itself over the one that is seen.\n\n",
+        "\nOver {} seeds: mean absolute error, standard deviation, bias; *σ* is the standard deviation that a strategy estimates, \
+         over the observed one.\n\n",
         study.seeds
     );
     text.push_str(&many_seeds(&level.outcomes).markdown());
     if let Some(covered) = level.outcomes.iter().find_map(|outcome| outcome.covered) {
         let [p80, p95] = covered.map(|share| format!("{:.0} %", share * 100.0));
-        let _ = write!(text, "\nOurs kept its P80 of work in {p80} of the cases, and its P95 in {p95}.\n");
+        let _ = write!(
+            text,
+            "\nWork stayed at or below our P80 in {p80} of the cases, and below our P95 in {p95}.\n"
+        );
     }
     if !level.planned.is_empty() {
-        text.push_str("\nThe same, if every strategy has the records planned and reads them:\n\n");
+        text.push_str("\nThe same with planned records for every strategy:\n\n");
         text.push_str(&many_seeds(&level.planned).markdown());
     }
 }

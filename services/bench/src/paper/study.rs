@@ -18,7 +18,6 @@ pub struct Study {
     pub curves: Vec<Curve>,
 }
 
-/// One ambient level.
 #[derive(Debug, Serialize)]
 pub struct LevelStudy {
     pub level: Level,
@@ -44,11 +43,9 @@ pub struct Curve {
 
 #[derive(Debug, Serialize)]
 pub struct CurvePoint {
-    /// Profiled pixels.
     pub pixels: usize,
     /// Mean CPU seconds of profiling these pixels and gathering their records.
     pub cpu_seconds: f64,
-    /// Errors of work.
     pub error: Score,
 }
 

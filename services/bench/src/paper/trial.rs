@@ -11,11 +11,8 @@ use serde::Serialize;
 /// A value for each of the three columns of the tables.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Columns<T> {
-    /// Rays of all categories.
     pub rays: T,
-    /// Operations.
     pub work: T,
-    /// CPU seconds.
     pub cpu_seconds: T,
 }
 
@@ -154,7 +151,6 @@ pub struct Outcome {
     pub samples: usize,
     /// Forecast with seed 0: one run, as in the paper.
     pub one_run: Columns<f64>,
-    /// Errors over all seeds.
     pub error: Columns<Score>,
     /// Estimated standard deviation of work over the observed one (root mean square error). `None` if the
     /// strategy estimates no variance.

@@ -80,7 +80,6 @@ struct MeasuredScene {
     kinds: Vec<Kind>,
 }
 
-/// Rays of one kind.
 #[derive(Debug, Serialize)]
 struct Kind {
     kind: &'static str,

@@ -49,7 +49,6 @@ impl Peer {
         Ok(self.ask(&format!("differ {set}"))? as usize)
     }
 
-    /// Ends the program.
     pub fn finish(mut self) -> Result<()> {
         drop(self.input.take());
         let status = self.process.wait().context("cannot wait for the peer")?;

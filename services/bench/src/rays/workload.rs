@@ -7,13 +7,10 @@ use glam::{Vec2, Vec3};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Query {
-    /// The closest hit.
     Closest,
-    /// Any hit.
     Any,
 }
 
-/// Rays of one kind.
 #[derive(Debug, Clone)]
 pub struct RaySet {
     pub name: &'static str,
@@ -73,7 +70,6 @@ pub fn workload(frame: &Frame, bvh: &Bvh, count: u32, seed: u64) -> Vec<RaySet> 
     ]
 }
 
-/// Targets of shadow rays.
 struct Lights {
     /// Emitting triangles, with cumulative areas.
     triangles: Vec<u32>,

@@ -5,7 +5,6 @@ use forelight_terminal::output;
 use forelight_terminal::table::Table;
 use serde::Serialize;
 
-/// Output of a bench.
 #[derive(Debug, Default)]
 pub struct Report(Vec<Block>);
 
@@ -30,7 +29,6 @@ impl Report {
         self
     }
 
-    /// Appends another report.
     #[must_use]
     pub fn then(mut self, other: Report) -> Self {
         self.0.extend(other.0);
@@ -47,7 +45,6 @@ impl Report {
         Ok(self)
     }
 
-    /// The report for a terminal.
     pub fn for_terminal(&self) -> String {
         let block = |block: &Block| match block {
             Block::Text(text) => text.clone(),

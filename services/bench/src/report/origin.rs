@@ -4,7 +4,6 @@ use forelight_worker::machine;
 use std::path::Path;
 use std::process::Command;
 
-/// Where measurements come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
     /// The command as typed, quoted for a shell.
@@ -13,7 +12,6 @@ pub struct Origin {
     pub date: String,
     /// Commit of the repository that holds the file, with `-dirty` if other files of it were changed.
     pub commit: String,
-    /// Name of the processor.
     pub processor: String,
     /// Processor cores that this process may use.
     pub cores: usize,

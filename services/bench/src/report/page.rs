@@ -11,7 +11,6 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-/// Name of the file in a folder.
 const NAME: &str = "benchmarks.md";
 
 /// The start of a new file.

@@ -4,7 +4,6 @@ use forelight_protocol::{CacheMode, Quantiles, RenderSettings, RenderStats, Spen
 use forelight_renderer_own::Quote;
 use serde::Serialize;
 
-/// A shot, forecast and rendered.
 #[derive(Debug, Serialize)]
 pub struct Measured {
     pub bundle: String,
@@ -14,7 +13,6 @@ pub struct Measured {
     pub ambient_bounces: u32,
     pub cache: CacheMode,
     pub samples: u32,
-    /// Work of all frames.
     pub actual_work: f64,
     /// Measured CPU seconds of all frames.
     pub actual_cpu_seconds: f64,
@@ -22,9 +20,7 @@ pub struct Measured {
     pub forecast: Outcome,
     /// Current practice of farms.
     pub practices: Vec<PracticeOutcome>,
-    /// By seed.
     pub quotes: Vec<Trial>,
-    /// The first quote, by frame.
     pub frames: Vec<Frame>,
 }
 

@@ -75,7 +75,6 @@ pub struct Args {
 /// Default image width, camera samples and ambient bounces.
 const SMALL: (u32, u32, u32) = (128, 4, 1);
 
-/// Default number of frames.
 const FRAMES: usize = 48;
 
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {

@@ -2,9 +2,8 @@
 
 use super::measured::{Frame, Measured};
 use super::practice::Practice;
-use anyhow::Result;
+use forelight_plots::{self as plots, Area, Drawn, PlotError};
 use forelight_protocol::Quantiles;
-use forelight_terminal::drawing::{self, Area, Drawn};
 use forelight_terminal::quantities::count;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -17,8 +16,8 @@ const THEIRS: RGBColor = RGBColor(213, 94, 0);
 const GREY: RGBColor = RGBColor(215, 215, 215);
 
 /// The plot of the first quote as SVG.
-pub fn svg(shot: &Measured) -> Result<String> {
-    drawing::svg(SIZE, |area| draw(area, shot))
+pub fn svg(shot: &Measured) -> Result<String, PlotError> {
+    plots::svg(SIZE, |area| draw(area, shot))
 }
 
 /// Bounds of a central interval, from its upper quantile. Uncalibrated quantiles are symmetric about the mean

@@ -17,7 +17,6 @@ pub enum Practice {
 }
 
 impl Practice {
-    /// All practices, cheapest first.
     pub const ALL: [Practice; 4] =
         [Practice::OneFrame, Practice::FirstMiddleLast, Practice::FirstMiddleLastLines, Practice::EveryTenth];
 

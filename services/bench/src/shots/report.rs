@@ -49,7 +49,6 @@ fn row<'a>(
     .into_iter()
 }
 
-/// Summary of a shot.
 fn line(shot: &Measured) -> String {
     let Measured { bundle, width, height, spp, ambient_bounces, samples, .. } = shot;
     let cache = if shot.cache == CacheMode::On { ", cached" } else { "" };

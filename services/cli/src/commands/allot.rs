@@ -1,4 +1,4 @@
-//! `forelight render --within` and `--error`: the camera samples follow from what the frame is to come to.
+//! `forelight render --within` and `--error`: choose the camera samples for a time, a price or an error.
 
 use crate::job_options::png_file;
 use anyhow::{Context, Result, bail};
@@ -16,69 +16,69 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What a frame is to come to, in place of a number of camera samples.
+/// The goal of a frame, in place of a number of camera samples.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Camera samples by what they come to")]
+#[command(next_help_heading = "Camera samples by time, price or error")]
 pub struct AllotArgs {
-    /// Make the best image for this time: seconds, or 5m, 1h30m. In place of --spp, every part of the image gets as many camera
-    /// samples as pay there. All that you wait for counts: loading, preview, profile, cache and writing. The render looks at its clock as it goes, and
-    /// holds to the time
+    /// Render the best image in this time: seconds, or 5m, 1h30m. Replaces --spp: each part of the image gets
+    /// the camera samples that help most there. The time includes loading, preview, profile, cache and
+    /// writing. The render checks the clock as it goes
     #[arg(long, value_name = "TIME", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = parse_seconds)]
     within: Option<f64>,
-    /// The same for an amount of money, at --price an hour of wall time
+    /// Render the best image for this amount of money. Needs --price
     #[arg(long, value_name = "AMOUNT", group = "aim", requires = "price", conflicts_with_all = ["spp", "profile", "clock"], value_parser = parse_money)]
     within_money: Option<i64>,
-    /// What an hour of this machine costs
+    /// Price of an hour of wall time on this machine
     #[arg(long, value_name = "AMOUNT", requires = "within_money", value_parser = parse_money)]
     price: Option<i64>,
-    /// Which seconds --within counts
+    /// Clock of --within
     #[arg(long, value_name = "CLOCK", default_value = "wall", requires = "within")]
     clock: ClockName,
-    /// Make the cheapest image whose noise is at most this share of its mean, in percent (root mean square over the pixels; a hundredth
-    /// above is near enough), with at most 65,535 camera samples a pixel
+    /// Render the cheapest image with at most this noise, as a percentage of its mean (root mean square over
+    /// the pixels). It may exceed the noise by a hundredth. A pixel gets at most 65,535 camera samples
     #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = positive)]
     error: Option<f64>,
-    /// How sure an error is to be kept; of a time, how sure the least image must fit for the render to begin
+    /// Probability with which the image stays below --error, or with which the smallest image fits into
+    /// --within
     #[arg(long, value_name = "QUANTILE", default_value = "p80", requires = "aim")]
     confidence: Confidence,
-    /// Pixels to profile for it, 16 to a million
+    /// Number of pixels to profile for the choice, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, requires = "aim", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
-    /// Write how many camera samples each pixel got, as a grey PNG of 16 bits
+    /// Write the number of camera samples of each pixel, as a grey PNG of 16 bits
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     samples_map: Option<PathBuf>,
-    /// Give every pixel as many camera samples as such a file says: the same image again, bit by bit, whatever the clock
+    /// Give each pixel the camera samples that a file from --samples-map says. The image has the same bits
+    /// again
     #[arg(long, value_name = "FILE.png", conflicts_with_all = ["spp", "within", "within_money", "error", "profile"])]
     samples_from: Option<PathBuf>,
 }
 
-/// Which seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ClockName {
-    /// Those that you wait, from start to end.
+    /// Wall time, from start to end.
     Wall,
     /// CPU time of all threads.
     Cpu,
 }
 
-/// What was asked for, with clocks that are running.
+/// The goal, and the instant from which wall time counts.
 pub struct Wish<'a> {
     args: &'a AllotArgs,
     started: Instant,
 }
 
 impl AllotArgs {
-    /// The flag by which time is limited, if it is.
+    /// The flag that limits the time.
     pub fn limit(&self) -> &'static str {
         if self.within_money.is_some() { "--within-money" } else { "--within" }
     }
 
-    /// Counts wall time from `started` on.
     pub fn wish(&self, started: Instant) -> Wish<'_> {
         Wish { args: self, started }
     }
 
-    /// The samples of each pixel, if they were given, for an image of this size.
+    /// The samples of each pixel from `--samples-from`, for an image of this size.
     pub fn given_samples(&self, (width, height): (u32, u32)) -> Result<Option<SampleCounts>> {
         let Some(path) = &self.samples_from else { return Ok(None) };
         read_samples(path, width, height)
@@ -86,17 +86,17 @@ impl AllotArgs {
             .with_context(|| format!("--samples-from {}", path.display()))
     }
 
-    /// Writes the samples of each pixel, if that is wanted.
+    /// Writes the file of `--samples-map`, if there is one.
     pub fn write_samples(&self, samples: &SampleCounts, (width, height): (u32, u32)) -> Result<()> {
         let Some(path) = &self.samples_map else { return Ok(()) };
         let pixels = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, samples.as_slice().to_vec());
-        let pixels = pixels.context("there are not as many camera samples as pixels")?;
+        let pixels = pixels.context("the number of camera samples differs from the number of pixels")?;
         let mut bytes = Vec::new();
         pixels.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)?;
         write_bytes(path, &bytes)
     }
 
-    /// Whether samples that differ by pixel are wanted in a file; equally many everywhere are not worth one.
+    /// The file of `--samples-map`. Fails if no flag varies the samples.
     pub fn check_map(&self) -> Result<Option<&Path>> {
         let allots = self.within.is_some()
             || self.within_money.is_some()
@@ -113,7 +113,7 @@ impl AllotArgs {
 }
 
 impl Wish<'_> {
-    /// How samples are to be allotted, if they are; `rehearse` writes an image for seeing how long that takes.
+    /// `None` without a goal. `rehearse` writes an image, to measure how long writing takes.
     pub fn options<'a>(
         &self,
         rehearse: &'a (dyn Fn(&Image, &Frame) + Sync),
@@ -133,18 +133,14 @@ impl Wish<'_> {
         Ok(Some(AllotOptions { aim, confidence, samples, seed: 0 }))
     }
 
-    /// Seconds that an amount of money buys.
     fn affordable(&self, amount: i64) -> Result<f64> {
         match self.args.price {
             Some(price) if price > 0 && amount > 0 => Ok(3600.0 * amount as f64 / price as f64),
-            _ => Err(BadInput::new("--within-money: amount and --price must be more than nothing").into()),
+            _ => Err(BadInput::new("--within-money: the amount and --price must be greater than 0").into()),
         }
     }
 
-    /// That the image is as good as was asked for.
-    ///
-    /// # Errors
-    /// If it is not, though its pixels have as many samples as they can.
+    /// Fails if the noise exceeds `--error`, although a pixel has the most samples that it can have.
     pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
         let Some(percent) = self.args.error else { return Ok(()) };
         let reached = 100.0 * allotted.error.at(self.args.confidence);
@@ -152,12 +148,12 @@ impl Wish<'_> {
             return Ok(());
         }
         bail!(
-            "--error {percent}: the image is written, but its noise is {reached:.2} % of the mean: a pixel has at most {} camera samples",
+            "--error {percent}: the image is written, but its noise is {reached:.2} % of the mean, and a pixel has at most {} camera samples",
             u16::MAX
         )
     }
 
-    /// Now that everything is written: what it took in the end.
+    /// Sets the time and cost after everything is written.
     pub fn settle(&self, within: &mut WithinStats) {
         let clock = match within.clock {
             BudgetClock::Wall => Stopwatch::Wall(self.started),
@@ -176,7 +172,7 @@ fn read_samples(path: &Path, width: u32, height: u32) -> Result<SampleCounts> {
     let found = reader.into_dimensions().map_err(|e| wrong(e.to_string()))?;
     if found != (width, height) {
         return Err(wrong(format!(
-            "it is for {} x {} pixels and the image has {width} x {height}: give --width and --height as they were",
+            "it is for {} x {} pixels, but the image has {width} x {height}; set the same --width and --height",
             found.0, found.1
         )));
     }
@@ -186,23 +182,22 @@ fn read_samples(path: &Path, width: u32, height: u32) -> Result<SampleCounts> {
         DynamicImage::ImageLuma16(pixels) => {
             SampleCounts::new(pixels.into_raw()).map_err(|e| wrong(e.to_string()))
         }
-        _ => Err(wrong("not a grey PNG of 16 bits, as --samples-map writes it".into())),
+        _ => Err(wrong("it is not a grey PNG of 16 bits from --samples-map".into())),
     }
 }
 
-/// Lines of the report.
 pub fn report(allotted: &AllottedStats) -> String {
     let AllottedStats { least, most, mean, error, .. } = allotted;
     let mut text = format!(
         "allotted    {least} to {most} camera samples per pixel, {mean:.1} on average\n\
-         noise       {:.2} % of the mean, as the image says itself (at 95 % {:.2} %)\n",
+         noise       {:.2} % of the mean, estimated from the image (P95 {:.2} %)\n",
         100.0 * error.p50,
         100.0 * error.p95,
     );
     if let Some(AllottedForecast { work, cpu_seconds, profiling_cpu_seconds, .. }) = &allotted.forecast {
         text += &format!(
-            "forecast    {} operations, {} CPU time (at 95 % {}) for these samples\n\
-             profiled    {} of CPU time to find that out\n",
+            "forecast    {} operations, {} CPU time (P95 {}) for these samples\n\
+             profiling   {} of CPU time\n",
             count(work.mean),
             seconds(cpu_seconds.mean),
             seconds(cpu_seconds.p95),
@@ -222,7 +217,7 @@ pub fn report(allotted: &AllottedStats) -> String {
             100.0 * spent_seconds / given_seconds,
             if *passes == 1 { "pass" } else { "passes" },
         );
-        text += &cost.map_or_else(String::new, |cost| format!("; {} of money", money(cost.0)));
+        text += &cost.map_or_else(String::new, |cost| format!("; price {}", money(cost.0)));
         text += "\n";
     }
     text
@@ -233,7 +228,7 @@ mod tests {
     use super::*;
     use forelight_terminal::options::parsed;
 
-    /// Beside the flags that they exclude.
+    /// The flags, with those that they exclude.
     #[derive(clap::Args)]
     struct Render {
         #[command(flatten)]

@@ -1,10 +1,12 @@
-//! `forelight ask`: questions about a job's plan, answered by the farm's service.
+//! `forelight ask`: asks the service about a job's plan.
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
 use anyhow::{Context, Result};
 use forelight_client::Client;
-use forelight_protocol::{AnswersDoc, Job, JobId, Money, MovedJob, PlanEffect, PriceOffer, Timestamp};
+use forelight_protocol::{
+    AnswersDoc, Job, JobId, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer, QualityOffer, Timestamp,
+};
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
@@ -12,7 +14,7 @@ use forelight_terminal::quantities::{Deadline, clock, money, parse_deadline, par
 use forelight_terminal::table::{Align, Table};
 use std::path::PathBuf;
 
-/// Ask about a job's plan: deadline, price of other deadlines, and ways to be in time
+/// Ask about a job's plan: its deadline, the price of other deadlines, and ways to be in time
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -47,8 +49,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let job = find(&client, &args.job).await?;
@@ -79,6 +79,22 @@ async fn find(client: &Client, text: &str) -> Result<Job> {
 
 fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
     let at = |instant: Timestamp| clock(instant, now);
+    let mut text = heading(job, found, at);
+    text += &outlook(&found.outlook, at);
+    text += &offers(found, at);
+    text += &listed("Ways to keep the deadline, cheapest first", &found.ways_out, at);
+    text += &curve(&found.curve, at);
+    text += &qualities(&found.qualities, at);
+    text += &listed("What if", &found.what_if, at);
+    text += &pushed_back(&found.pushes_back);
+    if !found.left_out.is_empty() {
+        text += &format!("\nnot answered within the time limit: {}\n", found.left_out.join(", "));
+    }
+    text
+}
+
+/// The deadline, the reason for waiting, and the risk.
+fn heading(job: &Job, found: &AnswersDoc, at: impl Fn(Timestamp) -> String) -> String {
     let mut text = match found.deadline {
         Some(deadline) => format!("{}, deadline {}\n", job.name, at(deadline)),
         None => format!("{}, without a deadline\n", job.name),
@@ -93,23 +109,33 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
             text += &format!("cheapest rescue: {}\n", rescue.words);
         }
     }
-    let mut outlook = Table::new(&[
+    text
+}
+
+/// Completion and cost at each confidence.
+fn outlook(lines: &[OutlookLine], at: impl Fn(Timestamp) -> String) -> String {
+    let mut table = Table::new(&[
         ("confidence", Align::Right),
         ("ready by", Align::Left),
         ("cost", Align::Right),
         ("at least", Align::Right),
         ("", Align::Left),
     ]);
-    for line in &found.outlook {
-        outlook.row([
+    for line in lines {
+        table.row([
             format!("{:?}", line.confidence),
-            line.finish.map_or("never".into(), at),
+            line.finish.map_or("never".into(), &at),
             money(line.cost.micro_units()),
             money(line.cost_at_least.micro_units()),
             line.in_time.map_or("", |in_time| if in_time { "in time" } else { "not in time" }).to_owned(),
         ]);
     }
-    text += &format!("\n{}", outlook.render());
+    format!("\n{}", table.render())
+}
+
+/// The cheapest plan, the earliest finish for the budget, and why the deadline cannot be kept.
+fn offers(found: &AnswersDoc, at: impl Fn(Timestamp) -> String) -> String {
+    let mut text = String::new();
     if let Some(offer) = &found.cheapest {
         text += &format!("\ncheapest plan: {} by {}\n", money(offer.cost.micro_units()), at(offer.finish));
     }
@@ -124,50 +150,50 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
         text += "\nThe deadline cannot be kept\n";
         text.extend(found.why_not.iter().map(|reason| format!("  {reason}\n")));
     }
-    text += &listed("Ways to keep the deadline, cheapest first", &found.ways_out, at);
-    text += &curve(&found.curve, at);
-    if !found.qualities.is_empty() {
-        let mut table = Table::new(&[
-            ("samples", Align::Right),
-            ("pixels", Align::Left),
-            ("error", Align::Right),
-            ("ready by", Align::Left),
-            ("cost", Align::Right),
-            ("", Align::Left),
+    text
+}
+
+/// Error, completion and cost of other qualities.
+fn qualities(offers: &[QualityOffer], at: impl Fn(Timestamp) -> String) -> String {
+    if offers.is_empty() {
+        return String::new();
+    }
+    let mut table = Table::new(&[
+        ("samples", Align::Right),
+        ("pixels", Align::Left),
+        ("error", Align::Right),
+        ("ready by", Align::Left),
+        ("cost", Align::Right),
+        ("", Align::Left),
+    ]);
+    for offer in offers {
+        let settings = &offer.settings;
+        table.row([
+            settings.spp.to_string(),
+            format!("{} × {}", settings.width, settings.height),
+            offer.error.map_or("-".into(), |error| format!("{:.1} %", error.p50 * 100.0)),
+            offer.finish.map_or("never".into(), &at),
+            money(offer.cost.micro_units()),
+            match (offer.asked_for, offer.fits) {
+                (true, true) => "as asked for",
+                (true, false) => "as asked for, too late",
+                (false, true) => "fits",
+                (false, false) => "",
+            }
+            .to_owned(),
         ]);
-        for offer in &found.qualities {
-            let settings = &offer.settings;
-            table.row([
-                settings.spp.to_string(),
-                format!("{} × {}", settings.width, settings.height),
-                offer.error.map_or("-".into(), |error| format!("{:.1} %", error.p50 * 100.0)),
-                offer.finish.map_or("never".into(), at),
-                money(offer.cost.micro_units()),
-                match (offer.asked_for, offer.fits) {
-                    (true, true) => "as asked for",
-                    (true, false) => "as asked for, too late",
-                    (false, true) => "fits",
-                    (false, false) => "",
-                }
-                .to_owned(),
-            ]);
-        }
-        text += &format!("\nQualities\n{}", table.render());
     }
-    text += &listed("What if", &found.what_if, at);
-    if !found.pushes_back.is_empty() {
-        text += "\nJobs that end later because of this job\n";
+    format!("\nQualities\n{}", table.render())
+}
+
+fn pushed_back(jobs: &[MovedJob]) -> String {
+    if jobs.is_empty() {
+        return String::new();
     }
-    for other in &found.pushes_back {
-        text += &format!(
-            "  {}: {}{}\n",
-            other.name,
-            later(other),
-            if other.breaks_promise { ", and misses its deadline" } else { "" }
-        );
-    }
-    if !found.left_out.is_empty() {
-        text += &format!("\nnot answered within the time limit: {}\n", found.left_out.join(", "));
+    let mut text = "\nJobs that end later because of this job\n".to_owned();
+    for job in jobs {
+        let missed = if job.breaks_promise { ", and misses its deadline" } else { "" };
+        text += &format!("  {}: {}{missed}\n", job.name, later(job));
     }
     text
 }

@@ -32,7 +32,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Numbers of the copy.
 #[derive(Debug, Serialize)]
 struct Document {
     file: PathBuf,
@@ -41,8 +40,6 @@ struct Document {
     artifacts: u64,
     artifact_bytes: u64,
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let spinner = Bars::new(args.json).spinner(format!("copying to {}", args.to.display()));
     let copied = forelight_store::backup(&args.data, &args.to).await;

@@ -1,5 +1,4 @@
-//! `forelight cache`: the irradiance cache of a shot, planned once for its frames and filled by any number of
-//! processes.
+//! `forelight cache`: plans the irradiance cache of a shot, and fills it in any number of processes.
 
 use anyhow::{Context, Result};
 use clap::Subcommand;
@@ -17,7 +16,6 @@ use forelight_tracer::{Cache, CacheTotals};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Why settings exclude a cache.
 pub const NO_USE_FOR_A_CACHE: &str = "these settings use no irradiance cache: it needs the integrator `ambient` and at least one ambient bounce";
 
 /// Plan, fill and merge the irradiance cache of a shot, for `forelight render --cache-file`
@@ -51,8 +49,7 @@ enum Step {
 struct Plan {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
-    /// Frames, such as 0-47 or 0,5,9-12. Records have their positions in the first frame [default: the whole
-    /// shot]
+    /// Frames, such as 0-47 or 0,5,9-12. The first one holds the records' positions [default: the whole shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
     #[command(flatten)]
@@ -71,8 +68,7 @@ struct Fill {
     /// Cache to fill, from `plan`, `fill` or `merge`
     #[arg(long, value_name = "FILE")]
     cache_file: PathBuf,
-    /// Part to fill, out of equal parts of the deepest level that is not full, such as 1/4 [default:
-    /// everything]
+    /// Part to fill, such as 1/4 of the deepest level that is not full [default: all parts]
     #[arg(long, value_name = "PART/PARTS", value_parser = part)]
     part: Option<(u32, u32)>,
     #[command(flatten)]
@@ -109,12 +105,10 @@ impl Written {
     }
 }
 
-/// Numbers of a cache.
 #[derive(Debug, Serialize)]
 struct Held {
-    /// Frame in which the records have their positions.
+    /// The frame of the records' positions.
     frame: u32,
-    /// Records by level.
     records: Vec<u64>,
     filled: u64,
     /// Records with infinite or undefined values. They are never used.
@@ -125,8 +119,6 @@ struct Held {
     fill_cpu_seconds: f64,
     bytes: u64,
 }
-
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     match &args.step {
         Step::Plan(args) => plan(args, interrupt),
@@ -189,16 +181,12 @@ fn merge(args: &Merge) -> Result<()> {
     write(&merged, &args.written)
 }
 
-/// Reads a cache file.
 pub fn read_cache(path: &Path) -> Result<Cache> {
     let bytes = bounded_file::read(path, CACHE_BYTES)?;
     Cache::from_bytes(&bytes).map_err(RenderError::from).with_context(|| path.display().to_string())
 }
 
-/// Reads a cache for frames to share.
-///
-/// # Errors
-/// If it is not full.
+/// Reads a cache for frames to share. Fails if it is not full.
 pub fn read_full_cache(path: &Path) -> Result<Cache> {
     let cache = read_cache(path)?;
     if !cache.is_complete() {

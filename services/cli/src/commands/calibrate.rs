@@ -40,8 +40,6 @@ pub struct Args {
     #[arg(long)]
     json: bool,
 }
-
-/// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     atomic_file::check([args.out.as_deref()])?;
     let calibration = measured(usize::from(args.rounds), &Bars::new(args.json));
@@ -49,7 +47,6 @@ pub fn run(args: &Args) -> Result<()> {
     if args.json { output::json(&calibration) } else { output::print(&report(&calibration)) }
 }
 
-/// Measures this machine's calibration in `rounds` rounds.
 pub fn measured(rounds: usize, bars: &Bars) -> NodeCalibration {
     let bar = bars.bar("calibrating", 0);
     let calibration = calibrate(rounds, &|done, all| {
@@ -60,8 +57,7 @@ pub fn measured(rounds: usize, bars: &Bars) -> NodeCalibration {
     calibration
 }
 
-/// A calibration as a worker keeps it beside its bundles. A worker that is started for every task then need
-/// not measure first.
+/// A worker's stored calibration, so that a worker of a single task need not measure first.
 #[derive(Debug, Serialize, Deserialize)]
 struct Kept {
     processor: Option<String>,
@@ -70,8 +66,8 @@ struct Kept {
     calibration: NodeCalibration,
 }
 
-/// This machine's calibration. It is read from `folder` if the file is of this processor and this version of
-/// the tracer. Otherwise it is measured and written there.
+/// This machine's calibration: read from `folder` if it is of this processor and tracer, otherwise measured
+/// and written there.
 pub fn kept(folder: &Path, processor: Option<&str>) -> NodeCalibration {
     // Several machines may share the folder.
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
@@ -101,7 +97,7 @@ pub fn kept(folder: &Path, processor: Option<&str>) -> NodeCalibration {
     }
 }
 
-/// Reads a calibration that `--out` wrote. The name of the file stands for the name of the machine.
+/// Reads a calibration that `--out` wrote. The file's name is the machine's name.
 pub fn read(path: &Path) -> Result<(String, NodeCalibration)> {
     let calibration: NodeCalibration = json_file::read_written_by("forelight calibrate --out", path)?;
     calibration

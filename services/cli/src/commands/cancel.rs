@@ -27,11 +27,9 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
-    // A name that fits no job, or several jobs, fails the command before any job is cancelled.
+    // An unknown or ambiguous name fails the command before any job is cancelled.
     let mut wanted = Vec::with_capacity(args.jobs.len());
     for job in &args.jobs {
         wanted.push(find(&client, job).await?);

@@ -1,16 +1,16 @@
-//! `forelight forecast --explain`: why the frames are dear, in words and numbers.
+//! `forelight forecast --explain`: the reasons for the cost of the frames.
 
 use forelight_protocol::{Explanation, ObjectShare, RayShare};
 use forelight_terminal::quantities::count;
 use forelight_terminal::table::{Align, Table};
 
-/// So many objects are shown; the JSON has all that have at least a hundredth of the pixels' work.
+/// Number of objects in the table. The JSON has all objects with at least 1 % of the pixels' work.
 const SHOWN: usize = 10;
 
-/// What is meant by the work for a ray, under tables of it.
-pub const WORK_FOR_RAYS: &str = "work for a ray is going along it, and what is done where it ends; all that comes of gathered rays is for ambient ones\n";
+/// The meaning of the work for a ray, below tables of it.
+pub const WORK_FOR_RAYS: &str =
+    "the work for a ray is its traversal and the shading of its hit; all rays of a gather count as ambient\n";
 
-/// Rays by what sends them out, with what they take.
 fn rays(rays: &[RayShare], percent: impl Fn(f64) -> String) -> String {
     let mut table = Table::new(&[
         ("rays", Align::Left),
@@ -25,10 +25,9 @@ fn rays(rays: &[RayShare], percent: impl Fn(f64) -> String) -> String {
     format!("\n{}{WORK_FOR_RAYS}", table.render())
 }
 
-/// The explanation for people.
 pub fn text(explanation: &Explanation) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-    let mut text = String::from("\nWhy it costs that\n\n");
+    let mut text = String::from("\nWhy it costs this much\n\n");
     for part in &explanation.parts {
         text += &format!("{:>8}  {} ({} operations)\n", percent(part.share), part.part, count(part.work));
     }
@@ -37,7 +36,7 @@ pub fn text(explanation: &Explanation) -> String {
         let mut table = Table::new(&[
             ("pixels that show", Align::Left),
             ("share of the work", Align::Right),
-            ("share of the pixels' number", Align::Right),
+            ("share of the pixels", Align::Right),
             ("a pixel costs", Align::Right),
             ("profiled", Align::Right),
             ("each stands for", Align::Right),

@@ -42,8 +42,6 @@ pub struct Args {
     #[arg(long, value_name = "WHO", default_value = "auto")]
     preview: PreviewBackend,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let folder = args.service.data.join("bundles");
     let (bundles, executor, capabilities) = equipment(&folder, args.preview)?;
@@ -91,8 +89,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     outcome
 }
 
-/// The address at which this process reaches its own service. The address of all interfaces becomes that of
-/// this machine.
+/// The address at which this process reaches its own service.
 fn reachable(address: &str) -> String {
     address.replace("//0.0.0.0:", "//127.0.0.1:").replace("//[::]:", "//[::1]:")
 }

@@ -40,8 +40,6 @@ fn state(text: &str) -> Result<JobState, String> {
     JobState::from_name(text)
         .ok_or_else(|| format!("expected one of {}", JobState::ALL.map(JobState::name).join(", ")))
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     if args.project.as_deref() == Some("") {
         return Err(BadInput::new("--project: the name is empty").into());

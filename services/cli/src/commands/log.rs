@@ -25,8 +25,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let log = client

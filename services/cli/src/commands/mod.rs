@@ -32,10 +32,11 @@ use anyhow::Result;
 use clap::{ArgAction, Parser, Subcommand};
 use forelight_terminal::interrupt::Interrupt;
 
-/// Knows what a frame will cost before it is rendered.
+/// Forecasts what frames cost before they are rendered.
 ///
-/// forelight previews every frame of a shot, traces a few pixels of some of them, and says what all of them will cost, with
-/// how sure it is. On that it books a render farm against deadlines and budgets, and renders.
+/// forelight previews every frame of a shot and traces a few pixels of some frames. From these it forecasts
+/// the cost of all frames, with quantiles. The forecasts let it book a render farm against deadlines and
+/// budgets.
 #[derive(Debug, Parser)]
 #[command(name = "forelight", version, propagate_version = true, max_term_width = 100)]
 #[command(after_help = "\
@@ -49,7 +50,7 @@ Exit codes: 0 done; 1 something failed; 2 wrong input; 3 a budget is threatened 
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Log more to standard error: once what happens, twice how. RUST_LOG chooses finer
+    /// Log more to standard error: -v for events, -vv for details. RUST_LOG chooses by module
     #[arg(short, long, global = true, action = ArgAction::Count)]
     verbose: u8,
 }
@@ -85,13 +86,11 @@ enum Command {
 }
 
 impl Cli {
-    /// How often `-v` was given; long-running commands log what happens without being asked.
+    /// The log level: the number of `-v`, and one more for long-running commands.
     pub fn verbosity(&self) -> u8 {
         let service = matches!(self.command, Command::Farm(_) | Command::Serve(_) | Command::Worker(_));
         self.verbose + u8::from(service)
     }
-
-    /// Runs the command.
     pub async fn run(self) -> Result<()> {
         let interrupt = Interrupt::listen()?;
         match self.command {
@@ -110,7 +109,7 @@ impl Cli {
             Command::Log(args) => log::run(args).await,
             Command::Backup(args) => backup::run(args).await,
             Command::Budget(args) => budget::run(*args).await,
-            // Tracing light is not waiting: it gets a thread that may block.
+            // Tracing light would block the runtime, so it has a thread of its own.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
             Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,
@@ -159,7 +158,7 @@ mod tests {
             let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
             let help = help.replace("\\\n", " ");
             for line in help.lines().map(str::trim).filter(|line| line.starts_with("forelight ")) {
-                // What follows three spaces is an explanation.
+                // Three spaces precede an explanation.
                 let typed = line.split("   ").next().unwrap_or(line);
                 let typed = typed.split(" > ").next().unwrap_or(typed);
                 parse(typed).unwrap_or_else(|error| panic!("{typed}: {error}"));

@@ -36,11 +36,11 @@ pub struct Args {
     name: Option<String>,
     /// Order to give to the node
     order: Option<Order>,
-    /// Set when the node is awake, such as "Mon-Fri 20:00-08:00 Europe/Berlin", or `always`. `default` uses
-    /// the worker's own schedule
+    /// When the node is awake, such as "Mon-Fri 20:00-08:00 Europe/Berlin" or `always`. `default`: as the
+    /// worker says
     #[arg(long, value_name = "WINDOWS", requires = "name")]
     schedule: Option<String>,
-    /// Set the price of an hour, in the farm's currency, such as 2.40. `default` uses the worker's own price
+    /// Price of an hour, in the farm's currency, such as 2.40. `default`: as the worker says
     #[arg(long, value_name = "AMOUNT", requires = "name")]
     price: Option<String>,
     /// Bill rented time in multiples of this, such as 1h
@@ -55,8 +55,7 @@ pub struct Args {
     /// What to do with a task that still runs when a window of the schedule ends
     #[arg(long, value_name = "WHAT", requires = "name")]
     window_end: Option<EndOfWindow>,
-    /// Close the node for maintenance, whatever its schedule says: START/END, or START/ without a known end.
-    /// May be repeated. `none` removes all maintenance
+    /// Close the node: START/END, or START/ without a known end. May be repeated. `none` ends all maintenance
     #[arg(long, value_name = "START/END", requires = "name", value_parser = maintenance)]
     maintenance: Vec<Maintenance>,
     /// Print the nodes as JSON to standard output
@@ -66,7 +65,6 @@ pub struct Args {
     connection: ConnectionOptions,
 }
 
-/// An order to a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Order {
     /// Finish the current task, then take no more.
@@ -75,8 +73,7 @@ enum Order {
     Pause,
     /// Take tasks again after `drain` or `pause`.
     Resume,
-    /// Drop the current task, for another node to start again. This node takes the next task, unless it is
-    /// drained.
+    /// Drop the current task for another node to start again. A drained node takes no next task
     Cancel,
     /// Drop the current task and take no more.
     Stop,
@@ -84,7 +81,6 @@ enum Order {
     Back,
 }
 
-/// What happens to a task at the end of a window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum EndOfWindow {
     /// The node finishes it.
@@ -93,7 +89,6 @@ enum EndOfWindow {
     Stop,
 }
 
-/// A time of maintenance, or `none`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Maintenance {
     None,
@@ -165,8 +160,6 @@ impl Order {
         change
     }
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let nodes = client.nodes().await.context("cannot list the nodes")?;

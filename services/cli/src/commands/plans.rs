@@ -27,8 +27,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let Some(plan) = args.plan else {

@@ -28,7 +28,7 @@ pub struct Args {
     /// Picture to write
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     out: Option<PathBuf>,
-    /// Print what is seen as JSON to standard output
+    /// Print the strata as JSON to standard output
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -37,7 +37,7 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// What a frame shows.
+/// The strata of a frame.
 #[derive(Debug, Serialize)]
 struct Seen {
     frame: u32,
@@ -46,7 +46,7 @@ struct Seen {
     backend: PreviewBackend,
     spent: Spent,
     background: u32,
-    /// The largest first.
+    /// Largest first.
     strata: Vec<SeenStratum>,
 }
 
@@ -56,14 +56,12 @@ struct SeenStratum {
     material: String,
     class: &'static str,
     pixels: u32,
-    /// Its colour in the picture, before shading.
+    /// Colour in the picture, before shading.
     color: [u8; 3],
 }
 
-/// Rows of the table for people; the JSON has all.
+/// Largest number of rows of the table. The JSON has all strata.
 const MOST_ROWS: usize = 25;
-
-/// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let bars = Bars::new(args.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
@@ -96,7 +94,7 @@ pub fn run(args: &Args) -> Result<()> {
             color: *color,
         })
         .collect();
-    // Stable: strata of one size stay in the order of the scene.
+    // A stable sort keeps strata of equal size in the order of the scene.
     strata.sort_by_key(|stratum| std::cmp::Reverse(stratum.pixels));
     let seen = Seen {
         frame: args.frame,

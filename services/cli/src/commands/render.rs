@@ -1,4 +1,4 @@
-//! `forelight render`: one frame on this machine, with its true cost.
+//! `forelight render`: renders one frame on this machine and reports its true cost.
 
 use super::allot::{self, AllotArgs};
 use super::cache::read_full_cache;
@@ -24,7 +24,7 @@ use forelight_tracer::{Image, Profile};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Render one frame, and say what it took
+/// Render one frame and report its cost
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -39,30 +39,31 @@ Examples:
   forelight render kitchen/ --cache on --within-money 0.25 --price 1.80 --out quarter.exr
   forelight render kitchen/ --cache on --error 2 --confidence p95 --out clean.exr
 
-The image has the same bits whatever the threads, and whether or not a profile was taken over. An .exr holds \
-linear colour and, beside it, object and material ids, cost and rays of every pixel; a .png is for looking at.")]
+The image has the same bits for any number of threads, with or without a profile. An .exr file holds linear colour, \
+object and material ids, and the cost and rays of every pixel. A .png file is for viewing.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
-    /// Image to write, .exr or .png
+    /// Image file to write, .exr or .png
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Also write the cost of every pixel in colour: cyan is cheap, red is dear
+    /// Write the cost of each pixel as a picture: cyan is cheap, red is expensive
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     cost_map: Option<PathBuf>,
-    /// Write the frame's cost as JSON
+    /// Write the frame's cost as JSON into this file
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
-    /// Take over the finished pixels, or the irradiance cache, of a profile that `forelight forecast --save-profile` wrote
+    /// Take over the finished pixels or the irradiance cache of a profile from
+    /// `forelight forecast --save-profile`
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
-    /// Take over the irradiance cache of the shot that `forelight cache` made; implies --cache on
+    /// Take over the shot's irradiance cache from `forelight cache`. Implies --cache on
     #[arg(long, value_name = "FILE", conflicts_with = "profile")]
     cache_file: Option<PathBuf>,
-    /// Trace with code for what the scene calls for alone, or for everything, with nothing left out: the image has the same bits
+    /// Code to trace with: only the effects that the frame needs, or all of them. The image has the same bits
     #[arg(long, value_name = "WHICH", default_value = "called-for")]
     effects: EffectsSwitch,
     /// Print the cost as JSON to standard output
@@ -76,23 +77,19 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Which effects the code that traces a frame holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum EffectsSwitch {
-    /// Those that the frame calls for.
+    /// Only the effects that the frame needs
     CalledFor,
-    /// All, and lights and objects that cannot matter stay in.
+    /// All effects, with the lights and objects that nothing sees
     All,
 }
 
-/// Formats that an image can be written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Format {
     Exr,
     Png,
 }
-
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let wish = args.allot.wish(Instant::now());
     let samples_map = args.allot.check_map()?;
@@ -111,7 +108,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let progress = |progress| bar.show(progress);
     let size = (settings.width, settings.height);
     let samples = args.allot.given_samples(size)?;
-    // What cannot be written is said when the image is.
+    // If writing fails, the final write reports it.
     let rehearse = |image: &Image, frame: &Frame| drop(files.rehearse(image, frame));
     let options = wish.options(&rehearse)?;
     let rendered = local
@@ -174,7 +171,6 @@ fn read_profile(path: &Path) -> Result<Profile> {
         .with_context(|| format!("--profile {}", path.display()))
 }
 
-/// The files that an image is written to.
 struct Files<'a> {
     image: Option<(&'a Path, Format)>,
     cost_map: Option<&'a Path>,
@@ -193,7 +189,7 @@ impl<'a> Files<'a> {
         self.cost_map.map_or(Ok(()), |path| write_bytes(path, &png(&image.cost_map())?))
     }
 
-    /// Writes the same files beside the real ones, and removes them.
+    /// Writes the same files next to the real ones, then removes them.
     fn rehearse(&self, image: &Image, frame: &Frame) -> Result<()> {
         let Some(first) = self.image.map(|(path, _)| path).or(self.cost_map) else { return Ok(()) };
         let beside = first.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -211,7 +207,6 @@ fn write_image(image: &Image, frame: &Frame, path: &Path, format: Format) -> Res
     }
 }
 
-/// The cost of a frame for people.
 fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     let mut table = Table::new(&[
         ("rays", Align::Left),
@@ -236,7 +231,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     text += &stats.allotted.as_deref().map_or_else(String::new, allot::report);
     let code = match effects {
         EffectsSwitch::CalledFor => "",
-        EffectsSwitch::All => " (with code for all there are, and nothing left out)",
+        EffectsSwitch::All => " (with code for all effects, and nothing left out)",
     };
     text += &format!("effects     {}{code}\n", output::list(&stats.effects));
     for LeftOut { what, reason } in &stats.left_out {
@@ -246,8 +241,9 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     text += &format!("CPU time    {}\n", seconds(stats.cpu_seconds));
     text += &format!("wall time   {}\n", seconds(stats.wall_seconds));
     if let Some(costs) = stats.once.and_then(once_costs) {
-        text +=
-            &format!("once        {costs} of CPU time, for each process; in no frame's work or CPU time\n");
+        text += &format!(
+            "once        {costs} of CPU time, once for each process; in no frame's work or CPU time\n"
+        );
     }
     if let Some(cache) = &stats.cache {
         let levels: Vec<String> = stats.cache_records.iter().map(u64::to_string).collect();
@@ -262,14 +258,17 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
         if cache.shared_records + cache.dropped_records > 0 {
             let records: u64 = stats.cache_records.iter().sum();
             text += &format!(
-                "            {} records are the shot's, {} of the shot's do not hold here, {} were made for this frame\n",
+                "            {} records are from the shared cache, {} of its records are not valid here, {} were made for this frame\n",
                 cache.shared_records,
                 cache.dropped_records,
                 records.saturating_sub(cache.shared_records)
             );
         }
         if cache.rejected > 0 {
-            text += &format!("            {} records are not finite and were not used\n", cache.rejected);
+            text += &format!(
+                "            {} records have infinite or undefined values and were not used\n",
+                cache.rejected
+            );
         }
     }
     if stats.reused_work > 0 {

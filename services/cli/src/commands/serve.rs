@@ -35,16 +35,15 @@ pub struct Args {
     service: ServiceOptions,
 }
 
-/// Options of the service.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Service")]
 pub struct ServiceOptions {
     /// Folder of the database, the artefacts and the tokens. It is created if it does not exist
     #[arg(long, value_name = "DIR", default_value = "farm-data")]
     pub data: PathBuf,
-    /// Where to keep images, profiles and bundles: data-folder, or s3://BUCKET/PREFIX for an S3-compatible
-    /// bucket. The bucket's server and credentials come from AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID
-    /// and AWS_SECRET_ACCESS_KEY, and AWS_ALLOW_HTTP=true permits a server without TLS
+    /// Where to keep images, profiles and bundles: data-folder, or s3://BUCKET/PREFIX. Server and credentials
+    /// come from AWS_ENDPOINT_URL, AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY.
+    /// AWS_ALLOW_HTTP=true permits a server without TLS
     #[arg(long, value_name = "PLACE", default_value = "data-folder")]
     pub artifacts: ArtifactPlace,
     /// Confirm that this farm's artefacts have been copied to the place that --artifacts names
@@ -78,13 +77,11 @@ pub struct ServiceOptions {
     pub slurm: SlurmOptions,
 }
 
-/// What starts the processes that do the tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Executor {
     /// People start workers: `forelight worker`, or `forelight farm` on its own machine.
     Workers,
-    /// Slurm starts them: tasks become job arrays, bookings become start times and reservations, and
-    /// forecasts become time limits.
+    /// Slurm starts them: tasks are job arrays, bookings reservations, and forecasts time limits.
     Slurm,
 }
 
@@ -103,8 +100,6 @@ impl ServiceOptions {
         config
     }
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let running = start(&args.service).await?;
     output::line(running.greeting())?;
@@ -113,18 +108,14 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     Ok(())
 }
 
-/// A running service.
 pub struct Running {
-    /// The service.
     pub service: Service,
-    /// The token for workers in this process.
     pub worker_token: Token,
     data: PathBuf,
     engine: Option<(JoinHandle<()>, CancellationToken)>,
 }
 
 impl Running {
-    /// Address of the service.
     pub fn address(&self) -> String {
         format!("http://{}", self.service.local_addr())
     }
@@ -140,7 +131,7 @@ impl Running {
         self.service.shutdown().await;
     }
 
-    /// Two lines for the person who started it: the address, and the file of the operator token.
+    /// The address and the operator token's file, for the person who started it.
     pub fn greeting(&self) -> String {
         let token = token_path(&self.data, Role::Operator);
         format!("listening on {}\noperator token in {}", self.address(), token.display())
@@ -176,9 +167,8 @@ fn token_path(data: &Path, role: Role) -> PathBuf {
     data.join("tokens").join(format!("{role}.token"))
 }
 
-/// Writes a file with a valid token for each role, where it is missing, and returns the worker's token. A
-/// file whose token the database does not know is replaced: it belongs to another farm or to a deleted
-/// database.
+/// Writes a token file for each role, if it is missing, and returns the worker's token. A file with an
+/// unknown token is replaced, because it belongs to another or a deleted database.
 async fn first_tokens(store: &Store, data: &Path) -> Result<Token> {
     let mut worker = None;
     for role in Role::ALL {

@@ -29,8 +29,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     if let (Some(project), Some(share)) = (args.project, args.share) {

@@ -9,7 +9,6 @@ use forelight_terminal::quantities::parse_money;
 use std::path::{Path, PathBuf, absolute};
 use std::time::Duration;
 
-/// Options of Slurm, with --executor slurm.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Slurm (with --executor slurm)")]
 pub struct SlurmOptions {
@@ -19,8 +18,7 @@ pub struct SlurmOptions {
     /// Account to charge jobs to [default: the user's default account]
     #[arg(long, value_name = "NAME")]
     pub slurm_account: Option<String>,
-    /// Address at which nodes reach this service, such as http://farm:7878 [default: the address that it
-    /// listens on]
+    /// Address at which nodes reach this service, such as http://farm:7878 [default: its own address]
     #[arg(long, value_name = "URL")]
     pub slurm_server: Option<String>,
     /// Path of the forelight program on the nodes [default: the path of this program]
@@ -54,7 +52,6 @@ pub struct SlurmOptions {
 }
 
 impl SlurmOptions {
-    /// The options of the engine, for a service at this address.
     pub fn engine(&self, address: &str, logs: &Path, token: &Path) -> Result<Options> {
         let server = match &self.slurm_server {
             Some(server) => server.clone(),

@@ -43,8 +43,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let client = connect(&args.connection)?;
     let job = find(&client, &args.job).await?;
@@ -60,7 +58,6 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The job with this id, or the newest job with this name.
 async fn find(client: &Client, wanted: &str) -> Result<Job> {
     let id = match wanted.parse::<JobId>() {
         Ok(id) => id,
@@ -77,7 +74,6 @@ async fn find(client: &Client, wanted: &str) -> Result<Job> {
     client.job(id).await.with_context(|| format!("cannot read job {wanted}"))
 }
 
-/// Shows the job whenever it changes, until it ends.
 async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt) -> Result<Job> {
     let stopped = interrupt.token();
     let in_place = !args.json && std::io::stdout().is_terminal();
@@ -89,7 +85,7 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
             report(&job, Timestamp::now())
         };
         if text != shown {
-            // Clears the whole screen, since long lines may have wrapped.
+            // Long lines may have wrapped, so the whole screen is cleared.
             let clear = if in_place { "\x1b[H\x1b[2J" } else { "" };
             output::print(&format!("{clear}{text}"))?;
             shown = text;
@@ -107,7 +103,6 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
     }
 }
 
-/// Width of the progress bar, characters.
 const CELLS: usize = 40;
 
 /// A share from 0 to 1 as a bar of `cells` characters, with per cent.
@@ -118,7 +113,6 @@ pub fn bar(share: f64, cells: usize) -> String {
     format!("[{}{}] {:3.0} %", "#".repeat(full), ".".repeat(cells - full), (share * 100.0).floor())
 }
 
-/// The job as text.
 fn report(job: &Job, now: Timestamp) -> String {
     let mut text = format!("{}  {}\n", bar(job.progress, CELLS), job.name);
     let mut line = |name: &str, what: String| text += &format!("{name:<10} {what}\n");
@@ -198,7 +192,6 @@ fn ready(job: &Job, now: Timestamp) -> String {
     said + &against
 }
 
-/// The cost so far and in total, beside the budget.
 fn cost(job: &Job) -> String {
     let mut parts: Vec<String> = job.spent.iter().map(|spent| format!("{spent} so far")).collect();
     if let Some(whole) = job.live.as_ref().and_then(|live| live.cost).filter(|_| !job.state.is_final()) {

@@ -42,16 +42,13 @@ pub struct Args {
     /// Time for which a one-time token is valid, such as 24h
     #[arg(long, value_name = "DURATION", default_value = "24h", value_parser = duration, requires = "one_time")]
     valid: Duration,
-    /// Name of the person or machine. A one-time token with the name of a node lets a machine replace that
-    /// node
+    /// Name of the person or machine. A one-time token with a node's name lets a machine replace that node
     #[arg(long, value_name = "NAME", default_value = "unnamed")]
     name: String,
     /// Write the token to this file, readable by its owner alone, instead of printing it
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     if args.name.trim().is_empty() || args.name.chars().count() > 200 {
         return Err(BadInput::new("--name: a name has 1 to 200 characters").into());

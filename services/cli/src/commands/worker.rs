@@ -40,8 +40,7 @@ the service has them.
 With --join-token-file the machine joins the farm. This uses up the one-time token. The machine creates its own \
 token, keeps it in --token-file, and uses it when it starts again with the same flags.")]
 pub struct Args {
-    /// Name of this node, unique on the farm. A worker that starts with a known name takes that node over
-    /// [default: the host's name]
+    /// Unique name of this node. A worker takes over a node with the same name [default: the host's name]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
     /// Threads that trace light [default: one per core]
@@ -56,38 +55,34 @@ pub struct Args {
     /// Device that renders ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     preview: PreviewBackend,
-    /// Do this one task, then end. For schedulers such as Slurm, which start a process for each task. The
-    /// worker waits while another worker has the task, and ends with exit code 0 if the task is done already
+    /// Do only this task, for schedulers such as Slurm. The worker waits while another worker has the task.
+    /// The exit code is 0 if the task is done already
     #[arg(long, value_name = "ID")]
     task: Option<TaskId>,
-    /// Memory limit of this process during a task, such as 8GiB. A task that exceeds it is ended [default: no
-    /// limit]
+    /// Memory limit of a task, such as 8GiB. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
     /// Time limit of a task, such as 2h. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     task_time: Option<Duration>,
-    /// Time between two checkpoints of a frame. If this process is killed, the next worker continues from the
-    /// finished tiles. Only for frames of at most a million pixels without an irradiance cache
+    /// Time between checkpoints of a frame, from which another worker can continue. Only for frames of at
+    /// most a million pixels without an irradiance cache
     #[arg(long, value_name = "DURATION", default_value = "1m", value_parser = duration)]
     checkpoints: Duration,
     /// File with a one-time token to join the farm with. The machine keeps its own token in --token-file
     #[arg(long, value_name = "FILE", requires = "token_file")]
     join_token_file: Option<PathBuf>,
-    /// Speed of a core of this machine: a file that `forelight calibrate --out` wrote on a machine of the
-    /// same kind [default: measured at the first start, and kept with the bundles]
+    /// Calibration from `forelight calibrate --out` on a machine of the same kind [default: measured once and
+    /// kept]
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// Times at which this machine works, such as "Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin".
-    /// It takes only tasks that can end within a window. `forelight node --schedule` overrides this [default:
-    /// always]
+    /// Times at which this machine works, such as "Mon-Fri 20:00-08:00 Europe/Berlin". Its tasks end within a
+    /// window. `forelight node --schedule` overrides it [default: always]
     #[arg(long, value_name = "WINDOWS")]
     schedule: Option<NodeCalendar>,
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
@@ -127,7 +122,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The bundles of a process, what does its tasks, and the capabilities of this machine.
+/// The bundle folder, the renderer, and this machine's capabilities.
 pub fn equipment(
     folder: &Path,
     preview: PreviewBackend,
@@ -145,16 +140,13 @@ pub fn equipment(
     Ok((Arc::new(bundles), Arc::new(TaskRunner::new(renderer)), capabilities))
 }
 
-/// The limits of tasks from the flags.
 pub fn task_limits(memory: Option<u64>, time: Option<Duration>) -> TaskLimits {
     let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX).max(1);
     TaskLimits { memory_bytes: memory, wall_ms: time.map(millis) }
 }
 
-/// A client with this machine's own token. It is the token in the token file, if the service knows it.
-/// Otherwise it is a new token, which uses up the one-time token.
-///
-/// The new token is on disk before it is sent to the service, so that a crash in between loses nothing.
+/// A client with this machine's own token: the one in the token file if the service knows it, else a new one,
+/// which uses up the one-time token. The new one is on disk before it is sent, so that a crash loses nothing.
 async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegistration) -> Result<Client> {
     let file = connection
         .token_file
@@ -178,13 +170,12 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
     Ok(client)
 }
 
-/// The speed of one core of this machine: read from a file in `folder`, or measured on a separate thread.
+/// This machine's calibration, read from `folder` or measured on a separate thread.
 pub async fn measured(folder: PathBuf, processor: Option<String>) -> Result<NodeCalibration> {
     let measure = move || calibrate::kept(&folder, processor.as_deref());
     tokio::task::spawn_blocking(measure).await.context("cannot measure this machine's speed")
 }
 
-/// Cores of this machine.
 fn cores() -> u32 {
     std::thread::available_parallelism().map_or(1, |cores| u32::try_from(cores.get()).unwrap_or(1))
 }

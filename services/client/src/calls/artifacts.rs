@@ -1,4 +1,4 @@
-//! Artefacts: content that is named by its hash.
+//! Artefacts: files named by their hash.
 
 use crate::client::Client;
 use crate::error::ClientError;
@@ -20,7 +20,7 @@ impl Client {
         Ok(hash)
     }
 
-    /// Fetches an artefact into memory and verifies its hash. An artefact of more than `most` bytes is refused.
+    /// Fetches an artefact of at most `most` bytes into memory, and verifies its hash.
     pub async fn artifact(&self, hash: ArtifactHash, most: u64) -> Result<Bytes, ClientError> {
         let too_large = || ClientError::TooLarge { what: format!("artefact {hash}"), most };
         let request = Request::get(format!("/v1/artifacts/{hash}")).timeout(None);
@@ -41,7 +41,7 @@ impl Client {
         Ok(content.into())
     }
 
-    /// Fetches an artefact into a file and verifies its hash while it streams.
+    /// Streams an artefact into a file, and verifies its hash.
     pub async fn artifact_to_file(&self, hash: ArtifactHash, path: &Path) -> Result<(), ClientError> {
         let failed = |source| ClientError::File { path: path.into(), source };
         let request = Request::get(format!("/v1/artifacts/{hash}")).timeout(None);

@@ -28,8 +28,8 @@ pub struct EventStream {
 }
 
 impl EventStream {
-    /// The next event. `None` when the service ended the stream or the connection broke: open a new stream after the
-    /// last event seen. Events of a kind that this version does not know are skipped.
+    /// The next event. `None` if the service ended the stream or the connection broke. Open a new stream
+    /// after the last event then. Events of unknown kinds are skipped.
     pub async fn next(&mut self) -> Option<Event> {
         loop {
             for event in self.ready.by_ref() {

@@ -41,7 +41,7 @@ impl Client {
         self.transport.json(&Request::json(Method::POST, "/v1/budgets", budget)).await
     }
 
-    /// What tonight and the following nights will cost.
+    /// The forecast cost of tonight and the following nights.
     pub async fn budget_forecast(
         &self,
         request: &BudgetForecastRequest,

@@ -13,8 +13,8 @@ use std::path::Path;
 use std::time::Duration;
 use uuid::Uuid;
 
-/// Limit of one attempt at an answer about a plan. The service works them out one at a time, and a large farm takes a
-/// while.
+/// Limit of one attempt at an answer about a plan. The service computes one at a time, and a large farm takes
+/// long.
 const PLANNING: Duration = Duration::from_secs(90);
 
 /// The pictures that a frame may have.
@@ -31,7 +31,7 @@ pub enum FramePicture {
 }
 
 impl FramePicture {
-    /// The last part of its address.
+    /// The last part of the picture's address.
     pub const fn file_name(self) -> &'static str {
         match self {
             Self::Preview => "preview.png",
@@ -43,19 +43,19 @@ impl FramePicture {
 }
 
 impl Client {
-    /// Uploads a bundle as a zip file. An upload that is repeated with the same key is one upload.
+    /// Uploads a bundle as a zip file. Repeated with the same key, it is one upload.
     pub async fn upload_bundle(&self, zip: &Path, key: Uuid) -> Result<Bundle, ClientError> {
         let request =
             Request::new(Method::POST, "/v1/bundles").payload(Payload::File(zip.into(), "application/zip"));
         self.transport.json(&request.with_key(key)).await
     }
 
-    /// Submits a job. A submission that is repeated with the same key is one job.
+    /// Submits a job. Repeated with the same key, it is one job.
     pub async fn submit(&self, job: &JobRequest, key: Uuid) -> Result<Job, ClientError> {
         self.transport.json(&Request::json(Method::POST, "/v1/jobs", job).with_key(key)).await
     }
 
-    /// What submitting a job would answer. The service keeps nothing of it.
+    /// What a submission of this job would answer. The service stores nothing.
     pub async fn check(&self, job: &JobRequest) -> Result<JobCheck, ClientError> {
         self.transport.json(&Request::json(Method::POST, "/v1/jobs/check", job)).await
     }
@@ -75,7 +75,7 @@ impl Client {
         self.newest_jobs(&[("name", name)], 50).await
     }
 
-    /// The newest jobs that match these filters (`state`, `project`, `name`). `most` is at most 200.
+    /// The newest jobs that match the filters (`state`, `project`, `name`). `most` is at most 200.
     pub async fn newest_jobs(&self, filters: &[(&str, &str)], most: u32) -> Result<Vec<Job>, ClientError> {
         let mut path = format!("/v1/jobs?page_size={most}");
         for (name, value) in filters {
@@ -96,7 +96,7 @@ impl Client {
         self.get(format!("/v1/jobs/{id}/accuracy")).await
     }
 
-    /// The answers about a job's plan. A deadline or budget that is given replaces the job's own.
+    /// Answers about a job's plan. A given deadline or budget replaces the job's own.
     pub async fn answers(
         &self,
         id: JobId,
@@ -121,7 +121,7 @@ impl Client {
         self.all_pages(&format!("/v1/jobs/{id}/frames"), parts).await
     }
 
-    /// One picture of one frame, into memory.
+    /// One picture of one frame.
     pub async fn picture(&self, id: JobId, frame: u32, picture: FramePicture) -> Result<Bytes, ClientError> {
         let path = format!("/v1/jobs/{id}/frames/{frame}/{}", picture.file_name());
         self.bytes(&Request::get(path).timeout(None)).await

@@ -17,9 +17,9 @@ use uuid::Uuid;
 pub enum Claimed {
     /// A task.
     Lease(Box<Lease>),
-    /// No task became ready within the waiting time of the request.
+    /// No task became ready before the request ended.
     Nothing,
-    /// The node sleeps by its calendar. The worker must not ask again before this time has passed.
+    /// The node sleeps by its schedule. The worker must not claim again before this time has passed.
     Asleep(Duration),
 }
 
@@ -34,10 +34,10 @@ impl Claimed {
 }
 
 impl Client {
-    /// Asks for a task, and waits for one as long as the request says.
+    /// Claims a task. Waits for one as long as the request says.
     ///
-    /// If the answer is lost, repeating the claim with the same key gets the same lease. With another key, that lease
-    /// would stay unused until it expires.
+    /// If the answer is lost, the same key gets the same lease again. With another key, that lease would stay
+    /// unused until it expires.
     pub async fn claim(&self, claim: &ClaimRequest, key: Uuid) -> Result<Claimed, ClientError> {
         let patience = Duration::from_millis(u64::from(claim.wait_ms)) + Duration::from_secs(15);
         let request = Request::json(Method::POST, "/v1/leases", claim).timeout(Some(patience)).with_key(key);
@@ -61,13 +61,13 @@ impl Client {
         self.transport.json(&request.timeout(Some(patience))).await
     }
 
-    /// Keeps the tiles of a frame that are finished so far.
+    /// Stores the finished tiles of a frame.
     pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, tiles: Bytes) -> Result<(), ClientError> {
         let path = format!("/v1/leases/{lease}/checkpoint?fence={fence}");
         self.transport.send(&Request::new(Method::PUT, path).payload(Payload::Bytes(tiles))).await.map(drop)
     }
 
-    /// The tiles of the lease's frame that an earlier worker finished; `None` if there are none.
+    /// The finished tiles of the lease's frame from an earlier worker, if there are any.
     pub async fn checkpoint(&self, lease: LeaseId) -> Result<Option<Bytes>, ClientError> {
         match self.bytes(&Request::get(format!("/v1/leases/{lease}/checkpoint")).timeout(None)).await {
             Ok(tiles) => Ok(Some(tiles)),
@@ -81,7 +81,7 @@ impl Client {
         self.transport.json(&Request::json(Method::POST, format!("/v1/leases/{lease}/result"), result)).await
     }
 
-    /// Gives a task back unfinished.
+    /// Returns a task unfinished.
     pub async fn release(&self, lease: LeaseId, fence: u64) -> Result<(), ClientError> {
         let path = format!("/v1/leases/{lease}/release");
         self.transport.send(&Request::json(Method::POST, path, &ReleaseRequest { fence })).await.map(drop)

@@ -10,12 +10,12 @@ use reqwest::Method;
 use uuid::Uuid;
 
 impl Client {
-    /// Registers a node. If there is one of this name, it is updated and keeps its id.
+    /// Registers a node. A node with this name is updated, and keeps its id.
     pub async fn register(&self, node: &NodeRegistration, key: Uuid) -> Result<Node, ClientError> {
         self.transport.json(&Request::json(Method::POST, "/v1/nodes", node).with_key(key)).await
     }
 
-    /// Joins the farm; this client's token is the one-time token. Repeating it with the same hash is harmless.
+    /// Joins the farm with this client's one-time token. It may be repeated with the same hash.
     pub async fn join(&self, request: &JoinRequest) -> Result<Node, ClientError> {
         self.transport.json(&Request::json(Method::POST, "/v1/nodes/join", request)).await
     }

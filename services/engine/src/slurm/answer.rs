@@ -134,7 +134,6 @@ struct QueueJob {
     comment: Option<String>,
 }
 
-/// A number in any of Slurm's forms. `None` means "not set".
 #[derive(Deserialize, Default, Clone, Copy)]
 #[serde(from = "NumberForm")]
 struct Number(Option<u64>);
@@ -388,7 +387,10 @@ mod tests {
     fn rubbish_is_an_error_of_one_line_that_names_the_program() {
         for text in ["", "slurm_load_jobs error", "{}", r#"{"jobs": [{}]}"#] {
             let error = jobs(text.as_bytes()).unwrap_err().to_string();
-            assert!(error.starts_with("squeue answered") && !error.contains('\n'), "{error}");
+            assert!(
+                error.starts_with("cannot read the output of squeue") && !error.contains('\n'),
+                "{error}"
+            );
         }
         assert!(nodes(b"a|b", None).unwrap_err().to_string().contains("`a|b` does not describe a node"));
     }

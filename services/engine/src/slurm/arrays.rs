@@ -39,7 +39,6 @@ const FIRST_PAUSE: i64 = 5_000_000;
 /// An array that begins sooner than this begins at once, microseconds.
 const NOW: i64 = 2_000_000;
 
-/// Inputs of time limits.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct Pricing {
     /// Speed of the slowest node, relative to the reference core.
@@ -51,7 +50,6 @@ pub struct Pricing {
 /// Tasks to submit as one array.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Batch {
-    /// The array, without a reservation.
     pub array: NewArray,
     pub kind: TaskKind,
     pub job_name: String,
@@ -138,7 +136,6 @@ fn batch(
     }
 }
 
-/// Time limit of a task, in minutes.
 fn limit(task: &Waiting, pricing: Pricing) -> u32 {
     let minutes = match task.cpu_p95 {
         Some(cpu) if task.kind.is_booked() => {

@@ -37,7 +37,6 @@ pub struct Submitting {
     pub logs: PathBuf,
 }
 
-/// Comment of an array.
 pub fn mark(array: Uuid) -> String {
     format!("{MARK}{array}")
 }
@@ -119,7 +118,6 @@ pub fn sinfo() -> Vec<String> {
     ["--noheader", "--Node", "--format=%N|%c|%T|%P"].map(str::to_owned).into()
 }
 
-/// Nodes reserved for an array.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Reservation {
     pub name: String,

@@ -259,7 +259,6 @@ impl<C: Cluster> Engine<C> {
         }
     }
 
-    /// Submits the waiting tasks.
     async fn hand_over(&mut self, nodes: &[SlurmNode], now: Timestamp) -> Result<(), RoundError> {
         let waiting = self.store.waiting_for_slurm().await?;
         let slowest = self.store.slowest_node(now.plus_micros(-SILENCE)).await?;

@@ -4,12 +4,9 @@ use forelight_store::Holding;
 
 use super::answer::{SlurmJob, Stage};
 
-/// What to do about an element.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum Step {
-    /// Nothing yet.
     Leave,
-    /// Cancel it in Slurm.
     Cancel,
     /// Record how it ended.
     End(String),

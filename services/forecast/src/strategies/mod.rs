@@ -227,7 +227,7 @@ enum Picks {
 }
 
 impl Design {
-    /// The strata that the strategy distinguishes (see [`Strategy::strata`]). Picks refer to these.
+    /// The strata that the strategy distinguishes (see [`Strategy::classes`]). Picks refer to these.
     pub fn strata(&self) -> &[Stratum] {
         &self.strata
     }

@@ -35,7 +35,6 @@ impl ProfiledWork {
     }
 }
 
-/// Input of an explanation.
 #[derive(Clone, PartialEq, Debug)]
 pub(super) struct Amounts {
     /// The frame. `None` for all frames.

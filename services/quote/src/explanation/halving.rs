@@ -20,7 +20,6 @@ impl Samples {
     }
 }
 
-/// Work by the settings that change it.
 pub(super) struct Work {
     pub whole: f64,
     pub samples: Samples,

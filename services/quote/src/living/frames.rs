@@ -47,9 +47,7 @@ pub struct FrameState {
 /// Frames of a job.
 #[derive(Clone, PartialEq, Debug)]
 pub struct Frames {
-    /// Work.
     pub(super) work: Vec<LiveFrame>,
-    /// CPU time.
     pub(super) cpu_seconds: Vec<LiveFrame>,
     /// Finished frames.
     pub done: u32,

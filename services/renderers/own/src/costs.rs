@@ -25,6 +25,7 @@ pub fn own_records(all: &[u64], shared: &Shared) -> Vec<u64> {
     all.iter().zip(kept).map(|(&all, kept)| all.saturating_sub(kept)).collect()
 }
 
+/// Numbers of records as the wire has them.
 pub fn counts(records: Vec<u64>) -> Vec<u32> {
     // A plan has fewer than 2³² rays, and fewer records than that.
     records.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
@@ -43,7 +44,6 @@ pub fn seconds(nanos: u64) -> f64 {
 /// Numbers of triangles that fit entirely, or hardly at all, into a core's caches. In between, the share of
 /// traversal that waits for memory grows with the logarithm of the number.
 const CACHED: f64 = 8192.0;
-
 const UNCACHED: f64 = 524_288.0;
 
 /// Classes of the tracer's work in a scene of this many triangles.

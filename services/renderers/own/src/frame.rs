@@ -1,8 +1,7 @@
 //! One frame, ready to be traced.
 
 use crate::answers::{CacheUse, Finished, Previewed, Progress, Step};
-use crate::costs::by_class;
-use crate::costs::spent;
+use crate::costs::{by_class, spent};
 use crate::error::RenderError;
 use crate::previewer::{backend, preview_spent};
 use crate::shot::{OwnShot, Ready, records};

@@ -51,7 +51,7 @@ pub use calibration::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 pub use costs::{cost_of, cost_of_gather, cost_of_record, seconds};
 pub use error::{RenderError, ShotError};
 pub use frame::OwnFrame;
-pub use opening::OwnRenderer;
+pub use opening::{Adapter, OwnRenderer};
 pub use profile::noise::FrameNoise;
 pub use profile::strata::{forecast_strata, record_prior_cost};
 pub use profile::{CountedFrames, Observer, ProfiledFrame, profile_frame, records_to_sample, stratum_ids};

@@ -4,9 +4,7 @@ use crate::error::RenderError;
 use crate::previewer::SharedPreviewer;
 use crate::shot::OwnShot;
 use forelight_preview::{Choice, PreviewError};
-use forelight_protocol::{RenderSettings, UncoveredGathers};
 use forelight_scene::Limits;
-use forelight_tracer::Settings;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -44,37 +42,5 @@ impl OwnRenderer {
     /// Opens a bundle.
     pub fn open(&self, path: &Path) -> Result<OwnShot, RenderError> {
         OwnShot::open(path, &self.limits, self.previewer.clone())
-    }
-}
-
-/// How a frame gathers at uncovered points. `None` without an irradiance cache.
-pub(crate) fn uncovered_gathers(settings: &RenderSettings) -> Option<UncoveredGathers> {
-    let forelight_tracer::UncoveredGathers { first, least } = Settings::from(settings).cache?.uncovered();
-    Some(UncoveredGathers { first, least })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use forelight_protocol::CacheMode;
-    use forelight_protocol::RenderSettingsRequest;
-
-    #[test]
-    fn a_profile_says_how_the_tracer_gathers_where_no_record_is() {
-        let request = RenderSettingsRequest {
-            cache: Some(CacheMode::On),
-            cache_rays: Some(768),
-            cache_accuracy: Some(150),
-            ..RenderSettingsRequest::default()
-        };
-        let settings = request.complete((64, 36));
-        let said = uncovered_gathers(&settings).unwrap();
-        let done = Settings::from(&settings).cache.unwrap().uncovered();
-        let above =
-            |samples: u32| (1..=samples).map(|n| f64::from(done.of_sample(n) - done.least)).sum::<f64>();
-        for (from, to) in [(1, 2), (4, 16), (16, 4), (64, 1000)] {
-            assert_eq!(said.growth(from, to), above(to) / above(from));
-        }
-        assert_eq!(uncovered_gathers(&RenderSettings { cache: CacheMode::Off, ..settings }), None);
     }
 }

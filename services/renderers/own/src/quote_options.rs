@@ -7,7 +7,7 @@ use forelight_forecast::{Corrections, Strategy};
 pub struct QuoteOptions {
     /// Pixels to profile per profiled frame.
     pub samples: u32,
-    /// Most frames to profile, at least 1. `None`: as many as pay ([`Measured::more_to_profile`]).
+    /// Most frames to profile, at least 1. `None`: as many as pay ([`forelight_quote::Measured::more_to_profile`]).
     pub profile_frames: Option<usize>,
     /// Seed of the choice of pixels.
     pub seed: u64,

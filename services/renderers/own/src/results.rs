@@ -1,7 +1,6 @@
 //! Results of previews and profiles, in the terms of the wire.
 
 use crate::answers::ShotInfo;
-use crate::opening::uncovered_gathers;
 use crate::profile::noise::noise_strata;
 use crate::profile::strata::{forecast_strata, record_prior_cost};
 use crate::profile::{CountedFrames, ProfiledFrame};
@@ -10,9 +9,9 @@ use forelight_forecast::Observation;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
     ArtifactHash, FrameStrata, NoiseCell, NoiseSample, PreviewResult, ProfileArtifacts, ProfileResult,
-    ProfileSample, RenderSettings, Stratum,
+    ProfileSample, RenderSettings, Stratum, UncoveredGathers,
 };
-use forelight_tracer::Pixel;
+use forelight_tracer::{Pixel, Settings};
 use std::collections::BTreeSet;
 
 /// Counts of frames as protocol data, with the strata that any of them shows.
@@ -142,4 +141,36 @@ impl Shown {
 /// Name of an artefact with this content.
 pub(crate) fn artifact_name(content: &[u8]) -> ArtifactHash {
     ArtifactHash(*blake3::hash(content).as_bytes())
+}
+
+/// How a frame gathers at uncovered points. `None` without an irradiance cache.
+pub(crate) fn uncovered_gathers(settings: &RenderSettings) -> Option<UncoveredGathers> {
+    let forelight_tracer::UncoveredGathers { first, least } = Settings::from(settings).cache?.uncovered();
+    Some(UncoveredGathers { first, least })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::CacheMode;
+    use forelight_protocol::RenderSettingsRequest;
+
+    #[test]
+    fn a_profile_says_how_the_tracer_gathers_where_no_record_is() {
+        let request = RenderSettingsRequest {
+            cache: Some(CacheMode::On),
+            cache_rays: Some(768),
+            cache_accuracy: Some(150),
+            ..RenderSettingsRequest::default()
+        };
+        let settings = request.complete((64, 36));
+        let said = uncovered_gathers(&settings).unwrap();
+        let done = Settings::from(&settings).cache.unwrap().uncovered();
+        let above =
+            |samples: u32| (1..=samples).map(|n| f64::from(done.of_sample(n) - done.least)).sum::<f64>();
+        for (from, to) in [(1, 2), (4, 16), (16, 4), (64, 1000)] {
+            assert_eq!(said.growth(from, to), above(to) / above(from));
+        }
+        assert_eq!(uncovered_gathers(&RenderSettings { cache: CacheMode::Off, ..settings }), None);
+    }
 }

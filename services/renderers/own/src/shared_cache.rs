@@ -4,8 +4,7 @@
 //! of it. Records whose light has changed in another frame are dropped there and planned anew
 //! ([`crate::OwnFrame::share`]). A frame's image depends on the shared cache and the frame alone.
 
-use crate::costs::cost_of;
-use crate::costs::{counts, own_records, spent};
+use crate::costs::{cost_of, counts, own_records, spent};
 use crate::error::RenderError;
 use crate::profile::{ProfiledFrame, records_to_sample};
 use crate::quote_options::QuoteOptions;
@@ -167,7 +166,7 @@ pub struct Filled {
     pub spent: Spent,
 }
 
-/// As [`Renderer::fill_cache`], with its cost.
+/// As [`OwnShot::fill_cache`], with its cost.
 ///
 /// # Errors
 /// If the cache belongs to another scene or other settings.

@@ -1,9 +1,10 @@
-//! Where artefacts rest: in the data folder, or in a bucket that speaks S3.
+//! Where artefacts are kept: in the data folder, or in an S3-compatible bucket.
 //!
-//! What is said of a bucket on the command line is its name and a prefix, `s3://bucket/prefix`. All else comes from the environment
-//! variables that every S3 tool reads: `AWS_ENDPOINT_URL` (any S3-compatible server), `AWS_REGION`, `AWS_ACCESS_KEY_ID`,
-//! `AWS_SECRET_ACCESS_KEY`, `AWS_SESSION_TOKEN`, roles of containers and machines, and `AWS_ALLOW_HTTP` for servers without TLS. Secrets
-//! are never read from the command line, which other users of a machine can see, and never written anywhere.
+//! The command line gives only the bucket's name and a prefix, `s3://bucket/prefix`. Everything else comes
+//! from the environment variables that every S3 tool reads: `AWS_ENDPOINT_URL` (any S3-compatible server),
+//! `AWS_REGION`, `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_SESSION_TOKEN`, roles of containers and
+//! machines, and `AWS_ALLOW_HTTP` for servers without TLS. Secrets are never read from the command line,
+//! which other users of a machine can see, and never written anywhere.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,15 +12,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
-use object_store::path::Path;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
-/// Bytes of a prefix: a name has 68 more, and S3 takes names of up to 1024.
+/// Longest prefix, in bytes. A name adds 68 bytes, and S3 accepts names of up to 1024.
 const LONGEST_PREFIX: usize = 512;
 
-/// How long the store itself tries a request again. Short: clients are told when to come back, and they do.
+/// How the object store retries a request. Short, because clients retry as well.
 const RETRIES: RetryConfig = RetryConfig {
     backoff: BackoffConfig {
         init_backoff: Duration::from_millis(100),
@@ -30,22 +30,22 @@ const RETRIES: RetryConfig = RetryConfig {
     retry_timeout: Duration::from_secs(10),
 };
 
-/// Where artefacts rest.
+/// Where artefacts are kept.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub enum ArtifactPlace {
     /// The folder `artifacts` of the data folder.
     #[default]
     DataFolder,
-    /// A bucket that speaks S3.
+    /// An S3-compatible bucket.
     S3 {
         /// The bucket's name.
         bucket: String,
-        /// The folder in it, without slashes at its ends; may be empty.
+        /// The folder in the bucket, without slashes at its ends. May be empty.
         prefix: String,
     },
 }
 
-/// Why a place is none.
+/// Why a text does not name a place.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct BadPlace(String);
@@ -83,15 +83,16 @@ impl FromStr for ArtifactPlace {
         let parts_hold = prefix.is_empty() || prefix.split('/').all(|part| !matches!(part, "" | "." | ".."));
         if !prefix.chars().all(of_prefix) || !parts_hold || prefix.len() > LONGEST_PREFIX {
             return Err(BadPlace(format!(
-                "`{prefix}` cannot be a prefix: names of a-z, A-Z, 0-9 and -_.=+@ between slashes, none empty, . or .."
+                "`{prefix}` is not a prefix: use names of a-z, A-Z, 0-9 and -_.=+@ between slashes, \
+                 none of them empty, . or .."
             )));
         }
         Ok(Self::S3 { bucket: bucket.to_owned(), prefix: prefix.to_owned() })
     }
 }
 
-/// The bucket, ready for requests; nothing has been asked of it yet.
-pub(super) fn open_s3(bucket: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
+/// Opens the bucket. No request is sent yet.
+pub(super) fn open_s3(bucket: &str) -> Result<Arc<dyn ObjectStore>> {
     let unusable = |reason: String| StoreError::ArtifactPlace(format!("the bucket {bucket}: {reason}"));
     let builder = AmazonS3Builder::from_env()
         .with_bucket_name(bucket)
@@ -105,14 +106,14 @@ pub(super) fn open_s3(bucket: &str) -> Result<Arc<dyn ObjectStore>, StoreError> 
         && !allows_http(std::env::var("AWS_ALLOW_HTTP").ok().as_deref())
     {
         return Err(unusable(format!(
-            "its server {endpoint} would be spoken to without encryption; set AWS_ALLOW_HTTP=true if that is meant"
+            "its server {endpoint} uses no encryption; set AWS_ALLOW_HTTP=true to allow this"
         )));
     }
     let built = builder.build().map_err(|error| unusable(error.to_string()))?;
     Ok(Arc::new(built))
 }
 
-/// A transfer may last; a server that says nothing for half a minute is gone.
+/// A transfer may take long, but a server that is silent for half a minute is gone.
 fn client_options(allow_http: Option<&str>) -> ClientOptions {
     ClientOptions::new()
         .with_allow_http(allows_http(allow_http))
@@ -123,11 +124,6 @@ fn client_options(allow_http: Option<&str>) -> ClientOptions {
 
 fn allows_http(variable: Option<&str>) -> bool {
     variable.is_some_and(|text| matches!(text.trim().to_ascii_lowercase().as_str(), "true" | "1" | "yes"))
-}
-
-/// The folder of the place in its bucket.
-pub(super) fn folder(prefix: &str) -> Path {
-    Path::from(prefix)
 }
 
 #[cfg(test)]

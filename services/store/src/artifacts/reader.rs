@@ -3,12 +3,12 @@
 use bytes::Bytes;
 use futures::stream::BoxStream;
 
-use crate::error::StoreError;
+use crate::error::Result;
 
 /// An artefact's content.
 pub struct ArtifactReader {
     /// Length in bytes.
     pub size: u64,
     /// The bytes.
-    pub stream: BoxStream<'static, Result<Bytes, StoreError>>,
+    pub stream: BoxStream<'static, Result<Bytes>>,
 }

@@ -1,4 +1,4 @@
-//! Artefacts in an object store beyond this machine.
+//! Artefacts in a remote object store.
 
 use std::sync::Arc;
 
@@ -9,18 +9,18 @@ use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt as _, PutPayload
 use tokio::io::AsyncReadExt as _;
 
 use super::reader::ArtifactReader;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 
-/// Bytes of a part. S3 takes at most 10,000 parts of at least 5 MiB (the last may be shorter): 80 GB with this.
+/// Bytes per part. S3 accepts at most 10,000 parts of at least 5 MiB, except for the last: 80 GB with this.
 const PART: usize = 8 << 20;
 
-/// A bucket, or what stands for one in tests.
+/// A bucket, or its stand-in in tests.
 #[derive(Clone)]
 pub(super) struct Remote {
     objects: Arc<dyn ObjectStore>,
-    /// All names begin with this.
+    /// Prefix of all names.
     folder: Path,
-    /// What people call it.
+    /// Name for messages.
     name: String,
 }
 
@@ -29,11 +29,12 @@ impl Remote {
         Self { objects, folder, name }
     }
 
-    /// Whether the bucket takes and gives objects, asked with the same two requests that all the work needs. An answer that says "never"
-    /// is an error; silence is a warning, for a service that starts before its bucket does must not stay down.
-    pub async fn probe(&self) -> Result<(), StoreError> {
+    /// Checks that the bucket stores and returns objects, with the same two requests that all work needs. A
+    /// permanent refusal is an error. No answer is only a warning, because a service may start before its
+    /// bucket.
+    pub async fn probe(&self) -> Result<()> {
         const CONTENT: &[u8] = b"artefacts of a forelight farm, named by their BLAKE3 hash\n";
-        let place = self.within("farm");
+        let place = self.below(&Path::from("farm"));
         let written = self.objects.put(&place, PutPayload::from_static(CONTENT)).await.map(drop);
         let read = match written {
             Ok(()) => self.objects.get(&place).await.map(drop),
@@ -42,55 +43,57 @@ impl Remote {
         let refused = |reason: &str| Err(StoreError::ArtifactPlace(format!("{}: {reason}", self.name)));
         match read {
             Ok(()) => Ok(()),
-            Err(object_store::Error::NotFound { .. }) => refused("there is no such bucket; make it first"),
+            Err(object_store::Error::NotFound { .. }) => refused("there is no such bucket; create it first"),
             Err(object_store::Error::PermissionDenied { .. }) => {
-                refused("the credentials may not read and write there (s3:GetObject, s3:PutObject)")
+                refused("the credentials do not allow reading and writing (s3:GetObject, s3:PutObject)")
             }
             Err(object_store::Error::Unauthenticated { .. }) => {
                 refused("the server does not know the credentials (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY)")
             }
             Err(error) => {
-                tracing::warn!(place = self.name, %error, "the artefact store does not answer; requests wait for it");
+                let place = &self.name;
+                tracing::warn!(place, %error, "the artefact store does not answer yet; requests wait for it");
                 Ok(())
             }
         }
     }
 
-    /// Whether an object of this length is there under this name.
-    pub async fn holds(&self, name: &Path, size: u64) -> Result<bool, StoreError> {
+    /// Whether an object of this name and length exists.
+    pub async fn holds(&self, name: &Path, size: u64) -> Result<bool> {
         match self.objects.head(&self.below(name)).await {
             Ok(meta) => Ok(meta.size == size),
             Err(object_store::Error::NotFound { .. }) => Ok(false),
-            Err(error) => Err(away(error)),
+            Err(error) => Err(StoreError::ArtifactsAway(error)),
         }
     }
 
-    /// Copies a local file there. The object appears whole or not at all, and is durable when this returns: that is what S3 promises
-    /// of an answered PUT and of a completed upload in parts.
-    pub async fn upload(&self, file: &std::path::Path, name: &Path) -> Result<(), StoreError> {
+    /// Uploads a local file. The object appears whole or not at all, and is durable on return: S3 promises
+    /// this for an answered PUT and for a completed multipart upload.
+    pub async fn upload(&self, file: &std::path::Path, name: &Path) -> Result<()> {
         let place = self.below(name);
         let failed = |error| StoreError::file(file, error);
         let mut source = tokio::fs::File::open(file).await.map_err(failed)?;
         let first = read_part(&mut source).await.map_err(failed)?;
         if first.len() < PART {
-            self.objects.put(&place, first.into()).await.map_err(away)?;
+            self.objects.put(&place, first.into()).await.map_err(StoreError::ArtifactsAway)?;
             return Ok(());
         }
-        let mut upload = self.objects.put_multipart(&place).await.map_err(away)?;
+        let mut upload = self.objects.put_multipart(&place).await.map_err(StoreError::ArtifactsAway)?;
         let sent = async {
             let mut part = first;
             while !part.is_empty() {
-                upload.put_part(part.into()).await.map_err(away)?;
+                upload.put_part(part.into()).await.map_err(StoreError::ArtifactsAway)?;
                 part = read_part(&mut source).await.map_err(failed)?;
             }
-            upload.complete().await.map_err(away)
+            upload.complete().await.map_err(StoreError::ArtifactsAway)
         }
         .await;
         match sent {
             Ok(_) => Ok(()),
             Err(error) => {
                 if let Err(leftover) = upload.abort().await {
-                    tracing::warn!(place = self.name, error = %leftover, "the parts of an upload that failed are left to the bucket's clean-up rule");
+                    let place = &self.name;
+                    tracing::warn!(place, error = %leftover, "could not delete the parts of a failed upload");
                 }
                 Err(error)
             }
@@ -98,30 +101,21 @@ impl Remote {
     }
 
     /// The object's content; `None` if it is not there.
-    pub async fn get(&self, name: &Path) -> Result<Option<ArtifactReader>, StoreError> {
+    pub async fn get(&self, name: &Path) -> Result<Option<ArtifactReader>> {
         match self.objects.get(&self.below(name)).await {
             Ok(object) => {
                 let size = object.meta.size;
-                let stream = object.into_stream().map_err(away).boxed();
+                let stream = object.into_stream().map_err(StoreError::ArtifactsAway).boxed();
                 Ok(Some(ArtifactReader { size, stream }))
             }
             Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(away(error)),
+            Err(error) => Err(StoreError::ArtifactsAway(error)),
         }
-    }
-
-    fn within(&self, name: &str) -> Path {
-        self.below(&Path::from(name))
     }
 
     fn below(&self, name: &Path) -> Path {
         self.folder.parts().chain(name.parts()).collect()
     }
-}
-
-/// Whatever went wrong out there, the bytes are still in somebody's hands: they can be sent again.
-fn away(error: object_store::Error) -> StoreError {
-    StoreError::ArtifactsAway(error)
 }
 
 /// The next part of a file: shorter than [`PART`] only at its end.

@@ -1,23 +1,24 @@
-//! The ledger: what was paid for each lease. Triggers write it (`migrations/0003_budgets.sql`), so what was paid is known
-//! whatever way a lease ends.
+//! The ledger: what was paid for each lease. Triggers write it (`migrations/0003_budgets.sql`), so payments
+//! are known however a lease ends.
 
 use forelight_protocol::{JobId, LedgerLine, Money, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::columns::Time;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::budgets::{self as policy, Payment};
 
-/// Rows with the columns of a line of the ledger, more columns, and which rows.
+/// Ledger rows: the columns of a line, more columns, and a condition.
 ///
-/// A lease that was not renewed since the service started again is paid until it would have run out before that. Any
-/// other active lease is paid until it runs out, unless it is renewed.
+/// A lease that was not renewed since the service restarted is paid until it would have expired before that.
+/// Any other active lease is paid until it expires, unless it is renewed.
 macro_rules! rows {
     ($more:literal, $which:literal $(, $value:expr)* $(,)?) => {
         sqlx::query!(
             "SELECT d.project, d.job_id, d.node_id, d.price_per_hour, d.from_at, \
-             coalesce(d.until_at, l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) AS \"until_at?: Time\""
+             coalesce(d.until_at, l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) \
+             AS \"until_at?: Time\""
                 + $more
                 + " FROM ledger d JOIN leases l ON l.id = d.lease_id "
                 + $which
@@ -26,7 +27,6 @@ macro_rules! rows {
     };
 }
 
-/// The line of the ledger of such a row.
 macro_rules! line {
     ($row:expr) => {
         LedgerLine {
@@ -41,8 +41,8 @@ macro_rules! line {
 }
 
 impl Store {
-    /// What was paid for between two instants, in the order of leases.
-    pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>, StoreError> {
+    /// Payments between two instants, in the order of leases.
+    pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>> {
         let rows = rows!(
             "",
             "WHERE d.from_at < ? AND (d.until_at IS NULL OR d.until_at > ?) ORDER BY d.from_at, d.lease_id",
@@ -54,17 +54,14 @@ impl Store {
         Ok(rows.into_iter().map(|row| line!(row)).collect())
     }
 
-    /// What a job's leases have cost so far, those that end at `now` and those that go on.
-    pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money, StoreError> {
+    /// What a job's leases have cost so far; active leases count up to `now`.
+    pub async fn spent_on(&self, job: JobId, now: Timestamp) -> Result<Money> {
         spent_on(&mut *self.readers().acquire().await?, job, now).await
     }
 }
 
-/// All lines of a job, each with the task that it paid for.
-pub(crate) async fn payments(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Vec<Payment>, StoreError> {
+/// All ledger lines of a job, each with its task.
+pub(crate) async fn payments(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Payment>> {
     let rows = rows!(
         ", t.kind, t.frame, l.state = 'active' AS \"is_active!: bool\"",
         "JOIN tasks t ON t.id = l.task_id WHERE t.job_id = ?",
@@ -78,24 +75,20 @@ pub(crate) async fn payments(
         .collect())
 }
 
-/// What a job's leases cost, those that run up to now: its quote, its frames, and what was lost.
-pub(crate) async fn spent_on(
-    connection: &mut SqliteConnection,
-    job: JobId,
-    now: Timestamp,
-) -> Result<Money, StoreError> {
+/// What a job's leases cost, including its quote, its frames and lost work. Active leases count up to now.
+pub(crate) async fn spent_on(connection: &mut SqliteConnection, job: JobId, now: Timestamp) -> Result<Money> {
     let payments = payments(connection, job).await?;
     let lines = payments.into_iter().map(|payment| payment.line);
     Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN), now))
 }
 
-/// What a project's leases cost since an instant; those that run, up to now.
+/// What a project's leases cost since an instant. Active leases count up to now.
 pub(crate) async fn spent(
     connection: &mut SqliteConnection,
     project: &str,
     from: Timestamp,
     now: Timestamp,
-) -> Result<Money, StoreError> {
+) -> Result<Money> {
     let rows =
         rows!("", "WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)", project, from.micros())
             .fetch_all(connection)
@@ -103,12 +96,12 @@ pub(crate) async fn spent(
     Ok(policy::cost_since(rows.into_iter().map(|row| line!(row)), from, now))
 }
 
-/// What the frames that a project has running are expected to cost from now on, at the median of their forecasts.
+/// The expected rest of the cost of a project's running frames, at the median of their forecasts.
 pub(crate) async fn committed(
     connection: &mut SqliteConnection,
     project: &str,
     now: Timestamp,
-) -> Result<Money, StoreError> {
+) -> Result<Money> {
     let rows = rows!(
         ", f.cpu_p50 AS \"cpu_p50!\", l.node_speed * n.cores AS \"speed!: f64\"",
         "JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \

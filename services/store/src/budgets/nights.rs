@@ -1,10 +1,11 @@
-//! What was said of nights to come.
+//! Forecasts of nights.
 
 use forelight_protocol::{BudgetForecast, Timestamp};
 
 use crate::columns::Json;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
+use crate::writing::run;
 
 /// A night that was forecast.
 #[derive(Clone, PartialEq, Debug)]
@@ -13,17 +14,18 @@ pub struct KeptNight {
     pub from: Timestamp,
     /// The instant after the last.
     pub until: Timestamp,
-    /// What was said.
+    /// The forecast.
     pub forecast: BudgetForecast,
 }
 
 impl Store {
-    /// Keeps what is said of a night, unless something was said before and the night is past its middle. One row a night, however often
-    /// this is called.
-    pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<(), StoreError> {
+    /// Keeps the forecast of a night. A later forecast replaces it until the middle of the night. There is
+    /// one row per night, however often this is called.
+    pub async fn keep_budget_forecast(&self, night: &KeptNight) -> Result<()> {
         let mut write = self.write().await?;
         let middle = night.from.plus_micros(night.until.micros_since(night.from) / 2);
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO budget_forecasts (date, zone, begin_at, end_at, made_at, body) \
              VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT (date, zone) DO UPDATE \
              SET made_at = excluded.made_at, body = excluded.body WHERE ?5 < ?7",
@@ -34,9 +36,7 @@ impl Store {
             night.forecast.made_at.micros(),
             Json(&night.forecast),
             middle.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         self.commit(write).await
     }
 
@@ -46,23 +46,16 @@ impl Store {
         zone: &str,
         before: Timestamp,
         limit: u32,
-    ) -> Result<Vec<KeptNight>, StoreError> {
-        let rows = sqlx::query!(
-            "SELECT begin_at, end_at, body FROM budget_forecasts WHERE zone = ? AND begin_at < ? \
-             ORDER BY begin_at DESC LIMIT ?",
+    ) -> Result<Vec<KeptNight>> {
+        Ok(sqlx::query_as!(
+            KeptNight,
+            "SELECT begin_at AS \"from\", end_at AS until, body AS forecast FROM budget_forecasts \
+             WHERE zone = ? AND begin_at < ? ORDER BY begin_at DESC LIMIT ?",
             zone,
             before.micros(),
             limit
         )
         .fetch_all(self.readers())
-        .await?;
-        Ok(rows
-            .into_iter()
-            .map(|row| KeptNight {
-                from: row.begin_at.into(),
-                until: row.end_at.into(),
-                forecast: row.body.0,
-            })
-            .collect())
+        .await?)
     }
 }

@@ -1,4 +1,4 @@
-//! What the steps of a claim have in common: the node that asks, and how a statement finds a task for it.
+//! Shared by the steps of a claim: the claiming node, and how a statement finds a task for it.
 
 use forelight_protocol::{ByClass, JobState, Node, TaskLimits, TaskSpec, Timestamp};
 use sqlx::query::QueryAs;
@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteArguments;
 use sqlx::{FromRow, Sqlite, SqliteConnection};
 
 use crate::columns::{Id, Json, Word};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::retries::HEAD_START;
 
 /// A task that a node may be given.
@@ -19,16 +19,16 @@ pub(crate) struct OfferedTask {
     pub fence: i64,
     pub job_state: Word<JobState>,
     pub work_by_class: Option<Json<ByClass>>,
-    /// Whether the task is booked on another node, and not for everybody.
+    /// Whether the task is booked on another node and not free for every node.
     #[sqlx(default)]
     pub is_booked_elsewhere: bool,
 }
 
-/// What a node is given, or why it is given nothing though there is something.
+/// A task for a node, or the reason why it gets none although there is work.
 #[derive(Default)]
 pub(crate) struct Offer {
     pub task: Option<OfferedTask>,
-    /// For people; nothing if there is a task, or none for anybody.
+    /// For people. `None` if there is a task, or no work for any node.
     pub idle_reason: Option<String>,
 }
 
@@ -38,25 +38,25 @@ impl From<Option<OfferedTask>> for Offer {
     }
 }
 
-/// Who asks, and when: what the steps of a claim have in common.
+/// The claiming node and the time of the claim.
 pub(crate) struct Asking<'a> {
     pub node: &'a Node,
     pub now: Timestamp,
-    /// Since when nodes can be heard of: the service was not there before.
+    /// When the service started: no node could be heard of before.
     pub up_since: Timestamp,
-    /// What this node does of each booked job until its window ends, see [`at_most`].
+    /// How much of each booked job the node does until its window ends, see [`at_most`].
     pub at_most: Option<String>,
 }
 
 impl Asking<'_> {
-    /// The first task of a query that takes these four: the node, now, since when a node that failed may have the task again, and what fits
-    /// into the node's window; and whatever `more` binds.
+    /// The first task of a query. `?1` to `?4` are the node, now, since when a node that failed may have the
+    /// task again, and the limits of the node's window. `more` binds further parameters.
     pub(crate) async fn first(
         &self,
         connection: &mut SqliteConnection,
         query: &'static str,
         more: impl FnOnce(Query) -> Query,
-    ) -> Result<Option<OfferedTask>, StoreError> {
+    ) -> Result<Option<OfferedTask>> {
         let common = sqlx::query_as(query)
             .bind(self.node.id.0)
             .bind(self.now.micros())
@@ -66,13 +66,13 @@ impl Asking<'_> {
     }
 }
 
-/// A query under way.
+/// A query that parameters are bound to.
 pub(crate) type Query = QueryAs<'static, Sqlite, OfferedTask, SqliteArguments>;
 
-/// A statement for the first task by an index of which these hold and which the node, `?1`, may have now.
+/// A statement for the first task, by an index, that meets a condition and that the node `?1` may have now.
 ///
-/// These statements are composed of common pieces, so they are not checked at compile time. Tests run each of them,
-/// and look at the steps that SQLite takes for it.
+/// Such statements are composed of shared pieces, so they are not checked at compile time. Tests run each of
+/// them and examine its query plan.
 macro_rules! next_task {
     ($index:literal, $which:literal, $order:literal) => {
         $crate::claims::asking::next_task!("id", $index, $which, $order)
@@ -85,8 +85,8 @@ macro_rules! next_task {
             $index,
             " WHERE state = 'ready' AND ",
             $which,
-            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS (SELECT 1 FROM leases f \
-              WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
+            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS \
+             (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
               AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
               > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",
             $order,
@@ -96,7 +96,7 @@ macro_rules! next_task {
 }
 pub(crate) use next_task;
 
-/// What an offer needs of a task.
+/// The columns of an [`OfferedTask`].
 macro_rules! task_columns {
     () => {
         "id, job_id, spec, limits, fence, (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS job_state, \
@@ -105,7 +105,7 @@ macro_rules! task_columns {
 }
 pub(crate) use task_columns;
 
-/// What is booked on the node `?5`.
+/// The next task that is booked on the node `?5`.
 pub(crate) const NEXT_BOOKED: &str = next_task!(
     task_columns!(),
     "tasks_ready_booked",

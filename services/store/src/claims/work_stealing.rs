@@ -1,14 +1,14 @@
-//! Finds a task for an idle node among those that are booked on other nodes. Which of them it may take is in
-//! [`crate::policy::work_stealing`].
+//! Finds a task for an idle node among those that are booked on other nodes. [`crate::policy::work_stealing`]
+//! says which it may take.
 //!
-//! Each question is one step into an index for each booked job, however many frames it has. The last one reads the
-//! farm's nodes once.
+//! Each query is one step into an index for each booked job, however many frames the job has. The last one
+//! reads the farm's nodes once.
 
 use forelight_protocol::{JobId, Money, Node, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::claims::asking::{Asking, NEXT_BOOKED, Offer, Query, next_task, task_columns};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::nodes::gone;
 use crate::policy::work_stealing::{OVERDUE, is_at_risk, is_bounded, least_rate, rate, reason_to_wait};
 
@@ -25,10 +25,7 @@ struct BookedJob {
 }
 
 /// A task that is booked elsewhere and that the node may take, or why it takes none.
-pub(crate) async fn offer(
-    connection: &mut SqliteConnection,
-    asking: &Asking<'_>,
-) -> Result<Offer, StoreError> {
+pub(crate) async fn offer(connection: &mut SqliteConnection, asking: &Asking<'_>) -> Result<Offer> {
     let jobs = booked_jobs(connection, asking.node).await?;
     for job in &jobs {
         let found = if job.for_everybody {
@@ -59,8 +56,9 @@ pub(crate) async fn offer(
 }
 
 impl BookedJob {
-    /// Why the node leaves the job to others: where the next of its frames is booked for less; `None` if none is.
-    async fn why_not(&self, connection: &mut SqliteConnection) -> Result<Option<String>, StoreError> {
+    /// Why the node leaves the job to others: the node for which its next frame is booked more cheaply.
+    /// `None` if there is none.
+    async fn why_not(&self, connection: &mut SqliteConnection) -> Result<Option<String>> {
         let row = sqlx::query!(
             "SELECT t.booked_rate AS \"booked_rate!\", n.name FROM tasks t INDEXED BY tasks_ready_starts \
              JOIN nodes n ON n.id = t.booked_node WHERE t.state = 'ready' AND t.booked_rate IS NOT NULL \
@@ -75,8 +73,8 @@ impl BookedJob {
     }
 }
 
-/// The booked jobs in the order in which nodes help out: by deadline, then priority, then age.
-async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<BookedJob>, StoreError> {
+/// The booked jobs, in the order in which nodes help out: by deadline, then priority, then age.
+async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<Vec<BookedJob>> {
     let rows = sqlx::query!(
         "SELECT id, name, deadline_at, budget, priority, verdict, outlook, work_by_class FROM jobs \
          WHERE state IN ('booked', 'rendering') ORDER BY coalesce(deadline_at, 9223372036854775807), \
@@ -111,8 +109,8 @@ pub(crate) const NEXT_OF_JOB: &str = next_task!(
     "frame, part"
 );
 
-/// A task of the job `?5`, the first of these that there is: the one that is booked at the highest rate, if that is at
-/// least `?6`; one that should have begun by `?7`; one that is booked nowhere; one that has failed.
+/// A task of the job `?5`. The first that exists of: the one that is booked at the highest rate, if that is
+/// at least `?6`; one that should have begun by `?7`; one without a booking; one that failed.
 pub(crate) const NEXT_NO_DEARER: &str = concat!(
     "SELECT ",
     task_columns!(),

@@ -1,20 +1,21 @@
-//! The ends of jobs other than their last frame: they are cancelled, or fail.
+//! Jobs that end before their last frame: cancelled or failed.
 
 use forelight_protocol::{Job, JobId, JobState, TaskKind, Timestamp};
 
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::events::job_state;
 use crate::jobs::read;
 use crate::leases::LeaseRow;
 use crate::living::{self, Occasion};
 use crate::plans::replans;
 use crate::tasks::withdraw;
+use crate::writing::run;
 
 impl Store {
-    /// Cancels a job: its workers are told to stop at their next renewal. Cancelling it twice is one cancelling;
-    /// a job that is done or failed stays so, and that is a conflict.
-    pub async fn cancel_job(&self, job: JobId, now: Timestamp) -> Result<Job, StoreError> {
+    /// Cancels a job. Its workers are told to stop at their next renewal. Repeating this changes nothing. A
+    /// job that is done or failed is a conflict.
+    pub async fn cancel_job(&self, job: JobId, now: Timestamp) -> Result<Job> {
         let mut write = self.write().await?;
         let current = read(write.connection().await?, job).await?;
         match current.state {
@@ -28,14 +29,8 @@ impl Store {
             JobState::Previewing | JobState::Profiling | JobState::Booked | JobState::Rendering => {}
         }
         withdraw(&mut write, job, now).await?;
-        sqlx::query!(
-            "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?",
-            now.micros(),
-            job.0
-        )
-        .execute(write.connection().await?)
-        .await?;
-        job_state(&mut write, job, JobState::Cancelled, None, now)?;
+        run!(write, "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?", now.micros(), job.0);
+        job_state(&mut write, job, JobState::Cancelled, None, now);
         living::update(&mut write, job, Occasion::Ended, now).await?;
         if current.plan_id.is_some() {
             replans::want(&mut write, &format!("job {} was cancelled", current.name)).await?;
@@ -45,8 +40,8 @@ impl Store {
         Ok(cancelled)
     }
 
-    /// Fails a job for a reason that lies in the job; nothing if it is final already.
-    pub async fn fail_job(&self, job: JobId, error: &str, now: Timestamp) -> Result<(), StoreError> {
+    /// Fails a job for a reason of its own. Does nothing if the job is over.
+    pub async fn fail_job(&self, job: JobId, error: &str, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         fail(&mut write, job, error, now).await?;
         self.commit(write).await
@@ -58,47 +53,40 @@ pub(crate) async fn fail_task_and_job(
     row: &LeaseRow,
     error: &str,
     now: Timestamp,
-) -> Result<(), StoreError> {
-    sqlx::query!(
+) -> Result<()> {
+    run!(
+        write,
         "UPDATE tasks SET state = 'failed', error = ?, finished_at = ? WHERE id = ?",
         error,
         now.micros(),
         row.task_id.0
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     fail_for_task(write, row.job_id, (row.kind, row.frame), error, now).await
 }
 
-/// Fails a job inside a write for what became of one of its tasks.
+/// Fails a job inside a write because of one of its tasks.
 pub(crate) async fn fail_for_task(
     write: &mut Write,
     job: JobId,
     (kind, frame): (TaskKind, Option<u32>),
     error: &str,
     now: Timestamp,
-) -> Result<(), StoreError> {
+) -> Result<()> {
     let of_frame = frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
     fail(write, job, &format!("{kind}{of_frame}: {error}"), now).await
 }
 
-/// Fails a job inside a write; nothing if it is final already.
-pub(crate) async fn fail(
-    write: &mut Write,
-    job: JobId,
-    error: &str,
-    now: Timestamp,
-) -> Result<(), StoreError> {
-    let failed = sqlx::query!(
+/// Fails a job inside a write. Does nothing if the job is over.
+pub(crate) async fn fail(write: &mut Write, job: JobId, error: &str, now: Timestamp) -> Result<()> {
+    let failed = run!(
+        write,
         "UPDATE jobs SET state = 'failed', error = ?, finished_at = ? WHERE id = ? \
          AND state IN ('previewing', 'profiling', 'booked', 'rendering')",
         error,
         now.micros(),
         job.0
-    )
-    .execute(write.connection().await?)
-    .await?;
-    if failed.rows_affected() == 0 {
+    );
+    if failed == 0 {
         return Ok(());
     }
     withdraw(write, job, now).await?;
@@ -107,5 +95,6 @@ pub(crate) async fn fail(
     if failed.plan_id.is_some() {
         replans::want(write, &format!("job {} failed", failed.name)).await?;
     }
-    job_state(write, job, JobState::Failed, Some(error.to_owned()), now)
+    job_state(write, job, JobState::Failed, Some(error.to_owned()), now);
+    Ok(())
 }

@@ -1,4 +1,4 @@
-//! A job's frames: what was said, and what was.
+//! A job's frames: forecast and actual cost.
 
 use forelight_protocol::{
     FrameArtifacts, FrameBooking, FrameFigure, FrameForecast, FrameRow, FrameState, JobId, Quantiles,
@@ -7,7 +7,7 @@ use forelight_protocol::{
 
 use crate::columns::{Hash, Id, Json, Time, corrupt};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::jobs;
 
 /// A frame's row, with its task and its booking.
@@ -36,11 +36,13 @@ macro_rules! rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT f.frame, f.forecast, f.actual, f.actual_work, f.actual_cpu, f.artifacts, f.preview_png, f.finished_at, \
-             t.state AS \"state?\", t.node_id, t.fence AS \"attempts?: u32\", t.progress AS \"progress?\", t.started_at, t.error, \
-             b.node_id AS \"booked_node?\", n.name AS \"booked_name?\", b.start_at AS \"start_at?\", b.end_at AS \"end_at?\" \
+            "SELECT f.frame, f.forecast, f.actual, f.actual_work, f.actual_cpu, f.artifacts, f.preview_png, \
+             f.finished_at, t.state AS \"state?\", t.node_id, t.fence AS \"attempts?: u32\", \
+             t.progress AS \"progress?\", t.started_at, t.error, b.node_id AS \"booked_node?\", \
+             n.name AS \"booked_name?\", b.start_at AS \"start_at?\", b.end_at AS \"end_at?\" \
              FROM frames f JOIN jobs j ON j.id = f.job_id \
-             LEFT JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
+             LEFT JOIN tasks t INDEXED BY tasks_of_frames \
+             ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
              LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame \
              LEFT JOIN nodes n ON n.id = b.node_id "
                 + $rest
@@ -51,12 +53,7 @@ macro_rules! rows {
 
 impl Store {
     /// The job's frames after `after`, ascending, at most `limit`.
-    pub async fn frames(
-        &self,
-        job: JobId,
-        after: Option<u32>,
-        limit: u32,
-    ) -> Result<Vec<FrameRow>, StoreError> {
+    pub async fn frames(&self, job: JobId, after: Option<u32>, limit: u32) -> Result<Vec<FrameRow>> {
         let mut transaction = self.read().await?;
         let is_final = jobs::state(&mut transaction, job).await?.is_final();
         let after = after.map_or(-1, i64::from);
@@ -67,7 +64,7 @@ impl Store {
     }
 
     /// One frame of the job.
-    pub async fn frame(&self, job: JobId, frame: u32) -> Result<FrameRow, StoreError> {
+    pub async fn frame(&self, job: JobId, frame: u32) -> Result<FrameRow> {
         let mut transaction = self.read().await?;
         let is_final = jobs::state(&mut transaction, job).await?.is_final();
         let row = rows!("WHERE f.job_id = ? AND f.frame = ?", job.0, frame);
@@ -77,8 +74,8 @@ impl Store {
 }
 
 impl Row {
-    /// As it is shown. A frame without a task is cancelled if its job is over.
-    fn shown(self, job_is_final: bool) -> Result<FrameRow, StoreError> {
+    /// The frame as the API shows it. A frame without a task is cancelled if its job is over.
+    fn shown(self, job_is_final: bool) -> Result<FrameRow> {
         let state = match self.state.as_deref() {
             None if job_is_final => FrameState::Cancelled,
             None | Some("waiting") => FrameState::Waiting,

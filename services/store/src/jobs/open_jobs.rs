@@ -1,21 +1,21 @@
-//! The jobs that are not over, with what their forecasts say of the frames that are left.
+//! The jobs that are not over, with the forecasts of their remaining frames.
 
 use forelight_protocol::{Job, JobId, JobState};
 
 use crate::columns::Unread;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::jobs::{job_rows, progress};
 use forelight_quote::JobForecast;
 
-/// A job that is booked and not done, with what its forecast says.
+/// A job that is not over, with its forecast.
 #[derive(Clone, PartialEq, Debug)]
 pub struct OpenJob {
     /// The job.
     pub job: Job,
-    /// Its forecast; none before it is booked.
+    /// Its forecast; `None` before it is booked.
     pub forecast: Option<JobForecast>,
-    /// CPU seconds of its frames that are not there yet, at P50 and P80.
+    /// Forecast CPU seconds of its unfinished frames: number, P50 and P80.
     pub frames: Vec<(u32, f64, f64)>,
     /// Its project's budget holds it back.
     pub held: bool,
@@ -23,7 +23,7 @@ pub struct OpenJob {
 
 impl Store {
     /// The jobs that are neither done, failed nor cancelled, oldest first.
-    pub async fn open_jobs(&self) -> Result<Vec<OpenJob>, StoreError> {
+    pub async fn open_jobs(&self) -> Result<Vec<OpenJob>> {
         let mut transaction = self.read().await?;
         let rows = job_rows!("WHERE state IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)

@@ -1,29 +1,29 @@
-//! How far a job is.
+//! Progress of jobs.
 
 use forelight_protocol::{JobId, LiveForecast, SharedCacheProgress};
 use sqlx::SqliteConnection;
 
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::living;
 use crate::shared_cache::parts;
 
-/// How far a job is.
+/// The progress of a job.
 #[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Progress {
     pub frames_done: u32,
-    /// 0 to 1: of the forecast work; of the frames where there is no forecast.
+    /// 0 to 1, as a share of the forecast work; without a forecast, of the frames.
     pub fraction: f64,
-    /// What the job will have cost; none before it is booked.
+    /// Estimate of the job's cost; `None` before it is booked.
     pub live: Option<LiveForecast>,
-    /// Of the irradiance cache that the frames share and wait for, if they do.
+    /// Progress of the shared irradiance cache that the frames wait for, if any.
     pub shared_cache: Option<SharedCacheProgress>,
     /// Whether any frame is done or with a worker.
     pub begun: bool,
 }
 
-/// Weighs every frame by its forecast work, so that a job of 47 cheap frames and a dear one is not at 98 % when the
-/// dear one is all that is left; a frame under way counts by what its worker last said.
-pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress, StoreError> {
+/// Weighs every frame by its forecast work: with 47 cheap frames and an expensive one, the cheap ones are not
+/// 98 %. A frame under way counts by the progress that its worker last reported.
+pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress> {
     let row = sqlx::query!(
         r#"SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS "done!: u32",
                   coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased', 0)), 0) AS "begun!: bool",

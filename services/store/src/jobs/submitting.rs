@@ -8,18 +8,19 @@ use forelight_protocol::{
 
 use crate::columns::Json;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::jobs::read;
 use crate::tasks::Common;
+use crate::writing::run;
 
 /// A job that has been checked.
 #[derive(Clone, PartialEq, Debug)]
 pub struct NewJob {
-    /// What was asked for.
+    /// The request.
     pub request: JobRequest,
-    /// What is in the bundle.
+    /// The content of the bundle.
     pub scene: SceneSummary,
     /// Where workers find the bundle.
     pub source: BundleSource,
@@ -28,20 +29,21 @@ pub struct NewJob {
 }
 
 impl Store {
-    /// Remembers a job with its frames and its first task, the preview.
+    /// Stores a job with its frames and its first task, the preview.
     pub async fn create_job(
         &self,
         new: &NewJob,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Answered<Job>, StoreError> {
+    ) -> Result<Answered<Job>> {
         let NewJob { request, scene, source, settings } = new;
         let mut write = self.write().await?;
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
         }
         let job_id = JobId::new();
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, \
              frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
              priority, created_at, limits, within, cache, weight, profiles_more, ladders) \
@@ -69,13 +71,9 @@ impl Store {
             request.weight,
             request.profile_frames.is_none(),
             request.ladders.name()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         for frame in request.frames.iter() {
-            sqlx::query!("INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame)
-                .execute(write.connection().await?)
-                .await?;
+            run!(write, "INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame);
         }
         let common = Common {
             job: job_id,
@@ -95,9 +93,9 @@ impl Store {
                 message: Some(request.name.clone()),
                 ..event(EventKind::JobCreated, now)
             },
-        )?;
+        );
         let job = read(write.connection().await?, job_id).await?;
-        record(&mut write, key, 201, &job, now)?;
+        record(&mut write, key, 201, &job, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(job))
     }

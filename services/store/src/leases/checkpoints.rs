@@ -1,9 +1,9 @@
-//! The finished tiles of frames whose workers may be lost any moment: a file for each task, replaced as the work goes on, and gone when
-//! it ends.
+//! Finished tiles of frames under way: one file per task, replaced as the work goes on, and deleted when the
+//! task ends.
 //!
-//! They are no artefacts: nothing refers to them, nothing depends on them, and the service never looks into them. A pixel has the same
-//! bits whoever traced it, so it does not matter whose checkpoint of a task is there, nor how old it is; one that is lost costs time,
-//! one that is damaged is found out by its checksum, on the worker, and not used.
+//! Checkpoints are not artefacts: nothing refers to them or depends on them, and the service never reads
+//! them. A pixel has the same bits on every worker, so any checkpoint of a task will do, however old. A lost
+//! one costs time. The worker detects a damaged one by its checksum and ignores it.
 
 use std::path::{Path, PathBuf};
 
@@ -12,15 +12,16 @@ use forelight_protocol::{LeaseId, TaskId, TaskKind};
 use uuid::Uuid;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::leases::{LeaseState, read};
 
 /// Name of their folder in the data folder.
 const FOLDER: &str = "checkpoints";
 
 impl Store {
-    /// Keeps the finished tiles of the frame that a lease is about. [`StoreError::LeaseLost`] if the lease is not the sender's.
-    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, bytes: Bytes) -> Result<(), StoreError> {
+    /// Stores the finished tiles of a lease's frame. [`StoreError::LeaseLost`] if the lease is not the
+    /// sender's.
+    pub async fn put_checkpoint(&self, lease: LeaseId, fence: u64, bytes: Bytes) -> Result<()> {
         let row = read(&mut *self.readers().acquire().await?, lease).await?;
         if row.fence != fence || row.state != LeaseState::Active {
             return Err(StoreError::LeaseLost);
@@ -31,12 +32,12 @@ impl Store {
         let (folder, task) = (self.checkpoints(), row.task_id);
         blocking(move || {
             std::fs::create_dir_all(&folder).map_err(|error| StoreError::file(&folder, error))?;
-            // A name of its own, then a rename: whoever reads sees the old one or the new one, whole.
+            // A temporary name, then a rename: readers see the old file or the new one, whole.
             let unfinished = folder.join(format!("{}.unfinished", Uuid::now_v7().simple()));
             let written = std::fs::write(&unfinished, &bytes)
                 .and_then(|()| std::fs::rename(&unfinished, place(&folder, task)));
             written.map_err(|error| {
-                // What was written of it is of no use to anyone.
+                // Delete the incomplete file.
                 let _ = std::fs::remove_file(&unfinished);
                 StoreError::file(&unfinished, error)
             })
@@ -45,7 +46,7 @@ impl Store {
     }
 
     /// The tiles of a lease's frame that an earlier worker finished.
-    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Vec<u8>, StoreError> {
+    pub async fn checkpoint(&self, lease: LeaseId) -> Result<Vec<u8>> {
         let row = read(&mut *self.readers().acquire().await?, lease).await?;
         let path = place(&self.checkpoints(), row.task_id);
         blocking(move || match std::fs::read(&path) {
@@ -62,8 +63,8 @@ impl Store {
         self.data().join(FOLDER)
     }
 
-    /// Deletes the checkpoints of tasks that have ended, and what was left half-written.
-    pub(crate) async fn forget_checkpoints(&self) -> Result<(), StoreError> {
+    /// Deletes the checkpoints of ended tasks, and old incomplete files.
+    pub(crate) async fn forget_checkpoints(&self) -> Result<()> {
         let folder = self.checkpoints();
         let found: Vec<(PathBuf, Option<TaskId>)> = blocking(move || match std::fs::read_dir(&folder) {
             Ok(entries) => {
@@ -81,7 +82,7 @@ impl Store {
                 )
                 .fetch_one(self.readers())
                 .await?,
-                // Being written, unless it is old.
+                // It is being written, unless it is old.
                 None => is_recent(&path),
             };
             if !wanted {
@@ -101,16 +102,14 @@ fn task_of(path: &Path) -> Option<TaskId> {
     path.file_name()?.to_str()?.strip_suffix(".profile")?.parse().ok()
 }
 
-/// Whether a file was written to within the last minutes; the clock of the file system is the one that counts.
+/// Whether a file was written within the last ten minutes, by the clock of the file system.
 fn is_recent(path: &Path) -> bool {
     const MINUTES: std::time::Duration = std::time::Duration::from_secs(600);
     let modified = std::fs::metadata(path).and_then(|metadata| metadata.modified());
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|age| age < MINUTES))
 }
 
-async fn blocking<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
-) -> Result<T, StoreError> {
-    // It fails only when the runtime ends.
+async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
+    // It fails only when the runtime shuts down.
     tokio::task::spawn_blocking(work).await.unwrap_or(Err(StoreError::Busy))
 }

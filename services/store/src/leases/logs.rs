@@ -1,19 +1,19 @@
-//! What workers had to say about tasks.
+//! Logs of tasks.
 
 use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine, Timestamp};
 
-use crate::database::Store;
-use crate::database::Write;
-use crate::error::StoreError;
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
 use crate::leases::{LeaseRow, LeaseState, read_in};
+use crate::writing::run;
 
-/// For how long logs are kept: thirty days, in microseconds.
+/// How long logs are kept: thirty days, in microseconds.
 const KEPT: i64 = 30 * 24 * 3_600_000_000;
 
 impl Store {
-    /// Keeps what a worker says at the end of its task, before it is told how that ended. Of a lease that is not the worker's nothing is
-    /// kept, and nothing is said: what follows will be refused.
-    pub async fn keep_log(&self, lease: LeaseId, fence: u64, lines: &[LogLine]) -> Result<(), StoreError> {
+    /// Keeps the last log lines of a worker, before it reports how its task ended. If the worker does not
+    /// hold the lease, nothing is kept and no error is returned: the report that follows is refused.
+    pub async fn keep_log(&self, lease: LeaseId, fence: u64, lines: &[LogLine]) -> Result<()> {
         if lines.is_empty() {
             return Ok(());
         }
@@ -27,7 +27,7 @@ impl Store {
     }
 
     /// The log of a task: all attempts, oldest first.
-    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog, StoreError> {
+    pub async fn task_log(&self, task: TaskId) -> Result<TaskLog> {
         let mut read = self.read().await?;
         let is_there = sqlx::query_scalar!(
             r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ?) AS "is_there!: bool""#,
@@ -38,31 +38,24 @@ impl Store {
         if !is_there {
             return Err(StoreError::NotFound("task"));
         }
-        let rows = sqlx::query!(
-            "SELECT fence, number, at, level, line FROM task_logs WHERE task_id = ? ORDER BY fence, number",
+        let lines = sqlx::query_as!(
+            TaskLogLine,
+            "SELECT fence AS attempt, number, at, level, line AS text FROM task_logs WHERE task_id = ? \
+             ORDER BY fence, number",
             task.0
         )
         .fetch_all(&mut *read)
         .await?;
-        let lines = rows
-            .into_iter()
-            .map(|row| TaskLogLine {
-                attempt: row.fence,
-                number: row.number,
-                at: row.at.into(),
-                level: row.level.0,
-                text: row.line,
-            })
-            .collect();
         Ok(TaskLog { task_id: task, lines })
     }
 }
 
-/// Keeps lines of a lease; those that were kept before, and those beyond the bound, are dropped.
-pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -> Result<(), StoreError> {
+/// Keeps log lines of a lease. Lines that are stored already, and lines beyond [`LOG_LINES`], are dropped.
+pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -> Result<()> {
     for line in lines.iter().filter(|line| line.number < LOG_LINES) {
         let line = line.clone().cleaned();
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO task_logs (task_id, fence, number, at, level, line) VALUES (?, ?, ?, ?, ?, ?) \
              ON CONFLICT DO NOTHING",
             row.task_id.0,
@@ -71,16 +64,12 @@ pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -
             line.at.micros(),
             line.level.name(),
             line.text
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     Ok(())
 }
 
-pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<(), StoreError> {
-    sqlx::query!("DELETE FROM task_logs WHERE at < ?", now.plus_micros(-KEPT).micros())
-        .execute(write.connection().await?)
-        .await?;
+pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<()> {
+    run!(write, "DELETE FROM task_logs WHERE at < ?", now.plus_micros(-KEPT).micros());
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! What a worker says while it holds a lease: that it goes on, or that it gives the task back.
+//! Renewing and releasing leases.
 
 use std::time::Duration;
 
@@ -7,26 +7,26 @@ use forelight_protocol::{
 };
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::append;
-use crate::leases::logs;
-use crate::leases::{LeaseState, back_to_ready, end, read_in};
+use crate::leases::{LeaseState, back_to_ready, end, logs, read_in};
 use crate::living::{self, Occasion};
 use crate::nodes::sleep_of;
 use crate::writing::later;
 
-/// Progress is recorded as an event in steps of a hundredth: a worker that renews twice a second must not fill the disk.
+/// Progress events are at least a hundredth apart: a worker that renews often must not fill the disk.
 const PROGRESS_STEP: f64 = 0.01;
 
 impl Store {
-    /// A worker is still at it: its lease ends `ttl` from now. What it says is kept, and it is told what its operator wants.
+    /// Extends a lease to `ttl` from now, keeps what the worker reports, and answers with the operator's
+    /// orders.
     pub async fn renew(
         &self,
         lease: LeaseId,
         renewal: &RenewRequest,
         ttl: Duration,
         now: Timestamp,
-    ) -> Result<Renewal, StoreError> {
+    ) -> Result<Renewal> {
         let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;
@@ -53,10 +53,7 @@ impl Store {
         );
         if progress >= row.progress + PROGRESS_STEP || (progress == 1.0 && row.progress < 1.0) {
             later!(write, "UPDATE tasks SET progress = ? WHERE id = ?", progress, row.task_id.0);
-            append(
-                &mut write,
-                Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) },
-            )?;
+            append(&mut write, Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) });
         }
         if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
             later!(
@@ -75,9 +72,9 @@ impl Store {
         Ok(Renewal { expires_at, order, drain: row.drain, sleep_until })
     }
 
-    /// A worker gives its task back unfinished. Counts neither as an error nor as an expiry. A lease that was released
-    /// or revoked before is a lease given back: nothing to do.
-    pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<(), StoreError> {
+    /// Gives a task back unfinished. This counts neither as an error nor as an expiry. Does nothing if the
+    /// lease was released or revoked before.
+    pub async fn release(&self, lease: LeaseId, fence: u64, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;
         if row.fence == fence && matches!(row.state, LeaseState::Released | LeaseState::Revoked) {
@@ -88,7 +85,7 @@ impl Store {
         }
         end(&mut write, &row, "released", now);
         back_to_ready(&mut write, &row, None);
-        append(&mut write, row.event(EventKind::LeaseReleased, now))?;
+        append(&mut write, row.event(EventKind::LeaseReleased, now));
         self.commit(write).await
     }
 }

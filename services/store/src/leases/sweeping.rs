@@ -1,12 +1,11 @@
-//! What the service does for leases from time to time: tasks of lost workers are taken back, clocks that were set are
-//! corrected.
+//! Maintenance of leases: takes back the tasks of lost workers, and corrects times if the clock was set.
 
 use std::time::Duration;
 
 use forelight_protocol::{EventKind, Timestamp};
 
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::{append, forget_old_progress};
 use crate::idempotency::forget_old;
 use crate::jobs::ending::fail_task_and_job;
@@ -15,20 +14,21 @@ use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
 use crate::living;
 use crate::nodes::changing::stop_after_windows;
 use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
+use crate::writing::run;
 
-/// What a sweep did.
+/// The result of a sweep.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct Swept {
-    /// Leases that had run out.
+    /// Leases that had expired.
     pub expired: u32,
     /// Jobs that failed because a task lost its worker too often.
     pub jobs_failed: u32,
 }
 
 impl Store {
-    /// Takes back the tasks whose leases have run out, makes estimates again that do not know of all frames, and forgets what is kept for a
-    /// limited time only.
-    pub async fn sweep(&self, now: Timestamp) -> Result<Swept, StoreError> {
+    /// Takes back the tasks of expired leases, updates overdue estimates, and deletes records past their
+    /// time.
+    pub async fn sweep(&self, now: Timestamp) -> Result<Swept> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
         stop_after_windows(&mut write, now).await?;
@@ -41,79 +41,68 @@ impl Store {
         Ok(swept)
     }
 
-    /// Gives every active lease one more term, from now. Called once when a service starts, before anything is swept:
-    /// that nobody could renew while it was down is not the workers' fault. Nor does a lease last any longer because the clock was set
-    /// back in the meantime; tasks that wait after a failure wait no longer than they would at most. A worker that is not heard of any more is
-    /// paid until its lease would have run out.
-    pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64, StoreError> {
+    /// Gives every active lease one more term, from now. A service calls this once when it starts, before the
+    /// first sweep: workers could not renew while it was down.
+    ///
+    /// If the clock was set back meanwhile, no lease lasts longer for it, and no failed task waits longer
+    /// than the longest wait. A worker that stays silent is paid until its lease would have expired.
+    pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         self.set_up_since(now);
         let mut write = self.write().await?;
-        let extended = sqlx::query!(
+        let extended = run!(
+            write,
             "UPDATE leases SET paid_until = min(coalesce(paid_until, expires_at), ?1), expires_at = ?2 \
              WHERE state = 'active'",
             now.micros(),
             until.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
-        sqlx::query!(
+        );
+        run!(
+            write,
             "UPDATE tasks SET not_before = ?1 WHERE state = 'ready' AND not_before > ?1",
             now.plus_micros(LONGEST_WAIT).micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         self.commit(write).await?;
-        Ok(extended.rows_affected())
+        Ok(extended)
     }
 
-    /// The clock was set forward by so many microseconds (back, if negative): what was to end in a minute still does.
-    pub async fn clock_was_set(&self, micros: i64) -> Result<(), StoreError> {
+    /// Corrects times after the clock was set forward by so many microseconds (back, if negative).
+    pub async fn clock_was_set(&self, micros: i64) -> Result<()> {
         let mut write = self.write().await?;
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE leases SET expires_at = expires_at + ?1, paid_until = paid_until + ?1 \
              WHERE state = 'active'",
             micros
-        )
-        .execute(write.connection().await?)
-        .await?;
-        sqlx::query!(
+        );
+        run!(
+            write,
             "UPDATE tasks SET not_before = max(1, not_before + ?) WHERE state = 'ready' AND not_before > 0",
             micros
-        )
-        .execute(write.connection().await?)
-        .await?;
-        // A node that was heard of in what is now the future would look alive for as long.
-        sqlx::query!("UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0", micros)
-            .execute(write.connection().await?)
-            .await?;
-        // What runs is paid for the time that it took, not for that which the clock went.
-        sqlx::query!("UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL", micros)
-            .execute(write.connection().await?)
-            .await?;
-        sqlx::query!("UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'", micros)
-            .execute(write.connection().await?)
-            .await?;
+        );
+        // Otherwise a node that was last heard of in what is now the future would look alive too long.
+        run!(write, "UPDATE nodes SET last_seen_at = last_seen_at + ?1 WHERE ?1 < 0", micros);
+        // Running leases are paid for the time that passed, not for the step of the clock.
+        run!(write, "UPDATE ledger SET from_at = from_at + ? WHERE until_at IS NULL", micros);
+        run!(write, "UPDATE tasks SET started_at = started_at + ? WHERE state = 'leased'", micros);
         self.set_up_since(self.up_since().plus_micros(micros));
         self.commit(write).await
     }
 }
 
-/// Takes back the tasks whose leases have run out.
-pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept, StoreError> {
+/// Takes back the tasks of expired leases.
+pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept> {
     let mut swept = Swept::default();
     for row in ran_out(write, now).await? {
-        // An earlier row of this sweep may have failed the job, and with it revoked this lease.
+        // An earlier row of this sweep may have failed the job and so revoked this lease.
         if read_in(write, row.id).await?.state != LeaseState::Active {
             continue;
         }
         end(write, &row, "expired", now);
-        append(write, row.event(EventKind::LeaseExpired, now))?;
+        append(write, row.event(EventKind::LeaseExpired, now));
         swept.expired += 1;
         let expiries = row.expiries + 1;
-        sqlx::query!("UPDATE tasks SET expiries = ? WHERE id = ?", expiries, row.task_id.0)
-            .execute(write.connection().await?)
-            .await?;
+        run!(write, "UPDATE tasks SET expiries = ? WHERE id = ?", expiries, row.task_id.0);
         match job_error_of_lost_workers(expiries) {
             Some(error) => {
                 fail_task_and_job(write, &row, &error, now).await?;

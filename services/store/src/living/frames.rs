@@ -4,16 +4,13 @@ use forelight_protocol::{JobId, Quantiles};
 use forelight_quote::living::{FrameCost, FrameState, Frames};
 use sqlx::SqliteConnection;
 
-use crate::error::StoreError;
+use crate::error::Result;
 
-/// Reads a job's frames, and the finished pixels of those under way. `lights` are those of its quote, see [`Frames::new`].
-pub(super) async fn read(
-    connection: &mut SqliteConnection,
-    job: JobId,
-    lights: &[u32],
-) -> Result<Frames, StoreError> {
+/// Reads a job's frames, and the finished pixels of those under way. For `lights` see [`Frames::new`].
+pub(super) async fn read(connection: &mut SqliteConnection, job: JobId, lights: &[u32]) -> Result<Frames> {
     let rows = sqlx::query!(
-        r#"SELECT f.frame, f.clock, f.work_mean, f.work_p50, f.work_p80, f.work_p95, f.cpu_mean, f.cpu_p50, f.cpu_p80, f.cpu_p95,
+        r#"SELECT f.frame, f.clock, f.work_mean, f.work_p50, f.work_p80, f.work_p95, f.cpu_mean, f.cpu_p50,
+                  f.cpu_p80, f.cpu_p95,
                   f.actual_work, f.actual_cpu, t.pixels_share, t.pixels_work, t.pixels_cpu
            FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames
                 ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame AND t.state = 'leased'

@@ -1,8 +1,8 @@
-//! What is kept of living estimates: the newest of each job, and its history.
+//! Rows of living estimates: the newest of each job, and its history.
 //!
-//! The history holds at most [`MOST_POINTS`] estimates of a job. Once it is full, every second one is deleted, except
-//! the first, which is the quote. So the distant past is known coarsely and the recent past finely, and the disk space
-//! of a job is bounded.
+//! The history holds at most [`MOST_POINTS`] estimates of a job. Once it is full, every second one is
+//! deleted, except the first, which is the quote. So old points are sparse, recent ones are dense, and the
+//! disk space of a job is bounded.
 
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobId, JobState, LiveFigure, LiveForecast, PlanId};
 use forelight_quote::living::{Baseline, Last, Off};
@@ -10,17 +10,16 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row as _, SqliteConnection};
 
 use crate::columns::{Id, Json, Time, Word};
-use crate::database::Store;
-use crate::database::Write;
-use crate::error::StoreError;
-use crate::writing::{ask, later};
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
+use crate::writing::{ask, later, run};
 
-/// Most estimates of a job that are kept.
+/// Most points in a job's history.
 const MOST_POINTS: i64 = 512;
 
 impl Store {
-    /// How the job's estimate moved; `None` before the job is booked.
-    pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>, StoreError> {
+    /// The history of the job's estimate; `None` before the job is booked.
+    pub async fn forecast_history(&self, job: JobId) -> Result<Option<ForecastHistory>> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!(
             "SELECT j.state, j.frames_total, l.body AS \"body?: Json<LiveForecast>\" FROM jobs j LEFT \
@@ -45,18 +44,14 @@ impl Store {
     }
 }
 
-/// The job's newest estimate.
-pub(crate) async fn newest(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Option<LiveForecast>, StoreError> {
+pub(crate) async fn newest(connection: &mut SqliteConnection, job: JobId) -> Result<Option<LiveForecast>> {
     let newest = sqlx::query_scalar!("SELECT body FROM live_forecasts WHERE job_id = ?", job.0)
         .fetch_optional(connection)
         .await?;
     Ok(newest.map(|newest| newest.0))
 }
 
-/// What is kept beside an estimate.
+/// An estimate as stored.
 pub(super) struct Kept {
     /// The plan that it was compared with.
     pub plan: PlanId,
@@ -66,16 +61,15 @@ pub(super) struct Kept {
     pub cpu_seconds: LiveFigure,
 }
 
-/// What there is before an estimate is made.
+/// What is stored before an update.
 pub(crate) struct Before {
-    /// The estimate before, if there is one.
+    /// The last estimate, if there is one.
     pub(super) estimate: Option<Kept>,
-    /// The job's state.
     pub job_state: JobState,
 }
 
-/// Reads what there is before an estimate is made.
-pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before, StoreError> {
+/// Reads what is stored before an update.
+pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before> {
     ask!(
         write,
         "SELECT l.*, j.frames_total, j.state FROM jobs j LEFT JOIN live_forecasts l ON l.job_id = j.id \
@@ -113,20 +107,21 @@ impl FromRow<'_, SqliteRow> for Before {
     }
 }
 
-/// Counts a finished frame that is left for the next estimate.
+/// Counts a finished frame that the estimate leaves out for now.
 pub(super) fn count_frame(write: &mut Write, job: JobId) {
     later!(write, "UPDATE live_forecasts SET frames_since = frames_since + 1 WHERE job_id = ?", job.0);
 }
 
-/// Keeps an estimate, as the newest and in the history.
+/// Stores an estimate, as the newest and in the history.
 pub(super) async fn keep(
     write: &mut Write,
     job: JobId,
     plan: PlanId,
     baseline: &Baseline,
     live: &LiveForecast,
-) -> Result<(), StoreError> {
-    sqlx::query!(
+) -> Result<()> {
+    run!(
+        write,
         "INSERT INTO live_forecasts (job_id, plan_id, booked_cpu, booked_rest, booked_share, \
          frames_done, cost_is_off, finish_is_off, body, updated_at) \
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (job_id) DO UPDATE \
@@ -144,29 +139,25 @@ pub(super) async fn keep(
         live.finish_is_off,
         Json(live),
         live.at.micros()
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     let points = sqlx::query_scalar!("SELECT count(*) FROM forecast_history WHERE job_id = ?", job.0)
         .fetch_one(write.connection().await?)
         .await?;
     if points >= MOST_POINTS {
-        sqlx::query!(
+        run!(
+            write,
             "DELETE FROM forecast_history WHERE job_id = ?1 AND point IN (SELECT point FROM \
              (SELECT point, row_number() OVER (ORDER BY point) AS place FROM forecast_history \
              WHERE job_id = ?1) WHERE place % 2 = 0)",
             job.0
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
-    sqlx::query!(
+    run!(
+        write,
         "INSERT INTO forecast_history (job_id, point, body) \
          VALUES (?1, (SELECT ifnull(max(point) + 1, 0) FROM forecast_history WHERE job_id = ?1), ?2)",
         job.0,
         Json(HistoryPoint::of(live))
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }

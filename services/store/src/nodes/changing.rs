@@ -1,49 +1,44 @@
 //! Registering nodes and changing them.
 
-use forelight_protocol::{
-    Event, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp,
-};
+use forelight_protocol::{EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
-use crate::error::StoreError;
-use crate::events::{append, event};
+use crate::error::Result;
+use crate::events::node_event;
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::leases;
 use crate::nodes::{LOST, by_name, has_another_worker, node_rows, read};
 use crate::plans::replans;
 use crate::policy::availability::{Opening, opening, silence, with_power};
 use crate::policy::nodes::{cause_of, is_same_machine, may_take_tasks_again};
+use crate::writing::run;
 
 impl Store {
-    /// Registers a node. One of the same name is updated and keeps its id: a worker that starts again is the same node.
-    /// A speed or price that was set by hand stays in force.
+    /// Registers a node. A node of the same name is updated and keeps its id: a restarted worker is the same
+    /// node. A speed or price that was set by hand stays in force.
     pub async fn register_node(
         &self,
         registration: &NodeRegistration,
         key: Option<&IdempotencyKey>,
         now: Timestamp,
-    ) -> Result<Answered<Node>, StoreError> {
+    ) -> Result<Answered<Node>> {
         let mut write = self.write().await?;
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
         }
         let node = upsert(&mut write, registration, now).await?;
-        record(&mut write, key, 201, &node, now)?;
+        record(&mut write, key, 201, &node, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(node))
     }
 
-    /// Changes a node. A speed or price that is set here stays in force until it is set again, or given up with `None`
-    /// inside `Some`: then what the node said of itself last holds.
-    pub async fn change_node(
-        &self,
-        node: NodeId,
-        change: &NodeChange,
-        now: Timestamp,
-    ) -> Result<Node, StoreError> {
+    /// Changes a node. A speed or price that is set here stays in force until it is set again or cleared with
+    /// `None` inside `Some`. Then the node's own last value applies.
+    pub async fn change_node(&self, node: NodeId, change: &NodeChange, now: Timestamp) -> Result<Node> {
         let mut write = self.write().await?;
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE nodes SET drain = coalesce(?1, drain), pause = coalesce(?2, pause), speed_set = \
              CASE WHEN ?3 THEN ?4 ELSE speed_set END, price_set = CASE WHEN ?5 THEN ?6 ELSE price_set \
              END, set_aside = CASE ?7 WHEN 1 THEN coalesce(set_aside, 'by hand') WHEN 0 THEN NULL ELSE \
@@ -61,22 +56,13 @@ impl Store {
             change.schedule.is_some(),
             change.schedule.as_ref().and_then(Option::as_ref).map(Json),
             change.terms.as_ref().map(Json)
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         if change.cancel_task == Some(true) {
             take_tasks_away(&mut write, node, now).await?;
         }
         let changed = read(write.connection().await?, node).await?;
-        append(
-            &mut write,
-            Event {
-                node_id: Some(node),
-                message: Some(changed.name.clone()),
-                ..event(EventKind::NodeChanged, now)
-            },
-        )?;
-        // Claims that wait should look again.
+        node_event(&mut write, EventKind::NodeChanged, node, changed.name.clone(), now);
+        // Waiting claims should look again.
         write.made_work |= may_take_tasks_again(change);
         if let Some(cause) = cause_of(change) {
             replans::want(&mut write, &format!("node {} {cause}", changed.name)).await?;
@@ -86,12 +72,12 @@ impl Store {
     }
 }
 
-/// Makes a node, or updates the one of the same name. If it is new, or not as it was, plans are due.
+/// Makes a node, or updates the one of the same name. Calls for a new plan if the node is new or has changed.
 pub(crate) async fn upsert(
     write: &mut Write,
     registration: &NodeRegistration,
     now: Timestamp,
-) -> Result<Node, StoreError> {
+) -> Result<Node> {
     let before = by_name(write.connection().await?, &registration.name).await?;
     let is_replaced = match (&before, registration.worker) {
         (Some(before), Some(worker)) => {
@@ -120,7 +106,7 @@ pub(crate) async fn upsert(
     .await?
     .into();
     if is_replaced {
-        // Who had it is dead, or is about to be told.
+        // The previous worker is dead, or will be told to stop.
         take_tasks_away(write, node_id, now).await?;
     }
     let node = read(write.connection().await?, node_id).await?;
@@ -131,23 +117,12 @@ pub(crate) async fn upsert(
         }
         Some(_) => {}
     }
-    append(
-        write,
-        Event {
-            node_id: Some(node.id),
-            message: Some(node.name.clone()),
-            ..event(EventKind::NodeRegistered, now)
-        },
-    )?;
+    node_event(write, EventKind::NodeRegistered, node.id, node.name.clone(), now);
     Ok(with_power(node, now))
 }
 
-/// Takes the tasks away that a node has: they are ready for another, and the node's next renewal brings the order to stop.
-pub(crate) async fn take_tasks_away(
-    write: &mut Write,
-    node: NodeId,
-    now: Timestamp,
-) -> Result<(), StoreError> {
+/// Takes a node's tasks away. They are ready again, and the node's next renewal brings the order to stop.
+pub(crate) async fn take_tasks_away(write: &mut Write, node: NodeId, now: Timestamp) -> Result<()> {
     let held = sqlx::query_scalar!(
         "SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id",
         node.0
@@ -157,8 +132,8 @@ pub(crate) async fn take_tasks_away(
     leases::take_back(write, held.into_iter().map(LeaseId::from), now).await
 }
 
-/// Takes the tasks from nodes whose window has ended, if that is what their terms say. Says how many nodes that were.
-pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32, StoreError> {
+/// Takes the tasks from nodes whose window has ended, if their terms say so. Returns how many nodes.
+pub(crate) async fn stop_after_windows(write: &mut Write, now: Timestamp) -> Result<u32> {
     let rows = node_rows!(
         "WHERE n.terms ->> 'window_end' = 'stop' \
          AND EXISTS (SELECT 1 FROM leases l WHERE l.node_id = n.id AND l.state = 'active') ORDER BY n.id"

@@ -1,14 +1,18 @@
 //! Machines that join the farm with a one-time token.
 //!
-//! The machine makes its own bearer token and sends its hash with the one-time token, which is burnt in the same transaction that makes
-//! the node and its token. Three hazards are met by that: an answer that is lost (the machine asks again with the same hash, and is
-//! answered as before), a one-time token that someone else picked up (it is good for one hash alone, and both notice), and a machine
-//! that calls itself as another does (it takes that one's place only with a token that was made in its name).
+//! The machine makes its own bearer token and sends its hash with the one-time token. One transaction uses
+//! the one-time token up and makes the node and its token. This meets three hazards:
+//!
+//! * The answer is lost: the machine asks again with the same hash and gets the same answer.
+//! * Someone else finds the one-time token: it works for one hash only, and both machines notice.
+//! * A machine uses another machine's name: it replaces that node only with a one-time token made for the
+//!   name.
 
 use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, Timestamp};
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
+use crate::writing::run;
 use crate::{nodes, tokens};
 
 impl Store {
@@ -18,29 +22,26 @@ impl Store {
         name: &str,
         valid_micros: i64,
         now: Timestamp,
-    ) -> Result<JoinToken, StoreError> {
+    ) -> Result<JoinToken> {
         let token = tokens::random();
         let expires_at = now.plus_micros(valid_micros);
         let mut write = self.write().await?;
-        // Long expired ones are of no use to anyone, unless they say which node came by them.
-        sqlx::query!("DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL", now.micros())
-            .execute(write.connection().await?)
-            .await?;
-        sqlx::query!(
+        // Expired unused tokens go. Used ones stay, because they record which node used them.
+        run!(write, "DELETE FROM join_tokens WHERE expires_at < ? AND used_at IS NULL", now.micros());
+        run!(
+            write,
             "INSERT INTO join_tokens (hash, name, created_at, expires_at) VALUES (?, ?, ?, ?)",
             &tokens::hash(&token)[..],
             name,
             now.micros(),
             expires_at.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
         self.commit(write).await?;
         Ok(JoinToken { token, expires_at })
     }
 
-    /// Burns a one-time token: makes the node, and lets the token with the hash that the machine chose speak for it.
-    pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node, StoreError> {
+    /// Uses a one-time token up: makes the node, and its bearer token with the hash that the machine chose.
+    pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node> {
         let burnt = tokens::hash(token);
         let mut write = self.write().await?;
         let row = sqlx::query!(
@@ -49,7 +50,7 @@ impl Store {
         )
         .fetch_optional(write.connection().await?)
         .await?
-        .ok_or_else(|| StoreError::JoinRefused("this one-time token is not known here".to_owned()))?;
+        .ok_or_else(|| StoreError::JoinRefused("this one-time token is unknown".to_owned()))?;
         if let (Some(node), Some(chosen)) = (row.node_id, row.used_for.map(ArtifactHash::from)) {
             let node = nodes::read(write.connection().await?, node.into()).await?;
             if chosen == request.token_hash && node.name == request.node.name {
@@ -57,14 +58,15 @@ impl Store {
             }
             if chosen == request.token_hash {
                 return Err(StoreError::Conflict(format!(
-                    "this machine joined as the node {:?} with this one-time token; join under that name, or ask an operator for a new token",
+                    "this machine joined as the node {:?} with this one-time token; join under that name, \
+                     or ask an operator for a new token",
                     node.name
                 )));
             }
             let used_at = row.used_at.map_or(String::new(), |at| format!(" at {}", Timestamp::from(at)));
             return Err(StoreError::Conflict(format!(
-                "this one-time token was used{used_at} by another machine; ask an operator for a new one, and if nobody knows that machine, \
-                 have its node removed from service"
+                "this one-time token was used{used_at} by another machine; ask an operator for a new one, \
+                 and to take that machine's node out of service if it is unknown"
             )));
         }
         let expires_at = Timestamp::from(row.expires_at);
@@ -77,37 +79,33 @@ impl Store {
         let taken = nodes::by_name(write.connection().await?, &request.node.name).await?.is_some();
         if taken && made_for != request.node.name {
             return Err(StoreError::Conflict(format!(
-                "there is a node {0:?} already, and this one-time token was made for {made_for:?}: join under another name, or, if this \
-                 machine is to take that node's place, with a one-time token whose name is {0:?}",
+                "there is already a node {0:?}, and this one-time token was made for {made_for:?}; \
+                 join under another name, or, to replace that node, with a one-time token made for {0:?}",
                 request.node.name
             )));
         }
         let node = nodes::changing::upsert(&mut write, &request.node, now).await?;
-        sqlx::query!(
+        run!(
+            write,
             "UPDATE join_tokens SET used_at = ?, used_for = ?, node_id = ? WHERE hash = ?",
             now.micros(),
             &request.token_hash.0[..],
             node.id.0,
             &burnt[..]
-        )
-        .execute(write.connection().await?)
-        .await?;
-        // A machine that takes another's place takes its token away.
-        sqlx::query!("DELETE FROM tokens WHERE node_id = ?", node.id.0)
-            .execute(write.connection().await?)
-            .await?;
-        let inserted = sqlx::query!(
+        );
+        // A machine that replaces another one also revokes its token.
+        run!(write, "DELETE FROM tokens WHERE node_id = ?", node.id.0);
+        let inserted = run!(
+            write,
             "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) \
              ON CONFLICT DO NOTHING",
             &request.token_hash.0[..],
             node.name,
             now.micros(),
             node.id.0
-        )
-        .execute(write.connection().await?)
-        .await?;
-        if inserted.rows_affected() == 0 {
-            return Err(StoreError::Conflict("the hash is that of a token which is in use".to_owned()));
+        );
+        if inserted == 0 {
+            return Err(StoreError::Conflict("the hash belongs to a token that is in use".to_owned()));
         }
         self.commit(write).await?;
         Ok(node)

@@ -1,22 +1,18 @@
-//! What finished frames teach about nodes: by how much longer they take there than the node's calibration says.
+//! Learns from finished frames how much longer they take on a node than its calibration says.
 //!
-//! Only frames of jobs that were profiled on other nodes say something: on its own node a profile's seconds are the node's. The jobs' means are added
-//! up in whole millionths, so that what is learnt does not depend on the order in which frames are finished.
+//! Only jobs that were profiled on other nodes count: on the profiling node itself, the profile's seconds are
+//! the node's own. The jobs' means are summed in whole millionths, so the result does not depend on the order
+//! in which frames finish.
 
 use forelight_protocol::{Node, RenderStats};
 
 use crate::database::Write;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::leases::LeaseRow;
 use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
+use crate::writing::run;
 
-/// Learns from a finished frame inside the write that keeps it.
-pub(crate) async fn learn(
-    write: &mut Write,
-    row: &LeaseRow,
-    node: &Node,
-    stats: &RenderStats,
-) -> Result<(), StoreError> {
+pub(crate) async fn learn(write: &mut Write, row: &LeaseRow, node: &Node, stats: &RenderStats) -> Result<()> {
     let Some(speed) = node.speed_by_class(stats.work_by_class.as_ref()) else { return Ok(()) };
     if !is_lesson(stats) {
         return Ok(());
@@ -42,14 +38,13 @@ pub(crate) async fn learn(
     )
     .fetch_one(write.connection().await?)
     .await?;
-    sqlx::query!(
+    run!(
+        write,
         "UPDATE nodes SET learned_millionths = learned_millionths + ?, learned_jobs = learned_jobs + ? \
          WHERE id = ?",
         moved_mean(learnt.frames, learnt.log_millionths, log),
         i64::from(learnt.frames == 1),
         row.node_id.0
-    )
-    .execute(write.connection().await?)
-    .await?;
+    );
     Ok(())
 }

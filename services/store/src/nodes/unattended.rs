@@ -1,7 +1,7 @@
-//! Quotes that do not go on because no node takes tasks.
+//! Quotes that wait because no node takes tasks.
 //!
-//! Plans say why a booked job waits. A job has no plan before it is quoted, and whoever forgot to start a worker would wait for ever
-//! without a word.
+//! Plans say why a booked job waits, but a job has no plan before it is quoted. Without this, a user who
+//! forgot to start a worker would wait without an explanation.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -10,12 +10,12 @@ use forelight_protocol::{Job, JobId, Timestamp, Waits};
 use sqlx::SqliteConnection;
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::nodes;
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::unattended::why_nobody_works;
 
-/// The quotes that nobody works on and nobody will, as things stand.
+/// The quotes that no node works on or will start, as things stand.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Unattended {
     jobs: BTreeSet<JobId>,
@@ -23,12 +23,12 @@ pub struct Unattended {
 }
 
 impl Unattended {
-    /// Why the job does not go on, if this is why.
+    /// Why the job waits, if this is the reason.
     pub fn waits(&self, job: JobId) -> Option<Waits> {
         self.why.clone().filter(|_| self.jobs.contains(&job))
     }
 
-    /// Has the jobs say so.
+    /// Fills the reason in where a job has none.
     pub fn tell<'a>(&self, jobs: impl IntoIterator<Item = &'a mut Job>) {
         for job in jobs {
             job.waits = job.waits.take().or_else(|| self.waits(job.id));
@@ -37,8 +37,8 @@ impl Unattended {
 }
 
 impl Store {
-    /// The quotes that nobody works on because no node takes tasks. A node is silent after three lease times.
-    pub async fn unattended(&self, ttl: Duration, now: Timestamp) -> Result<Unattended, StoreError> {
+    /// The quotes that wait because no node takes tasks. A node is silent after three lease times.
+    pub async fn unattended(&self, ttl: Duration, now: Timestamp) -> Result<Unattended> {
         unattended(&mut *self.read().await?, ttl, now).await
     }
 }
@@ -47,7 +47,7 @@ pub(crate) async fn unattended(
     connection: &mut SqliteConnection,
     ttl: Duration,
     now: Timestamp,
-) -> Result<Unattended, StoreError> {
+) -> Result<Unattended> {
     let jobs = sqlx::query_scalar!(
         "SELECT j.id FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
          AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"
@@ -62,15 +62,11 @@ pub(crate) async fn unattended(
     Ok(Unattended { jobs, why: why_nobody_works(nodes.into_iter().map(|node| as_it_is(node, ttl, now))) })
 }
 
-/// Whether some node surely takes tasks: a look without calendars, which is enough on most farms at most times.
-async fn somebody_is_there(
-    connection: &mut SqliteConnection,
-    ttl: Duration,
-    now: Timestamp,
-) -> Result<bool, StoreError> {
+/// Whether some node certainly takes tasks. Ignores nodes with calendars; this is enough on most farms.
+async fn somebody_is_there(connection: &mut SqliteConnection, ttl: Duration, now: Timestamp) -> Result<bool> {
     Ok(sqlx::query_scalar!(
-        r#"SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?
-                          AND coalesce(schedule_set, schedule) IS NULL
+        r#"SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT (drain OR pause OR set_aside IS NOT NULL)
+                  AND last_seen_at >= ? AND coalesce(schedule_set, schedule) IS NULL
                           AND coalesce(json_array_length(terms, '$.maintenance'), 0) = 0) AS "is_there!: bool""#,
         now.plus_micros(-silent_after(ttl)).micros()
     )

@@ -5,7 +5,7 @@ use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Time};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::projection::{Holder, OpenBooking};
 
 /// A booking with its frame's task.
@@ -52,7 +52,8 @@ macro_rules! rows {
             "SELECT b.id, b.plan_id, b.job_id, b.frame, b.node_id, b.start_at, b.end_at, \
              t.state, t.node_id AS holder, t.started_at, t.progress FROM jobs j \
              JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = b.job_id AND t.kind = 'render' AND t.frame = b.frame \
+             JOIN tasks t INDEXED BY tasks_of_frames \
+             ON t.job_id = b.job_id AND t.kind = 'render' AND t.frame = b.frame \
              WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') "
                 + $rest
             $(, $value)*
@@ -62,17 +63,16 @@ macro_rules! rows {
 
 impl Store {
     /// The bookings of frames that are not rendered yet, by start.
-    pub async fn open_bookings(&self) -> Result<Vec<OpenBooking>, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        open(&mut connection).await
+    pub async fn open_bookings(&self) -> Result<Vec<OpenBooking>> {
+        open(&mut *self.readers().acquire().await?).await
     }
 
-    /// The open bookings that start after `after` (or with it, and have a greater id), by start, at most `limit`.
+    /// The open bookings after a place in the order of start and id, at most `limit`.
     pub async fn open_bookings_page(
         &self,
         after: Option<(Timestamp, BookingId)>,
         limit: u32,
-    ) -> Result<Vec<Booking>, StoreError> {
+    ) -> Result<Vec<Booking>> {
         let (start, id) = after.map_or((i64::MIN, uuid::Uuid::nil()), |(start, id)| (start.micros(), id.0));
         let rows =
             rows!("AND (b.start_at, b.id) > (?, ?) ORDER BY b.start_at, b.id LIMIT ?", start, id, limit)
@@ -82,16 +82,12 @@ impl Store {
     }
 }
 
-pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBooking>, StoreError> {
+pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBooking>> {
     let rows = rows!("ORDER BY b.start_at, b.id").fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenBooking::from).collect())
 }
 
-/// The bookings of a job's frames that are not rendered yet, by start.
-pub(crate) async fn open_of(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Vec<OpenBooking>, StoreError> {
+pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<OpenBooking>> {
     let rows = rows!("AND j.id = ? ORDER BY b.start_at, b.id", job.0).fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenBooking::from).collect())
 }

@@ -1,4 +1,4 @@
-//! The farm's booked jobs as a plan needs them.
+//! The farm's booked jobs, as input of a plan.
 
 use forelight_protocol::{Job, JobId, Money, Timestamp};
 use sqlx::SqliteConnection;
@@ -6,7 +6,7 @@ use sqlx::SqliteConnection;
 use crate::budgets::ledger;
 use crate::columns::Unread;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::jobs::{JobRow, job_rows, progress};
 use crate::policy::budgets::spent_and_under_way;
 use forelight_quote::JobForecast;
@@ -16,14 +16,14 @@ use forelight_quote::JobForecast;
 pub struct FarmJob {
     /// The job.
     pub job: Job,
-    /// Its forecast; absent of a job that was booked before forecasts were kept.
+    /// Its forecast; `None` for a job that was booked before forecasts were stored.
     pub forecast: Option<JobForecast>,
     /// All its frames, ascending.
     pub frames: Vec<FarmFrame>,
-    /// What it has cost, its quote and what was lost included, and what that will cost which is under way or stands: frames with a worker, and the
-    /// irradiance cache that its frames share.
+    /// Its cost so far, including its quote and lost work, and the booked rest of work under way: frames with
+    /// a worker, and the shared irradiance cache.
     pub spent: Money,
-    /// What the newest plan multiplies the forecast by, after what finished frames took.
+    /// The factor that the newest plan applies to the forecast, learnt from finished frames.
     pub factor: f64,
     /// Its project's budget holds it back.
     pub held: bool,
@@ -36,9 +36,9 @@ pub struct FarmFrame {
     pub number: u32,
     /// Forecast CPU seconds, median.
     pub p50: f64,
-    /// Forecast CPU seconds that it exceeds in one case of five.
+    /// Forecast CPU seconds, 80 % quantile.
     pub p80: f64,
-    /// Forecast CPU seconds that it exceeds in one case of twenty.
+    /// Forecast CPU seconds, 95 % quantile.
     pub p95: f64,
     /// Whether it waits for a worker: neither done nor with one.
     pub waits: bool,
@@ -46,7 +46,7 @@ pub struct FarmFrame {
 
 impl Store {
     /// The jobs that are booked or being rendered, oldest first.
-    pub async fn farm_jobs(&self, now: Timestamp) -> Result<Vec<FarmJob>, StoreError> {
+    pub async fn farm_jobs(&self, now: Timestamp) -> Result<Vec<FarmJob>> {
         let mut transaction = self.read().await?;
         let rows = job_rows!("WHERE state IN ('booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
@@ -59,21 +59,19 @@ impl Store {
     }
 }
 
-async fn farm_job(
-    connection: &mut SqliteConnection,
-    mut row: JobRow,
-    now: Timestamp,
-) -> Result<FarmJob, StoreError> {
+async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Timestamp) -> Result<FarmJob> {
     let job = JobId::from(row.id);
     let (forecast, factor) = (row.forecast.take(), row.factor);
     let done = progress::of_job(connection, job).await?;
-    // A job's frames that have a forecast, with what is booked for them.
+    // The job's frames that have a forecast, with their bookings.
     let rows = sqlx::query!(
         r#"SELECT f.frame, f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
                   t.state NOT IN ('leased', 'done') AS "waits!: bool", t.held,
-                  b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
+                  b.end_at - b.start_at AS "length?: i64",
+                  coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
            FROM frames f JOIN jobs j ON j.id = f.job_id
-           JOIN tasks t INDEXED BY tasks_of_frames ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
+           JOIN tasks t INDEXED BY tasks_of_frames
+                ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
            LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame
            LEFT JOIN nodes n ON n.id = b.node_id
            WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame"#,
@@ -106,11 +104,13 @@ async fn farm_job(
     })
 }
 
-/// What is booked for the parts of a job's shared irradiance cache, in micro-units.
-async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64, StoreError> {
+/// Booked cost of the parts of a job's shared irradiance cache, in micro-units.
+async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Result<i64> {
     let parts = sqlx::query!(
-        r#"SELECT b.end_at - b.start_at AS "length?: i64", coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
-           FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id JOIN nodes n ON n.id = b.node_id
+        r#"SELECT b.end_at - b.start_at AS "length?: i64",
+                  coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
+           FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id
+           JOIN nodes n ON n.id = b.node_id
            WHERE j.id = ?"#,
         job.0
     )
@@ -119,7 +119,7 @@ async fn booked_for_cache(connection: &mut SqliteConnection, job: JobId) -> Resu
     Ok(parts.iter().fold(0i64, |sum, part| sum.saturating_add(booked_cost(part.length, part.price))))
 }
 
-/// What a booking of this length (microseconds) costs at this price an hour, in micro-units; 0 without a booking.
+/// Cost of a booking of this many microseconds at this price an hour, in micro-units; 0 without a booking.
 fn booked_cost(length: Option<i64>, price: Option<i64>) -> i64 {
     let cost = length.zip(price).map(|(length, price)| Money(price).for_micros_at_hourly_rate(length));
     cost.unwrap_or_default().micro_units()

@@ -1,16 +1,16 @@
-//! Plans, as they are read.
+//! Reading plans.
 
 use forelight_protocol::{Booking, JobId, JobVerdict, Plan, PlanId, PlanSummary};
 use sqlx::SqliteConnection;
 
 use crate::columns::{Id, corrupt};
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::{Result, StoreError};
 use crate::shared_cache::parts;
 
 impl Store {
     /// The plans, newest first, after the one that `before` names, at most `limit`.
-    pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>, StoreError> {
+    pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>> {
         let rows = sqlx::query!(
             r#"SELECT p.id, p.parent_id, p.reason, p.causes, p.created_at,
                       (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id) AS "bookings!: u64" FROM plans p
@@ -34,8 +34,8 @@ impl Store {
             .collect())
     }
 
-    /// What the plans before this one booked last for each of its jobs, and said of it.
-    pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>), StoreError> {
+    /// The last bookings and verdicts that earlier plans gave to each job of this plan.
+    pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>)> {
         let mut transaction = self.read().await?;
         let rows = sqlx::query!(
             r#"SELECT j.job_id AS "job_id!: String",
@@ -61,13 +61,12 @@ impl Store {
     }
 
     /// The newest plan; `None` before the first.
-    pub async fn newest_plan(&self) -> Result<Option<PlanId>, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        newest(&mut connection).await
+    pub async fn newest_plan(&self) -> Result<Option<PlanId>> {
+        newest(&mut *self.readers().acquire().await?).await
     }
 
     /// A plan.
-    pub async fn plan(&self, plan: PlanId) -> Result<Plan, StoreError> {
+    pub async fn plan(&self, plan: PlanId) -> Result<Plan> {
         let mut transaction = self.read().await?;
         let row = sqlx::query!("SELECT * FROM plans WHERE id = ?", plan.0)
             .fetch_optional(&mut *transaction)
@@ -95,20 +94,19 @@ impl Store {
     }
 }
 
-pub(crate) async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>, StoreError> {
-    // By row number, not by id: ids sort by the clock, and the clock may have been set back.
+pub(crate) async fn newest(connection: &mut SqliteConnection) -> Result<Option<PlanId>> {
+    // By row number, not by id: ids sort by the clock, which may have been set back.
     let id = sqlx::query_scalar!("SELECT id FROM plans ORDER BY rowid DESC LIMIT 1")
         .fetch_optional(connection)
         .await?;
     Ok(id.map(PlanId::from))
 }
 
-/// A job's bookings in a plan.
 pub(crate) async fn bookings_of(
     connection: &mut SqliteConnection,
     plan: PlanId,
     job: JobId,
-) -> Result<Vec<Booking>, StoreError> {
+) -> Result<Vec<Booking>> {
     Ok(sqlx::query_as!(
         Booking,
         r#"SELECT id, plan_id, job_id, frame, node_id, start_at AS start, end_at AS "end" FROM bookings

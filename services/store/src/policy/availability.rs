@@ -23,14 +23,14 @@ pub enum Opening {
     Asleep(Option<Timestamp>),
 }
 
-/// The node's free time between two instants, in order: its calendar less its maintenance. Without a calendar the
-/// last interval has no end.
+/// The node's free time between two instants, in order: its calendar less its maintenance. Without a calendar
+/// the last interval has no end.
 pub fn free_time_of(node: &Node, from: Timestamp, until: Timestamp) -> Vec<Interval> {
     let (from, until) = (from.micros(), until.micros());
     let calendar = match &node.schedule {
         None => vec![Interval { start: from, end: None }],
-        // Calendars are checked when they are set. So the time zone is known, and expanding fails only for years
-        // far outside any schedule.
+        // Calendars are checked when they are set. So the time zone is known, and expanding fails only for
+        // years far outside any schedule.
         Some(calendar) => weekly(calendar)
             .and_then(|windows| planner::expand(&windows, from, until).ok())
             .unwrap_or_default(),
@@ -70,8 +70,8 @@ pub fn opening(node: &Node, now: Timestamp) -> Opening {
     }
 }
 
-/// Microseconds since the node was last heard of, counting only the time in which it was awake: a node that sleeps by
-/// its calendar is not lost.
+/// Microseconds since the node was last heard of, counting only the time in which it was awake: a node that
+/// sleeps by its calendar is not lost.
 pub fn silence(node: &Node, now: Timestamp) -> i64 {
     let awake = free_time_of(node, node.last_seen_at, now);
     awake.iter().fold(0i64, |sum, interval| {
@@ -85,7 +85,7 @@ pub(crate) fn silent_after(ttl: Duration) -> i64 {
     i64::try_from(ttl.as_micros()).map_or(i64::MAX / 2, |ttl| ttl.saturating_mul(3))
 }
 
-/// The node with its power state filled in, and with the state `Silent` if nothing was heard of it for too long.
+/// The node with its power state filled in, and in the state `Silent` if it was silent for too long.
 #[must_use]
 pub fn as_it_is(node: Node, ttl: Duration, now: Timestamp) -> Node {
     let should_speak = matches!(node.state, NodeState::Idle | NodeState::Working);
@@ -107,8 +107,8 @@ pub(crate) fn with_power(node: Node, now: Timestamp) -> Node {
     Node { power: Some(power), ..node }
 }
 
-/// Forecast CPU seconds of a job that the node renders in this many microseconds, as plans reckon them: at its speed for
-/// the job's classes of work, and with the factor that finished frames put on the forecast.
+/// Forecast CPU seconds of a job that the node renders in this many microseconds. As in plans, at its speed
+/// for the job's classes of work, and with the factor that finished frames put on the forecast.
 pub(crate) fn forecast_seconds_within(micros: i64, node: &Node, work: Option<&ByClass>, factor: f64) -> f64 {
     let seconds = micros.max(0) as f64 * 1e-6 * f64::from(node.cores);
     seconds * node.speed_for(work) / factor

@@ -11,8 +11,8 @@ fn called_for(thresholds: &[BudgetThreshold], amount: Money, used: Money) -> Opt
     thresholds.iter().filter(|it| is_reached(it.percent)).map(|it| it.action).max()
 }
 
-/// The action that should be in force: what spent and committed money calls for, and at least what is in force in this
-/// period already ([`Budget::action`]).
+/// The action that should be in force: what spent and committed money calls for, and at least what is in
+/// force in this period already ([`Budget::action`]).
 pub(crate) fn action(budget: &Budget) -> Option<BudgetAction> {
     let used = Money(budget.spent.0.saturating_add(budget.committed.0));
     called_for(&budget.thresholds, budget.amount, used).max(budget.action)
@@ -61,8 +61,8 @@ pub(crate) fn cost_since(
     lines.into_iter().fold(Money(0), |sum, line| Money(sum.0.saturating_add(line.cost_within(from, now).0)))
 }
 
-/// What a frame that is being rendered is expected to cost from now on, at the median `cpu_p50` of its forecast (CPU
-/// seconds at speed 1). `speed` is that of all cores of its node together.
+/// What a frame that is being rendered is expected to cost from now on, at the median `cpu_p50` of its
+/// forecast (CPU seconds at speed 1). `speed` is that of all cores of its node together.
 pub(crate) fn committed(line: &LedgerLine, cpu_p50: f64, speed: f64, now: Timestamp) -> Money {
     let whole = (cpu_p50 / speed * 1e6) as i64;
     let left = whole.saturating_sub(now.micros_since(line.from)).max(0);
@@ -79,8 +79,8 @@ pub(crate) struct Payment {
     pub is_active: bool,
 }
 
-/// What a job has cost, and what work under way will still cost: the rest of the bookings of frames that are with a
-/// worker, and of the shared cache. Bookings are costs in micro-units, by frame.
+/// What a job has cost, and what work under way will still cost: the rest of the bookings of frames that are
+/// with a worker, and of the shared cache. Bookings are costs in micro-units, by frame.
 pub(crate) fn spent_and_under_way(
     payments: &[Payment],
     booked: &BTreeMap<u32, i64>,

@@ -5,14 +5,15 @@ use std::collections::BTreeMap;
 use forelight_forecast::{Experience, Past, log_ratio_millionths};
 use forelight_protocol::{ForecastTotals, JobId, RenderStats};
 
-/// Most frames of a job that are learnt from, evenly spaced. Frames of one job share its errors, so more of them add
-/// next to nothing.
+/// Most frames of a job that are learnt from, evenly spaced. Frames of one job share its errors, so more of
+/// them add next to nothing.
 const MOST_FRAMES: usize = 100;
 
 /// The frame number that stands for all frames of a job together.
 pub(crate) const ALL_FRAMES: i64 = -1;
 
-/// Whether the forecast at this place in a job's list of `count` is learnt from. The forecast of all frames always is.
+/// Whether the forecast at this place in a job's list of `count` is learnt from. That of all frames always
+/// is.
 pub(crate) fn is_learnt_from(frame: i64, place: usize, count: usize) -> bool {
     let stride = count.div_ceil(MOST_FRAMES).max(1);
     frame == ALL_FRAMES || place % stride == stride / 2
@@ -49,22 +50,22 @@ pub(crate) fn experience(residuals: impl IntoIterator<Item = Residuals>) -> Expe
     experience
 }
 
-/// Whether a frame says how fast its node is. One that took pixels over from its profile does not: their seconds were
-/// spent on another node.
+/// Whether a frame says how fast its node is. One that took pixels over from its profile does not: their
+/// seconds were spent on another node.
 pub(crate) fn is_lesson(stats: &RenderStats) -> bool {
     stats.reused_work == 0
 }
 
-/// The logarithm, in millionths, of a frame's CPU seconds over those that its node's calibration predicts. `speed` is
-/// the calibrated speed for the frame's classes of work. `None` if either took no time.
+/// The logarithm, in millionths, of a frame's CPU seconds over those that its node's calibration predicts.
+/// `speed` is the calibrated speed for the frame's classes of work. `None` if either took no time.
 pub(crate) fn lesson_of_frame(stats: &RenderStats, speed: f64, quote: &ForecastTotals) -> Option<i64> {
     // For the work that the frame really was, so that only time is judged.
     let at_speed_one = quote.cpu_seconds.mean / quote.work.mean * stats.work as f64;
     log_ratio_millionths(stats.cpu_seconds, at_speed_one / speed)
 }
 
-/// By how much the mean of a job's lessons moved when its newest, number `frames`, made their sum `sum`. Whole numbers,
-/// so that what is learnt does not depend on the order in which frames are finished.
+/// By how much the mean of a job's lessons moved when its newest, number `frames`, made their sum `sum`.
+/// Whole numbers, so that what is learnt does not depend on the order in which frames are finished.
 pub(crate) fn moved_mean(frames: i64, sum: i64, newest: i64) -> i64 {
     let before = if frames == 1 { 0 } else { (sum - newest) / (frames - 1) };
     sum / frames - before

@@ -32,7 +32,7 @@ pub(crate) fn state(switches: Switches, task: Option<TaskId>) -> NodeState {
     }
 }
 
-/// The end of the sentence "node X …" for a change that plans have to take into account; `None` for any other.
+/// The end of the sentence "node X …" for a change that plans take into account; `None` for any other.
 pub(crate) fn cause_of(change: &NodeChange) -> Option<&'static str> {
     if change.drain == Some(true) {
         Some("is drained")

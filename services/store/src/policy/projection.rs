@@ -1,7 +1,8 @@
 //! When open bookings will really begin and end, from now on.
 //!
-//! A booking says when a frame *was to be* rendered. Frames run late and early, workers die, idle nodes take frames over.
-//! Plans never change. So what needs to know when a node is free, or a job done, projects the open bookings from now.
+//! A booking says when a frame *was to be* rendered. Frames run late and early, workers die, idle nodes take
+//! frames over. Plans never change. So what needs to know when a node is free, or a job done, projects the
+//! open bookings from now.
 
 use std::collections::BTreeMap;
 
@@ -27,7 +28,8 @@ pub struct Holder {
     pub progress: f64,
 }
 
-/// A booked part of an irradiance cache that the frames of a job share and wait for, and that is not full yet.
+/// A booked part of an irradiance cache that the frames of a job share and wait for, and that is not full
+/// yet.
 #[derive(Clone, PartialEq, Debug)]
 pub struct OpenCachePart {
     /// The booking: for all rounds of the part.
@@ -68,8 +70,8 @@ pub struct Projection {
 /// Work under way that is late is given at least this much longer: a second, in microseconds.
 const AT_LEAST: i64 = 1_000_000;
 
-/// When work under way should be done, if it was booked for `length` microseconds: once that time is over. If its worker
-/// has said how far it is, or if it is late: after the part of that time that is left.
+/// When work under way should be done, if it was booked for `length` microseconds: once that time is over. If
+/// its worker has said how far it is, or if it is late: after the part of that time that is left.
 fn end_under_way(holder: &Holder, length: i64, now: Timestamp) -> Timestamp {
     let planned_end = holder.started.plus_micros(length);
     let left = (length as f64 * (1.0 - holder.progress.clamp(0.0, 1.0))) as i64;
@@ -113,8 +115,8 @@ impl Busy {
         Projected { booking, node_id, start, end, under_way: true }
     }
 
-    /// Work of `length` microseconds that waits: not before its booked start, and not before what is ahead of it on its
-    /// node is done.
+    /// Work of `length` microseconds that waits: not before its booked start, and not before what is ahead of
+    /// it on its node is done.
     fn waiting<B>(&mut self, booking: B, node_id: NodeId, start: Timestamp, length: i64) -> Projected<B> {
         let free = self.free_from.entry(node_id).or_insert(self.now);
         let start = start.max(*free);
@@ -132,8 +134,9 @@ impl Busy {
 
 /// Projects the open bookings from `now` on.
 ///
-/// On every node, work under way comes first. Booked work follows in the order of its starts, none before its booked
-/// start and none before what is ahead of it is done. Frames also wait until the cache that they share is full.
+/// On every node, work under way comes first. Booked work follows in the order of its starts, none before its
+/// booked start and none before what is ahead of it is done. Frames also wait until the cache that they share
+/// is full.
 pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) -> Projection {
     let mut busy = Busy { now, free_from: BTreeMap::new(), full_from: BTreeMap::new() };
     let mut projection = Projection::default();
@@ -195,7 +198,8 @@ impl Projection {
         frames.chain(self.cache_full_at(job)).max()
     }
 
-    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or if a budget holds the job.
+    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or if a budget holds
+    /// the job.
     pub fn eta(&self, job: &Job) -> Option<Timestamp> {
         let booked = self.frames.iter().filter(|frame| frame.booking.job_id == job.id).count();
         let open = job.frames_total.saturating_sub(job.frames_done);

@@ -28,8 +28,8 @@ pub(crate) struct Rebooked {
 
 /// Books the frames that wait for a worker as the plan says, and leaves every other frame where it was.
 ///
-/// `begun` are the frames that were done or with a worker when the plan was made. One of them that waits again by now
-/// keeps the booking that it had.
+/// `begun` are the frames that were done or with a worker when the plan was made. One of them that waits
+/// again by now keeps the booking that it had.
 pub(crate) fn rebook(
     before: BTreeMap<u32, NewBooking>,
     waiting: &[u32],
@@ -51,8 +51,8 @@ pub(crate) fn rebook(
     rebooked
 }
 
-/// The event that a promise broke or is kept again, with its message; `None` if neither. A job without a promise
-/// before counts as one whose promise was kept.
+/// The event that a promise broke or is kept again, with its message; `None` if neither. A job without a
+/// promise before counts as one whose promise was kept.
 pub(crate) fn promise_news(before: Option<&Promise>, now: Option<&Promise>) -> Option<(EventKind, String)> {
     let now = now?;
     let was_kept = before.is_none_or(|promise| promise.kept);

@@ -15,8 +15,8 @@ pub(crate) fn add_cause(causes: &mut Vec<String>, cause: &str) {
     }
 }
 
-/// The causes that a plan has not taken into account. The plan counted `planned` happenings, the first `known` causes
-/// among them; by now there were `happened`.
+/// The causes that a plan has not taken into account. The plan counted `planned` happenings, the first
+/// `known` causes among them; by now there were `happened`.
 pub(crate) fn causes_left(causes: &[String], happened: i64, planned: i64, known: usize) -> &[String] {
     // What came in meanwhile is at the end of the list, or is a cause that was known before.
     if happened == planned { &[] } else { causes.get(known..).unwrap_or_default() }

@@ -1,12 +1,12 @@
 //! Tasks that fail: when they are tried again, when no more, and when the node is at fault.
 //!
-//! * A failed task waits before it is handed out again, twice as long each time. The node on which it failed gets it
-//!   [`HEAD_START`] later than others: another node is the better experiment.
-//! * A task that failed on [`FAILED_NODES`] nodes is itself at fault. It fails its job. On fewer nodes, failure number
-//!   [`MAX_FAILURES`] does.
-//! * A node on which tasks of [`FAILED_JOBS`] jobs failed within [`HELD_AGAINST`] is at fault and is set aside, unless
-//!   those tasks failed their jobs. It gets no tasks until an operator brings it back. So a job that fails everywhere
-//!   does not take the farm with it.
+//! * A failed task waits before it is handed out again, twice as long each time. The node on which it failed
+//!   gets it [`HEAD_START`] later than others: another node is the better experiment.
+//! * A task that failed on [`FAILED_NODES`] nodes is itself at fault. It fails its job. On fewer nodes,
+//!   failure number [`MAX_FAILURES`] does.
+//! * A node on which tasks of [`FAILED_JOBS`] jobs failed within [`HELD_AGAINST`] is at fault and is set
+//!   aside, unless those tasks failed their jobs. It gets no tasks until an operator brings it back. So a job
+//!   that fails everywhere does not take the farm with it.
 //! * A task whose worker is lost [`MAX_EXPIRIES`] times fails its job.
 
 use forelight_protocol::{TaskError, TaskId};
@@ -35,9 +35,9 @@ pub(crate) const LONGEST_WAIT: i64 = 60_000_000;
 /// How long after its wait a task is kept for nodes on which it has not failed: ten seconds, in microseconds.
 pub(crate) const HEAD_START: i64 = 10_000_000;
 
-/// How long a task waits after failure number `failures` (from 1), in microseconds: between half a ceiling and the
-/// whole of it. The ceiling doubles from a second to a minute. The jitter is a hash of task and number, so the tasks of
-/// a job do not come back at once, and a run can be repeated exactly.
+/// How long a task waits after failure number `failures` (from 1), in microseconds: between half a ceiling
+/// and the whole of it. The ceiling doubles from a second to a minute. The jitter is a hash of task and
+/// number, so the tasks of a job do not come back at once, and a run can be repeated exactly.
 pub(crate) fn wait(task: TaskId, failures: u32) -> i64 {
     let doublings = failures.saturating_sub(1).min(16);
     let half = FIRST_WAIT.saturating_mul(1 << doublings).min(LONGEST_WAIT) / 2;
@@ -47,13 +47,14 @@ pub(crate) fn wait(task: TaskId, failures: u32) -> i64 {
     half + i64::from(u32::from_le_bytes([a, b, c, d])) * half / i64::from(u32::MAX)
 }
 
-/// Whether an error says nothing about the node: any node would have met it, or a limit that the job set was exceeded.
+/// Whether an error says nothing about the node: any node would have met it, or a limit that the job set was
+/// exceeded.
 pub(crate) fn is_blameless(error: &TaskError) -> bool {
     error.permanent || error.limit.is_some()
 }
 
-/// The error with which the job fails after failure number `failures` of the task, which failed on these nodes; `None`
-/// if the task is tried again.
+/// The error with which the job fails after failure number `failures` of the task, which failed on these
+/// nodes; `None` if the task is tried again.
 pub(crate) fn job_error(
     error: &TaskError,
     task: TaskId,
@@ -73,7 +74,7 @@ pub(crate) fn job_error(
     Some(format!("{} (it failed {times}; the log of task {task} says more)", error.message))
 }
 
-/// The error with which the job fails after so many lost workers of one task; `None` if the task is tried again.
+/// The error that fails the job after so many lost workers of one task; `None` if the task is tried again.
 pub(crate) fn job_error_of_lost_workers(expiries: u32) -> Option<String> {
     (expiries >= MAX_EXPIRIES).then(|| format!("{expiries} workers were lost on this task"))
 }

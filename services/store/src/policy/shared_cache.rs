@@ -7,8 +7,8 @@ fn levels(records: &[u32]) -> u32 {
     u32::try_from(records.iter().filter(|&&records| records > 0).count()).unwrap_or(u32::MAX)
 }
 
-/// In how many rounds a cache is filled. A cache of one part is filled by one task, all levels at once. Several parts
-/// fill one level after the other. Levels without records need no round.
+/// In how many rounds a cache is filled. A cache of one part is filled by one task, all levels at once.
+/// Several parts fill one level after the other. Levels without records need no round.
 fn rounds(parts: u32, levels: u32) -> u32 {
     if parts > 1 { levels.max(1) } else { 1 }
 }
@@ -22,8 +22,8 @@ pub(crate) struct PartDone {
     pub with_worker: f64,
 }
 
-/// How far a part is of a cache with so many parts and levels: its present round, from 0, whether that round is
-/// filled, and how far its worker is, 0 to 1.
+/// How far a part is of a cache with so many parts and levels: its present round, from 0, whether that round
+/// is filled, and how far its worker is, 0 to 1.
 pub(crate) fn part_done((parts, levels): (u32, u32), round: u32, is_filled: bool, progress: f64) -> PartDone {
     let rounds = f64::from(rounds(parts, levels));
     let done = (f64::from(round + u32::from(is_filled)) / rounds).min(1.0);

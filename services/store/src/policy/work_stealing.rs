@@ -1,14 +1,14 @@
 //! Which booked tasks an idle node may take (work stealing).
 //!
-//! The plan puts each frame where it costs least while deadlines are kept. A node that is idle beside it may cost more.
-//! So it takes a frame that is booked on another node only for one of these reasons:
+//! The plan puts each frame where it costs least while deadlines are kept. A node that is idle beside it may
+//! cost more. So it takes a frame that is booked on another node only for one of these reasons:
 //!
 //! | reason | why |
 //! | --- | --- |
-//! | the job has neither a deadline nor a budget | nothing was weighed against money, and sooner is better |
-//! | the plan does not keep the job's deadline, or no longer will | the deadline goes before the money |
-//! | the idle node costs no more for such work than the booked one | the plan spends no more than it meant to |
-//! | the frame should have begun [`OVERDUE`] ago, or is booked nowhere | its node is late |
+//! | the job has neither a deadline nor a budget | money was not weighed, and sooner is better |
+//! | the plan does not keep the job's deadline, or no longer will | the deadline matters more than money |
+//! | the idle node costs no more for such work than the booked one | the plan's cost is kept |
+//! | the frame is [`OVERDUE`] or has no booking | its node is late |
 //! | the frame has failed on another node | another node is the better experiment |
 //! | the booked node gets no tasks, or is lost | no other node would render the frame |
 //!
@@ -32,8 +32,8 @@ pub(crate) fn rate(node: &Node, work: Option<&ByClass>) -> i64 {
     (node.price_per_hour.micro_units() as f64 * THOUSANDTHS / speed).round() as i64
 }
 
-/// The lowest rate of a booking that a node of this rate may take. It is a little below the node's own: measured speeds
-/// are never quite the same, and two equal machines must help each other.
+/// The lowest rate of a booking that a node of this rate may take. It is a little below the node's own:
+/// measured speeds are never quite the same, and two equal machines must help each other.
 pub(crate) fn least_rate(own: i64) -> i64 {
     (own as f64 / (1.0 + SAME_SPEED)) as i64
 }
@@ -43,8 +43,8 @@ pub(crate) fn is_bounded(deadline: Option<Timestamp>, budget: Option<Money>) -> 
     deadline.is_some() || budget.is_some()
 }
 
-/// Whether the plan does not keep the job's deadline, or no longer will: by what is left of its promise, or without one
-/// by the plan's verdict.
+/// Whether the plan does not keep the job's deadline, or no longer will: by what is left of its promise, or
+/// without one by the plan's verdict.
 pub(crate) fn is_at_risk(promise: Option<&Promise>, verdict: Option<&JobVerdict>) -> bool {
     match promise {
         Some(promise) => !promise.kept,
@@ -52,8 +52,8 @@ pub(crate) fn is_at_risk(promise: Option<&Promise>, verdict: Option<&JobVerdict>
     }
 }
 
-/// Why a node stays idle, for people: `node` has work of the job booked at the rate `there`, and the idle node's rate
-/// is `here`.
+/// Why a node stays idle, for people: `node` has work of the job booked at the rate `there`, and the idle
+/// node's rate is `here`.
 pub(crate) fn reason_to_wait(job: &str, node: &str, there: i64, here: i64) -> String {
     let money = |rate: i64| Money((rate as f64 / THOUSANDTHS).round() as i64);
     format!(

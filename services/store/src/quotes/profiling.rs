@@ -1,31 +1,32 @@
-//! Having frames profiled for a quote.
+//! Tasks that profile frames for a quote.
 
 use forelight_protocol::{JobId, JobState, Ladders, Timestamp};
 
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::events::job_state;
 use crate::jobs;
 use crate::shared_cache::PlannedCache;
 use crate::tasks::{Common, ProfileAsked};
+use crate::writing::run;
 
 impl Store {
-    /// Has these frames of the job profiled, and the cache planned that all of its frames could share, if that is wanted. Nothing if the job is not, or no longer, being previewed, so that doing
-    /// it again after a crash is harmless.
+    /// Makes the profile tasks of these frames and, if wanted, the plan of the cache that all frames could
+    /// share. Does nothing unless the job is `previewing`, so it may be repeated after a crash.
     pub async fn start_profiling(
         &self,
         job: JobId,
         frames: &[u32],
         plan_cache: bool,
         now: Timestamp,
-    ) -> Result<(), StoreError> {
+    ) -> Result<()> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
         if row.state.0 != JobState::Previewing {
             return Ok(());
         }
         let common = Common::of(&row);
-        // The frame in their middle stands for all where other qualities are asked for.
+        // The middle frame represents all frames where ladders are asked for.
         let with_ladders = match row.ladders.0 {
             Ladders::All => frames.get(frames.len() / 2),
             Ladders::Own => None,
@@ -42,21 +43,15 @@ impl Store {
         if plan_cache {
             common.cache_plan(&mut write, row.frame_set()?.iter().collect()).await?;
         }
-        sqlx::query!("UPDATE jobs SET state = 'profiling' WHERE id = ?", job.0)
-            .execute(write.connection().await?)
-            .await?;
-        job_state(&mut write, job, JobState::Profiling, None, now)?;
+        run!(write, "UPDATE jobs SET state = 'profiling' WHERE id = ?", job.0);
+        job_state(&mut write, job, JobState::Profiling, None, now);
         self.commit(write).await
     }
 
-    /// Has more frames of the job profiled, with the cache that all of its frames could share if one was planned. Nothing if the job is not, or no
-    /// longer, being profiled, or if one of the frames was asked for already, so that doing it again after a crash is harmless.
-    pub async fn profile_more(
-        &self,
-        job: JobId,
-        frames: &[u32],
-        planned: &PlannedCache,
-    ) -> Result<(), StoreError> {
+    /// Makes profile tasks of more frames, with the planned shared cache if there is one. Does nothing unless
+    /// the job is `profiling` and none of the frames was asked for before, so it may be repeated after a
+    /// crash.
+    pub async fn profile_more(&self, job: JobId, frames: &[u32], planned: &PlannedCache) -> Result<()> {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
         let asked: Vec<u32> = sqlx::query_scalar!(

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use forelight_protocol::{
     Coverage, JobId, QuantileHits, Quantiles, Timestamp, TrackRecord, TrackRecordKind, TrackRecordRow,
 };
-use sqlx::{SqliteConnection, query};
+use sqlx::{SqliteConnection, query, query_as};
 
 use crate::columns::Time;
 use crate::database::Store;
-use crate::error::StoreError;
+use crate::error::Result;
 
 /// Rows with hits and errors, counted over frames or jobs with forecast and actual.
 macro_rules! coverage_rows {
@@ -29,7 +29,6 @@ macro_rules! coverage_rows {
     };
 }
 
-/// The hits and errors of such a row.
 macro_rules! coverage {
     ($row:expr) => {
         Coverage {
@@ -42,20 +41,24 @@ macro_rules! coverage {
     };
 }
 
-/// A statement over the finished jobs with the quantiles of their totals and what they took: the macro that makes it, what
-/// comes before the jobs, and what comes after them.
+/// A statement over the finished jobs, with the quantiles of their totals and their actual cost. Arguments:
+/// the macro that makes it, the text before the jobs, and the text after them.
 macro_rules! of_finished_jobs {
     ($make:ident!($($before:tt)*), $after:literal $(, $value:expr)*) => {
         $make!(
-            $($before)* "SELECT j.id AS job_id, j.finished_at, json_extract(j.forecast, '$.calibrated') AS calibrated, \
-             json_extract(j.forecast, '$.total.work.mean') AS work_mean, json_extract(j.forecast, '$.total.work.p50') AS work_p50, \
-             json_extract(j.forecast, '$.total.work.p80') AS work_p80, json_extract(j.forecast, '$.total.work.p95') AS work_p95, \
+            $($before)* "SELECT j.id AS job_id, j.finished_at, \
+             json_extract(j.forecast, '$.calibrated') AS calibrated, \
+             json_extract(j.forecast, '$.total.work.mean') AS work_mean, \
+             json_extract(j.forecast, '$.total.work.p50') AS work_p50, \
+             json_extract(j.forecast, '$.total.work.p80') AS work_p80, \
+             json_extract(j.forecast, '$.total.work.p95') AS work_p95, \
              json_extract(j.forecast, '$.total.cpu_seconds.mean') AS cpu_mean, \
              json_extract(j.forecast, '$.total.cpu_seconds.p50') AS cpu_p50, \
              json_extract(j.forecast, '$.total.cpu_seconds.p80') AS cpu_p80, \
              json_extract(j.forecast, '$.total.cpu_seconds.p95') AS cpu_p95, \
              (SELECT sum(actual_work) FROM frames WHERE job_id = j.id) AS actual_work, \
-             (SELECT sum(actual_cpu) FROM frames WHERE job_id = j.id) AS actual_cpu FROM jobs j WHERE j.state = 'done' "
+             (SELECT sum(actual_cpu) FROM frames WHERE job_id = j.id) AS actual_cpu FROM jobs j \
+             WHERE j.state = 'done' "
                 + $after
             $(, $value)*
         )
@@ -69,17 +72,18 @@ pub struct FinishedJob {
     pub finished: Timestamp,
     /// Whether its quantiles were calibrated on past jobs.
     pub calibrated: bool,
-    /// Of work; absent if it took none.
+    /// Error of work; `None` if it took none.
     pub work_error: Option<f64>,
-    /// Of CPU time; absent if it took none.
+    /// Error of CPU time; `None` if it took none.
     pub cpu_error: Option<f64>,
 }
 
 impl Store {
     /// The newest finished jobs, at most `limit`, the oldest of them first.
-    pub async fn finished_jobs(&self, limit: u32) -> Result<Vec<FinishedJob>, StoreError> {
-        let jobs = of_finished_jobs!(
-            query!(
+    pub async fn finished_jobs(&self, limit: u32) -> Result<Vec<FinishedJob>> {
+        Ok(of_finished_jobs!(
+            query_as!(
+                FinishedJob,
                 "SELECT finished_at AS \"finished!: Time\", coalesce(calibrated, 0) AS \"calibrated!: bool\", \
                  work_mean / nullif(actual_work, 0) - 1 AS \"work_error?: f64\", \
                  cpu_mean / nullif(actual_cpu, 0) - 1 AS \"cpu_error?: f64\" FROM (" +
@@ -88,35 +92,28 @@ impl Store {
             limit
         )
         .fetch_all(self.readers())
-        .await?;
-        Ok(jobs
-            .into_iter()
-            .map(|job| FinishedJob {
-                finished: job.finished.into(),
-                calibrated: job.calibrated,
-                work_error: job.work_error,
-                cpu_error: job.cpu_error,
-            })
-            .collect())
+        .await?)
     }
 
-    /// The record over all finished frames, and those of them that finished before `before` (a place in the order of
-    /// time, job and frame), newest first, at most `limit`.
+    /// The record over all finished frames, and the frames that finished before `before` (a place in the
+    /// order of time, job and frame), newest first, at most `limit`.
     pub async fn track_record(
         &self,
         before: Option<(Timestamp, JobId, u32)>,
         limit: u32,
-    ) -> Result<TrackRecord, StoreError> {
+    ) -> Result<TrackRecord> {
         let mut transaction = self.read().await?;
         let mut record = totals(&mut transaction).await?;
         let (at, job, frame) = before.map_or((i64::MAX, uuid::Uuid::max(), i64::MAX), |(at, job, frame)| {
             (at.micros(), job.0, i64::from(frame))
         });
         let rows = query!(
-            r#"SELECT job_id, frame, finished_at AS "finished_at!", work_mean AS "work_mean!", work_p50 AS "work_p50!",
-                      work_p80 AS "work_p80!", work_p95 AS "work_p95!", cpu_mean AS "cpu_mean!", cpu_p50 AS "cpu_p50!",
-                      cpu_p80 AS "cpu_p80!", cpu_p95 AS "cpu_p95!", actual_work AS "actual_work!", actual_cpu AS "actual_cpu!"
-               FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL AND (finished_at, job_id, frame) < (?, ?, ?)
+            r#"SELECT job_id, frame, finished_at AS "finished_at!", work_mean AS "work_mean!",
+                      work_p50 AS "work_p50!", work_p80 AS "work_p80!", work_p95 AS "work_p95!",
+                      cpu_mean AS "cpu_mean!", cpu_p50 AS "cpu_p50!", cpu_p80 AS "cpu_p80!",
+                      cpu_p95 AS "cpu_p95!", actual_work AS "actual_work!", actual_cpu AS "actual_cpu!"
+               FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL
+                    AND (finished_at, job_id, frame) < (?, ?, ?)
                ORDER BY finished_at DESC, job_id DESC, frame DESC LIMIT ?"#,
             at,
             job,
@@ -147,7 +144,7 @@ fn quantiles([mean, p50, p80, p95]: [f64; 4]) -> Quantiles {
 }
 
 /// The record over all finished frames, without any of them.
-pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRecord, StoreError> {
+pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRecord> {
     let row = coverage_rows!(
         "sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
          sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
@@ -171,8 +168,7 @@ pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRec
     })
 }
 
-/// The record by kind of quote.
-async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>, StoreError> {
+async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>> {
     let of_frames = coverage_rows!(
         "q.renderer AS \"renderer?\", q.feature_class AS \"feature_class?\", \
          coalesce(json_extract(j.forecast, '$.calibrated'), 0) AS \"calibrated!: bool\"",

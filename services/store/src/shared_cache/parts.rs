@@ -1,4 +1,4 @@
-//! The parts of shared irradiance caches: where they are booked, and how far they are.
+//! The parts of shared irradiance caches: their bookings and progress.
 
 use forelight_protocol::{
     JobId, NodeId, SharedCacheBooking, SharedCacheForecast, SharedCacheProgress, Timestamp,
@@ -7,9 +7,10 @@ use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Json, Time};
 use crate::database::{Store, Write};
-use crate::error::StoreError;
+use crate::error::Result;
 use crate::policy::projection::{Holder, OpenCachePart};
 use crate::policy::shared_cache::{self, Filled, PartDone, part_done};
+use crate::writing::run;
 
 /// A booking of a part.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -25,10 +26,10 @@ pub struct NewPartBooking {
 }
 
 impl Store {
-    /// The booked parts of caches that are not full yet, by start: between its rounds, and while others are filled, a part waits.
-    pub async fn open_cache_parts(&self) -> Result<Vec<OpenCachePart>, StoreError> {
-        let mut connection = self.readers().acquire().await?;
-        open(&mut connection).await
+    /// The booked parts of caches that are not full yet, by start. A part stays open between its rounds, and
+    /// while other parts are filled.
+    pub async fn open_cache_parts(&self) -> Result<Vec<OpenCachePart>> {
+        open(&mut *self.readers().acquire().await?).await
     }
 }
 
@@ -74,10 +75,12 @@ macro_rules! rows {
     ($which:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, t.node_id AS holder, t.started_at, t.progress, \
-             t.round AS \"round!\", \
-             (SELECT count(*) FROM shared_cache_bookings o WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS \"parts!: u32\", \
-             (SELECT count(*) FROM json_each(j.forecast, '$.cache.shared_cache.records') WHERE value > 0) AS \"levels!: u32\" \
+            "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, \
+             t.node_id AS holder, t.started_at, t.progress, t.round AS \"round!\", \
+             (SELECT count(*) FROM shared_cache_bookings o \
+              WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS \"parts!: u32\", \
+             (SELECT count(*) FROM json_each(j.forecast, '$.cache.shared_cache.records') \
+              WHERE value > 0) AS \"levels!: u32\" \
              FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.round = \
              (SELECT max(l.round) FROM tasks l WHERE l.job_id = j.id AND l.kind = 'cache_fill' AND l.part = b.part) \
@@ -90,16 +93,12 @@ macro_rules! rows {
     };
 }
 
-pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenCachePart>, StoreError> {
+pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenCachePart>> {
     let rows = rows!("").fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenCachePart::from).collect())
 }
 
-/// Those of one job.
-pub(crate) async fn open_of(
-    connection: &mut SqliteConnection,
-    job: JobId,
-) -> Result<Vec<OpenCachePart>, StoreError> {
+pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<OpenCachePart>> {
     let rows = rows!("AND j.id = ?", job.0).fetch_all(connection).await?;
     Ok(rows.into_iter().map(OpenCachePart::from).collect())
 }
@@ -108,26 +107,26 @@ pub(crate) async fn open_of(
 pub(crate) async fn of_plan(
     connection: &mut SqliteConnection,
     plan: uuid::Uuid,
-) -> Result<Vec<SharedCacheBooking>, StoreError> {
+) -> Result<Vec<SharedCacheBooking>> {
     Ok(sqlx::query_as!(
         SharedCacheBooking,
-        r#"SELECT job_id, part, node_id, start_at AS start, end_at AS "end" FROM shared_cache_bookings WHERE plan_id = ?
-           ORDER BY start_at, job_id, part"#,
+        r#"SELECT job_id, part, node_id, start_at AS start, end_at AS "end" FROM shared_cache_bookings
+           WHERE plan_id = ? ORDER BY start_at, job_id, part"#,
         plan
     )
     .fetch_all(connection)
     .await?)
 }
 
-/// Keeps a plan's bookings of the parts.
 pub(crate) async fn keep_bookings(
     write: &mut Write,
     plan: uuid::Uuid,
     job: JobId,
     bookings: &[NewPartBooking],
-) -> Result<(), StoreError> {
+) -> Result<()> {
     for booking in bookings {
-        sqlx::query!(
+        run!(
+            write,
             "INSERT INTO shared_cache_bookings (plan_id, job_id, part, node_id, start_at, end_at) \
              VALUES (?, ?, ?, ?, ?, ?)",
             plan,
@@ -136,20 +135,19 @@ pub(crate) async fn keep_bookings(
             booking.node.0,
             booking.start.micros(),
             booking.end.micros()
-        )
-        .execute(write.connection().await?)
-        .await?;
+        );
     }
     Ok(())
 }
 
-/// How far the cache is that a job's frames share; `None` if they do not.
+/// Progress of the cache that a job's frames share; `None` if they share none.
 pub(crate) async fn progress(
     connection: &mut SqliteConnection,
     job: JobId,
-) -> Result<Option<SharedCacheProgress>, StoreError> {
+) -> Result<Option<SharedCacheProgress>> {
     let forecast = sqlx::query_scalar!(
-        r#"SELECT json_extract(forecast, '$.cache.shared_cache') AS "forecast?: Json<SharedCacheForecast>" FROM jobs WHERE id = ?"#,
+        r#"SELECT json_extract(forecast, '$.cache.shared_cache') AS "forecast?: Json<SharedCacheForecast>"
+           FROM jobs WHERE id = ?"#,
         job.0
     )
     .fetch_optional(&mut *connection)

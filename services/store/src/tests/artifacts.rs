@@ -67,7 +67,7 @@ async fn uploads_cut_off_by_a_crash_are_cleared_away_at_the_next_start() {
     let farm = Farm::new().await;
     let staged = farm.store.artifacts().stage(stream(&["half a bundle"]), 100).await.unwrap();
     assert!(staged.path().exists());
-    // What a crash does not do is to drop things.
+    // A crash would not drop values.
     std::mem::forget(staged);
     let farm = farm.restarted().await;
     assert_eq!(files_below(&farm.folder.path().join("artifacts")), 0);
@@ -105,7 +105,7 @@ async fn in_a_bucket_what_is_put_rests_below_the_prefix_and_comes_back_and_nothi
     let bucket = Arc::new(InMemory::new());
     let artifacts = farm.store.artifacts().resting_in(bucket.clone());
     artifacts.probe().await.unwrap();
-    // Two parts and a bit, so that it goes there in parts; and one that goes at once.
+    // Two parts and a bit, so it is uploaded in parts; and one that is uploaded at once.
     let long: &'static str = Box::leak("0123456789abcdef".repeat((17 << 20) / 16).into_boxed_str());
     for content in [long, "short", ""] {
         let hash = hash_of(content);

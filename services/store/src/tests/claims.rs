@@ -238,7 +238,7 @@ async fn a_task_that_is_asked_for_by_its_id_is_handed_to_whoever_asks_one_at_a_t
     let task = farm.claim(first.id, at(0)).await.unwrap();
     farm.store.release(task.lease_id, task.fence, at(0)).await.unwrap();
     assert_eq!((offered.job_id == wanted.id, task.job_id), (false, wanted.id));
-    // Whoever starts a process on a node has decided that it works there.
+    // A process that is started on a node may work there.
     let drain = NodeChange { drain: Some(true), ..NodeChange::default() };
     farm.store.change_node(second.id, &drain, at(0)).await.unwrap();
     let by_id = async |node, seconds| farm.store.claim_task(node, task.task_id, TTL, None, at(seconds)).await;

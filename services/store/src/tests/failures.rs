@@ -59,7 +59,7 @@ async fn a_task_that_is_asked_for_by_its_id_waits_after_a_failure_and_is_refused
     let mut write = farm.store.write().await.unwrap();
     sqlx::query("UPDATE tasks SET held = 0").execute(write.connection().await.unwrap()).await.unwrap();
     farm.store.commit(write).await.unwrap();
-    // Whoever started a process for it on the node that it failed on knows why.
+    // A process that was started for the task may work on the node where it failed.
     assert!(by_id(2).await.unwrap().is_some());
 }
 

@@ -75,7 +75,7 @@ async fn a_one_time_token_made_for_one_machine_does_not_take_the_place_of_anothe
     else {
         panic!("it took rack-1's place")
     };
-    assert!(why.contains("whose name is \"rack-1\""), "{why}");
+    assert!(why.contains("a one-time token made for \"rack-1\""), "{why}");
     assert_eq!(tokens::find(store, &at_work).await.unwrap().unwrap().node, Some(node.id));
     assert_eq!(tokens::find(store, &newcomer).await.unwrap(), None);
     // Nothing was burnt: it can still join as what it is.

@@ -3,7 +3,8 @@
 use super::*;
 use forelight_protocol::{BookedQuantity, Event, EventKind, FinishedPixels, ForecastHistory, LiveForecast};
 
-/// Of so many frames of 900 units and 4 seconds each, an eighth unsure, in numbers that JSON keeps to the last bit.
+/// A forecast of so many frames of 900 units and 4 seconds each, with an error of an eighth, in numbers that
+/// JSON keeps exactly.
 fn quoted(frames: usize) -> JobForecast {
     let known = |mean: f64| Quantiles { mean, p50: mean, p80: 1.125 * mean, p95: 1.25 * mean };
     let mut forecast = job_forecast();
@@ -188,7 +189,7 @@ async fn a_job_that_falls_behind_its_bookings_is_said_to_end_late() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let job = booked(&farm, node.id, 9).await;
-    // Nine bookings of ten seconds fill the time until the promised end. The first frame comes half a minute late.
+    // Nine bookings of ten seconds fill the time until the promised end. The first frame is 30 seconds late.
     render(&farm, &node, 900, 4.0, at(50)).await;
     let events = said(&farm, job).await;
     let [late] = &events[..] else { panic!("{events:?}") };

@@ -83,7 +83,7 @@ async fn what_a_node_does_before_its_window_ends_goes_by_its_speed_for_the_work_
     let terms = forelight_protocol::NodeTerms { maintenance: vec![closed], ..Default::default() };
     let change = forelight_protocol::NodeChange { terms: Some(terms), ..Default::default() };
     farm.store.change_node(first.id, &change, at(0)).await.unwrap();
-    // One frame in twenty takes five seconds or more at the speed of 1 that the node has for this work; of any work it says that its speed is 2.
+    // One frame in twenty takes five seconds or more at speed 1, the node's for this work. Otherwise it is 2.
     assert!(farm.claim(first.id, at(51)).await.is_some());
     assert_eq!(farm.claim(first.id, at(52)).await, None);
 }

@@ -58,7 +58,7 @@ async fn rows_that_refer_to_nothing_are_damage() {
     sqlx::query("DELETE FROM jobs").execute(&mut connection).await.unwrap();
     sqlx::Connection::close(connection).await.unwrap();
     let Err(StoreError::Damaged { reason, .. }) = Store::open(folder.path()).await else { panic!() };
-    assert!(reason.contains("refers to one that is not there"), "{reason}");
+    assert!(reason.contains("refers to a missing row"), "{reason}");
 }
 
 #[tokio::test]

@@ -174,7 +174,7 @@ fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
     };
     let open =
         [booking(0, 1, 20, 30), booking(1, 2, 20, 25)].map(|booking| OpenBooking { booking, holder: None });
-    // Node 3 has half of its part, and says that it is at the half of the other half; the one on node 2 is done with one of two rounds.
+    // Node 3 is half through the second half of its part. The part on node 2 is done with one of two rounds.
     let held = Holder { node_id: node(3), started: at(10), progress: 0.75 };
     let parts = [
         OpenCachePart { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held) },
@@ -280,7 +280,7 @@ async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
     let second = farm.store.replan(&plan, at(21)).await.unwrap();
     let kept = farm.store.plan(second).await.unwrap();
     let booked: Vec<_> = kept.bookings.iter().map(|booking| (booking.frame, booking.node_id)).collect();
-    // Frame 0 is done, frame 1 moves, frame 2 has no place any more.
+    // Frame 0 is done, frame 1 moves, frame 2 has no booking any more.
     assert_eq!(booked, [(0, a.id), (1, b.id)]);
     assert_eq!((kept.parent_id, kept.reason), (first, PlanReason::Events));
     let (before, verdicts) = farm.store.booked_before(second).await.unwrap();

@@ -1,4 +1,4 @@
-//! Irradiance caches that frames share: their tasks follow from each other, and the frames from them.
+//! Shared irradiance caches: how their tasks follow each other, and frames follow them.
 
 use forelight_protocol::{
     CachePrice, CacheQuote, CacheSharing, EventKind, FrameState, JobState, Money, MoneyQuantiles,

@@ -1,4 +1,4 @@
-//! Quotes that nobody works on.
+//! Quotes that no node works on.
 
 use forelight_protocol::{NodeChange, NodeTerms, TimeSpan, WaitKind};
 

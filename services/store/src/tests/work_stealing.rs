@@ -1,4 +1,4 @@
-//! What idle nodes take of what is booked on others.
+//! Which booked frames idle nodes take from other nodes.
 
 use forelight_protocol::{ByClass, Money, NodeCalibration, NodeChange, Promise, TaskError};
 
@@ -32,7 +32,7 @@ impl Farm {
         self.store.node(node.id).await.unwrap().idle_reason
     }
 
-    /// It is found out, without a new plan, whether a job's deadline is kept.
+    /// Records, without a new plan, whether a job's deadline is kept.
     async fn promise(&self, job: JobId, kept: bool) {
         let promise = Promise { kept, probability: 0.5, finish: None, since: at(0), rescue: None };
         let outlook = JobOutlook { waits: None, promise: Some(promise) };
@@ -99,7 +99,8 @@ async fn an_idle_node_that_is_no_dearer_for_the_work_helps_and_takes_what_is_boo
     plan.jobs[0].bookings[2].node = three.id;
     plan.jobs[0].bookings[3].node = three.id;
     farm.store.book(job.id, &job_forecast(), &frame_forecasts(&job), None, &plan, at(0)).await.unwrap();
-    // Two units an hour for twice the cores, at a speed that measures a little lower: as dear as `one`, as far as anyone can tell.
+    // Two units an hour for twice the cores, at a measured speed that is a little lower: as expensive as
+    // `one`, within the error of measurement.
     let same = NodeRegistration { speed: 1.9, cores: 2, ..priced("same", 2) };
     let same = farm.register(&same).await;
     let first = farm.claim(same.id, at(1)).await.unwrap();
@@ -115,7 +116,7 @@ async fn an_idle_node_that_is_no_dearer_for_the_work_helps_and_takes_what_is_boo
 async fn what_a_node_costs_is_what_it_costs_for_the_jobs_class_of_work() {
     let farm = Farm::new().await;
     let booked = farm.register(&priced("booked", 1)).await;
-    // 2 units an hour: dearer by its speed as such, but ten times as fast at going through trees.
+    // 2 units an hour: more expensive by its speed, but ten times as fast at traversal.
     let picos_per_work = ByClass { traversal: 100, ..ByClass::from_array([1000; ByClass::CLASSES]) };
     let calibration = NodeCalibration { picos_per_work, kernels: Vec::new() };
     let capabilities = Capabilities { calibration: Some(calibration), ..Capabilities::default() };

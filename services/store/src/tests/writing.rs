@@ -50,7 +50,7 @@ async fn writes_that_share_a_flush_stand_for_themselves() {
     for (kept, dropped) in names("kept").zip(names("dropped")) {
         writers.spawn(write(farm.store.clone(), kept, true));
         writers.spawn(write(farm.store.clone(), dropped, false));
-        // One that asks for what cannot be, and is rolled back.
+        // One that fails and is rolled back.
         let store = farm.store.clone();
         writers.spawn(async move {
             let refused = store.release(forelight_protocol::LeaseId::new(), 1, at(0)).await;
@@ -73,7 +73,7 @@ async fn a_commit_that_nobody_waits_for_any_more_is_made_all_the_same() {
     let farm = Farm::new().await;
     for number in 0..20 {
         let create = tokens::create(&farm.store, Role::Viewer, "a screen", at(0));
-        // Whoever asked is gone after a moment, at a different place each time.
+        // The caller goes away after a moment, at a different place each time.
         let _ = tokio::time::timeout(Duration::from_micros(100 * number), create).await;
     }
     // Whatever became of each, the next write finds the database free.
@@ -82,7 +82,7 @@ async fn a_commit_that_nobody_waits_for_any_more_is_made_all_the_same() {
     assert!(tokens::count(&farm.store).await.unwrap() > before);
 }
 
-/// Leaves a token of this name for later.
+/// Defers the statement that inserts a token of this name.
 fn token_later(write: &mut crate::database::Write, name: &'static str) {
     write
         .later("INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, 'viewer', 0)")

@@ -1,27 +1,28 @@
-//! Statements on their way to the database.
+//! Deferred statements.
 //!
-//! A question and its answer take longer to find their way between this thread and that of the connection than SQLite takes for them. So what
-//! needs no answer is kept, and goes with the next question, or with the end of the write, as one text and in its order.
+//! A question and its answer spend more time between this thread and the connection's thread than in SQLite.
+//! So statements without an answer are collected and sent with the next question, or at the end of the write,
+//! as one text and in their order.
 
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::{SqliteArguments, SqliteConnection};
 use sqlx::{Arguments as _, AssertSqlSafe, Encode, Executor as _, Sqlite, Type};
 
-use crate::error::StoreError;
+use crate::error::Result;
 
-/// Statements that go together, at most: together they are one prepared text, which is worth keeping only if it comes again. A write may leave
-/// thousands, one for each frame of a job.
+/// Most statements in one text. A text is prepared as a whole, which pays only if it comes again; a write may
+/// defer thousands of statements, one for each frame of a job.
 const MOST_TOGETHER: usize = 16;
 
-/// Statements that are kept.
+/// The deferred statements of a write.
 #[derive(Default)]
 pub(super) struct Statements {
     groups: Vec<Group>,
-    /// Why one of them could not be bound.
+    /// The first error of binding a value.
     failed: Option<BoxDynError>,
 }
 
-/// Statements that go together, and what is bound to them.
+/// Statements of one text, and their values.
 #[derive(Default)]
 pub(super) struct Group {
     statements: Vec<&'static str>,
@@ -30,13 +31,13 @@ pub(super) struct Group {
 
 impl Group {
     pub fn together(self) -> sqlx::query::Query<'static, Sqlite, SqliteArguments> {
-        // Put together of texts of this crate.
+        // All parts are literals of this crate.
         sqlx::query_with(AssertSqlSafe(self.statements.join("; ")), self.arguments)
     }
 }
 
 impl Statements {
-    /// Keeps a statement. Parameters of statements that go together are counted through, so they have no numbers.
+    /// Adds a statement. Its parameters have no numbers: they are counted through all statements of a text.
     pub fn push(&mut self, statement: &'static str) {
         debug_assert!(!statement.contains("?1"), "parameters with numbers: {statement}");
         if self.groups.last().is_none_or(|group| group.statements.len() == MOST_TOGETHER) {
@@ -56,7 +57,7 @@ impl Statements {
         }
     }
 
-    /// Sends all of them; nothing if there are none.
+    /// Sends all statements, if there are any.
     pub async fn send(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
         if let Some(last) = self.send_but_the_last(connection).await? {
             connection.execute(last.together()).await?;
@@ -64,15 +65,15 @@ impl Statements {
         Ok(())
     }
 
-    /// Whether all of them could be bound; to be asked before anything is sent.
-    pub fn check(&mut self) -> Result<(), StoreError> {
+    /// Fails if a value could not be bound. Call it before sending.
+    pub fn check(&mut self) -> Result<()> {
         match self.failed.take() {
             Some(error) => Err(sqlx::Error::Encode(error).into()),
             None => Ok(()),
         }
     }
 
-    /// Sends all but the last that go together.
+    /// Sends all texts but the last, and returns that one.
     pub async fn send_but_the_last(
         &mut self,
         connection: &mut SqliteConnection,

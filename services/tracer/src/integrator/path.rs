@@ -11,6 +11,9 @@
 //! `ambient_bounces` limits how often a path is spread after the first time (diffuse, glossy or rough glass).
 //! `max_depth` limits each chain of mirrors, smooth glass and panes. Russian roulette does not change the
 //! mean.
+//!
+//! The loop over a path's vertices is one function of 96 lines. Its steps share a dozen values, which smaller
+//! functions would have to hand to each other.
 
 use super::direct::{LAST_BIT, falloff, fine};
 use super::{Interface, Pixels, Point, cap_height, fluence, has, leaving};

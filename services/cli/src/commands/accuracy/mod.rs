@@ -1,4 +1,4 @@
-//! `forelight accuracy`: what accuracy costs in time.
+//! `forelight accuracy`: the error of images against CPU time.
 
 mod plot;
 mod table;
@@ -21,7 +21,7 @@ use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-/// Say what accuracy costs in time: error against CPU time over ladders of qualities
+/// Forecast error against CPU time for ladders of qualities
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -30,35 +30,38 @@ Examples:
   forelight accuracy kitchen/ --width 160 --measure --out accuracy.svg
   forelight accuracy --job 0197a8a5-0000-7000-8000-000000000000 --out accuracy.svg
 
-Around the quality that the flags ask for, ladders of camera samples (for both integrators, and with a cache), of the cache's accuracy, of the \
-rays of a gather and of the resolution are laid out. Of every kind of setting --samples pixels are profiled; from them follow the CPU time of every rung \
-and how far its image will be from its converged self: the root mean square over pixels and channels, as a share of the image's \
-mean. Rungs marked * are worth taking: none is both cheaper and better. With --measure all rungs are rendered, and held against \
-converged images; that takes as long as it sounds.
+A ladder is a row of qualities that differ in one setting. The ladders around the requested quality are: camera \
+samples (for both integrators, and with a cache), accuracy of the cache, rays of a gather, and resolution. \
+Profiles of --samples pixels at each kind of setting give the CPU time and the error of every rung. The error is the \
+root mean square over pixels and channels against the converged image, as a share of its mean.
 
-With --job the farm's quote of a job is shown: what all its frames take at every rung. A job that was submitted with --ladders has all of them.")]
+Rungs marked * are worth taking: no other rung is both cheaper and better. --measure also renders every rung, and \
+compares it with converged images. This takes far longer than the forecast.
+
+--job shows the quote of a job on the farm: the cost of all its frames at every rung. It has all ladders if the job \
+was submitted with --ladders.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     bundle: Option<PathBuf>,
-    /// Show the ladders in the quote of this job on the farm instead
+    /// Show the ladders in the quote of this job on the farm, instead of a bundle's
     #[arg(long, value_name = "ID", conflicts_with_all = ["bundle", "frame", "samples", "phase_seed", "measure", "QualityOptions", "MachineOptions"])]
     job: Option<JobId>,
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
-    /// Pixels to profile of every kind of setting, 16 to a million
+    /// Number of pixels to profile at each kind of setting, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
     /// Seed of the choice of pixels
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     phase_seed: u64,
-    /// Render every rung too, and show its true time and error beside the forecast
+    /// Also render every rung, and show its true time and error beside the forecast
     #[arg(long)]
     measure: bool,
-    /// Camera samples per pixel of the converged images that are measured against, which are made in two halves
+    /// Camera samples per pixel of the converged images, which are made in two halves. Needs --measure
     #[arg(long, value_name = "SAMPLES", default_value_t = 512, requires = "measure", value_parser = clap::value_parser!(u32).range(2..=131_072))]
     reference_spp: u32,
-    /// Write a plot of error over CPU time to this file
+    /// Plot error against CPU time into this SVG file
     #[arg(long, value_name = "FILE.svg")]
     out: Option<PathBuf>,
     /// Print the ladders as JSON to standard output
@@ -71,11 +74,9 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     if let Some(path) = args.out.as_deref().filter(|path| path.extension().is_none_or(|end| end != "svg")) {
-        let reason = format!("--out {}: a plot is an SVG, so the name must end in .svg", path.display());
+        let reason = format!("--out {}: the plot is an SVG, so its name must end in .svg", path.display());
         return Err(BadInput::new(reason).into());
     }
     atomic_file::check([args.out.as_deref()])?;
@@ -86,7 +87,6 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The ladders in the quote of a job.
 async fn of_job(args: &Args, id: JobId) -> Result<()> {
     let client = connect(&args.connection)?;
     let document =
@@ -95,7 +95,6 @@ async fn of_job(args: &Args, id: JobId) -> Result<()> {
     show(args, &format!("job {}, frames {}", job.name, job.frames), &document)
 }
 
-/// The ladders of a frame, found out here.
 fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let local = Local::open(bundle, &args.machine, &bars)?;
@@ -123,7 +122,6 @@ fn show(args: &Args, title: &str, document: &AccuracyDoc) -> Result<()> {
     if args.json { output::json(document) } else { output::print(&table::text(document)) }
 }
 
-/// A bar, and the user's wish to stop.
 struct Watcher<'a> {
     bar: ProgressBar,
     interrupt: &'a Interrupt,
@@ -157,7 +155,7 @@ impl AccuracyObserver for Watcher<'_> {
     }
 }
 
-/// What is changed along a ladder, for people: the ladder's name and the rung's value.
+/// The value that differs along a rung's ladder.
 fn value(document: &AccuracyDoc, rung: usize) -> String {
     let rung = &document.rungs[rung];
     let settings = &rung.settings;

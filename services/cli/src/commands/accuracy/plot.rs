@@ -1,10 +1,9 @@
-//! The ladders as a picture: error over CPU time, both logarithmic.
+//! The ladders as a plot: error over CPU time, both logarithmic.
 
 use super::value;
-use anyhow::Result;
+use forelight_plots::{self as plots, Area, Drawn, PlotError};
 use forelight_protocol::{AccuracyDoc, AccuracyRung, ImageError, LadderKind};
 use forelight_quote::points;
-use forelight_terminal::drawing::{self, Area, Drawn};
 use forelight_terminal::quantities::seconds;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -13,19 +12,18 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 const SIZE: (u32, u32) = (1100, 720);
-/// Room around what is drawn, as a factor on both axes.
+/// Margin around the data, as a factor on both axes.
 const MARGIN: f64 = 1.35;
 const FRONT: RGBColor = RGBColor(235, 200, 90);
 const GREY: RGBColor = RGBColor(90, 90, 90);
 
-/// A ladder as it is drawn: its colour, and what the legend says.
 struct Look {
     kind: LadderKind,
     colour: RGBColor,
     legend: &'static str,
 }
 
-/// Resolutions are not held against the others, and not drawn.
+/// Resolutions cannot be compared with the others, so they are not drawn.
 const LOOKS: [Look; 5] = [
     Look { kind: LadderKind::Ambient, colour: RGBColor(31, 95, 168), legend: "ambient, by camera samples" },
     Look { kind: LadderKind::Path, colour: RGBColor(190, 60, 40), legend: "path, by camera samples" },
@@ -38,7 +36,7 @@ const LOOKS: [Look; 5] = [
     Look { kind: LadderKind::Divisions, colour: RGBColor(130, 80, 160), legend: "gathers, by their rays" },
 ];
 
-/// A rung as it is drawn; the axes are in powers of ten.
+/// A rung in the plot. The axes are in powers of ten.
 struct Mark<'a> {
     index: usize,
     rung: &'a AccuracyRung,
@@ -46,9 +44,8 @@ struct Mark<'a> {
     error: ImageError,
 }
 
-/// The plot as SVG.
-pub fn svg(title: &str, document: &AccuracyDoc) -> Result<String> {
-    drawing::svg(SIZE, |area| draw(area, title, document))
+pub fn svg(title: &str, document: &AccuracyDoc) -> Result<String, PlotError> {
+    plots::svg(SIZE, |area| draw(area, title, document))
 }
 
 fn draw(area: &Area<'_>, title: &str, document: &AccuracyDoc) -> Drawn {
@@ -62,7 +59,7 @@ fn draw(area: &Area<'_>, title: &str, document: &AccuracyDoc) -> Drawn {
         .x_label_area_size(52)
         .y_label_area_size(78)
         .build_cartesian_2d(x.clone(), y.clone())?;
-    // Lines at 1, 2 and 5 times powers of ten, whose names are drawn by hand: the axes hold logarithms.
+    // The axes hold logarithms, so the labels at 1, 2 and 5 times powers of ten are drawn separately.
     grid(&mut chart, area, &x, &y)?;
     front(&mut chart, document, &marks)?;
     for look in &LOOKS {
@@ -80,7 +77,7 @@ fn draw(area: &Area<'_>, title: &str, document: &AccuracyDoc) -> Drawn {
     Ok(())
 }
 
-/// Rungs that have a place on logarithmic axes.
+/// The rungs with positive time and error, which logarithmic axes can show.
 fn marks(document: &AccuracyDoc) -> Vec<Mark<'_>> {
     let points = points(document);
     let placed = document.rungs.iter().enumerate().filter_map(|(index, rung)| {
@@ -102,7 +99,7 @@ fn bounds(marks: &[Mark<'_>]) -> (std::ops::Range<f64>, std::ops::Range<f64>) {
         let logs = values.filter(|value| *value > 0.0 && value.is_finite()).map(f64::log10);
         let (low, high) = logs.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         let margin = MARGIN.log10();
-        // Without a rung the axes are there all the same.
+        // Without rungs, the axes have a default range.
         if low <= high { low - margin..high + margin } else { -1.0..1.0 }
     };
     (range(&mut costs.flatten()), range(&mut errors.flatten()))
@@ -142,7 +139,7 @@ fn grid(
     Ok(())
 }
 
-/// 1, 2 and 5 times powers of ten within a range of logarithms; of a wide range the powers alone.
+/// 1, 2 and 5 times powers of ten within a range of logarithms. A wide range has powers of ten only.
 fn ticks(range: &std::ops::Range<f64>) -> Vec<f64> {
     let steps: &[f64] = if range.end - range.start > 4.0 { &[1.0] } else { &[1.0, 2.0, 5.0] };
     let decades = range.start.floor() as i32..=range.end.ceil() as i32;
@@ -162,7 +159,7 @@ fn percentage(value: f64) -> String {
     format!("{} %", (value * 100.0 * 1e6).round() / 1e6)
 }
 
-/// The Pareto front as a broad line behind everything.
+/// Draws the Pareto front as a broad line behind the data.
 fn front(chart: &mut Chart<'_, '_>, document: &AccuracyDoc, marks: &[Mark<'_>]) -> Drawn {
     let mut line: Vec<(f64, f64)> =
         marks.iter().filter(|mark| document.rungs[mark.index].worth_taking).map(|mark| mark.at).collect();
@@ -170,7 +167,7 @@ fn front(chart: &mut Chart<'_, '_>, document: &AccuracyDoc, marks: &[Mark<'_>]) 
     let style = FRONT.mix(0.55).stroke_width(12);
     chart
         .draw_series([PathElement::new(line, style)])?
-        .label("worth taking: nothing is cheaper and better")
+        .label("worth taking: no rung is cheaper and better")
         .legend(move |(x, y)| PathElement::new([(x, y), (x + 22, y)], style));
     Ok(())
 }
@@ -203,7 +200,7 @@ fn ladder(chart: &mut Chart<'_, '_>, look: &Look, marks: &[Mark<'_>]) -> Drawn {
     Ok(())
 }
 
-/// Where a label may be, seen from its point: pixels to the right and down, and which of its sides is there.
+/// Positions of a label: pixels right and down of its point, and the label's side that is there.
 const PLACES: [(i32, i32, HPos, VPos); 8] = [
     (8, -6, HPos::Left, VPos::Bottom),
     (-8, 6, HPos::Right, VPos::Top),
@@ -215,13 +212,13 @@ const PLACES: [(i32, i32, HPos, VPos); 8] = [
     (0, 30, HPos::Center, VPos::Top),
 ];
 
-/// Height of a label, and the width of one of its letters on average, pixels.
+/// Height of a label and mean width of a letter, pixels.
 const LABEL: (i32, i32) = (14, 7);
 
-/// Left, top, right and bottom of what is taken, pixels.
+/// Left, top, right and bottom of an occupied rectangle, pixels.
 type Space = (i32, i32, i32, i32);
 
-/// Names the rungs, each where there is room; what finds none stays without a name.
+/// Draws the names of the rungs. A name is left out if it has no free position.
 fn labels(chart: &Chart<'_, '_>, area: &Area<'_>, document: &AccuracyDoc, marks: &[Mark<'_>]) -> Drawn {
     let meets = |a: &Space, b: &Space| a.0 < b.2 && b.0 < a.2 && a.1 < b.3 && b.1 < a.3;
     let point = |mark: &Mark<'_>| chart.backend_coord(&mark.at);
@@ -230,7 +227,7 @@ fn labels(chart: &Chart<'_, '_>, area: &Area<'_>, document: &AccuracyDoc, marks:
     for mark in marks {
         let Some(look) = LOOKS.iter().find(|look| look.kind == mark.rung.ladder) else { continue };
         let (x, y) = point(mark);
-        // A quality on two ladders is named once.
+        // A quality that is on two ladders gets one name.
         if named.contains(&(x, y)) {
             continue;
         }
@@ -261,7 +258,7 @@ fn labels(chart: &Chart<'_, '_>, area: &Area<'_>, document: &AccuracyDoc, marks:
     Ok(())
 }
 
-/// What rungs took and came to, joined with what was said of them.
+/// Draws measured rungs, each joined with its forecast.
 fn measured(chart: &mut Chart<'_, '_>, marks: &[Mark<'_>]) -> Drawn {
     let truths: Vec<((f64, f64), (f64, f64))> = marks
         .iter()

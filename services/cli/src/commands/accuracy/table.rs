@@ -1,11 +1,11 @@
-//! The ladders for people.
+//! The ladders as text.
 
 use super::{thousandths, value};
 use forelight_protocol::{AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, RenderSettings};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 
-/// Everything: a table for every ladder, and what they rest on.
+/// A table for each ladder, and a summary of the profiles.
 pub fn text(document: &AccuracyDoc) -> String {
     let frames = match document.frames {
         1 => String::new(),
@@ -24,8 +24,8 @@ pub fn text(document: &AccuracyDoc) -> String {
     }
     let spent = &document.spent;
     text += &format!(
-        "\n* worth taking: no other rung is both cheaper and better; `next` is what the next better of them costs.\n\
-         {} pixels were profiled, for {} of CPU time: {:.1} % of the work of {} as asked for.\n\
+        "\n* worth taking: no other rung is both cheaper and better; `next` is the cost of the next better one.\n\
+         {} pixels were profiled, with {} of CPU time: {:.1} % of the work of {} as asked for.\n\
          {}.\n",
         document.profiled.pixels,
         seconds(spent.cpu_seconds),
@@ -81,7 +81,7 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
 
 fn truth(rung: &AccuracyRung) -> [String; 4] {
     let Some(measured) = rung.measured else { return Default::default() };
-    // A converged image with few samples shows no errors that are smaller than its own.
+    // A converged image with few samples cannot show an error below its own.
     let shows = measured.error > measured.error_deviation;
     let off = rung.error.filter(|_| shows).map(|error| error.p50 / measured.error - 1.0);
     [
@@ -96,12 +96,11 @@ fn truth(rung: &AccuracyRung) -> [String; 4] {
     ]
 }
 
-/// A ladder's name for people.
 fn words(ladder: LadderKind) -> String {
     ladder.name().replace('_', " ")
 }
 
-/// What the next better rung that is worth taking costs.
+/// The cost of the next better rung that is worth taking.
 fn next(document: &AccuracyDoc, rung: &AccuracyRung) -> String {
     let Some(next) = rung.next else { return String::new() };
     let index = next.rung as usize;
@@ -129,8 +128,7 @@ fn heading(kind: LadderKind, asked: &RenderSettings) -> String {
         }
         LadderKind::Divisions => format!("rays of a gather, {} spp", asked.spp),
         LadderKind::Resolution => {
-            "resolution: the error is that of the delivered pixels, each against its own converged self"
-                .to_owned()
+            "resolution: each image is compared with its own converged image".to_owned()
         }
     }
 }
@@ -151,7 +149,6 @@ fn described(settings: &RenderSettings) -> String {
     )
 }
 
-/// `1.23 %`
 fn share(fraction: f64) -> String {
     format!("{:.2} %", fraction * 100.0)
 }

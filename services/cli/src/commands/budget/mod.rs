@@ -60,7 +60,6 @@ pub struct Args {
     place: Place,
 }
 
-/// The service, or its data folder.
 #[derive(Debug, clap::Args)]
 struct Place {
     #[command(flatten)]
@@ -140,8 +139,6 @@ type Date = jiff::civil::Date;
 fn parse_date(text: &str) -> Result<Date, String> {
     text.parse().map_err(|_| "expected a date such as 2026-03-01".to_owned())
 }
-
-/// Runs the command.
 pub async fn run(args: Args) -> Result<()> {
     match args.what {
         Some(What::Set(args)) => set(args).await,
@@ -256,7 +253,6 @@ async fn open(folder: &Path) -> Result<Store> {
         .with_context(|| format!("cannot open the farm's data in {}", folder.display()))
 }
 
-/// The time zone that was given, or this machine's.
 fn zone(given: Option<String>) -> Result<String> {
     let zone = given.unwrap_or_else(|| jiff::tz::TimeZone::system().iana_name().unwrap_or("UTC").to_owned());
     if Night::of(&zone, Timestamp::now()).is_none() {

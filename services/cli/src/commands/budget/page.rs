@@ -15,7 +15,6 @@ tr.part td:first-child{padding-left:1.8rem;color:#555}.bad{color:#a02010;font-we
 .limit{background:#a02010;width:2px}small{color:#666}\
 @media(prefers-color-scheme:dark){body{color:#ddd;background:#1a1a1a}th,td{border-color:#444}.bar{background:#333}tr.part td:first-child,small{color:#aaa}}";
 
-/// The page.
 pub(super) fn html(found: &BudgetForecast) -> String {
     let title = match found.days {
         1 => format!("The night of {}", found.date),
@@ -163,7 +162,6 @@ fn bar(spent: Money, cost: &MoneyForecast, limit: Option<Money>, most: Money) ->
     bar + "</div>"
 }
 
-/// Text with the characters of markup escaped.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")

@@ -20,12 +20,11 @@ pub(super) fn clock(at: Timestamp, zone: &str) -> String {
     instant.to_zoned(zone).strftime("%d %b %H:%M").to_string()
 }
 
-/// A probability in per cent.
 pub(super) fn chance(probability: f64) -> String {
     format!("{:.0} %", probability * 100.0)
 }
 
-/// The period of a budget, such as `night from 01 Mar 12:00`.
+/// Such as `night from 01 Mar 12:00`.
 pub(super) fn period(budget: &BudgetOutlook, zone: &str) -> String {
     match budget.period {
         forelight_protocol::BudgetPeriod::Total => "in all".to_owned(),
@@ -38,7 +37,6 @@ pub(super) fn expected(job: &NotReady, zone: &str) -> [String; 3] {
     job.finish.map(|at| at.map_or_else(|| "-".to_owned(), |at| clock(at, zone)))
 }
 
-/// The whole forecast for a terminal.
 pub(super) fn text(found: &BudgetForecast) -> String {
     let mut text = String::new();
     let mut head = vec![("night", Align::Left), ("", Align::Left)];
@@ -124,7 +122,6 @@ pub(super) fn parts(night: &NightForecast) -> [(&[CostLine], &'static str); 3] {
     [(&night.projects, "project"), (&night.jobs, "job"), (&night.node_classes, "nodes:")]
 }
 
-/// The budgets with their use.
 pub(super) fn budgets(budgets: &[Budget]) -> String {
     let mut table = Table::new(&[
         ("project", Align::Left),
@@ -182,8 +179,7 @@ pub(super) fn csv(found: &BudgetForecast) -> String {
     text
 }
 
-/// A field with quotes where they are needed. An apostrophe in front keeps a spreadsheet from reading a
-/// formula.
+/// Adds quotes if needed. An apostrophe in front keeps spreadsheets from reading a formula.
 fn quoted(field: &str) -> String {
     let safe = if field.starts_with(['=', '+', '-', '@', '\t', '\r']) {
         format!("'{field}")

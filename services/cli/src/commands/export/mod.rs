@@ -20,8 +20,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use template::{GREATEST_INTEGER, LONGEST_JOB_NAME, LONGEST_VALUE};
 
-/// Time limit of a task, relative to its P95. Other machines may be slower, and may run other programs as
-/// well.
+/// Time limit of a task, relative to its P95. Other machines may be slower or busy.
 const PATIENCE: f64 = 4.0;
 
 /// Shortest time limit from a forecast, seconds. A machine also has to load the scene.
@@ -61,33 +60,27 @@ pub struct Args {
     /// Number of tasks that fill each level of the cache. Needs --cache on
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256), requires = "cache")]
     cache_parts: u32,
-    /// Threads of a task, and cores that a machine must have [default: one thread per core, any number of
-    /// cores]
+    /// Threads of a task, and cores that a machine must have [default: all cores, and no requirement]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Statistics of a frame of the shot, from `forelight render --stats`. A machine must have that frame's
-    /// memory
+    /// Statistics of a frame from `forelight render --stats`. They set the memory that a machine must have
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
-    /// Quote of these frames at this quality, from `forelight forecast --json`. It gives the time limits, and
-    /// becomes part of the description
+    /// Quote of the same frames and quality, from `forelight forecast --json`. It sets the time limits
     #[arg(long, value_name = "FILE")]
     forecast: Option<PathBuf>,
-    /// Time limit of a task, such as 30m or 2h [default: from --forecast, or else none]
+    /// Time limit of a task, such as 30m or 2h [default: from --forecast, if given]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     timeout: Option<Duration>,
     #[command(flatten)]
     quality: QualityOptions,
 }
 
-/// Formats of jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// Open Job Description, revision 2023-09, as JSON.
     Openjd,
 }
-
-/// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     if let Some(out) = args.out.as_deref().filter(|out| out.extension().is_none_or(|end| end != "json")) {
         let why = "the name must end in .json, because other programs choose the format by it";
@@ -97,7 +90,7 @@ pub fn run(args: &Args) -> Result<()> {
     let forecast: Option<ForecastDoc> = args.forecast.as_deref().map(quote).transpose()?;
     let stats = |path| json_file::read_written_by("forelight render --stats", path);
     let stats: Option<RenderStats> = args.stats.as_deref().map(stats).transpose()?;
-    // Nothing is traced or previewed here.
+    // Nothing is traced here.
     let machine = MachineOptions { threads: Some(1), preview: PreviewBackend::Cpu };
     let local = Local::open(&args.bundle, &machine, &Bars::new(args.out.is_none()))?;
     let settings = local.settings(&args.quality)?;
@@ -119,10 +112,7 @@ pub fn run(args: &Args) -> Result<()> {
     output::print(&report)
 }
 
-/// The shot for the template.
-///
-/// # Errors
-/// If a template cannot hold it, or --forecast or --stats is of something else.
+/// Fails if a template cannot hold the shot, or if --forecast or --stats belongs to something else.
 fn exported(
     args: &Args,
     scene: &SceneSummary,
@@ -195,7 +185,6 @@ fn check_quoted(quote: &ForecastDoc, scene: &SceneSummary, settings: &RenderSett
     Ok(())
 }
 
-/// Checks the name of a job.
 fn job_name(name: &str) -> Result<&str> {
     let length = name.chars().count();
     let wrong = match length {
@@ -211,14 +200,13 @@ fn job_name(name: &str) -> Result<&str> {
         .into())
 }
 
-/// The path of the bundle from the template's folder. `None` if the bundle is not in that folder or below: a
-/// template may hold neither an absolute path nor one that leads out of its folder.
+/// The bundle's path from the template's folder. `None` if it leads out of that folder, which a template may
+/// not.
 fn bundle_default(bundle: &Path, out: Option<&Path>) -> Result<Option<String>> {
     let folder = match out.and_then(Path::parent) {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    // A folder that does not exist yet holds no bundle.
     let (Ok(folder), Ok(bundle)) = (folder.canonicalize(), bundle.canonicalize()) else { return Ok(None) };
     let Ok(below) = bundle.strip_prefix(&folder) else { return Ok(None) };
     let wrong = |why: &str| BadInput::new(format!("bundle {}: {why}", bundle.display()));
@@ -235,7 +223,7 @@ fn bundle_default(bundle: &Path, out: Option<&Path>) -> Result<Option<String>> {
     Ok(Some(if below.is_empty() { ".".to_owned() } else { below.to_owned() }))
 }
 
-/// Time limits of tasks, seconds. `None` is no limit.
+/// Seconds.
 #[derive(Debug, PartialEq, Eq)]
 struct Limits {
     frame: Option<u64>,
@@ -243,12 +231,9 @@ struct Limits {
 }
 
 impl Limits {
-    /// The limit that was asked for, or limits from a forecast. A frame's limit follows from the most
-    /// expensive frame. The cache's limit follows from all frames together, since the cache may be most of
-    /// the work.
-    ///
-    /// # Errors
-    /// If the forecast is of other frames, or a time is out of range.
+    /// The requested limit, or limits from a forecast. A frame's limit is that of the most expensive frame.
+    /// The cache's follows from all frames together. Fails if the forecast is of other frames, or out of
+    /// range.
     fn new(asked: Option<Duration>, forecast: Option<&ForecastDoc>, frames: &FrameSet) -> Result<Self> {
         let mut limits = Self { frame: None, cache: None };
         if let Some(quote) = forecast {
@@ -274,14 +259,14 @@ impl Limits {
 
 /// The time limit of a task with this forecast (P95), both in seconds.
 fn limit(p95: f64) -> Result<u64> {
-    // About thirty years. A greater number means that the file is wrong.
+    // About thirty years. A larger number means that the file is wrong.
     if !(0.0..=1e9).contains(&p95) {
         return Err(BadInput::new(format!("--forecast: {p95} seconds of CPU time is out of range")).into());
     }
     Ok((p95 * PATIENCE).max(SHORTEST_LIMIT).ceil() as u64)
 }
 
-/// The description of the job, for people. It holds no names, since a description excludes some characters.
+/// The description of the job. It contains no names, since some characters are not allowed.
 fn description(
     scene: &SceneSummary,
     settings: &RenderSettings,
@@ -459,7 +444,7 @@ mod tests {
         let changed = SceneSummary { digest: "07".repeat(32).parse().unwrap(), ..scene() };
         let refused = message(check(of(changed, &settings, None), &settings));
         assert!(refused.contains("another scene"), "{refused}");
-        // The samples that were chosen for a limit are those that count.
+        // The samples that a limit chose are those that count.
         let chosen = RenderSettings { spp: 37, ..settings.clone() };
         check(of(scene(), &settings, Some(37)), &chosen).unwrap();
         check(of(scene(), &settings, Some(37)), &settings).unwrap_err();

@@ -1,5 +1,5 @@
-//! A shot as an Open Job Description job. One step renders, with a task for each frame. With an irradiance
-//! cache, steps before it plan, fill and merge the cache.
+//! A shot as an Open Job Description job. One step renders, with one task per frame. Earlier steps plan, fill
+//! and merge the irradiance cache, if there is one.
 
 use super::template::{
     Action, Actions, Amount, Attribute, Cancelation, DataFlow, Dependency, HostRequirements, JobTemplate,
@@ -9,20 +9,14 @@ use clap::ValueEnum;
 use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
 use forelight_terminal::options::PreviewBackend;
 
-/// The shot to export.
 #[derive(Debug, Clone)]
 pub struct ExportedShot {
-    /// Name of the job.
     pub name: String,
-    /// Description for people.
     pub description: String,
     /// Path of the bundle from the template's folder. `None` if it has to be set at submission.
     pub bundle: Option<String>,
-    /// Whether the bundle is a folder. Otherwise it is a file.
     pub bundle_is_folder: bool,
-    /// The frames.
     pub frames: FrameSet,
-    /// Their quality.
     pub settings: RenderSettings,
     /// Number of tasks that fill a level of the cache.
     pub cache_parts: u32,
@@ -30,9 +24,8 @@ pub struct ExportedShot {
     pub threads: Option<u16>,
     /// Memory of a task, MiB, if it is known.
     pub memory_mib: Option<u64>,
-    /// Seconds after which a frame's task is stopped.
+    /// Time limits of tasks, seconds.
     pub frame_limit: Option<u64>,
-    /// Seconds after which a task of the cache is stopped.
     pub cache_limit: Option<u64>,
 }
 
@@ -43,7 +36,6 @@ struct Flag {
 }
 
 impl ExportedShot {
-    /// The job.
     pub fn template(&self) -> JobTemplate {
         JobTemplate {
             specification_version: "jobtemplate-2023-09",
@@ -89,8 +81,7 @@ impl ExportedShot {
         parameters
     }
 
-    /// The flags of quality. All are given, so that a later version with other defaults renders the same
-    /// images.
+    /// The flags of quality. All are set, so that a version with other defaults renders the same images.
     fn quality(&self) -> Vec<Flag> {
         let settings = &self.settings;
         let whole = |flag, name, value: u32, what| Flag {
@@ -170,8 +161,8 @@ impl ExportedShot {
         steps
     }
 
-    /// The steps that make the shot's cache. With parts, many tasks fill a level. The parts of a level are
-    /// merged before the next level, which reads them.
+    /// The steps that make the shot's cache. With parts, many tasks fill a level, and a step merges them
+    /// before the next level reads them.
     fn cache_steps(&self) -> Vec<Step> {
         let mut args = strings(["cache", "plan", &of("Bundle"), "--frames", &of("Frames")]);
         args.extend(["--out".to_owned(), cache_file("plan")]);
@@ -207,7 +198,6 @@ impl ExportedShot {
         steps
     }
 
-    /// The flags of all commands that trace light.
     fn how(&self) -> Vec<String> {
         let quality = self.quality().into_iter();
         let mut flags: Vec<String> =
@@ -232,7 +222,7 @@ impl ExportedShot {
     ) -> Step {
         let cores = self.threads.map(|threads| Amount { name: "amount.worker.vcpu", min: threads.into() });
         let memory = self.memory_mib.map(|min| Amount { name: "amount.worker.memory", min });
-        // The program ends at once when it is told to terminate, and leaves no incomplete files.
+        // On a notice, the program ends at once and leaves no incomplete files.
         let cancelation = Cancelation { mode: "NOTIFY_THEN_TERMINATE", notify_period_in_seconds: 30 };
         Step {
             name: name.to_owned(),
@@ -252,12 +242,10 @@ impl ExportedShot {
     }
 }
 
-/// The value of a parameter of the job.
 fn of(parameter: &str) -> String {
     format!("{{{{Param.{parameter}}}}}")
 }
 
-/// The value of a parameter of the task.
 fn of_task(parameter: &str) -> String {
     format!("{{{{Task.Param.{parameter}}}}}")
 }
@@ -274,7 +262,6 @@ fn strings<const COUNT: usize>(words: [&str; COUNT]) -> Vec<String> {
     words.map(str::to_owned).to_vec()
 }
 
-/// The names of a flag's values.
 fn names<T: ValueEnum>() -> Vec<String> {
     let values = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
     values.map(|value| value.get_name().to_owned()).collect()

@@ -1,4 +1,4 @@
-//! A picture of what pixels will cost.
+//! The forecast cost of each pixel as a picture.
 
 use anyhow::Result;
 use clap::ValueEnum;
@@ -12,16 +12,15 @@ use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::count;
 use image::RgbImage;
 
-/// What a picture of forecast costs shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum At {
-    /// What they cost on average
+    /// The mean cost of a pixel
     Mean,
-    /// What half of them stay below
+    /// The cost that half of the pixels stay below
     P50,
-    /// What four in five stay below; takes 4 profiled pixels
+    /// The cost that 80 % of the pixels stay below. Needs 4 profiled pixels
     P80,
-    /// What 19 in 20 stay below; takes 19 profiled pixels
+    /// The cost that 95 % of the pixels stay below. Needs 19 profiled pixels
     P95,
 }
 
@@ -36,24 +35,27 @@ impl At {
     }
 }
 
-/// Whether a strategy knows what pixels show, and so many of them can say how likely it is what they cost.
+/// Checks that the strategy knows what each pixel shows, with enough profiled pixels for the quantile.
 pub fn check(at: At, strategy: Strategy, samples: u32) -> Result<()> {
     if strategy != Strategy::Snapshot {
-        let reason = format!("--cost-map: the strategy {} does not tell strata apart", strategy.name());
+        let reason = format!(
+            "--cost-map: the strategy {} does not tell strata apart; use the strategy snapshot",
+            strategy.name()
+        );
         return Err(BadInput::new(reason).into());
     }
-    // Of n and one more, that one is no dearer than the dearest of the n with probability n / (n + 1).
+    // One more pixel is at most as expensive as the most expensive of n with probability n / (n + 1).
     let takes = at.probability().map_or(0, |probability| (probability / (1.0 - probability)).round() as u32);
     if samples < takes {
         let reason = format!(
-            "--cost-map-at: it takes at least {takes} profiled pixels to say; --samples is {samples}"
+            "--cost-map-at: this quantile needs at least {takes} profiled pixels, but --samples is {samples}"
         );
         return Err(BadInput::new(reason).into());
     }
     Ok(())
 }
 
-/// A picture of what the pixels of the first frame are forecast to cost.
+/// The forecast cost of the first frame's pixels as a picture.
 pub fn picture(
     at: At,
     local: &Local,
@@ -64,11 +66,11 @@ pub fn picture(
     let frame = quoted.document.frames.first().map_or(0, |frame| frame.frame);
     let work = || quoted.pixel_work(&local.shot, settings, frame, at.probability());
     let Some(work) = local.pool.install(work)? else {
-        let reason = "--cost-map-at: too few pixels were profiled to say how they vary";
-        return Err(BadInput::new(reason).hint("profile more of them by --samples").into());
+        let reason = "--cost-map-at: too few pixels were profiled for this quantile";
+        return Err(BadInput::new(reason).hint("profile more pixels with --samples").into());
     };
     let scale = Scale::of(&work);
     let (least, most) = (count(scale.lowest), count(scale.highest));
-    bars.note(format!("cost map of frame {frame}: cyan is {least} operations a pixel, red {most}"));
+    bars.note(format!("cost map of frame {frame}: cyan is {least} operations per pixel, red is {most}"));
     Ok(map(settings.width, &work, scale, Paint::Colour))
 }

@@ -1,4 +1,4 @@
-//! `forelight forecast`: the quote of a shot, on this machine.
+//! `forelight forecast`: quotes a shot on this machine.
 
 mod cost_map;
 mod sharing;
@@ -26,7 +26,7 @@ use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
 use std::path::{Path, PathBuf};
 
-/// Say what frames will cost, before they are rendered
+/// Forecast what frames cost before they are rendered
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -40,51 +40,60 @@ Examples:
   forelight forecast kitchen/ --for-node rack-7.json
   forelight forecast kitchen/ --frames 0-47 --cache on --cache-sharing auto
 
-All frames are previewed; of five of them, or of more if that leaves the forecast unsure, --samples pixels each are profiled, and around a few of these blocks of \
-neighbours are traced, to see how long pixels take that lie beside each other. All are finished pixels: \
-with --save-profile, `forelight render --profile` takes them over. With --cache on, the irradiance cache of every frame is \
-planned with its preview, so that the number of records is known, and some of them are gathered to see what that takes; what a render takes \
-over is the plan and the records gathered last, for no pixel is finished before the cache is full. --cache-sharing \
-also plans one cache for all frames, as farms do, and says which takes less. Work is a count of operations that two runs agree on; \
-CPU time is this machine's.")]
+All frames are previewed. --samples pixels are profiled in each of five frames, or of more frames if the forecast is \
+still uncertain. Around a few of these pixels, blocks of neighbours are traced, to measure the time of pixels that lie \
+next to each other. All of them are finished pixels. --save-profile keeps them, and `forelight render --profile` takes \
+them over.
+
+With --cache on, each frame's irradiance cache is planned with its preview, which gives the number of records. Some \
+records are gathered to measure their cost. No pixel is finished before the cache is full, so --save-profile keeps the \
+plan and those records instead. --cache-sharing also plans one cache for all frames, as a farm does, and \
+reports which one costs less.
+
+Work is a count of operations, and is the same in every run. CPU time is that of this machine.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
-    /// Pixels to profile in a profiled frame, 1 to a million: the forecast of work rests on them
+    /// Number of pixels to profile in each profiled frame, 1 to a million. The forecast of work rests on them
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     samples: u32,
-    /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
+    /// Largest number of frames to profile [default: 5, and up to 16 if the forecast is still uncertain and
+    /// they cost less than 1 % of the shot]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: Option<u32>,
-    /// How the pixels are chosen, and what they cost is expanded to the frame
+    /// How the pixels are chosen, and how their cost is extended to the frame
     #[arg(long, value_name = "NAME", default_value = Strategy::Snapshot.name(), value_parser = strategies())]
     strategy: Strategy,
     /// Seed of the choice of pixels
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     phase_seed: u64,
-    /// Write what a render can take over of each profiled frame into this folder: its pixels, or its irradiance cache
+    /// Write the finished pixels or irradiance cache of each profiled frame into this folder, for
+    /// `forelight render --profile`
     #[arg(long, value_name = "DIR")]
     save_profile: Option<PathBuf>,
-    /// Put the quantiles where past jobs teach that they belong: a file with what a farm's /v1/forecasts/calibration answers
+    /// Calibrate the quantiles on a farm's past jobs. The file holds the response of the farm's
+    /// /v1/forecasts/calibration
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// Also say what CPU time it takes on another machine, by what `forelight calibrate --out` wrote there; this machine is calibrated for a
-    /// few seconds to compare
+    /// Also forecast the CPU time on another machine, from its `forelight calibrate --out`. This machine is
+    /// calibrated first, for a few seconds
     #[arg(long, value_name = "FILE")]
     for_node: Option<PathBuf>,
-    /// Whether the frames share one irradiance cache (`forelight cache`). To see what that takes it is planned for all of them
+    /// Share one irradiance cache between frames, or give each frame its own. Needs --cache on
     #[arg(long, value_name = "HOW", value_enum, default_value_t = CacheSharing::Private)]
     cache_sharing: CacheSharing,
-    /// Write a picture of what each pixel of the first of the frames will cost, in the colours of the cost maps of renders
+    /// Write the forecast cost of each pixel of the first frame as a picture, in the colours of a render's
+    /// cost map
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     cost_map: Option<PathBuf>,
-    /// What the picture shows: what pixels cost on average where they show what they do, or at most with a probability
+    /// What the cost map shows
     #[arg(long, value_name = "WHAT", value_enum, default_value_t = cost_map::At::Mean, requires = "cost_map")]
     cost_map_at: cost_map::At,
-    /// Also say why it costs that: which objects, which rays, what would halve it; of frames that make their own irradiance caches
+    /// Also explain the cost: parts, objects, rays, and changes that would halve it. Each frame has its own
+    /// cache
     #[arg(long, conflicts_with = "cache_sharing")]
     explain: bool,
     /// Print the quote as JSON to standard output
@@ -96,16 +105,13 @@ pub struct Args {
     machine: MachineOptions,
 }
 
-/// Reads the name of a strategy.
 fn strategies() -> impl TypedValueParser<Value = Strategy> {
     let possible = |strategy: Strategy| PossibleValue::new(strategy.name()).help(strategy.summary());
     PossibleValuesParser::new(Strategy::ALL.map(possible)).try_map(|name| {
         let found = Strategy::ALL.into_iter().find(|strategy| strategy.name() == name);
-        found.ok_or("there is no such strategy")
+        found.ok_or("this strategy does not exist")
     })
 }
-
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
     if args.cost_map.is_some() {
@@ -159,7 +165,6 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     }
 }
 
-/// The quote's document, and why it is so if that was asked for.
 #[derive(serde::Serialize)]
 struct Explained<'a> {
     #[serde(flatten)]
@@ -168,7 +173,7 @@ struct Explained<'a> {
     explanation: Option<&'a Explanation>,
 }
 
-/// What a farm's finished jobs teach of a quote like this one.
+/// The corrections of quantiles from a farm's finished jobs, for a quote like this one.
 fn corrections(
     path: &Path,
     strategy: Strategy,
@@ -177,8 +182,7 @@ fn corrections(
 ) -> Result<Corrections> {
     let document: CalibrationDoc = json_file::read_written_by("curl FARM/v1/forecasts/calibration", path)?;
     if strategy != Strategy::Snapshot {
-        let reason =
-            "--calibration: farms quote by the strategy snapshot, and their jobs teach nothing of others";
+        let reason = "--calibration: farms quote with the strategy snapshot, so their jobs cannot calibrate another strategy";
         return Err(BadInput::new(reason).into());
     }
     let (renderer, class) = (&local.shot.info().renderer, settings.feature_class());
@@ -186,18 +190,18 @@ fn corrections(
     let Some(known) = kind.and_then(|kind| kind.corrections) else {
         let jobs = kind.map_or(0, |kind| kind.jobs);
         let reason = format!(
-            "{}: {jobs} finished jobs of the renderer `{renderer}` and the class `{class}`; calibration takes {LEAST_JOBS}",
+            "{}: {jobs} finished jobs of the renderer `{renderer}` and the class `{class}`; calibration needs at least {LEAST_JOBS}",
             path.display()
         );
         return Err(BadInput::new(reason)
-            .hint("without --calibration the quote says that it is not calibrated")
+            .hint("leave out --calibration for a quote that is not calibrated")
             .into());
     };
     let correction = |name: &str, CalibratedQuantiles { p50, p80, p95 }: CalibratedQuantiles| {
         if p50 <= p80 && p80 <= p95 {
             return Ok(Correction { p50, p80, p95 });
         }
-        Err(BadInput::new(format!("{}: {name}: p50, p80 and p95 must not fall", path.display())))
+        Err(BadInput::new(format!("{}: {name}: p50, p80 and p95 must be in ascending order", path.display())))
     };
     Ok(Corrections {
         frame_work: correction("frame_work", known.frame_work)?,
@@ -215,7 +219,6 @@ fn save_profiles(quote: &Quote, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The quote for people.
 fn report(quote: &ForecastDoc) -> String {
     let head = [
         ("frame", Align::Right),
@@ -278,7 +281,7 @@ fn report(quote: &ForecastDoc) -> String {
             .and_then(once_costs)
             .map_or_else(String::new, |costs| format!("once for each process, in no frame: {costs}\n"))
         + &format!(
-            "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours traced for their time. The quote took {} CPU time and {:.1} % of the work that it forecasts.\n{calibrated}\n",
+            "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours were traced for their time. The quote took {} CPU time, and {:.1} % of the work that it forecasts.\n{calibrated}\n",
             output::list(&quote.effects),
             left_out.collect::<String>(),
             quote.profiled.pixels,
@@ -294,7 +297,7 @@ fn report(quote: &ForecastDoc) -> String {
         + &on_others(&quote.cpu_seconds_on)
 }
 
-/// What of a frame's costs no pixel can change, part by part.
+/// The costs of a frame that do not depend on its pixels, by part.
 fn fixed_costs(fixed: FixedCosts) -> String {
     let FixedCosts { load, build, plan, write, .. } = fixed;
     let parts = [
@@ -306,13 +309,13 @@ fn fixed_costs(fixed: FixedCosts) -> String {
     taken(&parts).map_or_else(String::new, |parts| format!("\nof that, in each frame: {parts}\n"))
 }
 
-/// What a process pays once for a shot, if that is anything.
+/// The costs that a process pays once for a shot. `None` if there are none.
 pub fn once_costs(once: ProcessCosts) -> Option<String> {
     let ProcessCosts { load, build } = once;
     taken(&[("loading", load), ("building the tree", build)])
 }
 
-/// The time of each part that took any.
+/// The CPU time of each part that has a cost.
 fn taken(parts: &[(&str, Spent)]) -> Option<String> {
     let taken = parts.iter().filter(|(_, spent)| *spent != Spent::default());
     let part = |(name, spent): &(&str, Spent)| format!("{name} {}", seconds(spent.cpu_nanos as f64 * 1e-9));
@@ -399,6 +402,6 @@ mod tests {
         assert!(none.contains("0 finished jobs") && none.contains("`direct`"), "{none}");
         assert!(refused(&args(&["--strategy", "jittered"])).contains("snapshot"));
         write("gathered", 0.7);
-        assert!(refused(&wanted).contains("frame_work: p50, p80 and p95 must not fall"));
+        assert!(refused(&wanted).contains("frame_work: p50, p80 and p95 must be in ascending order"));
     }
 }

@@ -1,4 +1,4 @@
-//! What one irradiance cache for all frames would take, beside one for each.
+//! Compares one irradiance cache for all frames with one for each frame.
 
 use anyhow::{Context, Result};
 use forelight_forecast::Strategy;
@@ -12,27 +12,25 @@ use forelight_terminal::options::QualityOptions;
 use forelight_terminal::output::Bars;
 use std::path::Path;
 
-/// Whether the question can be asked of quotes that are made like this.
-///
-/// # Errors
-/// If not, before anything was traced.
+/// Fails if this quote has no cache, or uses another strategy than snapshot.
 pub fn check(sharing: CacheSharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
     if sharing == CacheSharing::Private {
         return Ok(());
     }
     if quality.cache != Some(CacheMode::On) {
-        let reason = "--cache-sharing: there is no irradiance cache to be shared";
+        let reason = "--cache-sharing: there is no irradiance cache to share";
         return Err(BadInput::new(reason).hint("add --cache on"));
     }
     if strategy == Strategy::Snapshot {
         return Ok(());
     }
-    let reason =
-        format!("--cache-sharing: caches are compared by the strategy snapshot, not by {}", strategy.name());
-    Err(BadInput::new(reason).hint("leave --strategy away, or ask for --cache-sharing private"))
+    let reason = format!(
+        "--cache-sharing: caches are compared with the strategy snapshot, not by {}",
+        strategy.name()
+    );
+    Err(BadInput::new(reason).hint("leave out --strategy, or use --cache-sharing private"))
 }
 
-/// Plans a shared cache for a quote, with progress on the terminal.
 pub struct Asker<'a> {
     pub local: &'a Local,
     pub bundle: &'a Path,
@@ -42,7 +40,7 @@ pub struct Asker<'a> {
 }
 
 impl Asker<'_> {
-    /// The quote with the irradiance caches built as asked. `None` for private caches: that quote is there already.
+    /// The quote with the caches as chosen. `None` for private caches, which the given quote has already.
     pub fn quote(
         &self,
         sharing: CacheSharing,

@@ -27,8 +27,7 @@ const ENTRY: (u32, u32) = (190, 16);
 const GREY: RGBColor = RGBColor(190, 190, 190);
 const RENTED: RGBColor = RGBColor(216, 216, 216);
 
-/// Draws a row for each node in use. A bar is a task, in its job's colour. Grey behind it is a rental. Dashed
-/// lines are deadlines.
+/// Draws a row per node in use: bars are tasks in their job's colour, grey rentals, dashed lines deadlines.
 pub fn gantt(input: &Input, plan: &Plan) -> Result<String> {
     let chart = Chart::new(input, plan);
     let columns = (WIDTH - LEFT) / ENTRY.0;
@@ -44,11 +43,9 @@ pub fn gantt(input: &Input, plan: &Plan) -> Result<String> {
 
 struct Chart<'a> {
     plan: &'a Plan,
-    /// Nodes in use: id and name, by id.
     nodes: Vec<(u64, &'a str)>,
-    /// Jobs: id, name, and the deadline if it is within the chart.
+    /// Id, name, and the deadline if it is within the chart.
     jobs: Vec<(u64, &'a str, Option<i64>)>,
-    /// Height of a row, pixels.
     row: f64,
     from: i64,
     until: i64,
@@ -128,7 +125,7 @@ impl<'a> Chart<'a> {
         Ok(())
     }
 
-    /// Draws the legend: the colours of the first `count` jobs, in columns.
+    /// Draws the legend of the first `count` jobs, in columns.
     fn explain(&self, area: &Area<'_>, count: usize, columns: usize) -> Drawn {
         for (place, &(job, name, _)) in self.jobs.iter().take(count).enumerate() {
             let x = (LEFT + (place % columns) as u32 * ENTRY.0) as i32;
@@ -141,7 +138,7 @@ impl<'a> Chart<'a> {
     }
 }
 
-/// Returns a colour that differs from those of neighbouring jobs: hues by the golden angle.
+/// Hues by the golden angle, so that neighbouring jobs differ.
 fn colour(job: u64) -> HSLColor {
     let hue = (job % 360) * 137 % 360;
     let saturation = 60 + job / 3 % 3 * 10;

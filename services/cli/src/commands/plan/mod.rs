@@ -34,8 +34,7 @@ pub struct Args {
     /// Draw the plan as a Gantt chart into this SVG file
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Also show what this job costs at each confidence and for each deadline, and the ways to make it
-    /// possible
+    /// Show this job's cost at each confidence and deadline, and the ways to make it possible
     #[arg(long, value_name = "NAME")]
     job: Option<String>,
     /// Draw the job's price against its deadline into this SVG file. Needs --job
@@ -76,7 +75,6 @@ fn parse_later(text: &str) -> Result<(String, i64), String> {
     Ok((name.to_owned(), micros))
 }
 
-/// The plan and all answers.
 #[derive(Debug, Serialize)]
 struct Document {
     plan_id: String,
@@ -86,12 +84,10 @@ struct Document {
     #[serde(skip_serializing_if = "Option::is_none")]
     job: Option<Answers>,
     what_if: Vec<Effect>,
-    /// Names by id.
     jobs: Vec<(u64, String)>,
     nodes: Vec<(u64, String)>,
 }
 
-/// Answers about the job that --job names.
 #[derive(Debug, Serialize)]
 struct Answers {
     outlook: Vec<Outlook>,
@@ -103,8 +99,6 @@ struct Answers {
 
 /// Offers on a price curve.
 const POINTS: u32 = 13;
-
-/// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let input = read(&args.farm)?;
     let found = plan(&input).map_err(|error| BadInput::new(format!("{}: {error}", args.farm.display())))?;
@@ -192,9 +186,8 @@ fn answers(args: &Args, input: &Input, name: &str) -> Result<Answers> {
     })
 }
 
-/// Whether a job was late in more scenarios than its confidence allows, by more than chance explains (three
-/// standard errors). A plan gives a job the time that all its work takes at that confidence. If frames vary
-/// much, the last of the parallel frames ends later than that.
+/// Whether a job was late in more scenarios than its confidence allows, by over three standard errors. Frames
+/// that vary much cause this: the last of the parallel frames ends later than planned.
 fn is_beyond((late, scenarios): (f64, u32), confidence: Confidence) -> bool {
     let allowed: f64 = match confidence {
         Confidence::P50 => 0.5,
@@ -374,7 +367,7 @@ fn job_name(input: &Input, id: u64) -> String {
     input.jobs.iter().find(|job| job.id == id).map(|job| job.name.clone()).unwrap_or_default()
 }
 
-/// Day and time, UTC.
+/// UTC.
 fn clock(instant: i64) -> String {
     jiff::Timestamp::from_microsecond(instant)
         .map_or_else(|_| "never".to_owned(), |at| at.strftime("%d %b %H:%M").to_string())

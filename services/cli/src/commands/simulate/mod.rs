@@ -1,5 +1,4 @@
-//! `forelight simulate`: simulates weeks of a farm in a minute, with forelight's plans and with today's
-//! queues.
+//! `forelight simulate`: simulates weeks of a farm, with forelight's plans and with usual queues.
 
 mod plot;
 
@@ -65,15 +64,15 @@ pub struct Args {
     /// Number of parts that each job's shared cache is filled in
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
     parts: u32,
-    /// Work of a frame's own irradiance cache, per cent of the work of the shared cache. Under policies
-    /// without forecasts each frame fills its own cache. 0: the shared cache comes first under all policies
+    /// Work of a frame's own irradiance cache, per cent of the shared cache's. Policies without forecasts
+    /// give each frame its own cache. 0: the shared cache comes first under all policies
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, value_parser = not_negative)]
     own_cache: f64,
     /// Policies to compare, separated by commas
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = Choice::ALL)]
     policy: Vec<Choice>,
-    /// Share of the nodes that policies without plans may use, per cent, the cheapest first. Several values,
-    /// separated by commas, are compared
+    /// Share of the nodes for policies without plans, per cent, the cheapest first. Several values are
+    /// compared
     #[arg(long, value_name = "PERCENT", value_delimiter = ',', default_value = "100", value_parser = clap::value_parser!(u32).range(1..=100))]
     pool: Vec<u32>,
     /// Longest time between two plans, such as 1h
@@ -108,18 +107,16 @@ pub struct Args {
     json: bool,
 }
 
-/// Fixed cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Case {
     /// 30 days, 1,000 nodes: cost compared with EDF that is in time as often
     Month,
     /// 1,000 promises at 80 % and 1,000 at 95 %: share of promises kept
     Promises,
-    /// Three weeks of frames of fifteen hours: what it gains to fill caches in parts
+    /// Three weeks of frames of fifteen hours: the gain from caches that are filled in parts
     Shots,
 }
 
-/// Names of the policies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Choice {
     Forelight,
@@ -183,20 +180,16 @@ fn not_negative(text: &str) -> Result<f64, String> {
         .ok_or("expected a number from 0 to 1000000".into())
 }
 
-/// Pools to try EDF with in the month, per cent of the nodes. A farm's operator would also find the best by
-/// trial.
+/// Pools to try EDF with, per cent of the nodes. A farm's operator would also search for the best.
 const POOLS: [u32; 9] = [100, 60, 40, 30, 25, 22, 20, 18, 16];
-/// Share of the cost that the month must save, and share of the promises that must be kept at each
-/// confidence.
+/// Required share of saved cost in the month, and of kept promises at each confidence.
 const MONTH_SAVES: f64 = 0.15;
 const PROMISES: [(Confidence, f64); 2] = [(Confidence::P80, 0.80 - 0.03), (Confidence::P95, 0.95 - 0.02)];
 
-/// For the case of long frames: work of a frame's own cache relative to the shared one, and the share of
-/// additional jobs that must be promised.
+/// For long frames: a frame's own cache relative to the shared one, and the required gain in promises.
 const OWN_CACHE: f64 = 0.5;
 const SHOTS_MORE: f64 = 0.0;
 
-/// All results.
 #[derive(Debug, Serialize)]
 struct Document {
     worlds: Vec<Simulated>,
@@ -205,7 +198,6 @@ struct Document {
     findings: Vec<Finding>,
 }
 
-/// One world with its policies.
 #[derive(Debug, Serialize)]
 struct Simulated {
     name: String,
@@ -215,7 +207,6 @@ struct Simulated {
     reports: Vec<Report>,
 }
 
-/// A result, and whether it reaches the required value.
 #[derive(Debug, Serialize)]
 struct Finding {
     what: String,
@@ -223,8 +214,6 @@ struct Finding {
     wanted: f64,
     reached: bool,
 }
-
-/// Runs the command.
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     atomic_file::check([args.svg.as_deref()])?;
     let chances = Chances {
@@ -282,7 +271,6 @@ fn world(args: &Args, chances: Chances) -> Result<(String, World)> {
     Ok((path.display().to_string(), world))
 }
 
-/// Runs policies with a progress bar for each.
 struct Runner<'a> {
     every: i64,
     chances: Chances,
@@ -342,9 +330,8 @@ fn month(runner: &Runner) -> Result<Document> {
     Ok(Document { worlds: vec![simulated], findings })
 }
 
-/// The EDF to compare with: the cheapest one that is in time as often as forelight. If there is none, the
-/// cheapest one that is at most one job in a hundred behind. If there is none either, the one that is in time
-/// most often.
+/// The cheapest EDF that is in time as often as forelight. Otherwise the cheapest one that is at most one job
+/// in a hundred behind. Otherwise the one that is in time most often.
 fn rival(reports: &[Report]) -> Option<&Report> {
     let ours = reports.iter().find(|report| report.policy == PolicyKind::Planned)?;
     let all = || reports.iter().filter(|report| report.policy == PolicyKind::Deadline);

@@ -1,12 +1,10 @@
 //! A simulation as a plot: utilisation over time, and cost against jobs in time.
 
-use anyhow::Result;
+use forelight_plots::{self as plots, Area, Drawn, PlotError};
 use forelight_simulator::{PolicyKind, Report};
-use forelight_terminal::drawing::{self, Area, Drawn};
 use plotters::prelude::*;
 
 const WIDTH: u32 = 1100;
-/// Height of one picture.
 const HEIGHT: u32 = 340;
 const GREY: RGBColor = RGBColor(90, 90, 90);
 
@@ -21,9 +19,9 @@ fn colour(policy: PolicyKind) -> RGBColor {
 }
 
 /// Two plots for each world, one below the other.
-pub fn svg(worlds: &[(&str, &[Report])]) -> Result<String> {
+pub fn svg(worlds: &[(&str, &[Report])]) -> Result<String, PlotError> {
     let size = (WIDTH, HEIGHT * 2 * worlds.len().max(1) as u32);
-    drawing::svg(size, |area| draw(area, worlds))
+    plots::svg(size, |area| draw(area, worlds))
 }
 
 fn draw(area: &Area<'_>, worlds: &[(&str, &[Report])]) -> Drawn {

@@ -1,4 +1,4 @@
-//! Following a job by its events, with a bar for each stage.
+//! Follows a job by its events, with a progress bar for each stage.
 
 use anyhow::{Context, Result};
 use forelight_client::{Backoff, Client, EventStream};
@@ -12,18 +12,18 @@ use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-/// Without an event for so long the job itself is asked, should the stream have died silently.
+/// After this time without an event, the job is read again, because a dead stream may give no sign.
 const QUIET: Duration = Duration::from_secs(20);
 
-/// Time between two looks at the job's estimate.
+/// Time between two reads of the job's estimate.
 const BETWEEN_ESTIMATES: Duration = Duration::from_secs(1);
 
-/// Follows a job until it is done, failed or cancelled, through lost connections and restarts of the service.
+/// Follows a job until it ends, through lost connections and restarts of the service.
 pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrupt) -> Result<Job> {
     let id = job.id;
     let stopped = interrupt.token();
     let followed = async {
-        // Of some things no event tells, such as that nobody is there who could begin.
+        // Some changes have no event, such as that no node takes tasks.
         let mut job = client.job(id).await.unwrap_or(job);
         let mut stages = Stages::new(bars, &job);
         let mut last: Option<EventId> = None;
@@ -38,7 +38,8 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
                     failures += 1;
                     let patience = Backoff { attempts: Some(30), ..Backoff::PATIENT };
                     let Some(wait) = patience.jittered(failures, None) else {
-                        return Err(error).context("the service went away while the job was followed");
+                        return Err(error)
+                            .context("the connection to the service was lost while the job was followed");
                     };
                     tokio::time::sleep(wait).await;
                 }
@@ -48,7 +49,7 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
                 Err(error) if error.problem().is_some() => {
                     return Err(error).context("cannot follow the job");
                 }
-                // Not there at the moment: the loop tries the stream again.
+                // The service is unreachable for now: the loop connects again.
                 Err(_) => continue,
             };
             stages.job(&job);
@@ -59,12 +60,12 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
     tokio::select! {
         followed = followed => followed,
         () = stopped.cancelled() => {
-            Err(anyhow::Error::from(Interrupted).context(format!("job {id} goes on; follow it by --job {id}")))
+            Err(anyhow::Error::from(Interrupted).context(format!("job {id} goes on; follow it with --job {id}")))
         }
     }
 }
 
-/// Reads events until the stream ends, falls silent, or tells that the job is booked or over; returns the last event's id.
+/// Reads events until the stream ends or falls silent, or the job is booked or over. Returns the last id.
 async fn listen(
     mut stream: EventStream,
     mut last: Option<EventId>,
@@ -75,11 +76,10 @@ async fn listen(
     while let Ok(Some(event)) = tokio::time::timeout(QUIET, stream.next()).await {
         last = Some(event.id);
         stages.event(&event);
-        // A job that was booked says now whether its frames wait for a cache.
+        // A job that is now booked shows whether its frames wait for a cache.
         if event.job_state.is_some_and(|state| state.is_final() || state == JobState::Booked) {
             break;
         }
-        // Finished frames move the estimate, which the job has.
         if stages.is_behind && asked.elapsed() >= BETWEEN_ESTIMATES {
             asked = Instant::now();
             if let Ok(job) = client.job(stages.id).await {
@@ -90,23 +90,22 @@ async fn listen(
     last
 }
 
-/// A bar for each stage of a job.
 struct Stages {
     id: JobId,
     bars: Bars,
     previews: ProgressBar,
     profiling: ProgressBar,
-    /// The irradiance cache that the frames wait for, in hundredths of its parts; there once it is known that they do.
+    /// The irradiance cache that the frames wait for, in hundredths of a part.
     cache: Option<ProgressBar>,
-    /// How far each part is that was handed out, 0 to 1.
+    /// Progress of each leased part, 0 to 1.
     parts: BTreeMap<TaskId, f64>,
     frames: ProgressBar,
-    /// Frames that are being profiled, and whether they are done.
+    /// Frames that are being profiled, and whether they are finished.
     profiles: BTreeMap<u32, bool>,
     frames_done: u64,
-    /// A frame was finished since the job was asked for its estimate.
+    /// Whether a frame was finished since the last read of the estimate.
     is_behind: bool,
-    /// Why the job waits, as it was last told.
+    /// The last reported reason for waiting.
     waits: Option<String>,
 }
 
@@ -131,7 +130,7 @@ impl Stages {
         stages
     }
 
-    /// What the job itself says, which outranks what the events added up to.
+    /// Sets the bars from the job, which takes precedence over its events.
     fn job(&mut self, job: &Job) {
         self.enter(job.state);
         self.frames_done = u64::from(job.frames_done);
@@ -205,7 +204,7 @@ impl Stages {
             self.previews.set_position(self.previews.length().unwrap_or(0));
         }
         if stage(state) >= stage(JobState::Booked) {
-            // Fewer frames than allowed may have been profiled.
+            // The job may have profiled fewer frames than the maximum.
             if !self.profiles.is_empty() {
                 self.profiling.set_length(self.profiles.len() as u64);
             }
@@ -221,13 +220,12 @@ impl Stages {
     }
 }
 
-/// What is finished and what is expected, for people.
 fn expected(live: &LiveForecast) -> String {
     let cpu = &live.cpu_seconds;
     format!("{} of {} CPU time (P80 {})", seconds(cpu.spent), seconds(cpu.whole.p50), seconds(cpu.whole.p80))
 }
 
-/// How far on the way a job in this state is; one that failed or was cancelled may have stopped anywhere.
+/// The number of the job's stage. A failed or cancelled job may have stopped in any stage.
 fn stage(state: JobState) -> u8 {
     match state {
         JobState::Failed | JobState::Cancelled | JobState::Previewing => 0,

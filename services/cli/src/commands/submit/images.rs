@@ -1,4 +1,4 @@
-//! Fetching a job's images, and the contact sheet.
+//! Fetches a job's images, and makes the contact sheet.
 
 use crate::contact_sheet::{Cell, contact_sheet};
 use anyhow::{Context, Result, bail};
@@ -13,10 +13,10 @@ use futures::{StreamExt, TryStreamExt};
 use image::RgbImage;
 use std::path::{Path, PathBuf};
 
-/// Downloads at once.
+/// Number of parallel downloads.
 const AT_ONCE: usize = 4;
 
-/// The pictures of a frame that are fetched, and the ends of their file names.
+/// The pictures to fetch for each frame, and the ends of their file names.
 const PICTURES: [(FramePicture, &str); 4] = [
     (FramePicture::Exr, ".exr"),
     (FramePicture::Png, ".png"),
@@ -24,7 +24,7 @@ const PICTURES: [(FramePicture, &str); 4] = [
     (FramePicture::Preview, "-preview.png"),
 ];
 
-/// Puts the pictures of all frames that are there into `folder`, and a contact sheet beside them.
+/// Writes the pictures of all finished frames and a contact sheet into `folder`.
 pub async fn fetch(
     client: &Client,
     job: &Job,
@@ -65,7 +65,7 @@ pub async fn fetch(
     if !damaged.is_empty() {
         damaged.sort_unstable();
         bail!(
-            "lost or damaged where the farm keeps them, and not written: {}; submit these frames again",
+            "these files are lost or damaged on the farm, and were not written: {}; submit these frames again",
             damaged.join(", ")
         );
     }
@@ -73,7 +73,6 @@ pub async fn fetch(
     tokio::task::spawn_blocking(move || write_sheet(&rows, &folder)).await?
 }
 
-/// A picture of a frame, and where it is put.
 struct File {
     frame: u32,
     picture: FramePicture,
@@ -81,7 +80,6 @@ struct File {
     path: PathBuf,
 }
 
-/// The files of a frame, of the pictures that are there.
 fn files(row: &FrameRow, folder: &Path) -> Vec<File> {
     let hash = |picture: FramePicture| match picture {
         FramePicture::Preview => row.artifacts.preview_png,

@@ -23,7 +23,7 @@ use forelight_terminal::quantities::{Deadline, parse_bytes, parse_deadline, pars
 use std::path::{Path, PathBuf};
 use uuid::Uuid;
 
-/// Submit a job to the farm, follow it, fetch its images
+/// Submit a job to the farm, follow it, and fetch its images
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -33,77 +33,83 @@ Examples:
   forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
   forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
 
-Without --follow or --out the job's id is printed and that is all. A folder is packed and uploaded; a bundle that the farm \
-has already is not kept twice. The exit code is 0 only if all frames were delivered.")]
+Without --follow and --out, the command prints the job's id and ends. A folder is packed and uploaded, unless the farm \
+already has this bundle. With --follow or --out, the exit code is 0 only if all frames were delivered.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     #[arg(required_unless_present = "job")]
     bundle: Option<PathBuf>,
-    /// Follow this job, which was submitted before
+    /// Follow this earlier job, instead of submitting a bundle
     #[arg(long, value_name = "ID", conflicts_with_all = ["bundle", "frames", "deadline", "budget", "shared"])]
     job: Option<JobId>,
-    /// The bundle lies on storage that the service and all workers share: pass its path, upload nothing
+    /// Pass the bundle's path instead of uploading it. The service and all workers must share the storage
     #[arg(long)]
     shared: bool,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
-    /// When all frames have to be there: 2h, 45m, or 2026-03-01T06:00:00Z
+    /// Time by which all frames must be ready: 2h, 45m, or 2026-03-01T06:00:00Z
     #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
     deadline: Option<Deadline>,
-    /// The most that the job is to cost, such as 12.50: plans keep to it if any can; what stops work is a project's budget (`forelight budget`)
+    /// Largest cost of the job, such as 12.50. Plans keep to it if possible, but it stops nothing.
+    /// `forelight budget` sets limits that do
     #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
-    /// Take the most camera samples with which all frames fit into this CPU time of a node of speed 1, seconds or such as 90m, and put them where they pay;
-    /// --spp is then only what is profiled with
+    /// Take as many camera samples as fit into this CPU time, for all frames together, and put them where
+    /// they help most. Seconds or such as 90m, on a node of speed 1. --spp then sets only the samples of the
+    /// profile
     #[arg(long, value_name = "TIME", group = "limit", value_parser = parse_seconds)]
     within: Option<f64>,
-    /// The same for money, at the mean price of the farm's nodes
+    /// The same for an amount of money, at the mean price of the farm's nodes
     #[arg(long, value_name = "AMOUNT", group = "limit", value_parser = parse_money)]
     within_money: Option<i64>,
-    /// --within or --within-money is for each frame, and not for all together
+    /// Apply --within or --within-money to each frame, instead of all frames together
     #[arg(long, requires = "limit")]
     per_frame: bool,
-    /// How sure the booking, and the choice of samples, has to be
+    /// Quantile of the forecast that the booking and the choice of samples use
     #[arg(long, value_name = "LEVEL", default_value = "p80")]
     confidence: Confidence,
-    /// Name of the job [default: the bundle's]
+    /// Name of the job [default: the bundle's name]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// Project that the job is booked on
+    /// Project of the job
     #[arg(long, value_name = "NAME", default_value = "default")]
     project: String,
-    /// Among jobs with the same deadline the greater goes first
+    /// Priority among jobs with the same deadline. A larger number goes first
     #[arg(long, value_name = "NUMBER", default_value_t = 0, allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
     priority: i32,
-    /// Among jobs of equal priority, what it is worth: one of 2 as much as two of 1
+    /// Value of the job among jobs of equal priority. A job of 2 counts as much as two of 1
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     weight: u32,
-    /// Pixels to profile in a profiled frame, 16 to a million
+    /// Number of pixels to profile in each profiled frame, 16 to a million
     #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
-    /// Frames to profile at most [default: 5, and up to 16 if that leaves the forecast unsure and more would cost less than 1 % of the shot]
+    /// Largest number of frames to profile [default: 5, and up to 16 if the forecast is still uncertain and
+    /// they cost less than 1 % of the shot]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: Option<u32>,
-    /// Price all ladders of qualities in the quote, as `forelight accuracy` does, by profiling one frame with other settings too, which takes about as much as half a million camera samples of it, a few percent of a large frame and several times a small one: `forelight accuracy --job` shows them [default: those that the job's own profile speaks of]
+    /// Quote all ladders of qualities; `forelight accuracy --job` shows them. One frame is profiled with
+    /// other settings too, which costs about 500,000 camera samples: a few percent of a large frame, several
+    /// times a small one [default: the ladders that the job's own profile covers]
     #[arg(long, conflicts_with = "limit")]
     ladders: bool,
-    /// Whether the frames share one irradiance cache, with --cache on
+    /// Share one irradiance cache between frames. Needs --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
     cache_sharing: CacheSharing,
-    /// Most memory that a worker may use for one of the tasks, such as 8GiB; beyond it the task is ended [default: no limit]
+    /// Memory limit of a task, such as 8GiB. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
-    /// Most time that one of the tasks may take; beyond it the task is ended [default: no limit]
+    /// Time limit of a task. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     task_time: Option<std::time::Duration>,
-    /// Idempotency key: submitting again with the same key is the same submission (name the deadline as an instant then: 2h from now is another request each time)
+    /// Idempotency key: a second submission with the same key submits nothing. Set the deadline as an instant
+    /// then, because 2h from now differs each time
     #[arg(long, value_name = "UUID")]
     idempotency_key: Option<Uuid>,
-    /// Stay until the job is done, and print what was forecast and what it was, frame by frame
+    /// Wait until the job ends, and print forecast and true cost of each frame
     #[arg(long)]
     follow: bool,
-    /// Follow, and put the images, cost maps and a contact sheet into this folder
+    /// Follow the job, and write images, cost maps and a contact sheet into this folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the result as JSON to standard output
@@ -114,8 +120,6 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
-
-/// Runs the command.
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let client = connect(&args.connection)?;
@@ -130,7 +134,6 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     bars.note(format!("job {} \"{}\", {} frames", job.id, job.name, job.frames_total));
     let job = follow::follow(&client, job, &bars, &interrupt).await?;
     let frames = client.frames(job.id).await.context("cannot read the frames")?;
-    // A job that failed before its forecast has none.
     let forecast = client.forecast(job.id).await.ok();
     if let Some(folder) = &args.out {
         images::fetch(&client, &job, &frames, folder, &bars, &interrupt).await?;
@@ -151,13 +154,12 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// Sends bundle and job.
 async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Result<Job> {
     let key = args.idempotency_key.unwrap_or_else(Uuid::now_v7);
     let (reference, scene) = if args.shared {
         shared(args, bundle, client).await?
     } else {
-        // Two requests, two keys; both follow from the one that the user may have given.
+        // The two requests need different keys. Both follow from the user's key, if there is one.
         let upload_key = Uuid::from_u128(key.as_u128() ^ 1);
         upload(bundle, client, upload_key, bars).await?
     };
@@ -204,7 +206,7 @@ fn request(
     })
 }
 
-/// What the frames may take, if that decides how good they are.
+/// The limit on the cost of the frames, if one sets the samples.
 fn within(args: &Args) -> Option<Within> {
     let per = if args.per_frame { Per::Frame } else { Per::Job };
     let cpu_micros = args.within.map(|seconds| (seconds * 1e6).ceil() as i64);
@@ -212,7 +214,7 @@ fn within(args: &Args) -> Option<Within> {
     (cpu_micros.is_some() || money.is_some()).then_some(Within { cpu_micros, money, per })
 }
 
-/// A bundle on shared storage; the service says what is in it.
+/// A bundle on shared storage. The service describes its content.
 async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRef, SceneSummary)> {
     let absolute = bundle
         .canonicalize()
@@ -228,23 +230,23 @@ async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRe
         FrameSet::range(0, 0),
         RenderSettingsRequest::default(),
     )?;
-    // Only the scene is asked for: whether the caches of these settings can be shared is said when the job is submitted.
+    // This request only reads the scene. The job's submission checks whether its caches can be shared.
     let question = JobRequest { cache: CacheSharing::Auto, ..question };
     let check = client.check(&question).await.context("the farm cannot use the bundle")?;
     Ok((reference, check.scene))
 }
 
-/// Packs a folder if need be, and uploads it.
+/// Uploads the bundle. A folder is packed first.
 async fn upload(bundle: &Path, client: &Client, key: Uuid, bars: &Bars) -> Result<(BundleRef, SceneSummary)> {
     let about = std::fs::metadata(bundle)
         .map_err(|error| BadInput::new(format!("bundle {}: {error}", bundle.display())))?;
     let spinner = bars.spinner(format!("uploading {}", bundle.display()));
-    // Kept until the upload is over.
+    // The temporary file must exist until the upload ends.
     let packed;
     let zip = if about.is_dir() {
         let folder = bundle.to_owned();
         packed = tokio::task::spawn_blocking(move || {
-            let file = tempfile::NamedTempFile::new().context("cannot make a temporary file")?;
+            let file = tempfile::NamedTempFile::new().context("cannot create a temporary file")?;
             archive::pack(&folder, std::io::BufWriter::new(file.reopen()?))?
                 .into_inner()
                 .context("cannot pack the bundle")?;

@@ -1,4 +1,4 @@
-//! What was said and what was, frame by frame.
+//! Forecasts beside what was measured, frame by frame.
 
 use crate::caches;
 use forelight_protocol::{
@@ -9,18 +9,13 @@ use forelight_terminal::quantities::{clock, count, money, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 
-/// All of it, for machines.
 #[derive(Debug, Serialize)]
 pub struct Document<'a> {
-    /// The job as it stands.
     pub job: &'a Job,
-    /// Its quote, if there is one.
     pub forecast: Option<&'a ForecastDoc>,
-    /// Its frames.
     pub frames: &'a [FrameRow],
 }
 
-/// The table and the verdict, for people.
 pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
     let head = [
         ("frame", Align::Right),
@@ -61,14 +56,14 @@ pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], no
     format!("{}\n{}", table.render(), verdict(job, forecast, frames, now))
 }
 
-/// How the irradiance caches are made, with both prices, and what the shared one took.
+/// How the irradiance caches are made, both prices, and the shared cache's true cost.
 fn made_caches(cache: &CacheQuote, job: &Job) -> String {
     let mut text = caches::ways(cache);
     if let Some(shared) = &cache.shared_cache {
         text += &caches::shared(shared);
         if let Some(done) = job.shared_cache.as_ref().filter(|done| done.ready) {
             text += &format!(
-                "; it took {}, {} operations for {} forecast",
+                "; true cost {}, {} operations; forecast {} operations",
                 seconds(done.cpu_seconds),
                 count(done.work as f64),
                 count(shared.work.mean)
@@ -79,7 +74,7 @@ fn made_caches(cache: &CacheQuote, job: &Job) -> String {
     text
 }
 
-/// Sums over the frames that were forecast and are there: only like is compared with like.
+/// Sums over the frames that have both a forecast and a true cost.
 fn totals(frames: &[FrameRow]) -> Vec<String> {
     let sums = |figures: &mut dyn Iterator<Item = forelight_protocol::FrameFigure>| {
         let both = figures.filter_map(|figure| Some((figure.forecast.mean, figure.actual?)));
@@ -130,7 +125,6 @@ fn remark(row: &FrameRow) -> String {
     remarks.join("; ")
 }
 
-/// The lines below the table.
 fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
     let mut text = String::new();
     if let Some(quote) = forecast {

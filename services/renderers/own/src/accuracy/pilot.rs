@@ -2,14 +2,13 @@
 
 use crate::accuracy::observer::{AccuracyObserver, AccuracyOptions, is_cancelled};
 use crate::costs::cost_of_record;
-use crate::error::RenderError;
-use crate::error::ShotError;
+use crate::error::{RenderError, ShotError};
 use crate::frame::OwnFrame;
-use crate::opening::uncovered_gathers;
 use crate::profile::noise::{FrameNoise, Zones, noise_strata};
 use crate::profile::strata::{forecast_strata, record_prior_cost};
 use crate::profile::{Observer, profile_ready};
 use crate::quote_options::QuoteOptions;
+use crate::results::uncovered_gathers;
 use crate::shot::OwnShot;
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
 use forelight_forecast::{

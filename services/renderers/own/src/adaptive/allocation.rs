@@ -5,16 +5,13 @@
 //! pass and the forecast. Later passes follow the image, which shows where on a wall the bright spot is
 //! ([`crate::adaptive::tiles`]). An irradiance cache is filled first, since the time left depends on it.
 
-use crate::accuracy::{AccuracyObserver, AccuracyOptions};
-use crate::accuracy::{Pilot, piloted};
+use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
 use crate::adaptive::allotment::Allotment;
 use crate::adaptive::error_target::render_for_error;
-use crate::adaptive::made::AllotError;
-use crate::adaptive::made::Allotted;
+use crate::adaptive::made::{AllotError, Allotted};
 use crate::adaptive::time_limit::{Budget, fits_the_cache, render_within};
 use crate::answers::Progress;
-use crate::error::RenderError;
-use crate::error::ShotError;
+use crate::error::{RenderError, ShotError};
 use crate::render::{Given, render_ready};
 use crate::shot::OwnShot;
 use forelight_forecast::ForecastError;

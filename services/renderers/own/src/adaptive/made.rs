@@ -42,7 +42,7 @@ pub enum AllotError {
 pub struct Allotted {
     /// The image.
     pub rendered: Rendered,
-    /// Samples per pixel. [`render_as_allotted`] makes the same image from them, bit by bit.
+    /// Samples per pixel. [`crate::render_as_allotted`] makes the same image from them, bit by bit.
     pub samples: SampleCounts,
 }
 

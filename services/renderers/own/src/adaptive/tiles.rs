@@ -1,9 +1,7 @@
 //! An unfinished image, tile by tile: its own samples show where more of them pay.
 
-use crate::adaptive::allotment::Allotment;
-use crate::adaptive::allotment::laid_out;
-use crate::error::RenderError;
-use crate::error::ShotError;
+use crate::adaptive::allotment::{Allotment, laid_out};
+use crate::error::{RenderError, ShotError};
 use forelight_forecast::accuracy::{SampledPixel, Survey};
 use forelight_tracer::{Passes, SampleCounts, SoFar, Tiling};
 

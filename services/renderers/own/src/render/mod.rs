@@ -3,9 +3,7 @@
 pub(crate) mod pictures;
 
 use crate::answers::{CacheUse, Finished, Progress};
-use crate::costs::own_records;
-use crate::costs::seconds;
-use crate::costs::spent;
+use crate::costs::{own_records, seconds, spent};
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use crate::profile::work_classes::of_frame;

@@ -6,18 +6,14 @@ mod checkpoint;
 pub(crate) mod render;
 
 use self::render::render;
-use crate::accuracy::predict;
-use crate::accuracy::{AccuracyObserver, AccuracyOptions};
-use crate::error::RenderError;
-use crate::error::ShotError;
+use crate::accuracy::{AccuracyObserver, AccuracyOptions, predict};
+use crate::error::{RenderError, ShotError};
 use crate::open_shots::OpenShots;
 use crate::opening::OwnRenderer;
 use crate::profile::{Observer, count_frames, profile_frame};
 use crate::quote_options::QuoteOptions;
 use crate::render::pictures::{encoding_nanos, png, write_cost};
-use crate::results::artifact_name;
-use crate::results::preview_result;
-use crate::results::profile_result;
+use crate::results::{artifact_name, preview_result, profile_result};
 use crate::shared_cache::profile_shared;
 use crate::shot::OwnShot;
 use bytes::Bytes;
@@ -27,19 +23,18 @@ use forelight_protocol::{
 };
 use forelight_quote::{is_own, without_ladders};
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// Executes tasks with the bundles of a library.
-#[derive(Debug, Clone)]
+/// Executes tasks. All workers of a process share one runner, and so its open shots.
+#[derive(Debug)]
 pub struct TaskRunner {
-    shots: Arc<OpenShots>,
+    shots: OpenShots,
 }
 
 impl TaskRunner {
     /// A runner that opens bundles with `renderer`.
     pub fn new(renderer: OwnRenderer) -> Self {
-        Self { shots: Arc::new(OpenShots::new(renderer)) }
+        Self { shots: OpenShots::new(renderer) }
     }
 }
 
@@ -140,6 +135,7 @@ fn ladders(
     }
 }
 
+/// Files to upload, named by their hash.
 #[derive(Default)]
 pub(crate) struct Files {
     pub(crate) contents: Vec<Bytes>,

@@ -8,9 +8,8 @@ use crate::frame::OwnFrame;
 use crate::render::pictures::{encode, write_cost};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
-use crate::tasks::Files;
-use crate::tasks::cache;
 use crate::tasks::checkpoint::Checkpoints;
+use crate::tasks::{Files, cache};
 use bytes::Bytes;
 use forelight_protocol::{
     CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSpec, TaskResult,
