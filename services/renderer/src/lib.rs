@@ -16,4 +16,4 @@ mod quoting;
 
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use memory::{peak_rss_bytes, resident_bytes};
-pub use quoting::{MeasuredFrame, QuotingError, QuotingStep, ShotQuote, quote_shot};
+pub use quoting::{MeasuredFrame, QuotingError, QuotingStep, ShotQuote, Varied, quote_shot};
