@@ -1,7 +1,8 @@
 //! The cost of one frame as a line in its samples: cost = fixed + slope · samples.
 //!
 //! Renderers that cannot say what single pixels cost are asked for a frame at few samples. The fixed part is
-//! what does not depend on samples: synchronising the scene, building the tree, writing.
+//! what does not depend on samples: synchronising the scene, building the tree, writing. A renderer that cannot
+//! render fewer samples is asked for fewer pixels: "samples" are pixels of the image then.
 
 use crate::moments::sum;
 
@@ -9,7 +10,7 @@ use crate::moments::sum;
 /// where a renderer knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SampleCost {
-    /// Number of samples per pixel.
+    /// Number of samples per pixel, or of pixels.
     pub samples: u32,
     /// CPU time, nanoseconds.
     pub cpu_nanos: u64,

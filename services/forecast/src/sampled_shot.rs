@@ -67,7 +67,8 @@ pub struct SampledShotForecast {
     pub calibrated: bool,
 }
 
-/// Forecasts every frame at `samples` samples per pixel.
+/// Forecasts every frame at `samples` samples per pixel, or with so many pixels: whatever the measured costs
+/// are lines in.
 ///
 /// A measured frame has the cost of its line. Any other frame takes the fixed cost and the cost per sample of
 /// the nearest measured frames before and after it, with weights by the shot's clock. Where the times of

@@ -69,6 +69,15 @@ pub struct Wish<'a> {
 }
 
 impl AllotArgs {
+    /// Whether anything is asked for.
+    pub fn is_given(&self) -> bool {
+        self.within.is_some()
+            || self.within_money.is_some()
+            || self.error.is_some()
+            || self.samples_map.is_some()
+            || self.samples_from.is_some()
+    }
+
     /// The flag that limits the time.
     pub fn limit(&self) -> &'static str {
         if self.within_money.is_some() { "--within-money" } else { "--within" }

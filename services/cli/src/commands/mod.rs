@@ -12,6 +12,7 @@ mod explain;
 mod export;
 mod farm;
 mod forecast;
+mod foreign;
 mod jobs;
 mod log;
 mod node;

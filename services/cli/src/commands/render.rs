@@ -4,6 +4,7 @@ use super::allot::{self, AllotArgs};
 use super::cache::read_full_cache;
 use super::explain;
 use super::forecast::once_costs;
+use super::foreign;
 use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -42,11 +43,11 @@ Examples:
 The image has the same bits for any number of threads, with or without a profile. An .exr file holds linear colour, \
 object and material ids, and the cost and rays of every pixel. A .png file is for viewing.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file
+    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders
     bundle: PathBuf,
-    /// Frame number
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    frame: u32,
+    /// Frame number [default: the first frame]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    frame: Option<i32>,
     /// Image file to write, .exr or .png
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -66,6 +67,9 @@ pub struct Args {
     /// Code to trace with: only the effects that the frame needs, or all of them. The image has the same bits
     #[arg(long, value_name = "WHICH", default_value = "called-for")]
     effects: EffectsSwitch,
+    /// Change a setting of a .blend file, such as adaptive_sampling=false. May be repeated
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = foreign::own_setting())]
+    own: Vec<foreign::OwnSetting>,
     /// Print the cost as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -91,6 +95,13 @@ enum Format {
     Png,
 }
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    if foreign::is_foreign(&args.bundle) {
+        return render_foreign(args, interrupt);
+    }
+    foreign::refuse_own_settings(&args.own)?;
+    let frame = args.frame.unwrap_or(0);
+    let frame =
+        u32::try_from(frame).map_err(|_| BadInput::new(format!("--frame {frame}: frames begin at 0")))?;
     let wish = args.allot.wish(Instant::now());
     let samples_map = args.allot.check_map()?;
     let files = Files::new(args)?;
@@ -115,7 +126,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         .pool
         .install(|| {
             let given = Given { profile: profile.as_ref(), cache };
-            let (shot, frame, stopping) = (&local.shot, args.frame, Stopping(interrupt));
+            let (shot, frame, stopping) = (&local.shot, frame, Stopping(interrupt));
             match (&samples, &options) {
                 (Some(samples), _) => {
                     let again =
@@ -152,6 +163,28 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         output::print(&report(&rendered.stats, args.effects))?;
     }
     rendered.stats.allotted.as_deref().map_or(Ok(()), |allotted| wish.check_error(allotted))
+}
+
+/// Renders a frame of a scene that another renderer renders.
+fn render_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    foreign::refuse(&[
+        ("--cost-map", args.cost_map.is_some()),
+        ("--profile", args.profile.is_some()),
+        ("--cache-file", args.cache_file.is_some()),
+        ("--effects", args.effects != EffectsSwitch::CalledFor),
+        ("--within, --within-money, --error and --samples-from", args.allot.is_given()),
+    ])?;
+    let asked = foreign::AskedRender {
+        scene: &args.bundle,
+        frame: args.frame,
+        out: args.out.as_deref(),
+        stats: args.stats.as_deref(),
+        quality: &args.quality,
+        own: &args.own,
+        machine: &args.machine,
+        json: args.json,
+    };
+    foreign::render(&asked, interrupt)
 }
 
 fn format_of(path: &Path) -> Result<Format> {

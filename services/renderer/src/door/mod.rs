@@ -8,7 +8,7 @@
 //! | render | [`Shot::render`]: the files of a frame, and their cost |
 //!
 //! A [`Capability`] is what not every renderer can do. A renderer with none of them can still be asked for
-//! whole frames at fewer samples or at a smaller size, and be forecast from these.
+//! whole frames, and be forecast from these. Any renderer measures a whole frame: all of its samples.
 
 mod answers;
 mod artefact;
@@ -57,6 +57,8 @@ pub enum Capability {
     MeasureRegions,
     /// Measures single pixels of a frame.
     MeasurePixels,
+    /// Renders frames at other sizes. What a smaller frame costs tells what a larger one will cost.
+    Resize,
     /// A render takes over measured samples.
     TakeOverSamples,
     /// A render takes over measured pixels.

@@ -3,7 +3,7 @@
 mod cost_map;
 mod sharing;
 
-use super::{calibrate, explain};
+use super::{calibrate, explain, foreign};
 use crate::caches;
 use crate::job_options::png_file;
 use anyhow::Result;
@@ -52,7 +52,7 @@ reports which one costs less.
 
 Work is a count of operations, and is the same in every run. CPU time is that of this machine.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file
+    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
@@ -96,6 +96,9 @@ pub struct Args {
     /// cache
     #[arg(long, conflicts_with = "cache_sharing")]
     explain: bool,
+    /// Change a setting of a .blend file, such as adaptive_sampling=false. May be repeated
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = foreign::own_setting())]
+    own: Vec<foreign::OwnSetting>,
     /// Print the quote as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -113,6 +116,10 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
     })
 }
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    if foreign::is_foreign(&args.bundle) {
+        return forecast_foreign(args, interrupt);
+    }
+    foreign::refuse_own_settings(&args.own)?;
     sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
     if args.cost_map.is_some() {
         cost_map::check(args.cost_map_at, args.strategy, args.samples)?;
@@ -163,6 +170,29 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         }
         None => Ok(()),
     }
+}
+
+/// The quote of a scene that another renderer renders.
+fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    foreign::refuse(&[
+        ("--strategy", args.strategy != Strategy::Snapshot),
+        ("--save-profile", args.save_profile.is_some()),
+        ("--calibration", args.calibration.is_some()),
+        ("--for-node", args.for_node.is_some()),
+        ("--cache-sharing", args.cache_sharing != CacheSharing::Private),
+        ("--cost-map", args.cost_map.is_some()),
+        ("--explain", args.explain),
+    ])?;
+    let asked = foreign::AskedForecast {
+        scene: &args.bundle,
+        frames: args.frames.as_ref(),
+        measured_frames: args.profile_frames,
+        quality: &args.quality,
+        own: &args.own,
+        machine: &args.machine,
+        json: args.json,
+    };
+    foreign::forecast(&asked, interrupt)
 }
 
 #[derive(serde::Serialize)]

@@ -1,0 +1,159 @@
+//! Quotes of a renderer whose costs are known: a line in samples and pixels, which changes over time.
+
+use forelight_renderer::door::{
+    Artefact, Capabilities, Capability, Common, Cost, Description, FixedCosts, FrameCounts, Frames, Limits,
+    Measured, Part, PieceCost, PixelCount, Region, Rendered, RendererError, Run, Settings, Shot,
+};
+use forelight_renderer::{ShotQuote, Varied, quote_shot};
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
+
+/// Starting the program, nanoseconds.
+const START: u64 = 30_000_000;
+
+struct Known {
+    description: Description,
+    can: Capabilities,
+    /// Cost of a sample of a pixel in frame 0, nanoseconds.
+    unit: u64,
+    asked: Mutex<Vec<Part>>,
+}
+
+impl Known {
+    fn new(can: &[Capability], unit: u64) -> Self {
+        let description = Description {
+            frames: Frames { first: 0, last: 23, step: 1 },
+            frames_per_second: 24.0,
+            cameras: Vec::new(),
+            layers: Vec::new(),
+            objects: None,
+            materials: None,
+            settings: Settings {
+                common: Common { width: 320, height: 180, samples: 64, seed: 0 },
+                own: Default::default(),
+            },
+            assets: Vec::new(),
+            notes: Vec::new(),
+            opening: Cost::default(),
+        };
+        Self { description, can: can.iter().copied().collect(), unit, asked: Mutex::default() }
+    }
+
+    /// A region's pixels cost more at the right.
+    fn cost(&self, frame: i32, samples: u32, region: Region, width: u32) -> u64 {
+        let unit = self.unit + self.unit * u64::from(frame.unsigned_abs()) / 24;
+        let centre = f64::from(2 * region.x + region.width) / f64::from(2 * width);
+        let pixels = f64::from(region.width * region.height) * (0.5 + centre);
+        START + (pixels * (u64::from(samples) * unit) as f64) as u64
+    }
+
+    fn truth(&self) -> f64 {
+        let Common { width, height, samples, .. } = self.description.settings.common;
+        let whole = Region { x: 0, y: 0, width, height };
+        (0..24).map(|frame| self.cost(frame, samples, whole, width) as f64).sum()
+    }
+
+    fn quote(&self) -> ShotQuote {
+        let cancelled = AtomicBool::new(false);
+        let run = Run {
+            cancelled: &cancelled,
+            progress: &|_| {},
+            log: &|_| {},
+            scratch: Path::new("/"),
+            limits: Limits::default(),
+        };
+        let frames: Vec<i32> = self.description.frames.numbers().collect();
+        quote_shot(self, &frames, &self.description.settings, 5, &|_| {}, &run).unwrap()
+    }
+}
+
+impl Shot for Known {
+    fn description(&self) -> &Description {
+        &self.description
+    }
+
+    fn capabilities(&self, _: &Settings) -> Capabilities {
+        self.can.clone()
+    }
+
+    fn preview(
+        &self,
+        frames: &[i32],
+        settings: &Settings,
+        _: &Run<'_>,
+    ) -> Result<Vec<FrameCounts>, RendererError> {
+        let whole = PixelCount { object: None, material: None, pixels: settings.pixels() };
+        let counts =
+            |&frame| FrameCounts { frame, counts: vec![whole], sampled_pixels: 0, cost: Cost::default() };
+        Ok(frames.iter().map(counts).collect())
+    }
+
+    fn measure(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        part: &Part,
+        _: &Run<'_>,
+    ) -> Result<Measured, RendererError> {
+        let Common { width, height, samples, .. } = settings.common;
+        let whole = Region { x: 0, y: 0, width, height };
+        self.asked.lock().unwrap().push(part.clone());
+        let pieces: Vec<PieceCost> = match part {
+            Part::Regions(regions) => regions
+                .iter()
+                .map(|&region| PieceCost { region, cpu_nanos: self.cost(frame, samples, region, width) })
+                .collect(),
+            &Part::Samples { count, .. } => {
+                vec![PieceCost { region: whole, cpu_nanos: self.cost(frame, count, whole, width) }]
+            }
+            Part::Pixels(_) => Vec::new(),
+        };
+        let cpu_nanos = pieces.iter().map(|piece| piece.cpu_nanos).sum();
+        Ok(Measured {
+            cost: Cost { cpu_nanos, ..Cost::default() },
+            fixed: FixedCosts::new(),
+            pieces,
+            strata: Vec::new(),
+            blocks: None,
+            artefact: None,
+        })
+    }
+
+    fn render(&self, _: i32, _: &Settings, _: &[Artefact], _: &Run<'_>) -> Result<Rendered, RendererError> {
+        Err(RendererError::Unsupported("nothing is rendered here".to_owned()))
+    }
+}
+
+#[test]
+fn any_renderer_is_quoted_by_what_it_can() {
+    for (can, varied, within) in [
+        (&[Capability::MeasureSamples, Capability::Resize][..], Varied::Samples, 0.01),
+        (&[Capability::Resize, Capability::MeasureRegions], Varied::Size, 0.01),
+        (&[Capability::MeasureRegions], Varied::Regions, 0.03),
+        (&[], Varied::Nothing, 0.01),
+    ] {
+        let shot = Known::new(can, 1000);
+        let quote = shot.quote();
+        assert_eq!(quote.varied, varied);
+        let error = quote.forecast.total.mean / shot.truth() - 1.0;
+        assert!(error.abs() < within, "{varied:?}: {error}");
+        assert_eq!(quote.measured.len(), 5);
+        // Frames are chosen over all of the time.
+        let early = quote.measured.iter().filter(|frame| frame.frame < 12).count();
+        assert!((2..=3).contains(&early), "{:?}", quote.measured);
+        let share = quote.spent.cpu_nanos as f64 / shot.truth();
+        println!("{varied:?}: error {error:+.4}, {share:.3} of the cost");
+        assert!(share < if varied == Varied::Nothing { 0.25 } else { 0.05 }, "{varied:?}: {share}");
+    }
+}
+
+#[test]
+fn more_is_measured_where_fixed_costs_hide_what_is_varied() {
+    let measured = |unit| {
+        let shot = Known::new(&[Capability::Resize], unit);
+        shot.quote();
+        shot.asked.into_inner().unwrap().len()
+    };
+    assert_eq!((measured(1000), measured(1)), (10, 15));
+}
