@@ -27,15 +27,6 @@ cleanup() {
 }
 trap cleanup EXIT
 fail() { echo "failed: $1"; tail -n 30 "$work/farm.log" 2>/dev/null || true; exit 1; }
-wait_for() { # SECONDS COMMAND…
-  local tries=$(($1 * 10))
-  shift
-  while ! "$@" 2>/dev/null; do
-    tries=$((tries - 1))
-    [ $tries -gt 0 ] || fail "timed out: $*"
-    sleep 0.1
-  done
-}
 # The server keeps its objects in memory, so it cannot be stopped. A proxy in front of it is stopped and
 # started instead.
 behind=$(free_port)

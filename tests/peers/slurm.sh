@@ -41,16 +41,14 @@ fail() {
   echo "failed: $1"
   squeue --states=all 2>/dev/null || true
   tail -n 40 "$work/farm.log" 2>/dev/null || true
-  exit 1
-}
-wait_for() { # SECONDS COMMAND…
-  local tries=$(($1 * 5))
-  shift
-  while ! "$@" 2>/dev/null; do
-    tries=$((tries - 1))
-    [ $tries -gt 0 ] || fail "timed out: $*"
-    sleep 0.2
+  # What the processes that Slurm started said, and where those that still run wait.
+  find "$work" -name '*_*.log' -exec tail -n 20 {} + || true
+  local process
+  for process in $(pgrep -f "$FORELIGHT_BIN worker" || true); do
+    echo "process $process: $(tr '\0' ' ' <"/proc/$process/cmdline")"
+    grep -H '' "/proc/$process"/task/*/{comm,wchan} || true
   done
+  exit 1
 }
 
 host=$(hostname -s)
@@ -89,15 +87,6 @@ start_farm() {
   wait_for 30 grep -q '^listening on ' "$work/printed"
 }
 submit() { "$FORELIGHT_BIN" submit "$1" --server "http://127.0.0.1:$port" --data "$work/data" "${@:2}"; }
-ask() { # one value from the farm's database, by a query
-  "$environment/bin/python" - "$work/data/forelight.sqlite" "$1" <<'PYTHON'
-import sqlite3, sys
-row = sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True, timeout=10).execute(sys.argv[2]).fetchone()
-print("" if row is None or row[0] is None else row[0])
-PYTHON
-}
-is() { [ "$(ask "$1")" = "$2" ]; }
-at_least() { [ "$(ask "$1")" -ge "$2" ]; }
 # A running element on one of the given nodes, as NUMBER_PLACE.
 running() { squeue --noheader --states=RUNNING --name="$(names render)" --format='%F_%K %N' | grep -E " node[$1]\$" | head -1 | cut -d' ' -f1; }
 names() { squeue --noheader --states=all --format=%j | grep "^forelight-$1" | sort -u | paste -sd,; }

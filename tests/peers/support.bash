@@ -33,6 +33,17 @@ python_with() {
   touch "$ready"
 }
 
+# Sets `environment` to one with Blender as a Python module.
+blender_module() {
+  command -v python3 >/dev/null || skip 'no python3'
+  # The module bpy is compiled for one version of Python.
+  python3 -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || skip 'bpy 5.0 needs Python 3.11'
+  # Libraries that the module bpy is linked to.
+  deploy/packages.sh libgl1 libice6 libsm6 libx11-6 libxext6 libxfixes3 libxi6 libxkbcommon0 libxrender1 ||
+    skip 'the libraries of Blender cannot be installed (no network?)'
+  PIP_NO_CACHE_DIR=1 python_with blender bpy==5.0.1 'numpy>=1.26,<3' 'OpenEXR>=3.3,<4'
+}
+
 # Sets FORELIGHT_BIN to a fresh build, unless it is set.
 need_forelight() {
   if [ -z "${FORELIGHT_BIN:-}" ]; then
@@ -80,3 +91,26 @@ PYTHON
 
 # free_port: prints an unused port.
 free_port() { "$environment/bin/python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }
+
+# wait_for SECONDS COMMAND…: repeats the command until it succeeds. After that time it calls `fail`, which the
+# script defines.
+wait_for() {
+  local tries=$(($1 * 10))
+  shift
+  while ! "$@" 2>/dev/null; do
+    tries=$((tries - 1))
+    [ $tries -gt 0 ] || fail "timed out: $*"
+    sleep 0.1
+  done
+}
+
+# ask QUERY: prints one value from the database of the farm in $work/data. `is` and `at_least` compare it.
+ask() {
+  "$environment/bin/python" - "$work/data/forelight.sqlite" "$1" <<'PYTHON'
+import sqlite3, sys
+row = sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True, timeout=10).execute(sys.argv[2]).fetchone()
+print("" if row is None or row[0] is None else row[0])
+PYTHON
+}
+is() { [ "$(ask "$1")" = "$2" ]; }
+at_least() { [ "$(ask "$1")" -ge "$2" ]; }

@@ -29,11 +29,12 @@ use std::sync::Arc;
 use forelight_forecast::Experience;
 use forelight_forecast::Strategy;
 use forelight_protocol::{
-    AccuracyRung, Job, JobId, JobState, Money, Node, NodeId, PreviewResult, Timestamp, Within,
+    AccuracyRung, Job, JobId, JobSettings, JobState, Money, Node, NodeId, PreviewResult, RenderSettings,
+    Timestamp, Within,
 };
 use forelight_quote::{
-    Limit, Measured, MeasuredProfile, Most, Quote, QuoteError, QuoteKind, frames_to_profile,
-    is_shared_cache_worth_planning, quote,
+    Limit, Measured, MeasuredProfile, Most, Quote, QuoteBasis, QuoteError, QuoteKind, frames_to_profile,
+    is_shared_cache_worth_planning, quote, quote_sampled,
 };
 use forelight_store::{PlannedCache, Store, StoreError};
 
@@ -128,6 +129,35 @@ impl Conductor {
     }
 
     async fn forecast_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
+        match &job.settings {
+            JobSettings::Own(settings) => self.forecast_pixels_and_book(job, settings).await,
+            JobSettings::Shot(_) => self.forecast_samples_and_book(job).await,
+        }
+    }
+
+    /// Books a job of another renderer, which was measured as a few frames at few samples.
+    async fn forecast_samples_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
+        let Some(profiles) = self.store.sampled_profiles(job.id).await? else { return Ok(()) };
+        let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
+        let kind = profiles.first().map(|profile| QuoteKind::of_renderer(&profile.result.renderer));
+        let experience = match &kind {
+            Some(kind) => self.store.experience(kind).await?,
+            None => Experience::default(),
+        };
+        let quote = compute(move || {
+            let corrections = experience.corrections();
+            Ok(quote_sampled(&preview, &profiles, corrections.as_ref())?)
+        })
+        .await?;
+        let basis = kind.map(|kind| quote.basis(kind));
+        self.book_at_last(job, &quote, basis.as_ref(), &[]).await
+    }
+
+    async fn forecast_pixels_and_book(
+        &self,
+        job: &Job,
+        settings: &RenderSettings,
+    ) -> Result<(), AdvanceError> {
         let Some(profiles) = self.store.profile_results(job.id).await? else { return Ok(()) };
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
         let planned = self.store.planned_cache(job.id).await?;
@@ -142,7 +172,7 @@ impl Conductor {
                 return Ok(self.store.profile_more(job.id, &more, &planned).await?);
             }
         }
-        let kind = QuoteKind::of(&profiles, &job.settings);
+        let kind = QuoteKind::of(&profiles, settings);
         let experience = match &kind {
             Some(kind) => self.store.experience(kind).await?,
             None => Experience::default(),
@@ -151,13 +181,26 @@ impl Conductor {
             Some(within) => Some(limit(within, job, self.nodes_for_plans(self.clock.now()).await?)?),
             None => None,
         };
-        let asked = job.clone();
-        let (quote, rungs) =
-            compute(move || quote_job(&asked, &preview, &profiles, &planned, &experience, limit)).await?;
+        let (asked, settings) = (job.clone(), settings.clone());
+        let (quote, rungs) = compute(move || {
+            quote_job((&asked, &settings), &preview, &profiles, &planned, &experience, limit)
+        })
+        .await?;
         // Frames with a fixed amount of work do not show forecast errors.
         let basis = kind.filter(|_| job.within.is_none()).map(|kind| quote.basis(kind));
+        self.book_at_last(job, &quote, basis.as_ref(), &rungs).await
+    }
+
+    /// Books the job. Tries again if another plan comes first.
+    async fn book_at_last(
+        &self,
+        job: &Job,
+        quote: &Quote,
+        basis: Option<&QuoteBasis>,
+        rungs: &[AccuracyRung],
+    ) -> Result<(), AdvanceError> {
         for _ in 0..ATTEMPTS {
-            match self.book(job, &quote, basis.as_ref(), &rungs).await {
+            match self.book(job, quote, basis, rungs).await {
                 // Overtaken by another plan or a cancellation: look again.
                 Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
                     tracing::info!(job = %job.id, reason, "the plan is made again");
@@ -173,7 +216,7 @@ impl Conductor {
 }
 
 fn quote_job(
-    job: &Job,
+    (job, settings): (&Job, &RenderSettings),
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
     planned: &PlannedCache,
@@ -185,12 +228,12 @@ fn quote_job(
         return Ok((limit.quote(preview, profiles, corrections.as_ref())?, Vec::new()));
     }
     let measured = Measured::new(preview, profiles).with_cache(planned.plan());
-    let quote = quote(job.cache, &job.settings, &measured, corrections.as_ref())?;
+    let quote = quote(job.cache, settings, &measured, corrections.as_ref())?;
     if profiles.is_empty() {
         return Ok((quote, Vec::new()));
     }
     let shared = planned.plan().filter(|_| quote.shared_cache.is_some());
-    let rungs = measured.with_cache(shared).qualities(&job.settings)?.rungs;
+    let rungs = measured.with_cache(shared).qualities(settings)?.rungs;
     Ok((quote, rungs))
 }
 
@@ -250,7 +293,7 @@ mod tests {
             materials: 1,
             triangles: 1,
         };
-        let settings = request.settings.complete((8, 8));
+        let settings = request.settings.complete((8, 8)).into();
         let source = BundleSource::Path("/scenes/a".to_owned());
         let new = NewJob { request, scene, source, settings };
         let Answered::Fresh(job) = store.create_job(&new, None, Timestamp::now()).await.unwrap() else {

@@ -155,8 +155,9 @@ async fn assert_offline_images_are_the_same(
 ) {
     let shot = OwnRenderer::new(Choice::Cpu).open(&scenes().join("corridor")).unwrap();
     let never = AtomicBool::new(false);
-    let planned = shot.plan_cache(&[0, 12, 24], &job.settings, &|_| (), &never).unwrap().unwrap();
-    let filled = shot.fill_cache(planned, &job.settings, (0, 1), &|_, _| (), &never).unwrap().unwrap();
+    let settings = job.settings.own().unwrap();
+    let planned = shot.plan_cache(&[0, 12, 24], settings, &|_| (), &never).unwrap().unwrap();
+    let filled = shot.fill_cache(planned, settings, (0, 1), &|_, _| (), &never).unwrap().unwrap();
     let file = filled.to_bytes();
     let name = ArtifactHash(*blake3::hash(&file).as_bytes());
     for row in frames {
@@ -166,16 +167,15 @@ async fn assert_offline_images_are_the_same(
             digest: job.scene.digest,
             frame: row.frame,
             settings: job.settings.clone(),
+            renderer: None,
             work: None,
             profile: None,
             cache: Some(name),
+            shares: Vec::new(),
         };
         let assignment = Assignment {
-            spec: TaskSpec::Render(spec),
-            bundle: scenes().join("corridor"),
-            profile: None,
             caches: vec![file.clone().into()],
-            checkpoint: None,
+            ..Assignment::new(TaskSpec::Render(spec), scenes().join("corridor"))
         };
         let outcome = runner.execute(&assignment, &Control::default()).unwrap();
         let TaskResult::Render(offline) = outcome.result else { panic!() };

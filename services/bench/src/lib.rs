@@ -9,6 +9,7 @@ mod images;
 mod paper;
 mod plan;
 mod rays;
+mod renderers;
 mod report;
 mod seconds;
 mod shots;
@@ -30,6 +31,7 @@ Examples:
   forelight bench forecast kitchen/ corridor/ --out forecast.json
   forelight bench images kitchen/ --size 256 --pictures images/
   forelight bench rays kitchen/
+  forelight bench renderers kitchen.blend --frames 0 --samples 64,256
   forelight bench paper kitchen/ corridor/ --out report/
   forelight bench leases
   forelight bench workers --workers 5000
@@ -59,6 +61,7 @@ enum Bench {
     Rays(rays::Args),
     Seconds(seconds::Args),
     Shots(shots::Args),
+    Renderers(renderers::Args),
 }
 
 /// Runs the command.
@@ -77,6 +80,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         Bench::Rays(args) => ("rays", rays::run(args, interrupt)?),
         Bench::Seconds(args) => ("seconds", seconds::run(args, interrupt)?),
         Bench::Shots(args) => ("shots", shots::run(args, interrupt)?),
+        Bench::Renderers(args) => ("renderers", renderers::run(args, interrupt)?),
     };
     match file {
         Some(file) => page::write(&file, name, &Origin::of(&file)?, &report),

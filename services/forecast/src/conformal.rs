@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cost::{Costs, Quantity};
 use crate::interval::log_deviation;
+use crate::sampled_shot::SampledShotForecast;
 use crate::shot::ShotForecast;
 use crate::student;
 
@@ -173,6 +174,21 @@ impl Experience {
             job_work: self.job_work.correction()?,
             job_cpu: self.job_cpu.correction()?,
         })
+    }
+}
+
+impl SampledShotForecast {
+    /// The forecast with calibrated quantiles.
+    #[must_use]
+    pub fn corrected(mut self, corrections: &Corrections) -> Self {
+        for frame in &mut self.frames {
+            frame.cpu_nanos = corrections.frame_cpu.apply(&frame.cpu_nanos, Measure::CpuTime);
+        }
+        let job = &corrections.job_cpu;
+        self.total = job.apply(&self.total, Measure::CpuTime);
+        self.job_sigma = self.total.spread(Measure::CpuTime) * (job.p95 - job.p50) / NORMAL_95;
+        self.calibrated = true;
+        self
     }
 }
 

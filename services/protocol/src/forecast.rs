@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ByClass, CacheQuote, FixedCosts, LeftOut, MoneyQuantiles, NodeCalibration, ProcessCosts, Quantiles,
-    RenderSettings, SceneDigest,
+    ByClass, CacheQuote, FixedCosts, JobSettings, LeftOut, MoneyQuantiles, NodeCalibration, ProcessCosts,
+    Quantiles, RendererRequest, SceneDigest,
 };
 
 /// Forecast numbers of rays, by category.
@@ -169,8 +169,11 @@ pub struct ForecastDoc {
 pub struct QuotedShot {
     /// Hash of the scene's files.
     pub scene: SceneDigest,
+    /// The renderer. Absent for forelight's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<RendererRequest>,
     /// Settings of all frames.
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
 }
 
 /// CPU time of a job on one node.

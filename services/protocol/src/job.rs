@@ -4,9 +4,10 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobState, JobVerdict,
-    Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles, RenderSettings,
-    RenderSettingsRequest, RenderStats, SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, Waits,
+    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobSettings, JobState,
+    JobVerdict, Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles,
+    RenderSettingsRequest, RenderStats, RendererRequest, SceneSummary, SharedCacheProgress, TaskLimits,
+    Timestamp, Waits,
 };
 
 /// Request for a new job.
@@ -22,6 +23,9 @@ pub struct JobRequest {
     pub project: String,
     /// The scene bundle to render.
     pub bundle: BundleRef,
+    /// The renderer. If absent, forelight's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<RendererRequest>,
     /// The frames to render.
     pub frames: FrameSet,
     /// Render settings. What is left out has the scene's value or the default.
@@ -123,12 +127,16 @@ pub struct Job {
     pub state: JobState,
     /// The scene bundle.
     pub bundle: BundleRef,
-    /// Summary of the scene in the bundle.
+    /// The renderer. Absent for forelight's own. Complete once the job is previewed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<RendererRequest>,
+    /// Summary of the scene in the bundle. With another renderer, numbers are 0 until the job is previewed.
     pub scene: SceneSummary,
     /// The frames to render.
     pub frames: FrameSet,
-    /// The complete render settings.
-    pub settings: RenderSettings,
+    /// The complete render settings. With another renderer, those of the scene are absent until the job is
+    /// previewed.
+    pub settings: JobSettings,
     /// The requested sharing of irradiance caches. The quote says whether the frames share one.
     #[serde(default)]
     pub cache: CacheSharing,
@@ -211,8 +219,8 @@ pub struct JobCheck {
     pub frames: FrameSet,
     /// Number of frames.
     pub frames_total: u32,
-    /// The complete render settings.
-    pub settings: RenderSettings,
+    /// The complete render settings. With another renderer, those of the scene are absent.
+    pub settings: JobSettings,
 }
 
 /// State of a frame.

@@ -42,6 +42,7 @@ mod plan;
 mod problem;
 mod profile;
 mod quantiles;
+mod renderer;
 mod result;
 mod role;
 mod settings;
@@ -117,13 +118,17 @@ pub use profile::{
     UncoveredGathers,
 };
 pub use quantiles::{MoneyQuantiles, Quantiles};
-pub use result::{FrameStrata, PreviewBackend, PreviewResult, RenderArtifacts, RenderResult, TaskResult};
+pub use renderer::{JobSettings, RendererId, RendererRequest, ShotSettings};
+pub use result::{
+    Described, FrameStrata, MeasuredFrame, MeasuredShare, PreviewBackend, PreviewResult, RenderArtifacts,
+    RenderResult, SampleCost, StratumTime, TaskResult, Varied,
+};
 pub use role::{Role, UnknownRole};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use spent::{Spent, at_speed_one};
 pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, RenderStats, WithinStats};
 pub use stratum::{Stratum, StratumName};
-pub use task::{PreviewSpec, ProfileSpec, RenderSpec, TaskKind, TaskSpec};
+pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,

@@ -5,8 +5,8 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::{
-    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, TaskId,
-    TimeSpan, Timestamp, WindowEnd,
+    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, RendererId,
+    RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
 };
 
 /// Registers a node. A node with the same name is updated; it keeps its id and what an operator set.
@@ -78,6 +78,10 @@ pub struct Capabilities {
     /// Whether that adapter is a hardware GPU, not a software driver.
     #[serde(default)]
     pub gpu: bool,
+    /// Renderers besides forelight's own, at most 50. Tasks of their jobs go only to nodes that have them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 50)]
+    pub renderers: Vec<RendererId>,
     /// Speed of one of its cores, by class of work. Absent if it was not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<NodeCalibration>,
@@ -210,6 +214,11 @@ pub enum NodeState {
 }
 
 impl Node {
+    /// Whether it has a renderer, besides our own, that the request allows.
+    pub fn has_renderer(&self, asked: &RendererRequest) -> bool {
+        self.capabilities.renderers.iter().any(|id| asked.allows(id))
+    }
+
     /// Whether it may get tasks.
     pub fn takes_tasks(&self) -> bool {
         !self.drain && !self.pause && self.set_aside.is_none()

@@ -5,7 +5,7 @@ use utoipa::ToSchema;
 
 use crate::{
     ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, PlanCount, ProfileResult, RenderStats,
-    Spent, Stratum, TaskKind,
+    RendererId, SampleShare, SceneSummary, ShotSettings, Spent, Stratum, TaskKind,
 };
 
 /// Result of a task. In JSON an object with one key: `{"preview": {…}}`.
@@ -16,6 +16,8 @@ pub enum TaskResult {
     Preview(PreviewResult),
     /// Result of a profile.
     Profile(ProfileResult),
+    /// Result of a profile by another renderer.
+    Measured(MeasuredFrame),
     /// Result of planning a shared irradiance cache.
     CachePlan(CachePlanResult),
     /// Result of filling a part of the cache.
@@ -31,7 +33,7 @@ impl TaskResult {
     pub const fn kind(&self) -> TaskKind {
         match self {
             TaskResult::Preview(_) => TaskKind::Preview,
-            TaskResult::Profile(_) => TaskKind::Profile,
+            TaskResult::Profile(_) | TaskResult::Measured(_) => TaskKind::Profile,
             TaskResult::CachePlan(_) => TaskKind::CachePlan,
             TaskResult::CacheFill(_) => TaskKind::CacheFill,
             TaskResult::CacheMerge(_) => TaskKind::CacheMerge,
@@ -48,6 +50,7 @@ impl TaskResult {
             TaskResult::Profile(result) => {
                 std::iter::once(result.artifacts.profile).chain(result.artifacts.preview_png).collect()
             }
+            TaskResult::Measured(result) => result.shares.iter().filter_map(|share| share.hash).collect(),
             TaskResult::CachePlan(result) => result.cache.into_iter().collect(),
             TaskResult::CacheFill(result) => vec![result.cache],
             TaskResult::CacheMerge(result) => vec![result.cache],
@@ -67,6 +70,8 @@ pub enum PreviewBackend {
     Gpu,
     /// On the CPU, by camera rays.
     Cpu,
+    /// By an id pass of the job's renderer.
+    Renderer,
 }
 
 /// Pixel counts of a frame by stratum.
@@ -118,6 +123,114 @@ pub struct PreviewResult {
     pub backend: PreviewBackend,
     /// Cost of the previews.
     pub spent: Spent,
+    /// What the job's renderer found in the scene. Absent with forelight's own renderer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub described: Option<Box<Described>>,
+}
+
+/// What a renderer found in a scene.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Described {
+    /// The renderer.
+    pub renderer: RendererId,
+    /// Summary of the scene.
+    pub scene: SceneSummary,
+    /// The complete settings: the scene's, changed by the job's.
+    pub settings: ShotSettings,
+    /// What a user should know, such as scripts that are not run. At most 100.
+    #[schema(max_items = 100)]
+    pub notes: Vec<String>,
+}
+
+/// Measured cost of a part of a frame.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SampleCost {
+    /// How much the part has of what is varied, such as samples. With 0, the costs that do not depend on it.
+    pub amount: u32,
+    /// CPU time over all threads, in nanoseconds.
+    pub cpu_nanos: u64,
+}
+
+/// A measured share of a frame's samples.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeasuredShare {
+    /// Number of samples before it.
+    pub offset: u32,
+    /// Number of samples.
+    pub count: u32,
+    /// CPU time of these samples in nanoseconds, without what does not depend on samples.
+    pub cpu_nanos: u64,
+    /// The file with these samples, which the render takes over. Absent if it cannot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hash: Option<ArtifactHash>,
+}
+
+impl MeasuredShare {
+    /// The share as a render takes it over.
+    pub fn taken_over(&self) -> Option<SampleShare> {
+        let Self { offset, count, cpu_nanos, hash } = *self;
+        Some(SampleShare { offset, count, cpu_nanos, hash: hash? })
+    }
+}
+
+/// Time that a renderer spent on one stratum of a frame.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StratumTime {
+    /// Number of the object in the scene. Absent for the background.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub object: Option<u32>,
+    /// Number of the material in the scene. Absent if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub material: Option<u32>,
+    /// Time in nanoseconds. It says how the cost divides, not how large it is.
+    pub nanos: u64,
+}
+
+/// In what the measured parts of a frame differ. The frame's cost is a line in it.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Varied {
+    /// Samples per pixel.
+    Samples,
+    /// The size of the image, in pixels.
+    Size,
+    /// The number of pixels in regions of the image.
+    Regions,
+    /// Nothing: whole frames are measured, which count as 1.
+    Nothing,
+}
+
+/// Result of a profile by another renderer: costs of cheap parts of the frame.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeasuredFrame {
+    /// The frame.
+    pub frame: u32,
+    /// The renderer.
+    pub renderer: RendererId,
+    /// In what the measured parts differ.
+    pub varied: Varied,
+    /// How much of that the whole frame has: samples per pixel, pixels, or 1.
+    pub whole: u32,
+    /// Measured costs, at two different amounts at least. At most 1000.
+    #[schema(max_items = 1000)]
+    pub costs: Vec<SampleCost>,
+    /// Where the time went. Empty if the renderer does not know.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub strata: Vec<StratumTime>,
+    /// The measured shares of the samples. At most 100.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 100)]
+    pub shares: Vec<MeasuredShare>,
+    /// Cost of the whole task.
+    pub spent: Spent,
+    /// Largest resident memory in bytes. 0 if unknown.
+    #[serde(default)]
+    pub peak_memory_bytes: u64,
 }
 
 /// The artefacts of a render.

@@ -3,7 +3,10 @@
 use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 use utoipa::ToSchema;
+
+use crate::ShotSettings;
 
 /// Which materials the renderer uses.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -248,9 +251,45 @@ pub struct RenderSettingsRequest {
     /// Seed of all random numbers. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
+    /// Settings of another renderer, by its schema. Only for a job that names a `renderer`; such a job has,
+    /// besides these, only `width`, `height`, `spp` and `seed`, and the defaults are those of its scene.
+    #[serde(skip_serializing_if = "Map::is_empty")]
+    #[schema(value_type = Object)]
+    pub own: Map<String, Value>,
 }
 
 impl RenderSettingsRequest {
+    /// The settings for a renderer other than our own. The error is the first setting that it cannot have.
+    pub fn of_shot(&self) -> Result<ShotSettings, BadSetting> {
+        let ours = [
+            ("integrator", self.integrator.is_some()),
+            ("ambient_bounces", self.ambient_bounces.is_some()),
+            ("ambient_divisions", self.ambient_divisions.is_some()),
+            ("max_depth", self.max_depth.is_some()),
+            ("cache", self.cache.is_some()),
+            ("cache_accuracy", self.cache_accuracy.is_some()),
+            ("cache_rays", self.cache_rays.is_some()),
+            ("materials", self.materials.is_some()),
+        ];
+        if let Some((name, _)) = ours.into_iter().find(|(_, is_given)| *is_given) {
+            let reason = "only forelight's own renderer has this setting; see `own`".to_owned();
+            return Err(BadSetting { name, reason });
+        }
+        for (name, value) in [("width", self.width), ("height", self.height), ("spp", self.spp)] {
+            if value.is_some_and(|value| !(1..=65_536).contains(&value)) {
+                return Err(BadSetting { name, reason: "it is not within 1 to 65536".to_owned() });
+            }
+        }
+        let seed = match self.seed.map(u32::try_from) {
+            Some(Err(_)) => {
+                return Err(BadSetting { name: "seed", reason: format!("it is at most {}", u32::MAX) });
+            }
+            seed => seed.and_then(Result::ok),
+        };
+        let Self { width, height, spp: samples, .. } = *self;
+        Ok(ShotSettings { width, height, samples, seed, own: self.own.clone() })
+    }
+
     /// Fills in the defaults. `camera` is the scene's image size (width, height) in pixels.
     pub fn complete(&self, camera: (u32, u32)) -> RenderSettings {
         RenderSettings {

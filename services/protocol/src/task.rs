@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, RenderSettings,
-    SceneDigest,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, JobSettings,
+    RendererRequest, SceneDigest,
 };
 
 /// Kind of a task.
@@ -151,6 +151,16 @@ impl TaskSpec {
         }
     }
 
+    /// The renderer; `None` for our own.
+    pub const fn renderer(&self) -> Option<&RendererRequest> {
+        match self {
+            TaskSpec::Preview(PreviewSpec { renderer, .. })
+            | TaskSpec::Profile(ProfileSpec { renderer, .. })
+            | TaskSpec::Render(RenderSpec { renderer, .. }) => renderer.as_ref(),
+            TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => None,
+        }
+    }
+
     /// Expected hash of the scene's files.
     pub const fn digest(&self) -> SceneDigest {
         match self {
@@ -176,7 +186,10 @@ pub struct PreviewSpec {
     /// The frames, ascending.
     pub frames: Vec<u32>,
     /// The job's settings.
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
+    /// The renderer. Absent for forelight's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<RendererRequest>,
 }
 
 /// Task: profile one frame. About `samples` pixels, chosen over the strata, are traced and measured.
@@ -195,7 +208,10 @@ pub struct ProfileSpec {
     /// Seed for choosing the pixels. The pixels' own random numbers use `settings.seed`, as in the render.
     pub phase_seed: u64,
     /// The job's settings.
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
+    /// The renderer. Absent for forelight's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<RendererRequest>,
     /// Whether to measure ladders of other qualities around the settings as well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ladders: bool,
@@ -217,7 +233,10 @@ pub struct RenderSpec {
     /// The frame.
     pub frame: u32,
     /// The job's settings.
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
+    /// The renderer. Absent for forelight's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<RendererRequest>,
     /// Largest work of the frame. Every pixel gets one camera sample; others go where they reduce the error
     /// most. If absent, the settings' samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -227,4 +246,21 @@ pub struct RenderSpec {
     /// The complete shared irradiance cache. Absent without one, and while the task waits for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
+    /// Finished shares of this frame's samples, to take over, in the order of their samples.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub shares: Vec<SampleShare>,
+}
+
+/// A share of a frame's samples that is finished.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SampleShare {
+    /// Number of samples before it.
+    pub offset: u32,
+    /// Number of samples.
+    pub count: u32,
+    /// CPU time of these samples in nanoseconds, without what does not depend on samples.
+    pub cpu_nanos: u64,
+    /// The file with these samples.
+    pub hash: ArtifactHash,
 }

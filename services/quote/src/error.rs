@@ -15,6 +15,16 @@ pub enum QuoteError {
     /// A profiled frame is missing from the preview.
     #[error("frame {0} was profiled, but it is not in the preview")]
     NotPreviewed(u32),
+    /// Frames were measured differently.
+    #[error("frame {frame} was measured for {whole} samples or pixels, other frames for {expected}")]
+    Measured {
+        /// The frame.
+        frame: u32,
+        /// What it was measured for.
+        whole: u32,
+        /// What the first measured frame was measured for.
+        expected: u32,
+    },
     /// The profiles are unusable.
     #[error("no forecast: {0}")]
     Forecast(ForecastError),

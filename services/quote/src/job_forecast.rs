@@ -6,7 +6,7 @@ use forelight_forecast::{Corrections, Costs, Measure, Quantity, shot_times};
 use forelight_protocol::{
     ArtifactHash, ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut,
     MoneyQuantiles, NodeSeconds, ProcessCosts, Profiled, Quantiles, QuotedShot, RayQuantiles, RenderSettings,
-    Spent, SpentOnForecast,
+    RendererId, Spent, SpentOnForecast,
 };
 use serde::{Deserialize, Serialize};
 
@@ -100,6 +100,11 @@ pub struct QuoteKind {
 }
 
 impl QuoteKind {
+    /// The kind of a quote of another renderer.
+    pub fn of_renderer(renderer: &RendererId) -> Self {
+        Self { renderer: renderer.to_string(), feature_class: "samples".to_owned() }
+    }
+
     /// The kind of a quote from these profiles. `None` if they name no renderer, or several.
     pub fn of(profiles: &[MeasuredProfile], settings: &RenderSettings) -> Option<Self> {
         let mut renderers = profiles.iter().map(|profile| profile.result.renderer.as_ref());

@@ -19,6 +19,7 @@
 //! | `populations` | the input as strata and their pixels |
 //! | `choose` | which frames to profile |
 //! | `estimate` | forecasts of all frames |
+//! | `sampled` | quotes from a few frames at few samples, for renderers that cannot measure pixels |
 //! | `job_forecast` | the quote as it is stored and shown |
 //! | `sharing` | one irradiance cache for the shot, or one per frame |
 //! | `limit` | the most samples within a limit of time or money |
@@ -41,6 +42,7 @@ mod pixel_costs;
 mod populations;
 mod price;
 mod qualities;
+mod sampled;
 mod samples;
 mod sharing;
 #[cfg(test)]
@@ -55,5 +57,6 @@ pub use measured::{Measured, MeasuredProfile, SharedCache};
 pub use pixel_costs::PixelWork;
 pub use price::mean_price;
 pub use qualities::{is_own, ladder, mark, points, without_ladders};
+pub use sampled::{SampledProfile, quote_sampled, stratum_key};
 pub use samples::with_samples;
 pub use sharing::{is_shared_cache_worth_planning, quote};

@@ -34,6 +34,7 @@ fn preview(frames: &[(u32, &[u32], u32)]) -> PreviewResult {
             .collect(),
         backend: PreviewBackend::Cpu,
         spent: Spent { work: 50, cpu_nanos: 0 },
+        described: None,
     }
 }
 

@@ -2,7 +2,8 @@
 
 use bytes::Bytes;
 use forelight_protocol::{
-    FinishedPixels, LOG_LINES, LogLevel, LogLine, Spent, TaskLimit, TaskResult, TaskSpec, Timestamp,
+    FinishedPixels, LOG_LINES, LogLevel, LogLine, Spent, TaskLimit, TaskLimits, TaskResult, TaskSpec,
+    Timestamp,
 };
 use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
@@ -21,8 +22,30 @@ pub struct Assignment {
     pub profile: Option<Bytes>,
     /// The irradiance caches that the task names, in its order.
     pub caches: Vec<Bytes>,
+    /// Finished shares of the samples that the task names, in its order.
+    pub shares: Vec<Bytes>,
     /// Tiles that an earlier worker finished before it was lost.
     pub checkpoint: Option<Bytes>,
+    /// Limits on the task.
+    pub limits: TaskLimits,
+    /// Threads that the task may use.
+    pub threads: u32,
+}
+
+impl Assignment {
+    /// A task that takes nothing over, without limits, on one thread.
+    pub fn new(spec: TaskSpec, bundle: PathBuf) -> Self {
+        Self {
+            spec,
+            bundle,
+            profile: None,
+            caches: Vec::new(),
+            shares: Vec::new(),
+            checkpoint: None,
+            limits: TaskLimits::default(),
+            threads: 1,
+        }
+    }
 }
 
 /// Result of a task.

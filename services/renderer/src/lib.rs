@@ -3,7 +3,9 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `door` | the four questions to a renderer: describe, preview, measure, render |
-//! | `quoting` | a quote of a shot through the door, without a service |
+//! | `quoting` | what a quote needs of a shot: previews of all frames, a few frames at few samples |
+//! | `tasks` | tasks of the farm for any renderer behind the door |
+//! | `open_shots` | the last few opened scenes, shared by all workers of a process |
 //! | `process` | foreign programs, held to limits |
 //! | `execute` | a task in, a result and its files out; progress, orders and log lines on the way |
 //! | `memory` | memory of this process |
@@ -11,9 +13,15 @@
 pub mod door;
 mod execute;
 mod memory;
+mod open_shots;
 pub mod process;
 mod quoting;
+mod tasks;
 
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 pub use memory::{peak_rss_bytes, resident_bytes};
-pub use quoting::{MeasuredFrame, QuotingError, QuotingStep, ShotQuote, Varied, quote_shot};
+pub use open_shots::OpenShots;
+pub use quoting::{
+    Measurement, QuotingError, QuotingStep, ShotQuote, measure_frame, preview_result, quote_shot,
+};
+pub use tasks::{Renderers, scene_digest};

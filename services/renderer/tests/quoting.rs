@@ -1,10 +1,12 @@
 //! Quotes of a renderer whose costs are known: a line in samples and pixels, which changes over time.
 
+use forelight_protocol::{SceneDigest, Varied};
+use forelight_renderer::door::RendererId;
 use forelight_renderer::door::{
     Artefact, Capabilities, Capability, Common, Cost, Description, FixedCosts, FrameCounts, Frames, Limits,
     Measured, Part, PieceCost, PixelCount, Region, Rendered, RendererError, Run, Settings, Shot,
 };
-use forelight_renderer::{ShotQuote, Varied, quote_shot};
+use forelight_renderer::{ShotQuote, quote_shot};
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
@@ -63,8 +65,10 @@ impl Known {
             scratch: Path::new("/"),
             limits: Limits::default(),
         };
-        let frames: Vec<i32> = self.description.frames.numbers().collect();
-        quote_shot(self, &frames, &self.description.settings, 5, &|_| {}, &run).unwrap()
+        let frames: Vec<u32> = (0..24).collect();
+        let id = RendererId { name: "known".to_owned(), version: "1".to_owned() };
+        let (of, settings) = (("shot", SceneDigest([0; 32])), &self.description.settings);
+        quote_shot((&id, self), of, &frames, settings, Some(5), &|_| {}, &run).unwrap()
     }
 }
 
@@ -130,19 +134,20 @@ fn any_renderer_is_quoted_by_what_it_can() {
     for (can, varied, within) in [
         (&[Capability::MeasureSamples, Capability::Resize][..], Varied::Samples, 0.01),
         (&[Capability::Resize, Capability::MeasureRegions], Varied::Size, 0.01),
-        (&[Capability::MeasureRegions], Varied::Regions, 0.03),
+        (&[Capability::MeasureRegions], Varied::Regions, 0.05),
         (&[], Varied::Nothing, 0.01),
     ] {
         let shot = Known::new(can, 1000);
         let quote = shot.quote();
-        assert_eq!(quote.varied, varied);
-        let error = quote.forecast.total.mean / shot.truth() - 1.0;
+        let truth = shot.truth() * 1e-9;
+        assert!(quote.measured.iter().all(|frame| frame.result.varied == varied));
+        let error = quote.document.total.cpu_seconds.mean / truth - 1.0;
         assert!(error.abs() < within, "{varied:?}: {error}");
         assert_eq!(quote.measured.len(), 5);
         // Frames are chosen over all of the time.
-        let early = quote.measured.iter().filter(|frame| frame.frame < 12).count();
+        let early = quote.measured.iter().filter(|frame| frame.result.frame < 12).count();
         assert!((2..=3).contains(&early), "{:?}", quote.measured);
-        let share = quote.spent.cpu_nanos as f64 / shot.truth();
+        let share = quote.document.spent.cpu_seconds / truth;
         println!("{varied:?}: error {error:+.4}, {share:.3} of the cost");
         assert!(share < if varied == Varied::Nothing { 0.25 } else { 0.05 }, "{varied:?}: {share}");
     }

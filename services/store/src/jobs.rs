@@ -8,8 +8,8 @@ pub(crate) mod progress;
 pub(crate) mod submitting;
 
 use forelight_protocol::{
-    BundleRef, BundleSource, CacheSharing, Confidence, FrameSet, Job, JobId, JobState, JobVerdict, Ladders,
-    Money, RenderSettings, SceneSummary, TaskLimits, Within,
+    BundleRef, BundleSource, CacheSharing, Confidence, FrameSet, Job, JobId, JobSettings, JobState,
+    JobVerdict, Ladders, Money, RendererRequest, SceneSummary, TaskLimits, Within,
 };
 use sqlx::SqliteConnection;
 
@@ -43,7 +43,8 @@ pub(crate) struct JobRow {
     pub scene: Json<SceneSummary>,
     pub frames: String,
     pub frames_total: u32,
-    pub settings: Json<RenderSettings>,
+    pub renderer: Option<Json<RendererRequest>>,
+    pub settings: Json<JobSettings>,
     pub samples: u32,
     pub profile_frames: u32,
     pub profiles_more: bool,
@@ -72,7 +73,7 @@ macro_rules! job_rows {
         sqlx::query_as!(
             $crate::jobs::JobRow,
             "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
-             frames_total, settings, samples, profile_frames, profiles_more, ladders, cache, within, limits, \
+             frames_total, renderer, settings, samples, profile_frames, profiles_more, ladders, cache, within, limits, \
              deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
              error, created_at, finished_at FROM jobs "
                 + $rest
@@ -154,6 +155,7 @@ impl JobRow {
             project: self.project,
             state,
             bundle: BundleRef { id: self.bundle_id.map(Into::into), path: self.bundle_path },
+            renderer: self.renderer.map(|it| it.0),
             scene: self.scene.0,
             frames,
             settings: self.settings.0,

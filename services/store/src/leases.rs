@@ -80,6 +80,8 @@ pub(crate) struct LeaseRow {
     #[sqlx(try_from = "Word<TaskKind>")]
     pub kind: TaskKind,
     pub frame: Option<u32>,
+    /// The task's renderer. `None` for our own.
+    pub renderer: Option<String>,
     pub failures: u32,
     pub expiries: u32,
     pub progress: f64,
@@ -108,7 +110,7 @@ pub(crate) enum LeaseState {
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
-            "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.failures, \
+            "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.renderer, t.failures, \
              t.expiries, t.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
              (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar \
              FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id ",

@@ -8,8 +8,8 @@ pub(crate) mod replans;
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
-    BookingId, Event, EventKind, FrameForecast, JobId, JobState, JobVerdict, NodeId, PlanId, PlanReason,
-    Timestamp,
+    BookingId, Event, EventKind, FrameForecast, JobId, JobSettings, JobState, JobVerdict, NodeId, PlanId,
+    PlanReason, Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 
@@ -25,7 +25,7 @@ use crate::policy::rebooking::{NewBooking, Rebooked, rebook};
 use crate::quotes;
 use crate::quotes::calibration;
 use crate::shared_cache::{self, NewSharedCache, parts};
-use crate::tasks::{Common, Slot, rates};
+use crate::tasks::{Common, Finished, RenderAsked, Slot, rates};
 use crate::writing::run;
 use crate::{jobs, nodes};
 
@@ -93,31 +93,26 @@ impl Store {
             job.0
         );
         let mut common = Common::of(&row);
-        let mut profiles: BTreeMap<_, _> =
-            Self::profile_artifacts(write.connection().await?, job).await?.into_iter().collect();
-        if let Some(spp) = forecast.chosen_spp {
-            common.settings.spp = spp;
+        let mut finished: BTreeMap<u32, Finished> =
+            Self::finished_by_profiles(write.connection().await?, job).await?.into_iter().collect();
+        if let Some(spp) = forecast.chosen_spp
+            && let JobSettings::Own(settings) = &mut common.settings
+        {
+            settings.spp = spp;
             run!(write, "UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0);
             // Profiled pixels belong to images with the same number of samples in every pixel.
-            profiles.clear();
+            finished.clear();
         }
         let work: BTreeMap<u32, u64> = match forecast.chosen_spp {
             Some(_) => frames.iter().map(|each| (each.frame, each.work.mean.round() as u64)).collect(),
             None => BTreeMap::new(),
         };
+        let waits = plan.shared_cache.is_some();
         for frame in row.frame_set()?.iter() {
             // With a shared cache, the records of a profile's own cache are of no use.
-            let profile = profiles.get(&frame).copied().filter(|_| plan.shared_cache.is_none());
-            common
-                .render(
-                    &mut write,
-                    frame,
-                    plan.shared_cache.is_some(),
-                    None,
-                    work.get(&frame).copied(),
-                    profile,
-                )
-                .await?;
+            let finished = finished.remove(&frame).filter(|_| !waits).unwrap_or_default();
+            let asked = RenderAsked { frame, work: work.get(&frame).copied(), finished };
+            common.render(&mut write, asked, waits).await?;
         }
         append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) });
         let plan_id = keep(&mut write, plan, Some(job), now).await?;

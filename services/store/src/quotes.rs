@@ -15,12 +15,13 @@ impl Store {
     /// The job's quote; `None` before it is made.
     pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>> {
         let mut transaction = self.read().await?;
-        let row = sqlx::query!("SELECT forecast, scene, settings FROM jobs WHERE id = ?", job.0)
+        let row = sqlx::query!("SELECT forecast, scene, renderer, settings FROM jobs WHERE id = ?", job.0)
             .fetch_optional(&mut *transaction)
             .await?;
         let row = row.ok_or(StoreError::NotFound("job"))?;
         let Some(kept) = row.forecast else { return Ok(None) };
-        let of = QuotedShot { scene: row.scene.0.digest, settings: row.settings.0 };
+        let renderer = row.renderer.map(|it| it.0);
+        let of = QuotedShot { scene: row.scene.0.digest, renderer, settings: row.settings.0 };
         let frames = sqlx::query_scalar!(
             r#"SELECT forecast AS "forecast!" FROM frames WHERE job_id = ? AND forecast IS NOT NULL
                ORDER BY frame"#,

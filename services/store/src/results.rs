@@ -3,10 +3,10 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, EventKind, JobId, JobState, LeaseId, Node, PreviewResult, ProfileSpec, RenderResult,
-    TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, Described, EventKind, JobId, JobState, LeaseId, MeasuredShare, Node, PreviewResult,
+    ProfileSpec, RenderResult, RendererRequest, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
-use forelight_quote::MeasuredProfile;
+use forelight_quote::{MeasuredProfile, SampledProfile};
 use sqlx::FromRow;
 
 use crate::columns::{Id, Json, corrupt};
@@ -19,6 +19,7 @@ use crate::living::{self, Occasion};
 use crate::nodes::{NodeRow, learning};
 use crate::quotes::calibration;
 use crate::shared_cache;
+use crate::tasks::Finished;
 use crate::writing::{ask, later};
 
 /// The outcome of committing a result.
@@ -138,6 +139,12 @@ impl Store {
             let TaskSpec::Profile(ProfileSpec { settings, .. }) = row.spec.0 else {
                 return Err(corrupt("spec", "a profile task is asked for something else"));
             };
+            let Some(settings) = settings.own() else {
+                return Err(corrupt(
+                    "spec",
+                    "a profile task of our own renderer has settings of another one",
+                ));
+            };
             let node = self.node(node.into()).await?;
             let by_class = node.corrected_speed(result.work_by_class.as_ref());
             profiles.push(MeasuredProfile::new(result, by_class.unwrap_or(node_speed), settings.spp));
@@ -145,11 +152,36 @@ impl Store {
         Ok(Some(profiles))
     }
 
-    /// The finished pixels of the job's profiled frames, by frame.
-    pub(crate) async fn profile_artifacts(
+    /// The job's profiles by another renderer, by frame; `None` while any is missing.
+    pub async fn sampled_profiles(&self, job: JobId) -> Result<Option<Vec<SampledProfile>>> {
+        let rows = sqlx::query!(
+            r#"SELECT r.body AS "body?: Json<TaskResult>", l.node_speed AS "node_speed?"
+               FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id
+               WHERE t.job_id = ? AND t.kind = 'profile' ORDER BY t.frame"#,
+            job.0
+        )
+        .fetch_all(self.readers())
+        .await?;
+        let mut profiles = Vec::with_capacity(rows.len());
+        for row in rows {
+            match (row.body, row.node_speed) {
+                (Some(Json(TaskResult::Measured(result))), Some(node_speed)) => {
+                    profiles.push(SampledProfile { result, node_speed })
+                }
+                (Some(_), _) => {
+                    return Err(corrupt("body", "a profile by another renderer has another result"));
+                }
+                (None, _) => return Ok(None),
+            }
+        }
+        Ok(Some(profiles))
+    }
+
+    /// What the profiles of a job have finished of their frames, by frame.
+    pub(crate) async fn finished_by_profiles(
         connection: &mut sqlx::SqliteConnection,
         job: JobId,
-    ) -> Result<Vec<(u32, ArtifactHash)>> {
+    ) -> Result<Vec<(u32, Finished)>> {
         let rows = sqlx::query!(
             "SELECT t.id, r.body FROM tasks t JOIN results r ON r.task_id = t.id WHERE t.job_id = ? \
              AND t.kind = 'profile' ORDER BY t.frame",
@@ -159,7 +191,14 @@ impl Store {
         .await?;
         rows.into_iter()
             .map(|row| match row.body.0 {
-                TaskResult::Profile(result) => Ok((result.frame, result.artifacts.profile)),
+                TaskResult::Profile(result) => {
+                    let profile = Some(result.artifacts.profile);
+                    Ok((result.frame, Finished { profile, shares: Vec::new() }))
+                }
+                TaskResult::Measured(result) => {
+                    let shares = result.shares.iter().filter_map(MeasuredShare::taken_over).collect();
+                    Ok((result.frame, Finished { profile: None, shares }))
+                }
                 _ => Err(corrupt(
                     "body",
                     format!("task {} is a profile, its result is not", TaskId::from(row.id)),
@@ -227,7 +266,11 @@ async fn keep(
             for frame in &preview.frames {
                 show_preview(write, row.job_id, frame.frame, frame.preview_png);
             }
+            if let Some(described) = &preview.described {
+                keep_description(write, row.job_id, described);
+            }
         }
+        TaskResult::Measured(_) => {}
         TaskResult::Profile(profile) => {
             show_preview(write, row.job_id, profile.frame, profile.artifacts.preview_png);
         }
@@ -246,6 +289,19 @@ async fn keep(
         }
     }
     jobs::state(write.connection().await?, row.job_id).await
+}
+
+/// Completes a job by what its renderer found in the scene. From now on only this version renders the job.
+fn keep_description(write: &mut Write, job: JobId, described: &Described) {
+    let Described { renderer, scene, settings, .. } = described;
+    later!(
+        write,
+        "UPDATE jobs SET renderer = ?, scene = ?, settings = ? WHERE id = ?",
+        Json(&RendererRequest::from(renderer)),
+        Json(scene),
+        Json(settings),
+        job.0
+    );
 }
 
 fn show_preview(write: &mut Write, job: JobId, frame: u32, image: Option<ArtifactHash>) {
@@ -273,13 +329,15 @@ async fn keep_render(
     // CPU seconds converted to a node of speed 1. Pixels taken over from the profile count at this node's
     // speed too: the profile does not record where each was traced.
     let cpu_at_speed_one = stats.cpu_seconds * speed;
+    // Renderers that count no work have CPU time instead, see `quote_sampled`.
+    let actual_work = if row.renderer.is_some() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };
     learning::learn(write, row, node, stats).await?;
     later!(
         write,
         "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
              preview_png = coalesce(?, preview_png) WHERE job_id = ? AND frame = ?",
         Json(stats),
-        stats.work as f64,
+        actual_work,
         cpu_at_speed_one,
         Json(&render.artifacts),
         now.micros(),

@@ -1,9 +1,9 @@
 //! Makes a job's tasks, and takes them all back.
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, Money, NodeId,
-    PreviewSpec, ProfileSpec, RenderSettings, RenderSpec, SceneDigest, TaskId, TaskLimits, TaskSpec,
-    Timestamp,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, JobSettings, Money,
+    NodeId, PreviewSpec, ProfileSpec, RenderSettings, RenderSpec, RendererRequest, SampleShare, SceneDigest,
+    TaskId, TaskLimits, TaskSpec, Timestamp,
 };
 use sqlx::SqliteConnection;
 
@@ -33,7 +33,8 @@ pub(crate) struct Common {
     pub bundle: BundleSource,
     /// Digest of the scene when the job was submitted.
     pub digest: SceneDigest,
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
+    pub renderer: Option<RendererRequest>,
     pub deadline: Option<Timestamp>,
     pub priority: i32,
     pub limits: TaskLimits,
@@ -50,6 +51,23 @@ pub(crate) struct ProfileAsked {
     pub cache: Option<ArtifactHash>,
 }
 
+/// A frame to render.
+pub(crate) struct RenderAsked {
+    pub frame: u32,
+    /// Largest work of the frame. `None`: the settings' samples.
+    pub work: Option<u64>,
+    pub finished: Finished,
+}
+
+/// What the profile of a frame has finished of it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Finished {
+    /// Pixels, or an irradiance cache.
+    pub profile: Option<ArtifactHash>,
+    /// Shares of the samples.
+    pub shares: Vec<SampleShare>,
+}
+
 impl Common {
     pub(crate) fn of(row: &JobRow) -> Self {
         Self {
@@ -57,6 +75,7 @@ impl Common {
             bundle: row.bundle_source.0.clone(),
             digest: row.scene.0.digest,
             settings: row.settings.0.clone(),
+            renderer: row.renderer.as_ref().map(|it| it.0.clone()),
             deadline: row.deadline_at.map(Into::into),
             priority: row.priority,
             limits: row.limits.0,
@@ -74,6 +93,7 @@ impl Common {
             digest: self.digest,
             frames,
             settings: self.settings.clone(),
+            renderer: self.renderer.clone(),
         };
         self.insert(write, TaskSpec::Preview(spec), READY, None).await
     }
@@ -91,8 +111,9 @@ impl Common {
             digest: self.digest,
             frame,
             samples,
-            phase_seed: self.settings.seed,
+            phase_seed: self.settings.own().map_or(0, |settings| settings.seed),
             settings: self.settings.clone(),
+            renderer: self.renderer.clone(),
             ladders,
             cache,
         };
@@ -105,7 +126,7 @@ impl Common {
             bundle: self.bundle.clone(),
             digest: self.digest,
             frames,
-            settings: self.settings.clone(),
+            settings: self.own_settings()?,
         };
         self.insert(write, TaskSpec::CachePlan(spec), READY, None).await
     }
@@ -123,7 +144,7 @@ impl Common {
             job_id: self.job,
             bundle: self.bundle.clone(),
             digest: self.digest,
-            settings: self.settings.clone(),
+            settings: self.own_settings()?,
             cache,
             round,
             part,
@@ -148,27 +169,29 @@ impl Common {
         self.insert(write, TaskSpec::CacheMerge(spec), READY, None).await
     }
 
-    /// Makes the task of a frame, limited to `work` if given. With `waits`, it waits for the shared cache.
-    pub(crate) async fn render(
-        &self,
-        write: &mut Write,
-        frame: u32,
-        waits: bool,
-        booked: Option<Slot>,
-        work: Option<u64>,
-        profile: Option<ArtifactHash>,
-    ) -> Result<()> {
+    /// The settings of a job that can have an irradiance cache.
+    fn own_settings(&self) -> Result<RenderSettings> {
+        let foreign = || StoreError::Conflict("another renderer's job has no irradiance cache".to_owned());
+        self.settings.own().cloned().ok_or_else(foreign)
+    }
+
+    /// Makes the task of a frame. With `waits`, it waits for the shared cache.
+    pub(crate) async fn render(&self, write: &mut Write, asked: RenderAsked, waits: bool) -> Result<()> {
+        let RenderAsked { frame, work, finished } = asked;
+        let Finished { profile, shares } = finished;
         let spec = RenderSpec {
             job_id: self.job,
             bundle: self.bundle.clone(),
             digest: self.digest,
             frame,
             settings: self.settings.clone(),
+            renderer: self.renderer.clone(),
             work,
             profile,
             cache: None,
+            shares,
         };
-        self.insert(write, TaskSpec::Render(spec), if waits { WAITING } else { READY }, booked).await
+        self.insert(write, TaskSpec::Render(spec), if waits { WAITING } else { READY }, None).await
     }
 
     async fn insert(
@@ -181,8 +204,8 @@ impl Common {
         run!(
             write,
             "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, \
-             booked_node, booked_at, booked_rate, limits) \
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+             booked_node, booked_at, booked_rate, limits, renderer) \
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
             TaskId::new().0,
             self.job.0,
             spec.kind().name(),
@@ -196,7 +219,8 @@ impl Common {
             booked.map(|slot| slot.node.0),
             booked.map(|slot| slot.start.micros()),
             booked.and_then(|slot| slot.rate),
-            Json(&self.limits)
+            Json(&self.limits),
+            spec.renderer().map(ToString::to_string)
         );
         write.made_work |= state == READY;
         Ok(())

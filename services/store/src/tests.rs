@@ -234,6 +234,7 @@ fn preview_result(frames: &[u32], image: ArtifactHash) -> PreviewResult {
         frames: frames.iter().map(strata_of).collect(),
         backend: PreviewBackend::Cpu,
         spent: Spent { work: 100, cpu_nanos: 1000 },
+        described: None,
     }
 }
 
@@ -293,7 +294,12 @@ fn request(frames: &str) -> JobRequest {
 fn new_job(request: JobRequest) -> NewJob {
     let settings = request.settings.complete((8, 8));
     assert!(request.bundle != BundleRef::default());
-    NewJob { request, scene: scene(), source: BundleSource::Path("/scenes/a".to_owned()), settings }
+    NewJob {
+        request,
+        scene: scene(),
+        source: BundleSource::Path("/scenes/a".to_owned()),
+        settings: settings.into(),
+    }
 }
 
 fn scene() -> SceneSummary {

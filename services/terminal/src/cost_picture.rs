@@ -1,6 +1,6 @@
 //! Pictures of pixel costs, in the paper's colours.
 
-use forelight_tracer::cost_color;
+use forelight_pictures::cost_color;
 use image::{Rgb, RgbImage};
 
 /// The colours of a picture.

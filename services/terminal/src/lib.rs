@@ -5,6 +5,7 @@ pub mod atomic_file;
 pub mod bounded_file;
 pub mod cost_picture;
 pub mod failure;
+pub mod foreign;
 pub mod interrupt;
 pub mod json_file;
 pub mod local;

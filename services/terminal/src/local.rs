@@ -104,6 +104,7 @@ pub fn settings_request(quality: &QualityOptions, camera: (u32, u32)) -> RenderS
         cache_rays: quality.cache_rays,
         materials: quality.materials,
         seed: quality.seed,
+        ..RenderSettingsRequest::default()
     }
 }
 

@@ -1,5 +1,5 @@
 //! Object and material ids that other programs can read: Cryptomatte, version 1.2.0 of the specification
-//! (https://github.com/Psyop/Cryptomatte). An id is the hash of a name. A pixel has ids by falling coverage,
+//! (<https://github.com/Psyop/Cryptomatte>). An id is the hash of a name. A pixel has ids by falling coverage,
 //! two in each layer of four channels, and the file's header names them.
 
 use crate::pixel::{Coverage, Pixel};

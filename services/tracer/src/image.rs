@@ -4,8 +4,8 @@ use crate::cost::add_rays;
 use crate::cryptomatte::Matte;
 use crate::{Pixel, RAY_NAMES, Rays, WorkByRay};
 use exr::prelude as exr;
+use forelight_pictures::{cost_map, tone_map};
 use forelight_scene::Frame;
-use glam::Vec3;
 use std::path::Path;
 
 /// All pixels of a frame.
@@ -143,18 +143,13 @@ impl Image {
 
     /// The image as 8-bit sRGB, tone-mapped for viewing.
     pub fn picture(&self) -> image::RgbImage {
-        self.paint(|p| tone_map(Vec3::from_array(p.color)))
+        self.paint(|p| tone_map(p.color))
     }
 
-    /// Work per pixel in the false colours of Gillibrand et al. 2006 (figures 4 and 6), from cyan (cheap)
-    /// over blue to red (expensive). Linear up to the 99.5th percentile.
+    /// Work per pixel in false colours: [`cost_map`].
     pub fn cost_map(&self) -> image::RgbImage {
-        let mut sorted: Vec<u64> = self.pixels.iter().map(|p| p.work).collect();
-        sorted.sort_unstable();
-        let at = |share: f64| sorted[((sorted.len() - 1) as f64 * share) as usize] as f32;
-        let (lowest, highest) = (at(0.0), at(0.995));
-        let range = (highest - lowest).max(1.0);
-        self.paint(|p| cost_color((p.work as f32 - lowest) / range))
+        let work: Vec<u64> = self.pixels.iter().map(|p| p.work).collect();
+        cost_map(self.width, self.height, &work)
     }
 
     fn paint(&self, color: impl Fn(&Pixel) -> [u8; 3]) -> image::RgbImage {
@@ -170,36 +165,4 @@ fn mattes(frame: &Frame) -> [Matte<'_>; 2] {
     let objects = strata.pairs.iter().map(|pair| strata.objects[pair.0 as usize].as_str());
     let materials = strata.pairs.iter().map(|pair| frame.materials[pair.1 as usize].name.as_str());
     [Matte::new("CryptoObject", objects), Matte::new("CryptoMaterial", materials)]
-}
-
-/// A filmic curve with a soft shoulder above 0.6 per channel, then the sRGB transfer function.
-fn tone_map(color: Vec3) -> [u8; 3] {
-    const KNEE: f32 = 0.6;
-    color.to_array().map(|c| {
-        let c = if c.is_finite() { c.max(0.0) } else { 0.0 };
-        let over = (c - KNEE).max(0.0) / (1.0 - KNEE);
-        let display = if c <= KNEE { c } else { KNEE + (1.0 - KNEE) * (over / (1.0 + over)) };
-        let encoded = if display <= 0.003_130_8 {
-            12.92 * display
-        } else {
-            1.055 * libm::powf(display, 1.0 / 2.4) - 0.055
-        };
-        (encoded * 255.0 + 0.5) as u8
-    })
-}
-
-/// The false colours of a cost map: `t` in [0, 1] from cyan over blue, green and yellow to red.
-pub fn cost_color(t: f32) -> [u8; 3] {
-    const STOPS: [[f32; 3]; 6] = [
-        [0.0, 0.9, 0.9],
-        [0.0, 0.35, 0.95],
-        [0.1, 0.1, 0.6],
-        [0.1, 0.65, 0.2],
-        [0.95, 0.85, 0.1],
-        [0.85, 0.05, 0.05],
-    ];
-    let position = t.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
-    let i = (position as usize).min(STOPS.len() - 2);
-    let f = position - i as f32;
-    std::array::from_fn(|c| ((STOPS[i][c] * (1.0 - f) + STOPS[i + 1][c] * f) * 255.0 + 0.5) as u8)
 }

@@ -61,7 +61,7 @@ pub use cost::{
 };
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
-pub use image::{Image, ImageError, Totals, cost_color};
+pub use image::{Image, ImageError, Totals};
 pub use origin::Origin;
 pub use passes::{Grown, Passes, SoFar};
 pub use pixel::{Coverage, Pixel, PixelsFinished};

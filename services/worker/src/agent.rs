@@ -90,6 +90,14 @@ pub enum Errand {
     Stopped,
 }
 
+/// The inputs of a task, on this machine.
+struct Fetched {
+    bundle: PathBuf,
+    profile: Option<Bytes>,
+    caches: Vec<Bytes>,
+    shares: Vec<Bytes>,
+}
+
 /// How the work on a lease ended.
 enum Ending {
     /// With a result or an error to report.
@@ -333,7 +341,7 @@ impl Agent {
             let missing = error.is(ProblemKind::NotFound);
             if missing { ExecuteError::Permanent(message) } else { ExecuteError::Transient(message) }
         };
-        let (bundle, profile, caches) = loop {
+        let Fetched { bundle, profile, caches, shares } = loop {
             match self.fetch(lease).await {
                 Ok(fetched) => break fetched,
                 // A short outage of the service or its artefact store is not the task's fault.
@@ -352,25 +360,36 @@ impl Agent {
             }
             _ => None,
         };
-        Ok(Assignment { spec: lease.spec.clone(), bundle, profile, caches, checkpoint })
+        Ok(Assignment {
+            spec: lease.spec.clone(),
+            bundle,
+            profile,
+            caches,
+            shares,
+            checkpoint,
+            limits: lease.limits.and(self.limits),
+            threads: self.registration.cores,
+        })
     }
 
-    /// Fetches the bundle, the profile and the irradiance caches of a task.
-    async fn fetch(&self, lease: &Lease) -> Result<(PathBuf, Option<Bytes>, Vec<Bytes>), ClientError> {
+    /// Fetches the bundle, the profile, the irradiance caches and the shares of samples of a task.
+    async fn fetch(&self, lease: &Lease) -> Result<Fetched, ClientError> {
         let bundle = self.bundles.locate(&self.client, lease.spec.bundle()).await?;
-        let profile = match &lease.spec {
-            TaskSpec::Render(spec) => spec.profile,
-            _ => None,
+        let (profile, shares) = match &lease.spec {
+            TaskSpec::Render(spec) => (spec.profile, &spec.shares[..]),
+            _ => (None, &[][..]),
         };
-        let profile = match profile {
-            Some(hash) => Some(self.client.artifact(hash, CACHE_BYTES).await?),
-            None => None,
-        };
-        let mut caches = Vec::new();
-        for hash in lease.spec.caches() {
-            caches.push(self.client.artifact(hash, CACHE_BYTES).await?);
+        let mut fetched = Fetched { bundle, profile: None, caches: Vec::new(), shares: Vec::new() };
+        if let Some(hash) = profile {
+            fetched.profile = Some(self.client.artifact(hash, CACHE_BYTES).await?);
         }
-        Ok((bundle, profile, caches))
+        for hash in lease.spec.caches() {
+            fetched.caches.push(self.client.artifact(hash, CACHE_BYTES).await?);
+        }
+        for share in shares {
+            fetched.shares.push(self.client.artifact(share.hash, CACHE_BYTES).await?);
+        }
+        Ok(fetched)
     }
 
     /// Renews the lease three times per lifetime and passes orders on. Returns when the lease is lost.

@@ -147,7 +147,8 @@ fn lease(fence: u64) -> Lease {
         bundle: BundleSource::Path("/nowhere".into()),
         digest: SceneDigest([0; 32]),
         frames: vec![0],
-        settings: RenderSettingsRequest::default().complete((4, 4)),
+        settings: RenderSettingsRequest::default().complete((4, 4)).into(),
+        renderer: None,
     };
     Lease {
         lease_id: LeaseId::new(),
@@ -219,6 +220,7 @@ impl Execute for Slow {
             frames: vec![frame],
             backend: PreviewBackend::Cpu,
             spent: Spent::default(),
+            described: None,
         };
         Ok(Outcome { result: TaskResult::Preview(result), artifacts: vec![artifact] })
     }

@@ -298,9 +298,13 @@ fn class(job: u64) -> u32 {
     u32::try_from(job).map_or(u32::MAX, |job| job.saturating_add(1))
 }
 
+/// Speeds of a node for jobs that it does not render at its general speed. 0 without the job's renderer.
 fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
-    let known = jobs.iter().filter_map(|job| job.forecast.as_ref());
-    let speed = |(forecast, id): (&JobForecast, u64)| {
+    let known = jobs.iter().filter_map(|job| Some((&job.job, job.forecast.as_ref()?)));
+    let speed = |((job, forecast), id): ((&Job, &JobForecast), u64)| {
+        if job.renderer.as_ref().is_some_and(|renderer| !node.has_renderer(renderer)) {
+            return Some((class(id), 0));
+        }
         let speed = node.corrected_speed(forecast.work_by_class.as_ref())?;
         Some((class(id), units(speed * f64::from(node.cores)).max(1)))
     };

@@ -17,16 +17,18 @@ pub(crate) struct JobProfile {
 }
 
 impl JobProfile {
-    /// Reads the profile. `None` until the job is profiled.
+    /// Reads the profile. `None` until the job is profiled, and for a job of another renderer, whose pixels
+    /// are not profiled.
     pub async fn read(store: &Store, job: &Job) -> Result<Option<Self>, StoreError> {
+        let Some(settings) = job.settings.own() else { return Ok(None) };
         let Some(preview) = store.preview_result(job.id).await? else { return Ok(None) };
         let profiles = store.profile_results(job.id).await?.filter(|profiles| !profiles.is_empty());
         let Some(profiles) = profiles else { return Ok(None) };
-        let profiles = with_samples(&profiles, job.settings.spp);
+        let profiles = with_samples(&profiles, settings.spp);
         let quote = store.forecast(job.id).await?;
         let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);
         let shared = if shares { store.planned_cache(job.id).await? } else { PlannedCache::NotAsked };
-        Ok(Some(Self { preview, profiles, shared, settings: job.settings.clone() }))
+        Ok(Some(Self { preview, profiles, shared, settings: settings.clone() }))
     }
 
     fn measured(&self) -> Measured<'_> {

@@ -12,7 +12,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use forelight_planner as planner;
 use forelight_planner::{AtRisk, Booking, Precedence, Reason};
 use forelight_protocol::{
-    JobId, JobVerdict, Money, NodeId, ProjectShare, Promise, Timestamp, Verdict, WaitKind, Waits,
+    JobId, JobVerdict, Money, NodeId, ProjectShare, Promise, RendererRequest, Timestamp, Verdict, WaitKind,
+    Waits,
 };
 use forelight_store::{HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
 
@@ -220,7 +221,7 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
     let mut reasons = Vec::new();
     let verdict = match (finish, asked.job.deadline) {
         (None, _) => {
-            reasons.push(unplaced(farm, entry));
+            reasons.push(unplaced(farm, asked.job.renderer.as_ref(), entry));
             Verdict::Impossible
         }
         (Some(finish), Some(deadline)) if finish > deadline.micros() => {
@@ -265,9 +266,14 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
     }
 }
 
-fn unplaced(farm: &Farm, entry: Option<&planner::JobPlan>) -> String {
+fn unplaced(farm: &Farm, renderer: Option<&RendererRequest>, entry: Option<&planner::JobPlan>) -> String {
     match entry.map(|entry| &entry.verdict) {
         _ if farm.nodes.is_empty() => "there is no node that takes work".to_owned(),
+        _ if let Some(renderer) = renderer
+            && !farm.nodes.iter().any(|node| node.has_renderer(renderer)) =>
+        {
+            format!("no node that takes work has {renderer}")
+        }
         Some(planner::Verdict::Unplaced { frames, .. }) => {
             format!("{} frames do not fit into any node's free time", frames.len())
         }

@@ -5,7 +5,7 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
-use forelight_protocol::{Bundle, BundleId, ProblemKind};
+use forelight_protocol::{Bundle, BundleId, ProblemKind, SceneDigest};
 use forelight_store::NewBundle;
 
 use super::responses::{created, repeated};
@@ -15,8 +15,12 @@ use crate::extract::{Anyone, KeyHeader, Segment, Submitter, media_type, within_a
 use crate::schema::{FileContent, IdempotencyKeyHeader};
 use crate::state::App;
 
+/// Media type of Blender files.
+const BLEND: &str = "application/x-blender";
+
 /// Uploads a bundle as a zip file. If it is not a valid scene, it is not kept, and the answer is the scene's
-/// error.
+/// error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs find
+/// out what is in it. Files that it refers to must be packed, or lie on storage that all workers share.
 #[utoipa::path(post, path = "/v1/bundles", operation_id = "bundle_upload", tag = "bundles",
     request_body(content = inline(FileContent), content_type = "application/zip", description = "The zip file; by default at most 256 MiB"),
     params(IdempotencyKeyHeader),
@@ -29,12 +33,14 @@ pub(crate) async fn upload(
     body: Body,
 ) -> ApiResult<Response> {
     let media_type = media_type(&headers);
-    if !["application/zip", "application/x-zip-compressed", "application/octet-stream"]
-        .contains(&media_type.as_str())
+    let is_blend = media_type == BLEND;
+    if !is_blend
+        && !["application/zip", "application/x-zip-compressed", "application/octet-stream"]
+            .contains(&media_type.as_str())
     {
         return Err(ApiError::new(
             ProblemKind::UnsupportedMediaType,
-            "send the zip file with Content-Type: application/zip",
+            format!("send a zip file with Content-Type: application/zip, or a Blender file with {BLEND}"),
         ));
     }
     let body = within_announced_length(&headers, body, app.limits.bundle_bytes).await?;
@@ -47,7 +53,11 @@ pub(crate) async fn upload(
     {
         return Ok(repeated(answer));
     }
-    let scene = bundle_inspection::inspect(&app, staged.path().to_owned(), "bundle.zip").await?;
+    let scene = if is_blend {
+        bundle_inspection::blend(staged.path().to_owned(), SceneDigest(hash.0)).await?
+    } else {
+        bundle_inspection::inspect(&app, staged.path().to_owned(), "bundle.zip").await?
+    };
     let stored = app.store.artifacts().keep(staged, app.now()).await?;
     app.metrics.bytes_received.add(stored.size);
     let answered = app.store.create_bundle(NewBundle { hash, scene }, key.as_ref(), app.now()).await?;

@@ -102,7 +102,10 @@ pub(crate) async fn explanation_of_job(
 
 async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
     JobProfile::read(&app.store, job).await?.ok_or_else(|| {
-        let reason = format!("the job is {} and not profiled yet", job.state);
+        let reason = match &job.renderer {
+            Some(renderer) => format!("{renderer} profiles samples of frames; this needs profiled pixels"),
+            None => format!("the job is {} and not profiled yet", job.state),
+        };
         ApiError::new(ProblemKind::Conflict, reason)
     })
 }

@@ -47,7 +47,7 @@ async fn rungs_cost_in_proportion_and_err_by_the_profiled_variance() {
     let document = document(&farm, &job).await;
     let quote: ForecastDoc =
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
-    assert_eq!((document.frames, &document.settings), (5, &job.settings));
+    assert_eq!((document.frames, &document.settings), (5, job.settings.own().unwrap()));
     assert_eq!((&document.profiled, document.spent), (&quote.profiled, quote.spent));
 
     let of = |kind| document.rungs.iter().filter(move |rung| rung.ladder == kind);
@@ -117,7 +117,10 @@ async fn a_job_with_a_cache_has_its_times_and_no_errors_and_says_why() {
         document.rungs.iter().all(|rung| rung.ladder == LadderKind::CachedSamples && rung.error.is_none());
     assert!(known, "{:?}", document.rungs);
     assert!(
-        document.rungs.iter().all(|rung| !rung.worth_taking && rung.settings.cache == job.settings.cache)
+        document
+            .rungs
+            .iter()
+            .all(|rung| !rung.worth_taking && rung.settings.cache == job.settings.own().unwrap().cache)
     );
     // Records are gathered once, whatever the samples.
     let [first, second] = [0, 1].map(|i| document.rungs[i].work.mean);
@@ -173,12 +176,13 @@ async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_i
     for kind in LadderKind::ALL {
         let rungs: Vec<_> = document.rungs.iter().filter(|rung| rung.ladder == kind).collect();
         let settings: Vec<_> = rungs.iter().map(|rung| rung.settings.clone()).collect();
-        assert_eq!(settings, forelight_quote::ladder(kind, &job.settings).unwrap(), "{kind:?}");
+        assert_eq!(settings, forelight_quote::ladder(kind, job.settings.own().unwrap()).unwrap(), "{kind:?}");
         if [LadderKind::Ambient, LadderKind::Resolution].contains(&kind) {
             continue;
         }
         for (place, rung) in (1..).zip(rungs) {
-            let times = if rung.settings == job.settings { 1.0 } else { made_up_times(kind, place) };
+            let times =
+                if Some(&rung.settings) == job.settings.own() { 1.0 } else { made_up_times(kind, place) };
             assert!((rung.work.mean / (times * asked.work.mean) - 1.0).abs() < 1e-9, "{rung:?}");
             assert!((rung.cpu_seconds.p95 / (times * asked.cpu_seconds.p95) - 1.0).abs() < 1e-9, "{rung:?}");
             let (error, own) = (rung.error.unwrap(), asked.error.unwrap());
@@ -252,7 +256,7 @@ async fn a_job_that_is_late_is_offered_other_settings_that_would_be_in_time() {
     };
     assert!(of(&|settings| settings.integrator == Integrator::Path) >= 5, "{:?}", answers.qualities);
     assert!(of(&|settings| settings.cache == CacheMode::On) >= 5);
-    assert_eq!(of(&|settings| *settings == job.settings), 1, "each quality is offered once");
+    assert_eq!(of(&|settings| Some(settings) == job.settings.own()), 1, "each quality is offered once");
     // The best quality that is on time.
     let verdict = farm.job(&job).await.verdict.unwrap();
     let way = verdict.ways_out.iter().find_map(|way| match &way.change {

@@ -34,8 +34,11 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     let job = farm.until_booked(&node, &job).await;
     let quoted = quote(&farm, &job).await;
     let spp = quoted.chosen_spp.unwrap();
-    assert_eq!(job.settings.spp, spp, "the job says what it is rendered with");
-    assert!(spp >= 4 * plain.settings.spp && spp <= 6 * plain.settings.spp, "{spp}");
+    assert_eq!(job.settings.own().unwrap().spp, spp, "the job says what it is rendered with");
+    assert!(
+        spp >= 4 * plain.settings.own().unwrap().spp && spp <= 6 * plain.settings.own().unwrap().spp,
+        "{spp}"
+    );
     assert!(quoted.total.cpu_seconds.p95 <= given, "{:?} in {given}", quoted.total.cpu_seconds);
     assert!(quoted.total.cpu_seconds.p95 > 0.9 * given, "{:?} in {given}", quoted.total.cpu_seconds);
     // Later answers from the profile are about the rendered images.
@@ -45,7 +48,11 @@ async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     assert!((own.cpu_seconds.mean / quoted.total.cpu_seconds.mean - 1.0).abs() < 1e-9, "{own:?}");
     let lease = farm.claim_waiting(&node, 5000).await.unwrap();
     let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
-    assert_eq!((spec.settings.spp, spec.profile), (spp, None), "profiled pixels have other samples");
+    assert_eq!(
+        (spec.settings.own().unwrap().spp, spec.profile),
+        (spp, None),
+        "profiled pixels have other samples"
+    );
     let of_frame = quoted.frames.iter().find(|each| each.frame == spec.frame).unwrap();
     assert_eq!(spec.work, Some(of_frame.work.mean.round() as u64), "it may take what so many samples take");
     // The result says how it spent the work; impossible values are refused.
@@ -93,7 +100,7 @@ async fn too_little_fails_with_what_would_do_and_nonsense_is_refused() {
     let least: f64 = words[words.iter().position(|word| *word == "takes").unwrap() + 1].parse().unwrap();
     let least = (least * 1e6).round() as i64;
     let job = submit(&farm, json!({"cpu_micros": least + 1})).await;
-    assert_eq!(farm.until_booked(&node, &job).await.settings.spp, 1);
+    assert_eq!(farm.until_booked(&node, &job).await.settings.own().unwrap().spp, 1);
 
     for (within, place) in [
         (json!({}), "/within"),

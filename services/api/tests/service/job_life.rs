@@ -52,7 +52,7 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     request["budget"] = json!(10_000_000_000i64);
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     assert_eq!(
-        (job.state, job.frames_total, job.settings.width, job.scene.triangles),
+        (job.state, job.frames_total, job.settings.own().unwrap().width, job.scene.triangles),
         (JobState::Previewing, 10, 8, 2)
     );
 

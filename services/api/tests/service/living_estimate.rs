@@ -138,13 +138,13 @@ async fn a_quote_whose_samples_were_chosen_for_a_time_is_explained_at_those() {
     request["within"] = json!({"cpu_micros": 2_000_000_000i64});
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     let booked = farm.until_booked(&node, &job).await;
-    assert_ne!(booked.settings.spp, job.settings.spp);
+    assert_ne!(booked.settings.own().unwrap().spp, job.settings.own().unwrap().spp);
     let path = format!("/v1/jobs/{}", job.id);
     let quote: ForecastDoc = farm.viewer.get(&format!("{path}/forecast")).await.parsed(StatusCode::OK).await;
     let whole: Explanation =
         farm.viewer.get(&format!("{path}/explanation")).await.parsed(StatusCode::OK).await;
     assert!((whole.work / quote.total.work.mean - 1.0).abs() < 1e-12, "{} {:?}", whole.work, quote.total);
-    let spp = f64::from(booked.settings.spp);
+    let spp = f64::from(booked.settings.own().unwrap().spp);
     assert!(whole.halving.iter().any(|way| way.setting == "spp" && way.from == spp), "{whole:?}");
 }
 

@@ -10,6 +10,7 @@ mod job_life;
 mod living_estimate;
 mod nodes;
 mod plans;
+mod renderers;
 mod requests;
 mod results;
 #[path = "../support/mod.rs"]

@@ -360,7 +360,10 @@ async fn checking_a_job_says_what_it_would_be_and_keeps_nothing() {
         .await
         .parsed(StatusCode::OK)
         .await;
-    assert_eq!((check.frames_total, check.settings.width, check.scene.name.as_str()), (6, 8, "quad"));
+    assert_eq!(
+        (check.frames_total, check.settings.own().unwrap().width, check.scene.name.as_str()),
+        (6, 8, "quad")
+    );
     let page: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
     assert!(page.items.is_empty());
 }

@@ -3,11 +3,12 @@
 
 use super::Farm;
 use forelight_protocol::{
-    AccuracyDoc, AccuracyRung, AllottedStats, ByClass, FixedCosts, FrameStrata, ImageError, LadderKind,
-    Lease, MissingLadder, NoiseCell, NoiseSample, PreviewBackend, PreviewResult, PreviewSpec,
-    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled, Quantiles, Rays, RenderArtifacts,
-    RenderResult, RenderSpec, RenderStats, Spent, SpentOnForecast, Stratum, StratumName, TaskResult,
-    TaskSpec,
+    AccuracyDoc, AccuracyRung, AllottedStats, ByClass, Described, FixedCosts, FrameStrata, ImageError,
+    LadderKind, Lease, MeasuredFrame, MeasuredShare, MissingLadder, NoiseCell, NoiseSample, PreviewBackend,
+    PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled,
+    Quantiles, Rays, RenderArtifacts, RenderResult, RenderSpec, RenderStats, RendererId, SampleCost,
+    SceneSummary, ShotSettings, Spent, SpentOnForecast, Stratum, StratumName, StratumTime, TaskResult,
+    TaskSpec, Varied,
 };
 
 impl Farm {
@@ -15,11 +16,32 @@ impl Farm {
     pub async fn made_up_result(&self, lease: &Lease) -> TaskResult {
         match &lease.spec {
             TaskSpec::Preview(spec) => TaskResult::Preview(preview(spec)),
+            TaskSpec::Profile(spec) if spec.renderer.is_some() => {
+                TaskResult::Measured(self.measured(spec).await)
+            }
             TaskSpec::Profile(spec) => TaskResult::Profile(self.profile(spec).await),
             TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
                 panic!("these scenes have no irradiance caches")
             }
             TaskSpec::Render(spec) => TaskResult::Render(self.render(spec).await),
+        }
+    }
+
+    /// 4 of 32 samples: 10 ms without samples, and 2 ms for each sample and 1 % more in each later frame.
+    async fn measured(&self, spec: &ProfileSpec) -> MeasuredFrame {
+        let sample = 2_000_000 + 20_000 * u64::from(spec.frame);
+        let cost = |amount: u32| SampleCost { amount, cpu_nanos: 10_000_000 + u64::from(amount) * sample };
+        let hash = Some(self.artifact(format!("samples of {}", spec.frame).as_bytes()).await);
+        MeasuredFrame {
+            frame: spec.frame,
+            renderer: another_renderer(),
+            varied: Varied::Samples,
+            whole: 32,
+            costs: vec![cost(0), cost(4)],
+            strata: vec![StratumTime { object: Some(0), material: Some(0), nanos: 4 * sample }],
+            shares: vec![MeasuredShare { offset: 0, count: 4, cpu_nanos: 4 * sample, hash }],
+            spent: Spent { work: 18_000, cpu_nanos: 18_000_000 },
+            peak_memory_bytes: 1 << 20,
         }
     }
 
@@ -34,7 +56,7 @@ impl Farm {
                 extra_work: 0,
                 work_by_ray: [work - work / 4, 0, 0, 0, 0, work / 4, 0],
                 cpu_nanos: work * 1_000_000,
-                rays: [u64::from(spec.settings.spp), 0, 0, 0, 0, 2, 0],
+                rays: [u64::from(spec.settings.own().unwrap().spp), 0, 0, 0, 0, 2, 0],
             }
         });
         ProfileResult {
@@ -45,7 +67,7 @@ impl Farm {
             shared_samples: Vec::new(),
             shared_cache_samples: Vec::new(),
             cache_samples: Vec::new(),
-            noise: made_up_noise(spec.settings.spp),
+            noise: made_up_noise(spec.settings.own().unwrap().spp),
             effects: vec!["ambient".to_owned()],
             work_by_class: Some(ByClass { rays: 800, memory: 200, ..ByClass::default() }),
             left_out: Vec::new(),
@@ -62,18 +84,23 @@ impl Farm {
     }
 
     async fn render(&self, spec: &RenderSpec) -> RenderResult {
-        let work = 48 * pixel_work(spec.frame) + 16 * 10 + 5;
+        let work = match spec.renderer {
+            None => 48 * pixel_work(spec.frame) + 16 * 10 + 5,
+            // CPU time in microseconds.
+            Some(_) => 10_000 + 32 * (2000 + 20 * u64::from(spec.frame)),
+        };
+        let cpu_seconds = if spec.renderer.is_some() { work as f64 * 1e-6 } else { work as f64 * 1e-3 };
         RenderResult {
             stats: RenderStats {
                 frame: spec.frame,
-                width: spec.settings.width,
-                height: spec.settings.height,
-                spp: spec.settings.spp + u32::from(spec.work.is_some()),
+                width: spec.settings.size().unwrap().0,
+                height: spec.settings.size().unwrap().1,
+                spp: spec.settings.samples().unwrap() + u32::from(spec.work.is_some()),
                 allotted: spec.work.map(|_| {
                     Box::new(AllottedStats {
                         least: 1,
-                        most: 4 * spec.settings.spp,
-                        mean: f64::from(spec.settings.spp + 1),
+                        most: 4 * spec.settings.own().unwrap().spp,
+                        mean: f64::from(spec.settings.own().unwrap().spp + 1),
                         error: ImageError { p05: 0.01, p50: 0.02, p80: 0.03, p95: 0.04 },
                         forecast: None,
                         within: None,
@@ -87,7 +114,7 @@ impl Farm {
                 work,
                 work_by_class: None,
                 work_by_ray: Some(Rays { primary: work / 2, ..Rays::default() }),
-                cpu_seconds: work as f64 * 1e-3,
+                cpu_seconds,
                 once: None,
                 wall_seconds: work as f64 * 1e-3,
                 peak_rss_bytes: 1,
@@ -128,6 +155,38 @@ fn preview(spec: &PreviewSpec) -> PreviewResult {
             .collect(),
         backend: PreviewBackend::Cpu,
         spent: Spent { work: 100, cpu_nanos: 100_000 },
+        described: spec.renderer.as_ref().map(|_| Box::new(described(spec))),
+    }
+}
+
+/// A renderer that is not our own.
+pub fn another_renderer() -> RendererId {
+    RendererId { name: "cycles".to_owned(), version: "5.0.1".to_owned() }
+}
+
+/// A scene of 8 × 8 pixels and 32 samples. The job may ask for other samples.
+fn described(spec: &PreviewSpec) -> Described {
+    let job = spec.settings.shot().unwrap();
+    Described {
+        renderer: another_renderer(),
+        scene: SceneSummary {
+            name: "shot".to_owned(),
+            digest: spec.digest,
+            frames: 250,
+            width: 8,
+            height: 8,
+            objects: 1,
+            materials: 1,
+            triangles: 2,
+        },
+        settings: ShotSettings {
+            width: Some(8),
+            height: Some(8),
+            samples: job.samples.or(Some(32)),
+            seed: Some(0),
+            own: job.own.clone(),
+        },
+        notes: vec!["a script is not run".to_owned()],
     }
 }
 
@@ -153,13 +212,13 @@ pub fn made_up_times(kind: LadderKind, place: u32) -> f64 {
 fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
     let even = |value| Quantiles { mean: value, p50: value, p80: value, p95: value };
     let rungs = LadderKind::ALL.into_iter().flat_map(|kind| {
-        let rungs = forelight_quote::ladder(kind, &spec.settings).unwrap_or_default();
+        let rungs = forelight_quote::ladder(kind, spec.settings.own().unwrap()).unwrap_or_default();
         (1..).zip(rungs).map(move |(place, settings)| {
-            let times = if settings == spec.settings { 1.0 } else { made_up_times(kind, place) };
+            let times = if Some(&settings) == spec.settings.own() { 1.0 } else { made_up_times(kind, place) };
             let error = times / 100.0;
             AccuracyRung {
                 ladder: kind,
-                asked_for: settings == spec.settings,
+                asked_for: Some(&settings) == spec.settings.own(),
                 settings,
                 work: even(500.0 * times),
                 cpu_seconds: even(2.0 * times),
@@ -172,7 +231,7 @@ fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
     });
     AccuracyDoc {
         frames: 1,
-        settings: spec.settings.clone(),
+        settings: spec.settings.own().unwrap().clone(),
         rungs: rungs.collect(),
         missing: vec![MissingLadder { ladder: LadderKind::Divisions, reason: "too dear".to_owned() }],
         profiled: Profiled { frames: vec![spec.frame], pixels: 99 },

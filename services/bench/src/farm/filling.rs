@@ -115,7 +115,12 @@ async fn submit(store: &Store, frames: u32) -> Result<Job> {
         triangles: 2,
     };
     let settings = request.settings.complete((8, 8));
-    let new = NewJob { request, scene, source: BundleSource::Path("/nowhere".to_owned()), settings };
+    let new = NewJob {
+        request,
+        scene,
+        source: BundleSource::Path("/nowhere".to_owned()),
+        settings: settings.into(),
+    };
     match store.create_job(&new, None, Timestamp::now()).await? {
         Answered::Fresh(job) => Ok(job),
         Answered::Repeated(_) => Err(anyhow!("a request without a key was answered before")),

@@ -191,7 +191,7 @@ async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()>
 
 fn result_of(spec: &TaskSpec) -> Result<forelight_protocol::TaskResult> {
     match spec {
-        TaskSpec::Render(spec) => Ok(rendered(spec.frame, spec.settings.spp)),
+        TaskSpec::Render(spec) => Ok(rendered(spec.frame, spec.settings.samples().unwrap_or(1))),
         other => bail!("the service leased a {} task instead of a frame", other.kind()),
     }
 }

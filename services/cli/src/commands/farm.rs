@@ -11,6 +11,7 @@ use forelight_terminal::options::PreviewBackend;
 use forelight_terminal::output;
 use forelight_terminal::quantities::parse_money;
 use forelight_worker::{Agent, AgentError};
+use std::path::PathBuf;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
@@ -38,13 +39,17 @@ pub struct Args {
     /// Price of an hour of each worker, in the farm's currency, such as 0.50
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     price: i64,
+    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender is
+    /// found without one
+    #[arg(long, value_name = "FILE")]
+    command: Vec<PathBuf>,
     /// Device that renders ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     preview: PreviewBackend,
 }
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let folder = args.service.data.join("bundles");
-    let (bundles, executor, capabilities) = equipment(&folder, args.preview)?;
+    let (bundles, executor, capabilities) = equipment(&folder, args.preview, &args.command)?;
     // Measured before the workers have other work.
     let calibration = measured(folder, capabilities.processor.clone()).await?;
     let speed = node_speed(&calibration);

@@ -20,6 +20,7 @@ mod plan;
 mod plans;
 mod preview;
 mod render;
+mod renderers;
 mod serve;
 mod share;
 mod simulate;
@@ -66,6 +67,7 @@ enum Command {
     Jobs(jobs::Args),
     Cancel(cancel::Args),
     Render(render::Args),
+    Renderers(renderers::Args),
     Preview(preview::Args),
     Cache(cache::Args),
     Calibrate(calibrate::Args),
@@ -112,6 +114,7 @@ impl Cli {
             Command::Budget(args) => budget::run(*args).await,
             // Tracing light would block the runtime, so it has a thread of its own.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
+            Command::Renderers(args) => blocking(move || renderers::run(&args)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
             Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,
             Command::Calibrate(args) => blocking(move || calibrate::run(&args)).await,

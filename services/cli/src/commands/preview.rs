@@ -148,6 +148,7 @@ fn report(seen: &Seen) -> String {
     let who = match seen.backend {
         PreviewBackend::Gpu => "GPU",
         PreviewBackend::Cpu => "CPU",
+        PreviewBackend::Renderer => "renderer",
     };
     table.render() + &format!("\nframe {}, {} x {}, on the {who}\n", seen.frame, seen.width, seen.height)
 }

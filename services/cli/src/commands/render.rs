@@ -14,6 +14,7 @@ use forelight_scene::Frame;
 use forelight_terminal::atomic_file::{self, write_bytes, write_with};
 use forelight_terminal::bounded_file;
 use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
@@ -68,8 +69,8 @@ pub struct Args {
     #[arg(long, value_name = "WHICH", default_value = "called-for")]
     effects: EffectsSwitch,
     /// Change a setting of a .blend file, such as adaptive_sampling=false. May be repeated
-    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = foreign::own_setting())]
-    own: Vec<foreign::OwnSetting>,
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
+    own: Vec<OwnSetting>,
     /// Print the cost as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -95,10 +96,10 @@ enum Format {
     Png,
 }
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    if foreign::is_foreign(&args.bundle) {
+    if is_foreign(&args.bundle) {
         return render_foreign(args, interrupt);
     }
-    foreign::refuse_own_settings(&args.own)?;
+    refuse_own_settings(&args.own)?;
     let frame = args.frame.unwrap_or(0);
     let frame =
         u32::try_from(frame).map_err(|_| BadInput::new(format!("--frame {frame}: frames begin at 0")))?;
@@ -167,7 +168,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
 
 /// Renders a frame of a scene that another renderer renders.
 fn render_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    foreign::refuse(&[
+    refuse(&[
         ("--cost-map", args.cost_map.is_some()),
         ("--profile", args.profile.is_some()),
         ("--cache-file", args.cache_file.is_some()),

@@ -9,10 +9,13 @@ use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
 };
+use forelight_renderer::Renderers;
+use forelight_renderer::door::Renderer;
 use forelight_renderer_own::{OwnRenderer, TaskRunner, node_speed};
 use forelight_store::{token_hash, tokens};
 use forelight_terminal::atomic_file::write_secret;
 use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::foreign::installed;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::preview_choice;
 use forelight_terminal::options::{PreviewBackend, duration};
@@ -59,6 +62,10 @@ pub struct Args {
     /// The exit code is 0 if the task is done already
     #[arg(long, value_name = "ID")]
     task: Option<TaskId>,
+    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender is
+    /// found without one
+    #[arg(long, value_name = "FILE")]
+    command: Vec<PathBuf>,
     /// Memory limit of a task, such as 8GiB. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
@@ -86,7 +93,7 @@ pub struct Args {
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
-    let (bundles, executor, capabilities) = equipment(&folder, args.preview)?;
+    let (bundles, executor, capabilities) = equipment(&folder, args.preview, &args.command)?;
     let calibration = match &args.calibration {
         Some(file) => calibrate::read(file)?.1,
         None => measured(folder, capabilities.processor.clone()).await?,
@@ -122,22 +129,33 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The bundle folder, the renderer, and this machine's capabilities.
+/// The bundle folder, the renderers, and this machine's capabilities.
 pub fn equipment(
     folder: &Path,
     preview: PreviewBackend,
-) -> Result<(Arc<Bundles>, Arc<TaskRunner>, Capabilities)> {
+    commands: &[PathBuf],
+) -> Result<(Arc<Bundles>, Arc<Renderers>, Capabilities)> {
     let renderer = OwnRenderer::new(preview_choice(preview));
     let adapter =
         renderer.adapter().context("cannot render previews with the device that --preview names")?;
+    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(commands)?);
     let capabilities = Capabilities {
+        renderers: renderers.ids(),
         gpu: adapter.as_ref().is_some_and(|adapter| adapter.is_hardware),
         vulkan_adapter: adapter.and_then(|adapter| Capabilities::name(&adapter.name)),
         ..machine()
     };
     let bundles = Bundles::new(folder)
         .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
-    Ok((Arc::new(bundles), Arc::new(TaskRunner::new(renderer)), capabilities))
+    Ok((Arc::new(bundles), Arc::new(renderers), capabilities))
+}
+
+/// The renderers besides our own. Logs those that were found, and why others were not.
+fn others(commands: &[PathBuf]) -> Result<Vec<Box<dyn Renderer>>> {
+    let found = installed(commands)?;
+    found.renderers.iter().for_each(|renderer| tracing::info!(renderer = %renderer.id(), "found"));
+    found.missing.iter().for_each(|reason| tracing::debug!(%reason, "a renderer is missing"));
+    Ok(found.renderers)
 }
 
 pub fn task_limits(memory: Option<u64>, time: Option<Duration>) -> TaskLimits {

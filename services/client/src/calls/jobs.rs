@@ -44,9 +44,11 @@ impl FramePicture {
 
 impl Client {
     /// Uploads a bundle as a zip file. Repeated with the same key, it is one upload.
-    pub async fn upload_bundle(&self, zip: &Path, key: Uuid) -> Result<Bundle, ClientError> {
-        let request =
-            Request::new(Method::POST, "/v1/bundles").payload(Payload::File(zip.into(), "application/zip"));
+    pub async fn upload_bundle(&self, file: &Path, key: Uuid) -> Result<Bundle, ClientError> {
+        let is_blend = file.extension().is_some_and(|end| end.eq_ignore_ascii_case("blend"));
+        let media_type = if is_blend { "application/x-blender" } else { "application/zip" };
+        let payload = Payload::File(file.into(), media_type);
+        let request = Request::new(Method::POST, "/v1/bundles").payload(payload);
         self.transport.json(&request.with_key(key)).await
     }
 

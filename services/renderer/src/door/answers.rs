@@ -2,6 +2,7 @@
 
 use super::artefact::Artefact;
 use super::settings::Region;
+use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::AddAssign;
@@ -109,10 +110,15 @@ pub struct Measured {
 }
 
 /// A rendered frame.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rendered {
-    /// Images and other results.
+    /// Images and other results. The first is the image with linear values, as OpenEXR where the renderer
+    /// writes it.
     pub files: Vec<PathBuf>,
+    /// The image for viewing. `None` if the first file is in a format that everyone can read.
+    pub picture: Option<RgbImage>,
+    /// Object and material of each pixel as a colour. `None` if the renderer does not know them.
+    pub ids: Option<RgbImage>,
     /// Cost of this render, without what it took over.
     pub cost: Cost,
     /// What of it does not depend on the samples.

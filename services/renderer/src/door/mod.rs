@@ -23,28 +23,13 @@ pub use answers::{
 pub use artefact::Artefact;
 pub use description::{Asset, AssetState, Camera, Description, Frames, Object};
 pub use error::{Ending, RendererError};
+pub use forelight_protocol::RendererId;
 pub use run::{Limits, Run};
 pub use settings::{Common, Region, Settings, SettingsError};
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::fmt;
 use std::path::Path;
-
-/// Name and version of a renderer. Costs and forecasts hold for one of these.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub struct RendererId {
-    /// Such as `cycles`.
-    pub name: String,
-    /// As the program states it, such as `5.0.1`.
-    pub version: String,
-}
-
-impl fmt::Display for RendererId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}", self.name, self.version)
-    }
-}
 
 /// What a renderer may be able to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -55,6 +40,8 @@ pub enum Capability {
     MeasureSamples,
     /// Measures regions of a frame.
     MeasureRegions,
+    /// Measures many regions at once: each costs little beyond its pixels.
+    MeasureManyRegions,
     /// Measures single pixels of a frame.
     MeasurePixels,
     /// Renders frames at other sizes. What a smaller frame costs tells what a larger one will cost.

@@ -1,5 +1,6 @@
 //! Settings in two parts: what all renderers have, and what is the renderer's own.
 
+use forelight_protocol::ShotSettings;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -68,11 +69,13 @@ impl Settings {
                 return Err(SettingsError::new(format!("/{name}"), "must be at least 1"));
             }
         }
-        let validator =
-            jsonschema::validator_for(schema).map_err(|e| SettingsError::new("/own", e.to_string()))?;
-        validator
-            .validate(&Value::Object(self.own.clone()))
-            .map_err(|e| SettingsError::new(format!("/own{}", e.instance_path()), e.to_string()))
+        // The name is only that of a place: nothing is fetched.
+        const NAME: &str = "https://forelight.invalid/settings.json";
+        let unusable = |error: boon::CompileError| SettingsError::new("/own", error.to_string());
+        let (mut schemas, mut compiler) = (boon::Schemas::new(), boon::Compiler::new());
+        compiler.add_resource(NAME, schema.clone()).map_err(unusable)?;
+        let compiled = compiler.compile(NAME, &mut schemas).map_err(unusable)?;
+        schemas.validate(&Value::Object(self.own.clone()), compiled).map_err(|error| first_wrong(&error))
     }
 
     /// The same settings, with the renderer's own ones replaced where `by` has them.
@@ -82,9 +85,50 @@ impl Settings {
         self
     }
 
+    /// These settings of a scene, with what a job changes. A width or height alone keeps the shape of the
+    /// image.
+    #[must_use]
+    pub fn changed_by(&self, job: &ShotSettings) -> Self {
+        let Common { width, height, samples, seed } = self.common;
+        let size = |asked: Option<u32>, other: Option<u32>, own: u32, others: u32| match (asked, other) {
+            (Some(asked), _) => asked,
+            (None, Some(other)) => {
+                (f64::from(own) * f64::from(other) / f64::from(others.max(1))).round().max(1.0) as u32
+            }
+            (None, None) => own,
+        };
+        let common = Common {
+            width: size(job.width, job.height, width, height),
+            height: size(job.height, job.width, height, width),
+            samples: job.samples.unwrap_or(samples),
+            seed: job.seed.unwrap_or(seed),
+        };
+        Self { common, own: self.own.clone() }.with_own(&job.own)
+    }
+
+    /// The settings as a job has them, complete.
+    pub fn complete(&self) -> ShotSettings {
+        let Common { width, height, samples, seed } = self.common;
+        ShotSettings {
+            width: Some(width),
+            height: Some(height),
+            samples: Some(samples),
+            seed: Some(seed),
+            own: self.own.clone(),
+        }
+    }
+
     /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.common.width) * u64::from(self.common.height)
+    }
+}
+
+/// The first setting that is wrong, of a tree of errors.
+fn first_wrong(error: &boon::ValidationError<'_, '_>) -> SettingsError {
+    match error.causes.first() {
+        Some(cause) => first_wrong(cause),
+        None => SettingsError::new(format!("/own{}", error.instance_location), error.kind.to_string()),
     }
 }
 

@@ -44,8 +44,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// Starts a program that answers lines of its standard input. The limit on memory holds while it runs,
-    /// that on time for each call of [`next`](Self::next)'s caller.
+    /// Starts a program that answers lines of its standard input. The run's limit on memory holds until
+    /// [`hold_to`](Self::hold_to) sets another, that on time for each call of [`next`](Self::next)'s caller.
     ///
     /// # Errors
     /// If the program cannot be started.
@@ -60,7 +60,8 @@ impl Session {
         interactive: bool,
     ) -> Result<Self, RendererError> {
         let orders = Orders::default();
-        let (streams, supervisor) = start(program, run.limits, interactive, &orders)?;
+        orders.limit(run);
+        let (streams, supervisor) = start(program, run.limits.grace, interactive, &orders)?;
         let (sender, lines) = sync_channel(WAITING_LINES);
         let errors = sender.clone();
         let (stdout, stderr) = (streams.stdout, streams.stderr);
@@ -69,6 +70,11 @@ impl Session {
         let supervisor = Some(supervisor);
         let (stdin, name) = (streams.stdin, program.name());
         Ok(Self { name, stdin, lines, last_lines: VecDeque::new(), orders, supervisor, known })
+    }
+
+    /// Holds the program to the memory limit of this run from now on.
+    pub fn hold_to(&self, run: &Run<'_>) {
+        self.orders.limit(run);
     }
 
     /// Sends a line.
@@ -143,7 +149,7 @@ impl Session {
     }
 
     fn end(&mut self, stop: Stop) -> Option<Ended> {
-        self.orders.lock().get_or_insert(stop);
+        self.orders.stop.lock().get_or_insert(stop);
         self.join()
     }
 

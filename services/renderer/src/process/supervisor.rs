@@ -2,7 +2,7 @@
 
 use super::group::{self, Member};
 use super::program::Program;
-use crate::door::{Limits, RendererError};
+use crate::door::{RendererError, Run};
 use parking_lot::Mutex;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{
@@ -67,14 +67,27 @@ pub(super) struct Streams {
     pub stderr: ChildStderr,
 }
 
-/// Orders to the supervisor: the first one counts.
-pub(super) type Orders = Arc<Mutex<Option<Stop>>>;
+/// Orders to the supervisor.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Orders {
+    /// Why the program must end. The first reason counts.
+    pub stop: Arc<Mutex<Option<Stop>>>,
+    /// Limit on its resident memory, bytes. It may change while the program runs. 0: none.
+    pub memory_bytes: Arc<AtomicU64>,
+}
+
+impl Orders {
+    /// Sets the memory limit of this run.
+    pub fn limit(&self, run: &Run<'_>) {
+        self.memory_bytes.store(run.limits.memory_bytes.unwrap_or(0), Ordering::Relaxed);
+    }
+}
 
 /// Starts a program on a thread of its own. That thread lives as long as the program, because the program is
 /// killed when the thread that started it ends (`PR_SET_PDEATHSIG`). So it does not outlive this process.
 pub(super) fn start(
     program: &Program,
-    limits: Limits,
+    grace: Duration,
     interactive: bool,
     orders: &Orders,
 ) -> Result<(Streams, JoinHandle<io::Result<Ended>>), RendererError> {
@@ -83,7 +96,7 @@ pub(super) fn start(
     let path = program.path().to_owned();
     let thread = std::thread::Builder::new()
         .name("supervisor".to_owned())
-        .spawn(move || supervise(&program, limits, interactive, &orders, &started))
+        .spawn(move || supervise(&program, grace, interactive, &orders, &started))
         .map_err(RendererError::io(&path))?;
     match starting.recv() {
         Ok(Ok(streams)) => Ok((streams, thread)),
@@ -94,7 +107,7 @@ pub(super) fn start(
 
 fn supervise(
     program: &Program,
-    limits: Limits,
+    grace: Duration,
     interactive: bool,
     orders: &Orders,
     started: &SyncSender<io::Result<Streams>>,
@@ -114,7 +127,7 @@ fn supervise(
         // The receiver waits for exactly this.
         let _ = started.send(Ok(Streams { stdin: child.stdin.take(), stdout, stderr }));
     }
-    let peak = watch(&pidfd, group, limits, orders);
+    let peak = watch(&pidfd, group, grace, orders);
 
     // The program has ended and is not reaped yet, so its number still names its group.
     let mut left: Vec<Member> = group::members(group);
@@ -140,7 +153,7 @@ fn supervise(
         cpu_nanos: own + left.iter().map(|m| m.cpu_nanos).sum::<u64>(),
         peak_memory_bytes: used.rusage.maxrss.max(peak),
     };
-    Ok(Ended { status: used.status, usage, stop: *orders.lock() })
+    Ok(Ended { status: used.status, usage, stop: *orders.stop.lock() })
 }
 
 /// A mark that no other run on this machine has.
@@ -185,7 +198,7 @@ fn spawn(program: &Program, interactive: bool, mark: &str) -> io::Result<(Child,
 }
 
 /// Waits until the program ends, carries out orders, and returns the most memory that was seen.
-fn watch(pidfd: &OwnedFd, group: Pid, limits: Limits, orders: &Orders) -> u64 {
+fn watch(pidfd: &OwnedFd, group: Pid, grace: Duration, orders: &Orders) -> u64 {
     let mut peak = 0;
     let mut asked: Option<Instant> = None;
     for look in 0u32.. {
@@ -200,8 +213,9 @@ fn watch(pidfd: &OwnedFd, group: Pid, limits: Limits, orders: &Orders) -> u64 {
         };
         let memory = group::memory_bytes(&members);
         peak = peak.max(memory);
-        let mut stop = orders.lock();
-        if limits.memory_bytes.is_some_and(|limit| memory > limit) && stop.is_none() {
+        let limit = orders.memory_bytes.load(Ordering::Relaxed);
+        let mut stop = orders.stop.lock();
+        if limit > 0 && memory > limit && stop.is_none() {
             *stop = Some(Stop::Memory(memory));
         }
         let Some(reason) = *stop else { continue };
@@ -209,7 +223,7 @@ fn watch(pidfd: &OwnedFd, group: Pid, limits: Limits, orders: &Orders) -> u64 {
         let at_once = matches!(reason, Stop::Memory(_));
         let signal = match asked {
             None if !at_once => Some(Signal::TERM),
-            Some(since) if !at_once && since.elapsed() < limits.grace => None,
+            Some(since) if !at_once && since.elapsed() < grace => None,
             _ => Some(Signal::KILL),
         };
         asked.get_or_insert_with(Instant::now);

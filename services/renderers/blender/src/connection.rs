@@ -70,6 +70,7 @@ impl Connection {
     /// connection should be dropped.
     pub fn ask<T: DeserializeOwned>(&mut self, question: &Value, run: &Run<'_>) -> Result<T, RendererError> {
         let since = Instant::now();
+        self.session.hold_to(run);
         self.session.send(&question.to_string())?;
         loop {
             let Some(line) = self.session.next(since, run)? else { return Err(self.session.failure()) };

@@ -4,7 +4,9 @@ use exr::prelude::{
     AnyChannel, AnyChannels, FlatImage, FlatSamples, Layer, ReadChannels as _, ReadLayers as _,
     WritableImage as _, read,
 };
+use forelight_pictures::{id_color, tone_map};
 use forelight_renderer::door::{BlockCosts, PixelCount, RendererError, StratumCost};
+use image::{Rgb, RgbImage};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -15,6 +17,7 @@ const BLOCK: u32 = 8;
 const OBJECT: [&str; 2] = ["Object Index", "IndexOB"];
 const MATERIAL: [&str; 2] = ["Material Index", "IndexMA"];
 const TIME: [&str; 1] = ["Render Time"];
+const COMBINED: &str = "Combined";
 
 /// Passes that hold the first sample alone.
 const OF_FIRST_SAMPLE: [&str; 7] =
@@ -53,6 +56,35 @@ impl Image {
     fn pass(&self, names: &[&str]) -> Option<&[f32]> {
         let channels = self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
         channels.filter(|c| names.contains(&pass_of(c))).find_map(floats)
+    }
+
+    /// The image for viewing. Black where the file has no image.
+    pub fn picture(&self) -> RgbImage {
+        let channels = || self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
+        let find = |component: &str| {
+            let mut combined = channels().filter(|c| pass_of(c) == COMBINED && component_of(c) == component);
+            combined.find_map(floats).unwrap_or_default()
+        };
+        let colours = ["R", "G", "B"].map(find);
+        let width = self.width();
+        let height = self.exr.layer_data.first().map_or(1, |layer| layer.size.y().max(1));
+        let side = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
+        RgbImage::from_fn(side(width), side(height), |x, y| {
+            let pixel = y as usize * width + x as usize;
+            Rgb(tone_map(colours.map(|channel| channel.get(pixel).copied().unwrap_or(0.0))))
+        })
+    }
+
+    /// Object and material of every pixel as a colour. `None` if the image does not hold them.
+    pub fn ids(&self) -> Option<RgbImage> {
+        let strata = self.strata()?;
+        let width = u32::try_from(self.width()).ok()?;
+        let height = u32::try_from(strata.len() / self.width()).ok()?;
+        let colour = |x: u32, y: u32| match strata.get((y * width + x) as usize) {
+            None | Some((None, None)) => [0; 3],
+            Some((object, material)) => id_color(object.map_or(0, |o| o + 1), material.map_or(0, |m| m + 1)),
+        };
+        Some(RgbImage::from_fn(width, height, |x, y| Rgb(colour(x, y))))
     }
 
     /// Object and material of every pixel, by index. `None` if the image does not hold them.

@@ -143,6 +143,7 @@ impl Renderer for Cycles {
         let mut all = Capabilities::from([
             Capability::MeasureSamples,
             Capability::MeasureRegions,
+            Capability::MeasureManyRegions,
             Capability::TakeOverSamples,
         ]);
         if locates_costs(&self.id.version) {

@@ -17,13 +17,13 @@ use std::path::{Path, PathBuf};
 /// Most pixels of a preview. Counts are scaled to the image.
 const PREVIEW_PIXELS: u64 = 256 * 256;
 
-/// A Blender file, open in a process that answers one question at a time.
+/// A Blender file, open in as many processes as there are questions at a time.
 pub(crate) struct BlenderShot {
     cycles: Cycles,
     scene: PathBuf,
     description: Description,
-    /// `None` after a run that was stopped: the next question starts Blender again.
-    connection: Mutex<Option<Connection>>,
+    /// Processes that wait for a question. A question starts one if none waits.
+    idle: Mutex<Vec<Connection>>,
 }
 
 /// Answer of the driver to a render.
@@ -38,19 +38,19 @@ struct Costs {
 impl BlenderShot {
     pub fn open(cycles: Cycles, scene: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
         let (connection, description) = Connection::open(&cycles, scene, run)?;
-        Ok(Self { cycles, scene: scene.to_owned(), description, connection: Mutex::new(Some(connection)) })
+        Ok(Self { cycles, scene: scene.to_owned(), description, idle: Mutex::new(vec![connection]) })
     }
 
     fn ask<T: DeserializeOwned>(&self, question: &Value, run: &Run<'_>) -> Result<T, RendererError> {
-        let mut open = self.connection.lock();
-        let mut connection = match open.take() {
+        let idle = self.idle.lock().pop();
+        let mut connection = match idle {
             Some(connection) => connection,
             None => Connection::open::<Value>(&self.cycles, &self.scene, run)?.0,
         };
         let answer = connection.ask(question, run);
         // After any other error the process is gone, or nobody knows what it does.
         if matches!(answer, Ok(_) | Err(RendererError::Failed(_))) {
-            *open = Some(connection);
+            self.idle.lock().push(connection);
         }
         answer
     }
@@ -92,8 +92,11 @@ impl BlenderShot {
             )));
         }
         let path = run.scratch.join(format!("frame-{frame:04}-samples-{offset}-{count}.exr"));
-        // With adaptive sampling, a share measures the cost of samples that are not adaptive.
         let Costs { cost, fixed, .. } = self.samples(frame, settings, Some((offset, count)), &path, run)?;
+        // Nobody knows how long denoising and compositing take. Both are part of every share, like all that is
+        // fixed, so that a line through two shares knows.
+        let is_processed = is_on(settings, "denoise") || is_on(settings, "compositing");
+        let fixed = if is_processed { FixedCosts::new() } else { fixed };
         let image = Image::read(&path)?;
         let artefact = if why_indivisible(settings).is_none() {
             let renderer = self.cycles.id().clone();
@@ -189,6 +192,10 @@ impl Shot for BlenderShot {
         if why_indivisible(settings).is_some() {
             all.remove(&Capability::TakeOverSamples);
         }
+        if is_on(settings, "adaptive_sampling") {
+            // Few samples do not tell at which of them a pixel will stop. Regions do, with all samples.
+            all.remove(&Capability::MeasureSamples);
+        }
         all
     }
 
@@ -259,6 +266,14 @@ impl Shot for BlenderShot {
             image
         };
         let (strata, blocks) = (image.stratum_costs(), image.block_costs());
-        Ok(Rendered { files: vec![path], cost, fixed, strata, blocks })
+        Ok(Rendered {
+            files: vec![path],
+            picture: Some(image.picture()),
+            ids: image.ids(),
+            cost,
+            fixed,
+            strata,
+            blocks,
+        })
     }
 }

@@ -6,12 +6,8 @@
 //! | `FORELIGHT_BPY_PYTHON` | Python with `bpy`, where `blender` is not installed |
 
 use exr::prelude::{ReadChannels as _, ReadLayers as _, read};
-use forelight_forecast::{
-    Calibration, FramePopulation, SampleCost, SampledFrame, Stratum, forecast_sampled_shot,
-};
 use forelight_renderer::door::{
-    AssetState, Capability, Common, Cost, Limits, Part, Region, Renderer as _, RendererError, Run, Settings,
-    Shot,
+    AssetState, Capability, Common, Limits, Part, Region, Renderer as _, RendererError, Run, Settings, Shot,
 };
 use forelight_renderer_blender::Cycles;
 use serde_json::{Value, json};
@@ -156,89 +152,19 @@ fn merged_shares_are_the_image_of_one_render() {
     }
 }
 
-/// One frame, forecast from two shares of its samples and rendered.
-struct Trial {
-    /// Relative error of the forecast from the whole costs of both shares, and of the one that also knows the
-    /// fixed costs.
-    errors: [f64; 2],
-    /// Relative height of the second forecast's P95 over the truth.
-    p95: f64,
-    truth: u64,
-    /// Cost of the shares, of the frame's.
-    spent: f64,
-    /// The largest wall time of a CPU second: what else ran beside it.
-    beside: f64,
-}
-
-fn trial(shot: &dyn Shot, run: &Run<'_>) -> Trial {
-    let settings = shot.description().settings.clone();
-    let (mut costs, mut spent, mut beside) = (Vec::new(), 0, 0.0f64);
-    let mut busy = |cost: &Cost| beside = beside.max(cost.wall_nanos as f64 / cost.cpu_nanos as f64);
-    for (offset, count) in [(0, 1), (1, 8)] {
-        let measured = shot.measure(0, &settings, &Part::Samples { offset, count }, run).unwrap();
-        let (cpu_nanos, fixed) = (measured.cost.cpu_nanos, measured.fixed.values().sum());
-        assert!(fixed > 0 && fixed < cpu_nanos, "{measured:?}");
-        spent += cpu_nanos;
-        costs.push(SampleCost { samples: count, cpu_nanos });
-        costs.push(SampleCost { samples: 0, cpu_nanos: fixed });
-        busy(&measured.cost);
-        if offset == 0 {
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
+fn a_share_of_the_samples_says_what_is_fixed_and_where_time_goes() {
+    for name in names() {
+        ask(&name, |shot, run| {
+            let settings = shot.description().settings.clone();
+            let first = Part::Samples { offset: 0, count: 1 };
+            let measured = shot.measure(0, &settings, &first, run).unwrap();
+            let fixed: u64 = measured.fixed.values().sum();
+            assert!(fixed > 0 && fixed < measured.cost.cpu_nanos, "{measured:?}");
             let pixels: u64 = measured.strata.iter().map(|stratum| stratum.count.pixels).sum();
             assert_eq!(pixels, settings.pixels());
             assert!(measured.strata.len() > 3);
-        }
-    }
-    let frame = FramePopulation { number: 0, counts: vec![9216], lights: 0, shining: 0, triangles: 0 };
-    let stratum = [Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false }];
-    let forecast = |costs: &[SampleCost]| {
-        let measured = SampledFrame { frame: 0, costs, stratum_times: &[] };
-        let frames = std::slice::from_ref(&frame);
-        let samples = settings.common.samples;
-        forecast_sampled_shot(&stratum, frames, &[measured], samples, Calibration::NONE).unwrap().total
-    };
-    let (line, fixed_known) = (forecast(&[costs[0], costs[2]]), forecast(&costs));
-    let rendered = shot.render(0, &settings, &[], run).unwrap().cost;
-    busy(&rendered);
-    let truth = rendered.cpu_nanos;
-    let error = |value: f64| value / truth as f64 - 1.0;
-    Trial {
-        errors: [error(line.mean), error(fixed_known.mean)],
-        p95: error(fixed_known.p95),
-        truth,
-        spent: spent as f64 / truth as f64,
-        beside,
-    }
-}
-
-/// Beside other work, a CPU second does less: the same render was seen to cost 36 % more. Then nothing can be
-/// judged, and the test says so.
-#[test]
-#[ignore = "tests/peers/blender.sh makes its files"]
-fn few_samples_forecast_the_cost_of_a_frame() {
-    const TRIALS: usize = 4;
-    const QUIET: f64 = 2.0;
-    for name in names() {
-        ask(&name, |shot, run| {
-            let mut judged = false;
-            for _ in 0..TRIALS {
-                let Trial { errors, p95, truth, spent, beside } = trial(shot, run);
-                let [line, fixed_known] = errors.map(|error| 100.0 * error);
-                println!(
-                    "{name}: {:.2} CPU s; from 1 and 8 samples {line:+.1} %, with known fixed costs \
-                     {fixed_known:+.1} % (P95 {:+.1} %), for {:.1} % of the cost; up to {beside:.1} s per CPU s",
-                    seconds(truth),
-                    100.0 * p95,
-                    100.0 * spent,
-                );
-                if beside <= QUIET {
-                    assert!(fixed_known.abs() < 15.0);
-                    judged = true;
-                    break;
-                }
-            }
-            if !judged {
-                println!("{name}: NOT JUDGED, because other work ran beside every trial");
-            }
         });
     }
 }

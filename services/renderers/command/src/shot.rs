@@ -290,6 +290,14 @@ impl Shot for CommandShot {
         let piece = Piece { frame, settings, samples: settings.common.samples, region: None };
         let out = self.output(&piece, run.scratch);
         let cost = self.start(&piece, &out, run)?;
-        Ok(Rendered { files: vec![out], cost, fixed: FixedCosts::new(), strata: Vec::new(), blocks: None })
+        Ok(Rendered {
+            files: vec![out],
+            picture: None,
+            ids: None,
+            cost,
+            fixed: FixedCosts::new(),
+            strata: Vec::new(),
+            blocks: None,
+        })
     }
 }

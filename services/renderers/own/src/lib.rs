@@ -3,7 +3,7 @@
 //!
 //! | folder or file | subject |
 //! | --- | --- |
-//! | `opening`, `open_shots`, `previewer` | bundles become shots; the last few stay open; they share one previewer |
+//! | `opening`, `previewer` | bundles become shots; they share one previewer |
 //! | `shot`, `frame` | a shot; one frame, ready to be traced; `answers` and `error` are what they return |
 //! | `tasks/` | what each kind of task does |
 //! | `profile/` | counting what frames show, and profiling some of their pixels |
@@ -29,7 +29,6 @@ mod calibration;
 mod costs;
 mod error;
 mod frame;
-mod open_shots;
 mod opening;
 mod previewer;
 mod profile;

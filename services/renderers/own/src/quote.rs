@@ -132,5 +132,5 @@ fn measured<'a>(
 }
 
 fn quoted_shot(shot: &OwnShot, settings: &RenderSettings) -> QuotedShot {
-    QuotedShot { scene: shot.info().summary.digest, settings: settings.clone() }
+    QuotedShot { scene: shot.info().summary.digest, renderer: None, settings: settings.clone().into() }
 }

@@ -42,6 +42,7 @@ pub fn preview_result(
         strata: shown.list,
         backend: counted.backend,
         spent: counted.spent,
+        described: None,
     }
 }
 

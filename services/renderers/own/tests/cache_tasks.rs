@@ -59,7 +59,7 @@ impl Rig {
         caches: Vec<Bytes>,
         control: &Control,
     ) -> Result<Outcome, ExecuteError> {
-        let assignment = Assignment { spec, bundle: corridor(), profile: None, caches, checkpoint: None };
+        let assignment = Assignment { caches, ..Assignment::new(spec, corridor()) };
         self.runner.execute(&assignment, control)
     }
 
@@ -102,7 +102,9 @@ impl Rig {
             bundle: self.bundle(),
             digest: self.digest,
             frame: 24,
-            settings: self.settings.clone(),
+            settings: self.settings.clone().into(),
+            renderer: None,
+            shares: Vec::new(),
             work: None,
             profile: None,
             cache: Some(CACHE),

@@ -70,6 +70,7 @@ impl Asking<'_> {
 pub(crate) type Query = QueryAs<'static, Sqlite, OfferedTask, SqliteArguments>;
 
 /// A statement for the first task, by an index, that meets a condition and that the node `?1` may have now.
+/// The node must have the task's renderer.
 ///
 /// Such statements are composed of shared pieces, so they are not checked at compile time. Tests run each of
 /// them and examine its query plan.
@@ -85,7 +86,8 @@ macro_rules! next_task {
             $index,
             " WHERE state = 'ready' AND ",
             $which,
-            " AND held = 0 AND not_before <= ?2 AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS \
+            " AND held = 0 AND not_before <= ?2 AND (renderer IS NULL OR renderer IN (SELECT value FROM \
+             json_each((SELECT renderers FROM nodes WHERE id = ?1)))) AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS \
              (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
               AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
               > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",

@@ -2,7 +2,7 @@
 
 use forelight_forecast::FIRST_FRAMES;
 use forelight_protocol::{
-    BundleSource, Event, EventKind, Job, JobId, JobRequest, JobState, Money, RenderSettings, SceneSummary,
+    BundleSource, Event, EventKind, Job, JobId, JobRequest, JobSettings, JobState, Money, SceneSummary,
     Timestamp,
 };
 
@@ -25,7 +25,7 @@ pub struct NewJob {
     /// Where workers find the bundle.
     pub source: BundleSource,
     /// The settings with all defaults filled in.
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
 }
 
 impl Store {
@@ -46,8 +46,8 @@ impl Store {
             write,
             "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, \
              frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
-             priority, created_at, limits, within, cache, weight, profiles_more, ladders) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             job_id.0,
             request.name,
             request.project,
@@ -70,7 +70,8 @@ impl Store {
             request.cache.name(),
             request.weight,
             request.profile_frames.is_none(),
-            request.ladders.name()
+            request.ladders.name(),
+            request.renderer.as_ref().map(Json)
         );
         for frame in request.frames.iter() {
             run!(write, "INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame);
@@ -80,6 +81,7 @@ impl Store {
             bundle: source.clone(),
             digest: scene.digest,
             settings: settings.clone(),
+            renderer: request.renderer.clone(),
             deadline: request.deadline,
             priority: request.priority,
             limits: request.limits,

@@ -1,6 +1,8 @@
 //! Registering nodes and changing them.
 
-use forelight_protocol::{EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Timestamp};
+use forelight_protocol::{
+    EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, RendererId, Timestamp,
+};
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
@@ -85,12 +87,15 @@ pub(crate) async fn upsert(
         }
         _ => false,
     };
+    let renderers: Vec<String> =
+        registration.capabilities.renderers.iter().flat_map(RendererId::answers_to).collect();
     let node_id: NodeId = sqlx::query_scalar!(
         "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, \
-         capabilities, schedule, worker) VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9) ON CONFLICT (name) \
+         capabilities, schedule, worker, renderers) VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (name) \
          DO UPDATE SET speed = excluded.speed, price_per_hour = excluded.price_per_hour, cores = \
          excluded.cores, last_seen_at = excluded.last_seen_at, capabilities = excluded.capabilities, \
-         schedule = excluded.schedule, worker = coalesce(excluded.worker, worker), paused = 0 \
+         schedule = excluded.schedule, worker = coalesce(excluded.worker, worker), paused = 0, \
+         renderers = excluded.renderers \
          RETURNING id",
         NodeId::new().0,
         registration.name,
@@ -100,7 +105,8 @@ pub(crate) async fn upsert(
         now.micros(),
         Json(&registration.capabilities),
         registration.schedule.as_ref().map(Json),
-        registration.worker
+        registration.worker,
+        Json(&renderers)
     )
     .fetch_one(write.connection().await?)
     .await?

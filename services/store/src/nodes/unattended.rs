@@ -3,10 +3,10 @@
 //! Plans say why a booked job waits, but a job has no plan before it is quoted. Without this, a user who
 //! forgot to start a worker would wait without an explanation.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::time::Duration;
 
-use forelight_protocol::{Job, JobId, Timestamp, Waits};
+use forelight_protocol::{Job, JobId, Node, RendererRequest, Timestamp, Waits};
 use sqlx::SqliteConnection;
 
 use crate::database::Store;
@@ -15,17 +15,16 @@ use crate::nodes;
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::unattended::why_nobody_works;
 
-/// The quotes that no node works on or will start, as things stand.
+/// The quotes that no node works on or will start, as things stand, and why.
 #[derive(Clone, PartialEq, Debug, Default)]
 pub struct Unattended {
-    jobs: BTreeSet<JobId>,
-    why: Option<Waits>,
+    jobs: BTreeMap<JobId, Waits>,
 }
 
 impl Unattended {
     /// Why the job waits, if this is the reason.
     pub fn waits(&self, job: JobId) -> Option<Waits> {
-        self.why.clone().filter(|_| self.jobs.contains(&job))
+        self.jobs.get(&job).cloned()
     }
 
     /// Fills the reason in where a job has none.
@@ -48,18 +47,24 @@ pub(crate) async fn unattended(
     ttl: Duration,
     now: Timestamp,
 ) -> Result<Unattended> {
-    let jobs = sqlx::query_scalar!(
-        "SELECT j.id FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
+    let jobs = sqlx::query!(
+        "SELECT j.id, j.renderer FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
          AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"
     )
     .fetch_all(&mut *connection)
     .await?;
-    if jobs.is_empty() || somebody_is_there(connection, ttl, now).await? {
+    let needs_own = jobs.iter().all(|job| job.renderer.is_none());
+    if jobs.is_empty() || needs_own && somebody_is_there(connection, ttl, now).await? {
         return Ok(Unattended::default());
     }
-    let jobs = jobs.into_iter().map(JobId::from).collect();
     let nodes = nodes::list(connection, None, u32::MAX).await?;
-    Ok(Unattended { jobs, why: why_nobody_works(nodes.into_iter().map(|node| as_it_is(node, ttl, now))) })
+    let nodes: Vec<Node> = nodes.into_iter().map(|node| as_it_is(node, ttl, now)).collect();
+    let why = |job: &Option<RendererRequest>| why_nobody_works(&nodes, job.as_ref());
+    let jobs = jobs.into_iter().filter_map(|job| {
+        let renderer = job.renderer.map(|it| it.0);
+        Some((JobId::from(job.id), why(&renderer)?))
+    });
+    Ok(Unattended { jobs: jobs.collect() })
 }
 
 /// Whether some node certainly takes tasks. Ignores nodes with calendars; this is enough on most farms.

@@ -70,7 +70,8 @@ pub(crate) fn is_same_machine(one: &Node, other: &Node) -> bool {
             (one, other) => one.is_none() && other.is_none(),
         }
     });
-    terms(one) == terms(other) && alike(one.speed, other.speed) && classes
+    let has_same_renderers = one.capabilities.renderers == other.capabilities.renderers;
+    has_same_renderers && terms(one) == terms(other) && alike(one.speed, other.speed) && classes
 }
 
 #[cfg(test)]

@@ -2,13 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{Node, NodePower, NodeState, PowerState, Timestamp, WaitKind, Waits};
+use forelight_protocol::{
+    Node, NodePower, NodeState, PowerState, RendererRequest, Timestamp, WaitKind, Waits,
+};
 
-/// Why none of these nodes, as they are now, takes tasks; `None` if one does.
-pub(crate) fn why_nobody_works(nodes: impl IntoIterator<Item = Node>) -> Option<Waits> {
+/// Why none of these nodes, as they are now, takes tasks of this renderer; `None` if one does. Every node has
+/// our own renderer.
+pub(crate) fn why_nobody_works(nodes: &[Node], renderer: Option<&RendererRequest>) -> Option<Waits> {
     let mut kept_by: BTreeMap<&'static str, usize> = BTreeMap::new();
     let mut until: Option<Timestamp> = None;
-    for node in nodes {
+    let has_renderer = |node: &&Node| renderer.is_none_or(|asked| node.has_renderer(asked));
+    for node in nodes.iter().filter(has_renderer) {
         let sleeps = node.power.filter(|power| power.state == PowerState::Asleep);
         let by = match (node.state, sleeps) {
             (NodeState::Silent, _) => "silent",
@@ -23,8 +27,12 @@ pub(crate) fn why_nobody_works(nodes: impl IntoIterator<Item = Node>) -> Option<
         };
         *kept_by.entry(by).or_default() += 1;
     }
-    let because = if kept_by.is_empty() {
+    let because = if nodes.is_empty() {
         "waits because no worker has registered; `forelight worker` starts one".to_owned()
+    } else if let (true, Some(renderer)) = (kept_by.is_empty(), renderer) {
+        format!(
+            "waits because no node has {renderer}: install it on a worker's machine and start the worker again"
+        )
     } else {
         let counts: Vec<String> = kept_by.iter().map(|(by, count)| format!("{count} {by}")).collect();
         format!("waits because no node takes tasks: {}", counts.join(", "))
@@ -37,6 +45,7 @@ pub(crate) fn why_nobody_works(nodes: impl IntoIterator<Item = Node>) -> Option<
 mod tests {
     use super::*;
     use crate::policy::nodes::tests::node;
+    use forelight_protocol::RendererId;
 
     fn asleep(until: Option<i64>) -> Node {
         let power = NodePower { state: PowerState::Asleep, until: until.map(Timestamp::from_micros) };
@@ -45,16 +54,31 @@ mod tests {
 
     #[test]
     fn one_node_that_takes_tasks_is_enough() {
-        assert_eq!(why_nobody_works([asleep(None), node()]), None);
-        let none = why_nobody_works([]).unwrap();
+        assert_eq!(why_nobody_works(&[asleep(None), node()], None), None);
+        let none = why_nobody_works(&[], None).unwrap();
         assert!(none.because.contains("no worker has registered"));
     }
 
     #[test]
     fn the_wait_ends_when_the_first_node_wakes_up() {
         let drained = Node { state: NodeState::Drained, ..node() };
-        let waits = why_nobody_works([asleep(Some(7)), asleep(Some(5)), asleep(None), drained]).unwrap();
+        let waits =
+            why_nobody_works(&[asleep(Some(7)), asleep(Some(5)), asleep(None), drained], None).unwrap();
         assert_eq!((waits.kind, waits.until), (WaitKind::Calendar, Some(Timestamp::from_micros(5))));
         assert!(waits.because.ends_with("3 asleep, 1 drained"), "{}", waits.because);
+    }
+
+    #[test]
+    fn a_job_waits_for_a_node_that_has_its_renderer() {
+        let cycles = RendererRequest { name: "cycles".to_owned(), version: Some("5".to_owned()) };
+        let none = why_nobody_works(&[node()], Some(&cycles)).unwrap();
+        assert!(none.because.contains("no node has cycles 5"), "{}", none.because);
+        let mut blender = node();
+        let id = RendererId { name: "cycles".to_owned(), version: "5.0.1".to_owned() };
+        blender.capabilities.renderers.push(id);
+        assert_eq!(why_nobody_works(&[node(), blender.clone()], Some(&cycles)), None);
+        let drained = Node { state: NodeState::Drained, ..blender };
+        let none = why_nobody_works(&[node(), drained], Some(&cycles)).unwrap();
+        assert!(none.because.ends_with("1 drained"), "{}", none.because);
     }
 }

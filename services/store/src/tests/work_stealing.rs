@@ -214,7 +214,10 @@ async fn looking_at_a_bounded_job_is_a_few_steps_into_indexes_however_many_frame
     let farm = Farm::new().await;
     for query in [crate::claims::work_stealing::NEXT_OF_JOB, crate::claims::work_stealing::NEXT_NO_DEARER] {
         let steps = super::claims::steps_of(&farm, query).await;
-        let slow = |step: &String| step.starts_with("SCAN") || step.contains("TEMP B-TREE");
+        // The claiming node's few renderers are a list in its row.
+        let slow = |step: &String| {
+            step.starts_with("SCAN") && !step.starts_with("SCAN json_each") || step.contains("TEMP B-TREE")
+        };
         assert!(!steps.iter().any(slow), "{query}: {steps:?}");
         for step in steps.iter().filter(|step| step.starts_with("SEARCH tasks USING INDEX tasks_ready")) {
             assert!(step.contains("job_id=?"), "{step}");

@@ -1,8 +1,8 @@
 //! Checks of a job request. Each error names its field.
 
 use forelight_protocol::{
-    BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, Ladders, Money, RenderSettings,
-    RenderSettingsRequest, SceneSummary,
+    BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, JobSettings, Ladders, Money,
+    RenderSettings, RenderSettingsRequest, SceneSummary,
 };
 use forelight_store::{NewJob, StoreError};
 
@@ -56,6 +56,12 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
             format!("{frames} frames; a job has at most {}", app.limits.frames),
         ));
     }
+    if let Some(renderer) = &request.renderer {
+        renderer
+            .check()
+            .map_err(|(field, reason)| ApiError::invalid(format!("/renderer/{field}"), reason))?;
+        return other_renderer(app, request).await;
+    }
     check_settings(&request.settings)?;
     if request.cache == CacheSharing::Shared && request.settings.complete((1, 1)).cache == CacheMode::Off {
         let reason = "a cache cannot be shared where there is none: set `settings.cache` to `on`";
@@ -70,6 +76,10 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
         return Err(ApiError::invalid("/ladders", reason));
     }
     let (source, scene) = find_bundle(app, &mut request).await?;
+    if bundle_inspection::is_unknown(&scene) {
+        let reason = "only another renderer can open this scene: name it in `renderer`";
+        return Err(ApiError::invalid("/bundle", reason));
+    }
     if request.frames.last() >= scene.frames {
         let reason = format!(
             "frame {} is asked for, the scene has frames 0 to {}",
@@ -80,11 +90,56 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     }
     let settings = request.settings.complete((scene.width, scene.height));
     check_size(app, &settings)?;
-    Ok(NewJob { request, scene, source, settings })
+    Ok(NewJob { request, scene, source, settings: settings.into() })
+}
+
+/// Checks a job of a renderer other than our own. Its scene is not opened here: the job's first task does that.
+async fn other_renderer(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
+    let settings = request.settings.of_shot().map_err(bad_setting)?;
+    if let Some(pixels) = settings.pixels().filter(|&pixels| pixels > app.limits.pixels) {
+        let reason = format!("{pixels} pixels; an image has at most {}", app.limits.pixels);
+        return Err(ApiError::invalid("/settings/width", reason));
+    }
+    let only_own = "only forelight's own renderer can do this: leave it out";
+    for (field, is_given) in [
+        ("/cache", request.cache == CacheSharing::Shared),
+        ("/within", request.within.is_some()),
+        ("/ladders", request.ladders == Ladders::All),
+    ] {
+        if is_given {
+            return Err(ApiError::invalid(field, only_own));
+        }
+    }
+    let (source, scene) = match (&request.bundle.id, &request.bundle.path) {
+        (Some(_), None) => {
+            let (source, scene) = find_bundle(app, &mut request).await?;
+            if !bundle_inspection::is_unknown(&scene) {
+                let reason = "forelight's own renderer renders this bundle: leave out `renderer`";
+                return Err(ApiError::invalid("/bundle/id", reason));
+            }
+            (source, scene)
+        }
+        (None, Some(path)) => {
+            let canonical = bundle_inspection::resolve(app, path).await?;
+            let Some(text) = canonical.to_str().map(str::to_owned) else {
+                return Err(ApiError::invalid("/bundle/path", "the path of a scene is UTF-8"));
+            };
+            let scene =
+                bundle_inspection::unopened(canonical).await.map_err(|error| error.at("/bundle/path"))?;
+            request.bundle.path = Some(text.clone());
+            (BundleSource::Path(text), scene)
+        }
+        _ => return Err(ApiError::invalid("/bundle", "give exactly one of `id` and `path`")),
+    };
+    Ok(NewJob { request, scene, source, settings: JobSettings::Shot(settings) })
 }
 
 /// Checks everything that does not depend on the scene. The camera's size is checked once it is known.
 fn check_settings(settings: &RenderSettingsRequest) -> ApiResult<()> {
+    if !settings.own.is_empty() {
+        let reason = "these are settings of another renderer: name it in `renderer`, or leave them out";
+        return Err(ApiError::invalid("/settings/own", reason));
+    }
     settings.complete((1, 1)).check().map_err(bad_setting)
 }
 

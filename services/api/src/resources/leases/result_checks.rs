@@ -2,22 +2,26 @@
 
 mod fields;
 mod profile;
+mod shot;
 
 use forelight_protocol::{
     AllottedStats, CacheFillResult, CacheFillSpec, CacheMergeResult, CachePlanResult, CachePlanSpec,
-    PreviewResult, PreviewSpec, RenderResult, RenderSpec, TaskResult, TaskSpec,
+    JobSettings, PreviewResult, PreviewSpec, RenderResult, RenderSettings, RenderSpec, TaskResult, TaskSpec,
 };
 
 use self::fields::{
     cache_bytes, effects, frame, frame_count, image_error, left_out, once, prior_cost, record_levels, spent,
     storable, strata, wrong,
 };
-use crate::error::ApiResult;
+use crate::error::{ApiError, ApiResult};
 
 pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
     match (spec, result) {
         (TaskSpec::Preview(spec), TaskResult::Preview(result)) => preview(spec, result),
-        (TaskSpec::Profile(spec), TaskResult::Profile(result)) => profile::check(spec, result),
+        (TaskSpec::Profile(spec), TaskResult::Profile(result)) => {
+            profile::check(spec, own_settings(&spec.settings)?, result)
+        }
+        (TaskSpec::Profile(spec), TaskResult::Measured(result)) => shot::measured(spec, result),
         (TaskSpec::CachePlan(spec), TaskResult::CachePlan(result)) => cache_plan(spec, result),
         (TaskSpec::CacheFill(spec), TaskResult::CacheFill(result)) => cache_fill(spec, result),
         (TaskSpec::CacheMerge(_), TaskResult::CacheMerge(result)) => cache_merge(result),
@@ -36,6 +40,13 @@ fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
     if let Some(cost) = result.record_prior_cost {
         prior_cost(&format!("{AT}/record_prior_cost"), cost)?;
     }
+    shot::described(spec, result.described.as_deref())?;
+    let image = match (&spec.settings, &result.described) {
+        (JobSettings::Own(settings), _) => settings.pixels(),
+        (JobSettings::Shot(_), described) => {
+            described.as_ref().and_then(|described| described.settings.pixels()).unwrap_or(0)
+        }
+    };
     frame_count(&format!("{AT}/frames"), result.frames.len(), spec.frames.len())?;
     for (i, (seen, &expected)) in result.frames.iter().zip(&spec.frames).enumerate() {
         let at = format!("{AT}/frames/{i}");
@@ -46,13 +57,32 @@ fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
             return wrong(at + "/pixels", reason);
         }
         let pixels: u64 = seen.pixels.iter().map(|&n| u64::from(n)).sum::<u64>() + u64::from(seen.background);
-        if pixels != spec.settings.pixels() {
-            let reason = format!("the strata have {pixels} pixels; the image has {}", spec.settings.pixels());
+        if pixels != image {
+            let reason = format!("the strata have {pixels} pixels; the image has {image}");
             return wrong(at + "/pixels", reason);
         }
-        record_levels(&format!("{at}/cache_records"), &spec.settings, seen.cache_records.len())?;
+        job_record_levels(&format!("{at}/cache_records"), &spec.settings, seen.cache_records.len())?;
     }
     spent(&format!("{AT}/spent"), result.spent)
+}
+
+/// The settings of a task of our own renderer.
+fn own_settings(settings: &JobSettings) -> ApiResult<&RenderSettings> {
+    match settings {
+        JobSettings::Own(settings) => Ok(settings),
+        JobSettings::Shot(_) => {
+            let reason = "this is a result of forelight's own renderer; the task is for another one";
+            Err(ApiError::invalid("/result", reason))
+        }
+    }
+}
+
+fn job_record_levels(pointer: &str, settings: &JobSettings, found: usize) -> ApiResult<()> {
+    match settings {
+        JobSettings::Own(settings) => record_levels(pointer, settings, found),
+        JobSettings::Shot(_) if found == 0 => Ok(()),
+        JobSettings::Shot(_) => wrong(pointer, "another renderer's frames have no irradiance cache"),
+    }
 }
 
 fn cache_plan(spec: &CachePlanSpec, result: &CachePlanResult) -> ApiResult<()> {
@@ -115,15 +145,17 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     const AT: &str = "/result/render/stats";
     let stats = &result.stats;
     let settings = &spec.settings;
+    let Some(((width, height), samples)) = settings.size().zip(settings.samples()) else {
+        return wrong(AT, "the task's settings are not complete, so nothing can be rendered");
+    };
+    let pixels = u64::from(width) * u64::from(height);
     frame(&format!("{AT}/frame"), stats.frame, spec.frame)?;
     once(&format!("{AT}/once"), stats.once)?;
     stats.allotted.iter().try_for_each(|allotted| samples_where_they_pay(spec, allotted))?;
-    let spp = stats.allotted.as_ref().map_or(settings.spp, |allotted| allotted.mean.round() as u32);
-    for (name, actual, expected) in [
-        ("width", stats.width, settings.width),
-        ("height", stats.height, settings.height),
-        ("spp", stats.spp, spp),
-    ] {
+    let spp = stats.allotted.as_ref().map_or(samples, |allotted| allotted.mean.round() as u32);
+    for (name, actual, expected) in
+        [("width", stats.width, width), ("height", stats.height, height), ("spp", stats.spp, spp)]
+    {
         if actual != expected {
             return wrong(
                 format!("{AT}/{name}"),
@@ -146,9 +178,9 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     }
     effects(&format!("{AT}/effects"), &stats.effects)?;
     left_out(&format!("{AT}/left_out"), &stats.left_out)?;
-    record_levels(&format!("{AT}/cache_records"), settings, stats.cache_records.len())?;
-    if stats.reused_pixels > settings.pixels() {
-        let reason = format!("{} pixels; the image has {}", stats.reused_pixels, settings.pixels());
+    job_record_levels(&format!("{AT}/cache_records"), settings, stats.cache_records.len())?;
+    if stats.reused_pixels > pixels {
+        let reason = format!("{} pixels; the image has {pixels}", stats.reused_pixels);
         return wrong(format!("{AT}/reused_pixels"), reason);
     }
     if stats.reused_work > stats.work {

@@ -7,6 +7,9 @@ use forelight_protocol::{
 use crate::error::{ApiError, ApiResult};
 use crate::resources::checks::check_name;
 
+/// Most renderers of a node.
+const MOST_RENDERERS: usize = 50;
+
 pub(super) fn check_change(change: &NodeChange) -> ApiResult<()> {
     change.speed.flatten().map_or(Ok(()), |speed| check_speed("/speed", speed))?;
     change.price_per_hour.flatten().map_or(Ok(()), |price| check_price("/price_per_hour", price))?;
@@ -27,13 +30,23 @@ pub(super) fn check_registration(place: &str, node: &NodeRegistration) -> ApiRes
     if !(1..=4096).contains(&node.cores) {
         return Err(ApiError::invalid(at("cores"), "a node has 1 to 4096 cores"));
     }
-    let Capabilities { memory_bytes, processor, vulkan_adapter, gpu: _, calibration } = &node.capabilities;
+    let Capabilities { memory_bytes, processor, vulkan_adapter, gpu: _, renderers, calibration } =
+        &node.capabilities;
     if memory_bytes.is_some_and(|bytes| i64::try_from(bytes).is_err()) {
         return Err(ApiError::invalid(at("capabilities/memory_bytes"), "a number larger than 2⁶³ − 1"));
     }
     node.schedule.as_ref().map_or(Ok(()), |schedule| check_schedule(&at("schedule"), schedule))?;
     for (name, text) in [("processor", processor), ("vulkan_adapter", vulkan_adapter)] {
         text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 200))?;
+    }
+    if renderers.len() > MOST_RENDERERS {
+        let reason = format!("{} renderers; a node has at most {MOST_RENDERERS}", renderers.len());
+        return Err(ApiError::invalid(at("capabilities/renderers"), reason));
+    }
+    for (i, renderer) in renderers.iter().enumerate() {
+        renderer.check().map_err(|(field, reason)| {
+            ApiError::invalid(at(&format!("capabilities/renderers/{i}/{field}")), reason)
+        })?;
     }
     let checked = calibration.as_ref().map_or(Ok(()), NodeCalibration::check);
     checked.map_err(|(field, reason)| {

@@ -7,7 +7,8 @@ use crate::commands::cache::NO_USE_FOR_A_CACHE;
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_protocol::{
-    CacheMode, ForecastDoc, FrameSet, ProcessCosts, QuotedShot, RenderSettings, RenderStats, SceneSummary,
+    CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings, RenderStats,
+    SceneSummary,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::json_file;
@@ -170,7 +171,9 @@ fn exported(
 
 /// Checks that a quote is of this scene and quality.
 fn check_quoted(quote: &ForecastDoc, scene: &SceneSummary, settings: &RenderSettings) -> Result<()> {
-    let Some(QuotedShot { scene: quoted, settings: asked }) = &quote.of else { return Ok(()) };
+    let Some(QuotedShot { scene: quoted, settings: JobSettings::Own(asked), .. }) = &quote.of else {
+        return Ok(());
+    };
     let hint = "`forelight forecast --json` makes a quote of this shot";
     if *quoted != scene.digest {
         let why = "it is of another scene, or of an earlier version of this one";
@@ -432,7 +435,7 @@ mod tests {
     fn a_quote_of_something_else_is_refused_with_what_differs() {
         let settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));
         let of = |scene: SceneSummary, settings: &RenderSettings, chosen_spp| ForecastDoc {
-            of: Some(QuotedShot { scene: scene.digest, settings: settings.clone() }),
+            of: Some(QuotedShot { scene: scene.digest, renderer: None, settings: settings.clone().into() }),
             chosen_spp,
             ..quote("0-9", 1.0)
         };

@@ -16,6 +16,7 @@ use forelight_protocol::{
 use forelight_renderer_own::{Quote, QuoteOptions, ROUNDS, png};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
+use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
@@ -97,8 +98,8 @@ pub struct Args {
     #[arg(long, conflicts_with = "cache_sharing")]
     explain: bool,
     /// Change a setting of a .blend file, such as adaptive_sampling=false. May be repeated
-    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = foreign::own_setting())]
-    own: Vec<foreign::OwnSetting>,
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
+    own: Vec<OwnSetting>,
     /// Print the quote as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -116,10 +117,10 @@ fn strategies() -> impl TypedValueParser<Value = Strategy> {
     })
 }
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    if foreign::is_foreign(&args.bundle) {
+    if is_foreign(&args.bundle) {
         return forecast_foreign(args, interrupt);
     }
-    foreign::refuse_own_settings(&args.own)?;
+    refuse_own_settings(&args.own)?;
     sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
     if args.cost_map.is_some() {
         cost_map::check(args.cost_map_at, args.strategy, args.samples)?;
@@ -174,7 +175,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
 
 /// The quote of a scene that another renderer renders.
 fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
-    foreign::refuse(&[
+    refuse(&[
         ("--strategy", args.strategy != Strategy::Snapshot),
         ("--save-profile", args.save_profile.is_some()),
         ("--calibration", args.calibration.is_some()),

@@ -1,10 +1,10 @@
 //! `forelight render shot.blend`: one frame by another renderer, with its true cost.
 
-use super::{Foreign, OwnSetting, refuse_quality};
 use anyhow::{Context, Result};
-use forelight_renderer::door::{Cost, FixedCosts, Rendered, Renderer, RendererId, Run, Settings};
+use forelight_renderer::door::{Cost, FixedCosts, Rendered, RendererId, Run, Settings};
 use forelight_terminal::atomic_file::{self, write_bytes, write_with};
 use forelight_terminal::failure::BadInput;
+use forelight_terminal::foreign::{Foreign, OwnSetting};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
@@ -39,7 +39,6 @@ struct Stats<'a> {
 
 /// Renders the frame, and writes its image and cost.
 pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
-    refuse_quality(asked.quality)?;
     if let Some(out) =
         asked.out.filter(|out| !out.extension().is_some_and(|end| end.eq_ignore_ascii_case("exr")))
     {
@@ -63,7 +62,7 @@ pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     }
     let Cost { cpu_nanos, wall_nanos, peak_memory_bytes, .. } = cost;
     let stats = Stats {
-        renderer: foreign.cycles.id(),
+        renderer: foreign.renderer.id(),
         frame,
         settings: &settings,
         cpu_seconds: cpu_nanos as f64 * 1e-9,

@@ -12,9 +12,12 @@ use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
     BundleRef, CacheSharing, Confidence, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
-    RenderSettingsRequest, SceneSummary, Timestamp, Within,
+    RenderSettingsRequest, RendererRequest, SceneSummary, Timestamp, Within,
 };
 use forelight_terminal::failure::BadInput;
+use forelight_terminal::foreign::{
+    OwnSetting, is_foreign, own_setting, refuse_own_settings, shot_request, shot_settings,
+};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::options::{QualityOptions, duration};
@@ -31,12 +34,14 @@ Examples:
   forelight submit kitchen/ --frames 0-47 --within 3h --confidence p95 --data farm-data
   forelight submit kitchen.zip --frames 0,12 --budget 12.50 --server http://farm:7878
   forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
+  forelight submit /mnt/shots/kitchen.blend --shared --frames 1-250 --spp 256 --set denoise=false
   forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
 
 Without --follow and --out, the command prints the job's id and ends. A folder is packed and uploaded, unless the farm \
-already has this bundle. With --follow or --out, the exit code is 0 only if all frames were delivered.")]
+already has this bundle. Files that a .blend file refers to are not uploaded: pack them, or use --shared. With \
+--follow or --out, the exit code is 0 only if all frames were delivered.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file
+    /// Scene bundle: a folder or a zip file. Or a .blend file, which nodes with Blender render
     #[arg(required_unless_present = "job")]
     bundle: Option<PathBuf>,
     /// Follow this earlier job, instead of submitting a bundle
@@ -96,6 +101,13 @@ pub struct Args {
     /// Share one irradiance cache between frames. Needs --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
     cache_sharing: CacheSharing,
+    /// Renderer other than forelight's own, with its version or the beginning of it, such as "cycles 5.0" [default:
+    /// any version of cycles, for a .blend file]. The version that previews the job also renders it
+    #[arg(long, value_name = "NAME[ VERSION]", value_parser = renderer)]
+    renderer: Option<RendererRequest>,
+    /// Change a setting of another renderer, such as adaptive_sampling=false. May be repeated
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
+    own: Vec<OwnSetting>,
     /// Memory limit of a task, such as 8GiB. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
@@ -120,6 +132,17 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
+/// Reads `NAME` or `NAME VERSION`.
+fn renderer(text: &str) -> Result<RendererRequest, String> {
+    let (name, version) = match text.split_once(' ') {
+        Some((name, version)) => (name, Some(version.to_owned())),
+        None => (text, None),
+    };
+    let request = RendererRequest { name: name.to_owned(), version };
+    request.check().map_err(|(_, reason)| reason)?;
+    Ok(request)
+}
+
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let client = connect(&args.connection)?;
@@ -156,18 +179,52 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
 
 async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Result<Job> {
     let key = args.idempotency_key.unwrap_or_else(Uuid::now_v7);
+    if is_foreign(bundle) || args.renderer.is_some() {
+        let request = foreign_request(args, bundle, client, key, bars).await?;
+        return client.submit(&request, key).await.context("cannot submit the job");
+    }
+    refuse_own_settings(&args.own)?;
     let (reference, scene) = if args.shared {
         shared(args, bundle, client).await?
     } else {
-        // The two requests need different keys. Both follow from the user's key, if there is one.
-        let upload_key = Uuid::from_u128(key.as_u128() ^ 1);
-        upload(bundle, client, upload_key, bars).await?
+        upload(bundle, client, upload_key(key), bars).await?
     };
     let frames = args.frames.clone().unwrap_or_else(|| FrameSet::range(0, scene.frames.saturating_sub(1)));
     args.quality.check()?;
     let settings = settings_request(&args.quality, (scene.width, scene.height));
     let request = request(args, reference, scene.name, frames, settings)?;
     client.submit(&request, key).await.context("cannot submit the job")
+}
+
+/// Key of the upload. It differs from the submission's, and both follow from the user's key, if there is one.
+fn upload_key(key: Uuid) -> Uuid {
+    Uuid::from_u128(key.as_u128() ^ 1)
+}
+
+/// A job of another renderer. The service does not open its scene.
+async fn foreign_request(
+    args: &Args,
+    scene: &Path,
+    client: &Client,
+    key: Uuid,
+    bars: &Bars,
+) -> Result<JobRequest> {
+    shot_settings(&args.quality, &args.own)?;
+    let settings = shot_request(&args.quality, &args.own);
+    let Some(frames) = args.frames.clone() else {
+        let reason = "--frames: only its renderer knows the frames of this scene";
+        return Err(BadInput::new(reason).hint("give them, such as --frames 1-250").into());
+    };
+    let renderer =
+        args.renderer.clone().unwrap_or(RendererRequest { name: "cycles".to_owned(), version: None });
+    let name = scene.file_stem().unwrap_or(scene.as_os_str()).to_string_lossy().into_owned();
+    let reference = if args.shared {
+        on_shared_storage(scene)?
+    } else {
+        upload(scene, client, upload_key(key), bars).await?.0
+    };
+    let request = request(args, reference, name, frames, settings)?;
+    Ok(JobRequest { renderer: Some(renderer), ..request })
 }
 
 fn request(
@@ -190,6 +247,7 @@ fn request(
         name: args.name.clone().unwrap_or(scene_name),
         project: args.project.clone(),
         bundle,
+        renderer: None,
         frames,
         settings,
         cache: args.cache_sharing,
@@ -214,15 +272,20 @@ fn within(args: &Args) -> Option<Within> {
     (cpu_micros.is_some() || money.is_some()).then_some(Within { cpu_micros, money, per })
 }
 
-/// A bundle on shared storage. The service describes its content.
-async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRef, SceneSummary)> {
+/// The bundle's absolute path.
+fn on_shared_storage(bundle: &Path) -> Result<BundleRef> {
     let absolute = bundle
         .canonicalize()
         .map_err(|error| BadInput::new(format!("bundle {}: {error}", bundle.display())))?;
     let path = absolute
         .to_str()
         .ok_or_else(|| BadInput::new(format!("bundle {}: the path must be UTF-8", bundle.display())))?;
-    let reference = BundleRef { id: None, path: Some(path.to_owned()) };
+    Ok(BundleRef { id: None, path: Some(path.to_owned()) })
+}
+
+/// A bundle on shared storage. The service describes its content.
+async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRef, SceneSummary)> {
+    let reference = on_shared_storage(bundle)?;
     let question = request(
         args,
         reference.clone(),

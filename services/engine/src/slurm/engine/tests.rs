@@ -171,7 +171,7 @@ impl Farm {
         };
         let settings = request.settings.complete((8, 8));
         let source = BundleSource::Path("/scenes/a".to_owned());
-        let new = NewJob { request, scene, source, settings };
+        let new = NewJob { request, scene, source, settings: settings.into() };
         match self.store.create_job(&new, None, at(0)).await.unwrap() {
             Answered::Fresh(job) => job,
             Answered::Repeated(_) => panic!("nobody has asked before"),

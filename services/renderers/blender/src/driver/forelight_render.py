@@ -128,7 +128,7 @@ def write(scene, out):
 def samples(frame, settings, threads, out, progress, offset=None, count=None):
     """A frame, or with `offset` and `count` a share of its samples, into the file `out`.
 
-    Shares are neither denoised nor composited: both need the whole image.
+    A share that is denoised or composited tells what that costs. It cannot be merged with others.
     """
     with Clock(progress) as clock:
         scene = prepare(frame, settings, threads)
@@ -136,7 +136,6 @@ def samples(frame, settings, threads, out, progress, offset=None, count=None):
             cycles = scene.cycles
             cycles.use_sample_subset = True
             cycles.sample_offset, cycles.sample_subset_length = offset, count
-            cycles.use_denoising = scene.render.use_compositing = False
         write(scene, out)
     return clock.cost()
 
@@ -188,11 +187,13 @@ def regions(frame, settings, threads, out, progress, regions):
             render.border_min_y, render.border_max_y = low / height, (low + region["height"]) / height
             before = whole.sampling
             bpy.ops.render.render(write_still=False)
+            if index == 0:
+                # Later regions find everything prepared.
+                prepared = time.process_time_ns() - whole.cpu - whole.sampling
             pieces.append({"region": region, "cpu_nanos": whole.sampling - before})
             progress((index + 1) / len(regions))
     answer = whole.cost()
-    sampled = sum(piece["cpu_nanos"] for piece in pieces)
-    answer["fixed"] = {"prepare": max(0, answer["cost"]["cpu_nanos"] - sampled)}
+    answer["fixed"] = {"prepare": max(0, prepared)}
     answer["pieces"] = pieces
     render.use_border = render.use_crop_to_border = render.use_persistent_data = False
     return answer

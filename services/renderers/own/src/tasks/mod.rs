@@ -8,7 +8,6 @@ pub(crate) mod render;
 use self::render::render;
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, predict};
 use crate::error::{RenderError, ShotError};
-use crate::open_shots::OpenShots;
 use crate::opening::OwnRenderer;
 use crate::profile::{Observer, count_frames, profile_frame};
 use crate::quote_options::QuoteOptions;
@@ -18,29 +17,31 @@ use crate::shared_cache::profile_shared;
 use crate::shot::OwnShot;
 use bytes::Bytes;
 use forelight_protocol::{
-    AccuracyDoc, ArtifactHash, LadderKind, LogLevel, PreviewSpec, ProfileArtifacts, ProfileSpec, Spent,
-    SpentOnForecast, TaskResult, TaskSpec,
+    AccuracyDoc, ArtifactHash, JobSettings, LadderKind, LogLevel, PreviewSpec, ProfileArtifacts, ProfileSpec,
+    RenderSettings, Spent, SpentOnForecast, TaskResult, TaskSpec,
 };
 use forelight_quote::{is_own, without_ladders};
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, OpenShots, Outcome};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// Executes tasks. All workers of a process share one runner, and so its open shots.
-#[derive(Debug)]
 pub struct TaskRunner {
-    shots: OpenShots,
+    renderer: OwnRenderer,
+    shots: OpenShots<OwnShot>,
 }
 
 impl TaskRunner {
     /// A runner that opens bundles with `renderer`.
     pub fn new(renderer: OwnRenderer) -> Self {
-        Self { shots: OpenShots::new(renderer) }
+        Self { renderer, shots: OpenShots::default() }
     }
 }
 
 impl Execute for TaskRunner {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
-        let shot = self.shots.open(assignment.spec.bundle(), &assignment.bundle)?;
+        let load = || self.renderer.open(&assignment.bundle).map(Arc::new);
+        let shot = self.shots.open(assignment.spec.bundle(), &assignment.bundle, load)?;
         let shot = &*shot;
         // A bundle on shared storage may have changed. The quote would be wrong, and frames would not match.
         let (submitted, found) = (assignment.spec.digest(), shot.info().summary.digest);
@@ -65,9 +66,16 @@ impl Execute for TaskRunner {
     }
 }
 
+/// The settings of a task as our own renderer has them.
+pub(crate) fn own(settings: &JobSettings) -> Result<&RenderSettings, ExecuteError> {
+    let foreign = || ExecuteError::Permanent("the task is for another renderer".to_owned());
+    settings.own().ok_or_else(foreign)
+}
+
 fn preview(shot: &OwnShot, spec: &PreviewSpec, control: &Control) -> Result<Outcome, ExecuteError> {
-    let counted = count_frames(shot, &spec.frames, &spec.settings, &Reporting::all(control))?;
-    let result = preview_result(shot.info(), &spec.frames, &spec.settings, &counted);
+    let settings = own(&spec.settings)?;
+    let counted = count_frames(shot, &spec.frames, settings, &Reporting::all(control))?;
+    let result = preview_result(shot.info(), &spec.frames, settings, &counted);
     control.log(LogLevel::Info, format!("previewed {} frames", result.frames.len()));
     Ok(Outcome { result: TaskResult::Preview(result), artifacts: Vec::new() })
 }
@@ -78,10 +86,11 @@ fn profile(
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
+    let settings = own(&spec.settings)?;
     let options = QuoteOptions { samples: spec.samples, seed: spec.phase_seed, ..QuoteOptions::default() };
     let share = if spec.ladders { WITHOUT_LADDERS } else { 1.0 };
     let reporting = Reporting { control, from: 0.0, to: share };
-    let mut profiled = profile_frame(shot, spec.frame, &spec.settings, &options, &reporting)?;
+    let mut profiled = profile_frame(shot, spec.frame, settings, &options, &reporting)?;
     let encoding = encoding_nanos(&profiled)?;
     profiled.fixed.write = write_cost(encoding, profiled.preview);
     let mut files = Files::default();
@@ -89,11 +98,11 @@ fn profile(
         profile: files.add(profiled.profile.to_bytes()),
         preview_png: Some(files.add(png(&profiled.picture)?)),
     };
-    let mut result = profile_result(shot.info(), &spec.settings, &profiled, artifacts);
+    let mut result = profile_result(shot.info(), settings, &profiled, artifacts);
     result.spent.cpu_nanos += encoding;
     if spec.cache.is_some() {
         let cache = cache::only_cache(assignment)?;
-        profile_shared(shot, &profiled, &spec.settings, &options, cache)
+        profile_shared(shot, &profiled, settings, &options, cache)
             .map_err(cache::of_shared_cache)?
             .add_to(&mut result);
     }
@@ -117,12 +126,12 @@ fn ladders(
     control: &Control,
 ) -> Result<AccuracyDoc, ExecuteError> {
     // At resolutions that the profile can price, the error is that of the settings asked for.
-    let told =
-        |kind: LadderKind| is_own(kind, &spec.settings) && (knows_error || kind == LadderKind::Resolution);
+    let settings = own(&spec.settings)?;
+    let told = |kind: LadderKind| is_own(kind, settings) && (knows_error || kind == LadderKind::Resolution);
     let wanted: Vec<LadderKind> = LadderKind::ALL.into_iter().filter(|kind| !told(*kind)).collect();
     let options = AccuracyOptions { samples: spec.samples, seed: spec.phase_seed };
     let reporting = Reporting { control, from: WITHOUT_LADDERS, to: 1.0 };
-    match predict(shot, spec.frame, &spec.settings, &wanted, &options, &reporting) {
+    match predict(shot, spec.frame, settings, &wanted, &options, &reporting) {
         Ok(ladders) => {
             control.log(LogLevel::Info, format!("predicted ladders of {} qualities", ladders.rungs.len()));
             Ok(ladders)
@@ -130,7 +139,7 @@ fn ladders(
         Err(ShotError::Cancelled) => Err(ExecuteError::Cancelled),
         Err(error) => {
             control.log(LogLevel::Warn, format!("ladders of qualities cannot be predicted: {error}"));
-            Ok(without_ladders(spec.frame, &spec.settings, &error.to_string()))
+            Ok(without_ladders(spec.frame, settings, &error.to_string()))
         }
     }
 }

@@ -9,10 +9,11 @@ use crate::render::pictures::{encode, write_cost};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use crate::tasks::checkpoint::Checkpoints;
-use crate::tasks::{Files, cache};
+use crate::tasks::{Files, cache, own};
 use bytes::Bytes;
 use forelight_protocol::{
-    CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSpec, TaskResult,
+    CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
+    TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Outcome};
 use forelight_tracer::{Cache, CacheError, Pixel, Profile, Totals};
@@ -27,15 +28,16 @@ pub(crate) fn render(
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
     let start = Instant::now();
-    let ready = shot.frame(spec.frame, &spec.settings)?;
+    let settings = own(&spec.settings)?;
+    let ready = shot.frame(spec.frame, settings)?;
     let ready = &ready;
     control.log(LogLevel::Info, format!("effects of frame {}: {}", spec.frame, ready.effects().join(", ")));
     if spec.cache.is_some() {
         share(ready, cache::only_file(assignment)?, control)?;
     }
     let mut rendered = match spec.work {
-        None => evenly(ready, spec, assignment, control)?,
-        Some(work) => for_work(ready, spec, work, control)?,
+        None => evenly(ready, settings, assignment, control)?,
+        Some(work) => for_work(ready, settings, work, control)?,
     };
     let seen = ready.preview()?;
     let picture = forelight_preview::picture(&seen.preview, &rendered.frame);
@@ -65,11 +67,11 @@ pub(crate) fn render(
 /// Renders with the camera samples of the settings, taking over profiled pixels or a checkpoint.
 fn evenly(
     ready: &OwnFrame<'_>,
-    spec: &RenderSpec,
+    settings: &RenderSettings,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Rendered, ExecuteError> {
-    let cached = spec.settings.cache == CacheMode::On;
+    let cached = settings.cache == CacheMode::On;
     // Frames with an irradiance cache have no checkpoints: their pixels are worth little without it.
     let checkpoint = assignment.checkpoint.as_ref().filter(|_| !cached);
     let finished = checkpoint.and_then(|bytes| usable("an earlier worker's tiles", bytes, ready, control));
@@ -81,12 +83,12 @@ fn evenly(
     let profiled = || usable("the frame's profile", assignment.profile.as_ref()?, ready, control);
     let reuse = finished.or_else(profiled);
     let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
-    let checkpoints = Checkpoints::new(control, start_of_checkpoints, spec.settings.pixels());
+    let checkpoints = Checkpoints::new(control, start_of_checkpoints, settings.pixels());
     let count = |pixels: &[(u32, Pixel)]| {
         let sum = |of: fn(&Pixel) -> u64| pixels.iter().map(|(_, pixel)| of(pixel)).sum();
         control.finished_pixels(FinishedPixels {
             done: pixels.len() as u64,
-            all: spec.settings.pixels(),
+            all: settings.pixels(),
             work: sum(|pixel| pixel.work),
             cpu_nanos: sum(|pixel| pixel.cpu_nanos),
         });
@@ -102,24 +104,24 @@ fn evenly(
         checkpoints.finished(pixels);
     };
     let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
-    render_ready(ready, &spec.settings, reuse.as_ref(), &progress, &finished, control.cancelled())?
+    render_ready(ready, settings, reuse.as_ref(), &progress, &finished, control.cancelled())?
         .ok_or(ExecuteError::Cancelled)
 }
 
 /// Renders with `work` in all. Checkpoints do not help: only the last pass decides a pixel's samples.
 fn for_work(
     ready: &OwnFrame<'_>,
-    spec: &RenderSpec,
+    settings: &RenderSettings,
     work: u64,
     control: &Control,
 ) -> Result<Rendered, ExecuteError> {
-    let cached = spec.settings.cache == CacheMode::On;
+    let cached = settings.cache == CacheMode::On;
     let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
     if !ready.fill(&progress, control.cancelled()) {
         return Err(ExecuteError::Cancelled);
     }
     control.spent_before_pixels(ready.spent_on_cache());
-    let all = spec.settings.pixels();
+    let all = settings.pixels();
     let told = Cell::new(FinishedPixels::default());
     let passed = |share: f64, totals: &Totals| {
         let before = told.get();
@@ -136,7 +138,7 @@ fn for_work(
     let start = Instant::now();
     let made = render_for_work(ready, work, &progress, &passed, control.cancelled())?;
     let made = made.ok_or(ExecuteError::Cancelled)?;
-    Ok(made.rendered(ready, &spec.settings, None, start.elapsed().as_secs_f64()).rendered)
+    Ok(made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered)
 }
 
 /// Gives the frame the shared cache. If another version of the renderer made it, the frame builds its own.

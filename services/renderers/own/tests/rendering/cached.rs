@@ -88,7 +88,7 @@ fn a_profiled_cache_that_is_of_no_use_is_left_and_the_image_is_what_it_would_be(
     let bytes = profiled.artifacts[0].clone();
     let mut other = rig.render_spec(0);
     if let TaskSpec::Render(spec) = &mut other {
-        spec.settings.cache_accuracy = 199;
+        spec.settings = RenderSettings { cache_accuracy: 199, ..rig.settings.clone() }.into();
     }
     for spec in [rig.render_spec(1), other] {
         rig.makes_the_same(&rig.run(spec.clone(), None).unwrap(), spec, bytes.clone());

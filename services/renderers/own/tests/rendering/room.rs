@@ -108,10 +108,8 @@ impl Rig {
         checkpoint: Option<bytes::Bytes>,
         control: &Control,
     ) -> Result<Outcome, ExecuteError> {
-        self.runner.execute(
-            &Assignment { spec, bundle: self.bundle(), profile, caches: Vec::new(), checkpoint },
-            control,
-        )
+        self.runner
+            .execute(&Assignment { profile, checkpoint, ..Assignment::new(spec, self.bundle()) }, control)
     }
 
     /// Checks that a render with an unusable profile says so, and makes the same image as without it.
@@ -136,7 +134,8 @@ impl Rig {
             frame,
             samples: 100,
             phase_seed: 5,
-            settings: self.settings.clone(),
+            settings: self.settings.clone().into(),
+            renderer: None,
             cache: None,
         })
     }
@@ -147,10 +146,12 @@ impl Rig {
             bundle: self.source(),
             digest: self.digest(),
             frame,
-            settings: self.settings.clone(),
+            settings: self.settings.clone().into(),
+            renderer: None,
             work: None,
             profile: None,
             cache: None,
+            shares: Vec::new(),
         })
     }
 }

@@ -17,7 +17,8 @@ fn a_preview_counts_every_pixel_of_every_frame() {
         bundle: rig.source(),
         digest: rig.digest(),
         frames: vec![0, 2],
-        settings: rig.settings.clone(),
+        settings: rig.settings.clone().into(),
+        renderer: None,
     };
     let TaskResult::Preview(result) = rig.run(TaskSpec::Preview(spec), None).unwrap().result else {
         panic!()
@@ -241,7 +242,8 @@ fn a_bundle_that_changed_after_the_job_was_submitted_is_an_error_for_good_of_eve
         bundle: rig.source(),
         digest: rig.digest(),
         frames: vec![0],
-        settings: rig.settings.clone(),
+        settings: rig.settings.clone().into(),
+        renderer: None,
     };
     let specs = [TaskSpec::Preview(preview), rig.profile_spec(0), rig.render_spec(0)];
     // Opened before it changes, and kept open.
@@ -263,8 +265,7 @@ fn a_cancelled_task_says_so() {
     let control = Control::default();
     control.cancel();
     for spec in [rig.render_spec(0), rig.profile_spec(0)] {
-        let assignment =
-            Assignment { spec, bundle: rig.bundle(), profile: None, caches: Vec::new(), checkpoint: None };
+        let assignment = Assignment::new(spec, rig.bundle());
         assert_eq!(rig.runner.execute(&assignment, &control).unwrap_err(), ExecuteError::Cancelled);
     }
 }

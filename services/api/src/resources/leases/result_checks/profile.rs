@@ -2,20 +2,22 @@
 
 use std::collections::BTreeSet;
 
-use forelight_protocol::{AccuracyDoc, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles};
+use forelight_protocol::{
+    AccuracyDoc, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles, RenderSettings,
+};
 
 use super::fields::{effects, frame, image_error, left_out, levels, once, spent, storable, strata, wrong};
 use crate::error::ApiResult;
 
 const AT: &str = "/result/profile";
 
-pub(super) fn check(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+pub(super) fn check(spec: &ProfileSpec, settings: &RenderSettings, result: &ProfileResult) -> ApiResult<()> {
     frame(&format!("{AT}/frame"), result.frame, spec.frame)?;
     strata(&format!("{AT}/strata"), &result.strata)?;
-    samples(spec, result)?;
+    samples(settings, result)?;
     shared_samples(spec, result)?;
-    cache_samples(spec, result)?;
-    noise(&format!("{AT}/noise"), spec, &result.noise)?;
+    cache_samples(settings, result)?;
+    noise(&format!("{AT}/noise"), settings, &result.noise)?;
     effects(&format!("{AT}/effects"), &result.effects)?;
     left_out(&format!("{AT}/left_out"), &result.left_out)?;
     if result.renderer.as_ref().is_some_and(|name| !(1..=200).contains(&name.chars().count())) {
@@ -29,23 +31,22 @@ pub(super) fn check(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()>
     }
     once(&format!("{AT}/once"), result.once)?;
     if let Some(document) = &result.ladders {
-        ladders(&format!("{AT}/ladders"), spec, document)?;
+        ladders(&format!("{AT}/ladders"), (spec, settings), document)?;
     }
     storable(&format!("{AT}/fixed/plan_rays"), fixed.plan_rays)?;
     spent(&format!("{AT}/spent"), result.spent)
 }
 
 /// Checks the profiled pixels: each lies in the image, appears once, and has numbers that can be stored.
-fn samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+fn samples(settings: &RenderSettings, result: &ProfileResult) -> ApiResult<()> {
     if result.samples.is_empty() {
         return wrong(format!("{AT}/samples"), "a profile has 1 pixel or more");
     }
     let mut seen = BTreeSet::new();
     for (i, sample) in result.samples.iter().enumerate() {
         let at = format!("{AT}/samples/{i}");
-        if u64::from(sample.pixel) >= spec.settings.pixels() {
-            let reason =
-                format!("there is no pixel {}; the image has {}", sample.pixel, spec.settings.pixels());
+        if u64::from(sample.pixel) >= settings.pixels() {
+            let reason = format!("there is no pixel {}; the image has {}", sample.pixel, settings.pixels());
             return wrong(at + "/pixel", reason);
         }
         if !seen.insert(sample.pixel) {
@@ -83,8 +84,8 @@ fn shared_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
 }
 
 /// Checks sampled records of irradiance caches: their levels must exist.
-fn cache_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
-    let levels = levels(&spec.settings);
+fn cache_samples(settings: &RenderSettings, result: &ProfileResult) -> ApiResult<()> {
+    let levels = levels(settings);
     for (name, samples) in
         [("cache_samples", &result.cache_samples), ("shared_cache_samples", &result.shared_cache_samples)]
     {
@@ -102,12 +103,12 @@ fn cache_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
 }
 
 /// Checks the noise cells: their numbers can be summed, and their pixels lie in the image.
-fn noise(pointer: &str, spec: &ProfileSpec, cells: &[NoiseCell]) -> ApiResult<()> {
+fn noise(pointer: &str, settings: &RenderSettings, cells: &[NoiseCell]) -> ApiResult<()> {
     const DROPS: usize = 32;
     const HIGHEST: f32 = 1e30;
     let pixels: u64 = cells.iter().map(|cell| u64::from(cell.pixels)).sum();
-    if !cells.is_empty() && pixels != spec.settings.pixels() {
-        let reason = format!("the cells have {pixels} pixels; the image has {}", spec.settings.pixels());
+    if !cells.is_empty() && pixels != settings.pixels() {
+        let reason = format!("the cells have {pixels} pixels; the image has {}", settings.pixels());
         return wrong(pointer, reason);
     }
     for (i, cell) in cells.iter().enumerate() {
@@ -131,16 +132,19 @@ fn noise(pointer: &str, spec: &ProfileSpec, cells: &[NoiseCell]) -> ApiResult<()
 }
 
 /// Checks ladders: they belong to the requested settings, and their prices can be multiplied.
-fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResult<()> {
+fn ladders(
+    pointer: &str,
+    (spec, settings): (&ProfileSpec, &RenderSettings),
+    document: &AccuracyDoc,
+) -> ApiResult<()> {
     const HIGHEST: f64 = 1e30;
     if !spec.ladders {
         return wrong(pointer, "the task does not ask for ladders; leave them out");
     }
-    if document.settings != spec.settings {
+    if document.settings != *settings {
         return wrong(format!("{pointer}/settings"), "these are not the settings of the task");
     }
-    let all =
-        LadderKind::ALL.map(|kind| (kind, forelight_quote::ladder(kind, &spec.settings).unwrap_or_default()));
+    let all = LadderKind::ALL.map(|kind| (kind, forelight_quote::ladder(kind, settings).unwrap_or_default()));
     let mut seen = BTreeSet::new();
     for (i, rung) in document.rungs.iter().enumerate() {
         let at = format!("{pointer}/rungs/{i}");
@@ -165,7 +169,7 @@ fn ladders(pointer: &str, spec: &ProfileSpec, document: &AccuracyDoc) -> ApiResu
         return wrong(format!("{pointer}/missing"), reason);
     }
     // No rung profiles more pixels than the image has.
-    let most = all.iter().map(|(_, rungs)| rungs.len() as u64).sum::<u64>() * spec.settings.pixels();
+    let most = all.iter().map(|(_, rungs)| rungs.len() as u64).sum::<u64>() * settings.pixels();
     if document.profiled.pixels > most {
         return wrong(format!("{pointer}/profiled/pixels"), format!("all rungs together have {most} pixels"));
     }

@@ -1,6 +1,5 @@
 //! Shots that are open. All workers of a process share them, so that a bundle is loaded once.
 
-use crate::{OwnRenderer, OwnShot, RenderError};
 use forelight_protocol::{ArtifactHash, BundleSource};
 use parking_lot::Mutex;
 use std::fs;
@@ -11,15 +10,15 @@ use std::time::SystemTime;
 /// Opened bundles to keep. A worker rarely alternates between more than two jobs.
 const OPEN_BUNDLES: usize = 3;
 
-/// Opens bundles, and keeps the last few open.
-pub struct OpenShots {
-    renderer: OwnRenderer,
+/// Keeps the last few opened bundles.
+#[derive(Debug)]
+pub struct OpenShots<T: ?Sized> {
     /// The most recently used last.
-    open: Mutex<Vec<(Stamp, Slot)>>,
+    open: Mutex<Vec<(Stamp, Slot<T>)>>,
 }
 
 /// A place for an opened bundle, locked while it is being opened.
-type Slot = Arc<Mutex<Option<Arc<OwnShot>>>>;
+type Slot<T> = Arc<Mutex<Option<Arc<T>>>>;
 
 /// Identifies the content of a bundle. Files on shared storage may change from one day to the next.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,23 +29,24 @@ enum Stamp {
     Shared(PathBuf, Vec<(PathBuf, u64, Option<SystemTime>)>),
 }
 
-impl std::fmt::Debug for OpenShots {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("OpenShots").finish_non_exhaustive()
+impl<T: ?Sized> Default for OpenShots<T> {
+    fn default() -> Self {
+        Self { open: Mutex::default() }
     }
 }
 
-impl OpenShots {
-    /// No shots yet. `renderer` opens them.
-    pub fn new(renderer: OwnRenderer) -> Self {
-        Self { renderer, open: Mutex::default() }
-    }
-
-    /// Returns the opened bundle at `path`, where `source` was fetched to or lies. Loads it unless it is open.
+impl<T: ?Sized> OpenShots<T> {
+    /// Returns the opened bundle at `path`, where `source` was fetched to or lies. Unless it is open, `load`
+    /// opens it.
     ///
     /// # Errors
-    /// If the bundle cannot be opened.
-    pub fn open(&self, source: &BundleSource, path: &Path) -> Result<Arc<OwnShot>, RenderError> {
+    /// The error of `load`.
+    pub fn open<E>(
+        &self,
+        source: &BundleSource,
+        path: &Path,
+        load: impl FnOnce() -> Result<Arc<T>, E>,
+    ) -> Result<Arc<T>, E> {
         let stamp = match source {
             BundleSource::Artifact(hash) => Stamp::Fetched(*hash),
             BundleSource::Path(_) => Stamp::of(path),
@@ -56,12 +56,12 @@ impl OpenShots {
         if let Some(shot) = &*place {
             return Ok(shot.clone());
         }
-        let shot = Arc::new(self.renderer.open(path)?);
+        let shot = load()?;
         *place = Some(shot.clone());
         Ok(shot)
     }
 
-    fn slot(&self, stamp: Stamp) -> Slot {
+    fn slot(&self, stamp: Stamp) -> Slot<T> {
         let mut open = self.open.lock();
         let entry = match open.iter().position(|(known, _)| *known == stamp) {
             Some(index) => open.remove(index),
@@ -99,33 +99,22 @@ fn list(path: &Path, files: &mut Vec<(PathBuf, u64, Option<SystemTime>)>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use forelight_preview::Choice;
+    use std::convert::Infallible;
     use std::time::Duration;
 
-    /// A triangle without a camera move.
-    const SCENE: &str = r#"{"version":1,"name":"t","geometry":["t.obj"],
-        "camera":{"origin":[0,0,4],"target":[0,0,0],"up":[0,1,0],"fov_deg":50,"fov_axis":"x","width":4,"height":4}}"#;
-
-    fn bundle(folder: &Path) {
-        fs::create_dir_all(folder).unwrap();
-        fs::write(folder.join("scene.json"), SCENE).unwrap();
-        fs::write(folder.join("t.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
-    }
-
-    fn shots() -> OpenShots {
-        OpenShots::new(OwnRenderer::new(Choice::Cpu))
+    /// Opens the file, whose text becomes the shot.
+    fn open(shots: &OpenShots<String>, source: &BundleSource, path: &Path) -> Arc<String> {
+        let load = || Ok::<_, Infallible>(Arc::new(fs::read_to_string(path).unwrap()));
+        shots.open(source, path, load).unwrap()
     }
 
     #[test]
     fn a_bundle_is_opened_once_by_all_threads_and_again_after_others_replaced_it() {
         let folder = tempfile::tempdir().unwrap();
-        let shots = shots();
+        let shots = OpenShots::default();
         let paths: Vec<PathBuf> = (0..=OPEN_BUNDLES).map(|i| folder.path().join(i.to_string())).collect();
-        paths.iter().for_each(|path| bundle(path));
-        let open = |path: &Path| {
-            let source = BundleSource::Path(path.display().to_string());
-            shots.open(&source, path).unwrap()
-        };
+        paths.iter().for_each(|path| fs::write(path, "scene").unwrap());
+        let open = |path: &Path| open(&shots, &BundleSource::Path(path.display().to_string()), path);
         let first = open(&paths[0]);
         std::thread::scope(|scope| {
             for _ in 0..8 {
@@ -139,15 +128,15 @@ mod tests {
     #[test]
     fn a_shared_bundle_is_opened_again_after_a_change_and_a_fetched_one_is_not() {
         let folder = tempfile::tempdir().unwrap();
-        bundle(folder.path());
-        let shots = shots();
-        let shared = BundleSource::Path(folder.path().display().to_string());
+        let path = folder.path().join("scene");
+        fs::write(&path, "scene").unwrap();
+        let shots = OpenShots::default();
+        let shared = BundleSource::Path(path.display().to_string());
         let fetched = BundleSource::Artifact(ArtifactHash([7; 32]));
-        let open = |source| shots.open(source, folder.path()).unwrap();
-        let before = [open(&shared), open(&fetched)];
-        let file = fs::File::options().append(true).open(folder.path().join("t.obj")).unwrap();
+        let before = [open(&shots, &shared, &path), open(&shots, &fetched, &path)];
+        let file = fs::File::options().append(true).open(&path).unwrap();
         file.set_modified(SystemTime::now() + Duration::from_secs(5)).unwrap();
-        assert!(!Arc::ptr_eq(&before[0], &open(&shared)));
-        assert!(Arc::ptr_eq(&before[1], &open(&fetched)));
+        assert!(!Arc::ptr_eq(&before[0], &open(&shots, &shared, &path)));
+        assert!(Arc::ptr_eq(&before[1], &open(&shots, &fetched, &path)));
     }
 }

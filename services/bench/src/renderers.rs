@@ -1,0 +1,275 @@
+//! `forelight bench renderers`: quotes shots of other renderers with several seeds, and compares them with the
+//! full renders.
+//!
+//! Quotes and renders alternate, so that a machine that slows down slows both. The true cost of a frame is the
+//! median of its renders.
+
+use crate::report::Report;
+use crate::statistics::{mean_absolute, median, relative_error};
+use anyhow::{Context, Result};
+use forelight_protocol::{FrameSet, Quantiles};
+use forelight_renderer::door::{Cost, Rendered, RendererId, Settings};
+use forelight_renderer::{ShotQuote, quote_shot};
+use forelight_terminal::atomic_file;
+use forelight_terminal::failure::Interrupted;
+use forelight_terminal::foreign::{Foreign, OwnSetting, own_setting};
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
+use forelight_terminal::options::{MachineOptions, QualityOptions};
+use forelight_terminal::output::Bars;
+use forelight_terminal::quantities::{percent, seconds};
+use forelight_terminal::table::{Align, Table};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Quote shots of other renderers with many seeds, and compare with their full renders
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight bench renderers kitchen.blend --frames 0 --samples 64,256 --seeds 5
+  forelight bench renderers hall.blend --frames 0-47 --samples 32 --seeds 1
+  forelight bench renderers hall.blend --frames 0 --samples 64 --set adaptive_sampling=true --set noise_threshold=0.1
+
+Costs are CPU time, so nothing else should run on the machine. Every frame is rendered once for each seed.")]
+pub struct Args {
+    /// Scenes of other renderers, such as .blend files
+    #[arg(required = true)]
+    scenes: Vec<PathBuf>,
+    /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
+    #[arg(long, value_name = "LIST")]
+    frames: Option<FrameSet>,
+    /// Samples per pixel to try [default: --spp, or the scene's]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', conflicts_with = "spp")]
+    samples: Vec<u32>,
+    /// Seeds to try
+    #[arg(long, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    seeds: u32,
+    /// Largest number of frames to measure [default: 5]
+    #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    profile_frames: Option<u32>,
+    /// Change a setting of the scene, such as adaptive_sampling=false. May be repeated
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
+    own: Vec<OwnSetting>,
+    /// Also write the measurements to this file as JSON
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print the measurements as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    quality: QualityOptions,
+    #[command(flatten)]
+    machine: MachineOptions,
+}
+
+/// One scene at one number of samples.
+#[derive(Debug, Serialize)]
+struct Case {
+    scene: String,
+    renderer: RendererId,
+    settings: Settings,
+    frames: Vec<u32>,
+    /// True cost of all frames: the sum of the frames' medians.
+    actual_cpu_seconds: f64,
+    /// Mean over seeds of |forecast mean / actual − 1| of all frames together.
+    error: f64,
+    /// Mean over seeds of Σ |forecast − actual| / Σ actual over the frames.
+    frame_error: f64,
+    /// Error of first, middle and last frame at full price, interpolated over time. `None` for few frames.
+    three_frames_error: Option<f64>,
+    /// Largest difference of the renders of a frame from their median.
+    noise: f64,
+    /// Cost of a quote, relative to the actual cost: the mean.
+    spent_fraction: f64,
+    /// The part of that which renders cannot take over.
+    lost_fraction: f64,
+    seeds: Vec<Trial>,
+}
+
+#[derive(Debug, Serialize)]
+struct Trial {
+    seed: u32,
+    cpu_seconds: Quantiles,
+    /// Signed, relative to the actual.
+    error: f64,
+    /// Measured frames.
+    measured: Vec<u32>,
+    frames: Vec<f64>,
+    spent_cpu_seconds: f64,
+    /// CPU seconds of measured samples that a render takes over.
+    taken_over_cpu_seconds: f64,
+    /// CPU seconds of each frame's render.
+    rendered: Vec<f64>,
+}
+
+pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
+    atomic_file::check([args.out.as_deref()])?;
+    let bars = Bars::new(args.json);
+    let mut cases = Vec::new();
+    for scene in &args.scenes {
+        let samples: Vec<Option<u32>> = match args.samples.as_slice() {
+            [] => vec![args.quality.spp],
+            list => list.iter().copied().map(Some).collect(),
+        };
+        let foreign = Foreign::open(scene, &args.machine, &bars, interrupt)?;
+        for spp in samples {
+            let quality = QualityOptions { spp, ..args.quality.clone() };
+            let case = measure(args, scene, &foreign, &quality, &bars, interrupt);
+            cases.push(case.with_context(|| format!("scene {}", scene.display()))?);
+        }
+    }
+    json_file::write(args.out.as_deref(), &cases)?;
+    report(&cases).printed(args.json, &cases)
+}
+
+fn measure(
+    args: &Args,
+    scene: &Path,
+    foreign: &Foreign,
+    quality: &QualityOptions,
+    bars: &Bars,
+    interrupt: &Interrupt,
+) -> Result<Case> {
+    let settings = foreign.settings(quality, &args.own)?;
+    let frames = foreign.frames(args.frames.as_ref())?;
+    let (name, digest) = foreign.scene(scene)?;
+    let bar = bars.bar(&name, u64::from(args.seeds) * (frames.len() as u64 + 1));
+    let run = foreign.run(interrupt);
+    let mut seeds = Vec::new();
+    for seed in 0..args.seeds {
+        let mut settings = settings.clone();
+        settings.common.seed = settings.common.seed.wrapping_add(seed);
+        let shot = (foreign.renderer.id(), &*foreign.shot);
+        let most = args.profile_frames.map(|most| most as usize);
+        let quote = quote_shot(shot, (&name, digest), &frames, &settings, most, &|_| {}, &run)?;
+        bar.inc(1);
+        let mut rendered = Vec::with_capacity(frames.len());
+        for &frame in &frames {
+            if interrupt.is_set() {
+                return Err(Interrupted.into());
+            }
+            let number = i32::try_from(frame).context("the frame's number is too large")?;
+            let Rendered { cost: Cost { cpu_nanos, .. }, files, .. } =
+                foreign.shot.render(number, &settings, &[], &run)?;
+            files.iter().try_for_each(std::fs::remove_file).context("cannot remove the image")?;
+            rendered.push(cpu_nanos as f64 * 1e-9);
+            bar.inc(1);
+        }
+        seeds.push(trial(settings.common.seed, &quote, rendered));
+    }
+    bar.finish_and_clear();
+    Ok(case(name, foreign.renderer.id().clone(), settings, frames, seeds))
+}
+
+fn trial(seed: u32, quote: &ShotQuote, rendered: Vec<f64>) -> Trial {
+    let shares = quote.measured.iter().flat_map(|frame| &frame.result.shares);
+    for artefact in quote.measured.iter().flat_map(|frame| &frame.artefacts) {
+        // It is not used here, and a file that cannot be removed only takes space.
+        let _ = std::fs::remove_file(&artefact.path);
+    }
+    Trial {
+        seed,
+        cpu_seconds: quote.document.total.cpu_seconds,
+        error: 0.0,
+        measured: quote.document.profiled.frames.clone(),
+        frames: quote.document.frames.iter().map(|frame| frame.cpu_seconds.mean).collect(),
+        spent_cpu_seconds: quote.document.spent.cpu_seconds,
+        taken_over_cpu_seconds: shares.map(|share| share.cpu_nanos as f64 * 1e-9).sum(),
+        rendered,
+    }
+}
+
+fn case(
+    scene: String,
+    renderer: RendererId,
+    settings: Settings,
+    frames: Vec<u32>,
+    mut seeds: Vec<Trial>,
+) -> Case {
+    let of_frame =
+        |frame: usize| median(&seeds.iter().map(|trial| trial.rendered[frame]).collect::<Vec<_>>());
+    let actual: Vec<f64> = (0..frames.len()).map(of_frame).collect();
+    let whole: f64 = actual.iter().sum();
+    let noise = seeds
+        .iter()
+        .flat_map(|trial| trial.rendered.iter().zip(&actual))
+        .map(|(&one, &median)| relative_error(one, median).abs())
+        .fold(0.0, f64::max);
+    for trial in &mut seeds {
+        trial.error = relative_error(trial.cpu_seconds.mean, whole);
+    }
+    let wape = |trial: &Trial| {
+        let off: f64 =
+            trial.frames.iter().zip(&actual).map(|(forecast, actual)| (forecast - actual).abs()).sum();
+        off / whole
+    };
+    let count = seeds.len() as f64;
+    let spent: f64 = seeds.iter().map(|trial| trial.spent_cpu_seconds).sum::<f64>() / count / whole;
+    let taken: f64 = seeds.iter().map(|trial| trial.taken_over_cpu_seconds).sum::<f64>() / count / whole;
+    Case {
+        scene,
+        renderer,
+        settings,
+        actual_cpu_seconds: whole,
+        error: mean_absolute(seeds.iter().map(|trial| trial.error)),
+        frame_error: seeds.iter().map(wape).sum::<f64>() / count,
+        three_frames_error: three_frames(&actual).map(|forecast| relative_error(forecast, whole)),
+        noise,
+        spent_fraction: spent,
+        lost_fraction: (spent - taken).max(0.0),
+        frames,
+        seeds,
+    }
+}
+
+/// Cost of all frames from the first, the middle and the last one, interpolated over time: what practice does.
+fn three_frames(costs: &[f64]) -> Option<f64> {
+    let (first, last) = (0, costs.len().checked_sub(1).filter(|&last| last >= 3)?);
+    let middle = last / 2;
+    let between = |from: usize, to: usize, frame: usize| {
+        let share = (frame - from) as f64 / (to - from) as f64;
+        costs[from] + share * (costs[to] - costs[from])
+    };
+    let of_frame = |frame| {
+        if frame <= middle { between(first, middle, frame) } else { between(middle, last, frame) }
+    };
+    Some((0..costs.len()).map(of_frame).sum())
+}
+
+fn report(cases: &[Case]) -> Report {
+    let mut table = Table::new(&[
+        ("scene", Align::Left),
+        ("renderer", Align::Left),
+        ("samples", Align::Right),
+        ("frames", Align::Right),
+        ("CPU time", Align::Right),
+        ("error", Align::Right),
+        ("of frames", Align::Right),
+        ("3 frames", Align::Right),
+        ("quote costs", Align::Right),
+        ("lost", Align::Right),
+        ("noise", Align::Right),
+    ]);
+    for case in cases {
+        table.row([
+            case.scene.clone(),
+            case.renderer.to_string(),
+            case.settings.common.samples.to_string(),
+            case.frames.len().to_string(),
+            seconds(case.actual_cpu_seconds),
+            percent(case.error),
+            percent(case.frame_error),
+            case.three_frames_error.map_or_else(String::new, |error| percent(error.abs())),
+            percent(case.spent_fraction),
+            percent(case.lost_fraction),
+            percent(case.noise),
+        ]);
+    }
+    let seeds = cases.first().map_or(0, |case| case.seeds.len());
+    let note = format!(
+        "Means of |forecast / actual - 1| over {seeds} seeds: of all frames together, and of single frames \
+         (WAPE). \"3 frames\": first, middle and last frame at full price. \"lost\": what renders cannot take \
+         over. \"noise\": largest difference of a render from the median of its seeds."
+    );
+    Report::default().table(table).text(&note)
+}

@@ -1,0 +1,165 @@
+//! Quotes of shots that were measured as a few frames at few samples: those of renderers that cannot measure
+//! single pixels.
+
+use std::collections::BTreeMap;
+
+use forelight_forecast::{
+    Calibration, Corrections, FramePopulation, Measure, Quantity, SampleCost, SampledFrame,
+    SampledShotForecast, Strategy, Stratum, forecast_sampled_shot, shot_times,
+};
+use forelight_protocol::{
+    FixedCosts, ForecastTotals, FrameForecast, MeasuredFrame, PreviewResult, Profiled, Quantiles,
+    RayQuantiles, Spent, SpentOnForecast, at_speed_one,
+};
+
+use crate::error::QuoteError;
+use crate::job_forecast::{JobForecast, Quote, Spreads, quantiles};
+use crate::populations::Populations;
+
+/// A measured frame, and the speed of the node that measured it.
+#[derive(Clone, PartialEq, Debug)]
+pub struct SampledProfile {
+    /// The measurements.
+    pub result: MeasuredFrame,
+    /// A CPU second on this node is this many on a node of speed 1.
+    pub node_speed: f64,
+}
+
+/// Quotes every frame of the preview. CPU time is that of a node of speed 1.
+/// The renderer does not count its work, so *work* is CPU time in microseconds. `corrections` from past jobs
+/// calibrate the quantiles.
+///
+/// # Errors
+/// If a measured frame is not in the preview, or the statistics refuse the numbers.
+pub fn quote_sampled(
+    preview: &PreviewResult,
+    profiles: &[SampledProfile],
+    corrections: Option<&Corrections>,
+) -> Result<Quote, QuoteError> {
+    let Populations { strata, frames, .. } = Populations::new(preview, [], Strategy::Snapshot, &[]);
+    let clock = shot_times(&strata, &frames).map_err(QuoteError::Forecast)?;
+    let shot = forecast(&strata, &frames, profiles)?;
+    let shot = match corrections {
+        Some(corrections) => shot.corrected(corrections),
+        None => shot,
+    };
+    let spread = |quantity: &Quantity| {
+        let spread = quantity.spread(Measure::CpuTime);
+        Spreads { work: spread, cpu: spread }
+    };
+    let spreads = (spread(&shot.total), shot.frames.iter().map(|frame| spread(&frame.cpu_nanos)).collect());
+    let frame_forecasts =
+        preview.frames.iter().zip(&shot.frames).map(|(previewed, forecast)| FrameForecast {
+            frame: previewed.frame,
+            rays: RayQuantiles::default(),
+            cache_records: Vec::new(),
+            work: as_work(&forecast.cpu_nanos),
+            cpu_seconds: quantiles(&forecast.cpu_nanos, 1e-9),
+        });
+    let total = ForecastTotals {
+        rays: RayQuantiles::default(),
+        cache_records: Vec::new(),
+        work: as_work(&shot.total),
+        cpu_seconds: quantiles(&shot.total, 1e-9),
+    };
+    let lights: Vec<u32> = frames.iter().map(|frame| frame.lights).collect();
+    let same_lights = lights.windows(2).all(|pair| pair[0] == pair[1]);
+    let job = JobForecast {
+        profiled: profiled(preview, profiles),
+        spent: spent(preview, profiles, total.work.mean),
+        total,
+        calibrated: shot.calibrated,
+        fixed: Some(fixed(&shot)),
+        lights: if same_lights { Vec::new() } else { lights },
+        clock,
+        ..JobForecast::default()
+    };
+    Ok(Quote { job, frames: frame_forecasts.collect(), spreads, shared_cache: None })
+}
+
+/// CPU time in microseconds, from nanoseconds.
+fn as_work(cpu_nanos: &Quantity) -> Quantiles {
+    quantiles(cpu_nanos, 1e-3)
+}
+
+fn forecast(
+    strata: &[Stratum],
+    frames: &[FramePopulation],
+    profiles: &[SampledProfile],
+) -> Result<SampledShotForecast, QuoteError> {
+    // The background is the last stratum.
+    let background = strata.len() - 1;
+    let of: BTreeMap<(u32, u32), usize> = strata[..background]
+        .iter()
+        .enumerate()
+        .map(|(at, stratum)| ((stratum.object, stratum.material), at))
+        .collect();
+    let mut inputs = Vec::with_capacity(profiles.len());
+    for SampledProfile { result, node_speed } in profiles {
+        let number = i64::from(result.frame);
+        let frame = frames.iter().position(|frame| frame.number == number);
+        let frame = frame.ok_or(QuoteError::NotPreviewed(result.frame))?;
+        let costs: Vec<SampleCost> = result
+            .costs
+            .iter()
+            .map(|cost| SampleCost {
+                samples: cost.amount,
+                cpu_nanos: at_speed_one(cost.cpu_nanos, *node_speed),
+            })
+            .collect();
+        let mut times = vec![0.0; strata.len()];
+        for time in &result.strata {
+            let stratum = stratum_key(time.object, time.material).and_then(|key| of.get(&key).copied());
+            times[stratum.unwrap_or(background)] += time.nanos as f64;
+        }
+        let is_known = times.iter().any(|&time| time > 0.0);
+        inputs.push((frame, costs, if is_known { times } else { Vec::new() }));
+    }
+    let sampled: Vec<SampledFrame<'_>> = inputs
+        .iter()
+        .map(|(frame, costs, times)| SampledFrame { frame: *frame, costs, stratum_times: times })
+        .collect();
+    let whole = profiles.first().map_or(1, |profile| profile.result.whole);
+    if let Some(other) = profiles.iter().find(|profile| profile.result.whole != whole) {
+        return Err(QuoteError::Measured {
+            frame: other.result.frame,
+            whole: other.result.whole,
+            expected: whole,
+        });
+    }
+    forecast_sampled_shot(strata, frames, &sampled, whole, Calibration::NONE).map_err(QuoteError::Forecast)
+}
+
+/// Numbers of object and material as a preview has them: 2³² − 2 for what a pixel has none of. `None` for
+/// the background, which has neither.
+pub fn stratum_key(object: Option<u32>, material: Option<u32>) -> Option<(u32, u32)> {
+    const NONE: u32 = u32::MAX - 1;
+    (object.is_some() || material.is_some()).then(|| (object.unwrap_or(NONE), material.unwrap_or(NONE)))
+}
+
+/// Samples that were measured, as pixels of the image at all its samples.
+fn profiled(preview: &PreviewResult, profiles: &[SampledProfile]) -> Profiled {
+    let mut frames: Vec<u32> = profiles.iter().map(|profile| profile.result.frame).collect();
+    frames.sort_unstable();
+    let pixels = preview.frames.first().map_or(0, |frame| {
+        frame.pixels.iter().map(|&count| u64::from(count)).sum::<u64>() + u64::from(frame.background)
+    });
+    Profiled { pixels: pixels * frames.len() as u64, frames }
+}
+
+fn spent(preview: &PreviewResult, profiles: &[SampledProfile], forecast: f64) -> SpentOnForecast {
+    let all = profiles.iter().map(|profile| profile.result.spent).fold(preview.spent, Spent::plus);
+    let fraction = if forecast > 0.0 { all.work as f64 / forecast } else { 0.0 };
+    SpentOnForecast {
+        work: all.work,
+        cpu_seconds: all.cpu_nanos as f64 * 1e-9,
+        fraction_of_forecast: fraction,
+    }
+}
+
+/// Mean cost of a frame that does not depend on its samples.
+fn fixed(shot: &SampledShotForecast) -> FixedCosts {
+    let sum: f64 = shot.frames.iter().map(|frame| frame.fixed_nanos).sum();
+    let mean = (sum / shot.frames.len().max(1) as f64).round().max(0.0) as u64;
+    FixedCosts { build: Spent { work: mean / 1000, cpu_nanos: mean }, ..FixedCosts::default() }
+}

@@ -1,0 +1,327 @@
+//! Tasks of the farm for a renderer behind the door: previews, profiles and renders.
+
+use crate::door::{
+    Artefact, BlockCosts, Cost, Limits, Part, Rendered, Renderer, RendererError, RendererId, Run, Settings,
+    Shot,
+};
+use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+use crate::open_shots::OpenShots;
+use crate::quoting::{Measurement, as_spent, measure_frame, own_number, preview_result};
+use bytes::Bytes;
+use forelight_pictures::{cost_map, tone_map};
+use forelight_protocol::{
+    ArtifactHash, LogLevel, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderResult, RenderSpec,
+    RenderStats, SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
+};
+use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
+use std::fs::{self, File};
+use std::io::Cursor;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Executes tasks with one renderer. All workers of a process share it, and so its open scenes.
+struct ShotRunner {
+    renderer: Box<dyn Renderer>,
+    shots: OpenShots<OpenShot>,
+}
+
+/// An open scene.
+struct OpenShot {
+    shot: Box<dyn Shot>,
+    /// Hash of the scene's file.
+    digest: SceneDigest,
+}
+
+/// What surrounds one task.
+struct Task<'a> {
+    open: &'a OpenShot,
+    renderer: &'a RendererId,
+    settings: Settings,
+    run: Run<'a>,
+    assignment: &'a Assignment,
+}
+
+impl ShotRunner {
+    fn new(renderer: Box<dyn Renderer>) -> Self {
+        Self { renderer, shots: OpenShots::default() }
+    }
+
+    fn renderer(&self) -> &RendererId {
+        self.renderer.id()
+    }
+
+    fn open(&self, path: &Path, run: &Run<'_>) -> Result<Arc<OpenShot>, RendererError> {
+        // The file is hashed first: if it changes while it is read, its next opening finds another hash.
+        let digest = scene_digest(path)?;
+        let shot = self.renderer.open(path, run)?;
+        Ok(Arc::new(OpenShot { shot, digest }))
+    }
+}
+
+impl Execute for ShotRunner {
+    fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
+        let failed = |error| failure(error, assignment);
+        let scratch = tempfile::tempdir().map_err(RendererError::io("temporary folder")).map_err(failed)?;
+        let progress = |share: f64| control.set_progress(share);
+        let log = |line: &str| control.log(LogLevel::Info, line);
+        let limits = Limits {
+            memory_bytes: assignment.limits.memory_bytes,
+            time: assignment.limits.wall_ms.map(Duration::from_millis),
+            threads: assignment.threads,
+            ..Limits::default()
+        };
+        let run = Run {
+            cancelled: control.cancelled(),
+            progress: &progress,
+            log: &log,
+            scratch: scratch.path(),
+            limits,
+        };
+        let load = || self.open(&assignment.bundle, &run);
+        let open = self.shots.open(assignment.spec.bundle(), &assignment.bundle, load).map_err(failed)?;
+        let submitted = assignment.spec.digest();
+        if open.digest != submitted {
+            return Err(ExecuteError::Permanent(format!(
+                "the scene has changed since the job was submitted (digest {submitted}, now {}): submit the job again",
+                open.digest
+            )));
+        }
+        let settings = self.settings(&*open.shot, &assignment.spec)?;
+        let task = Task { open: &open, renderer: self.renderer.id(), settings, run, assignment };
+        match &assignment.spec {
+            TaskSpec::Preview(spec) => task.preview(spec, control),
+            TaskSpec::Profile(spec) => task.measure(spec),
+            TaskSpec::Render(spec) => task.render(spec),
+            TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
+                let reason = format!("{} has no irradiance cache to share", self.renderer.id());
+                Err(RendererError::Unsupported(reason))
+            }
+        }
+        .map_err(failed)
+    }
+}
+
+impl ShotRunner {
+    /// The scene's settings, changed by the job's.
+    fn settings(&self, shot: &dyn Shot, spec: &TaskSpec) -> Result<Settings, ExecuteError> {
+        let job = match spec {
+            TaskSpec::Preview(PreviewSpec { settings, .. })
+            | TaskSpec::Profile(ProfileSpec { settings, .. })
+            | TaskSpec::Render(RenderSpec { settings, .. }) => settings.shot(),
+            _ => None,
+        };
+        let job = job
+            .ok_or_else(|| ExecuteError::Permanent("the task is for forelight's own renderer".to_owned()))?;
+        let settings = shot.description().settings.changed_by(job);
+        let checked = settings.check(&self.renderer.settings_schema());
+        checked.map_err(|error| ExecuteError::Permanent(error.to_string()))?;
+        Ok(settings)
+    }
+}
+
+impl Task<'_> {
+    fn preview(&self, spec: &PreviewSpec, control: &Control) -> Result<Outcome, RendererError> {
+        let name = scene_name(&self.assignment.bundle);
+        let of = (name.as_str(), self.open.digest);
+        let result =
+            preview_result(self.renderer, &*self.open.shot, of, &spec.frames, &self.settings, &self.run)?;
+        if let Some(described) = &result.described {
+            let SceneSummary { objects, triangles, .. } = described.scene;
+            let text = format!("{}: {objects} objects with {triangles} triangles", described.renderer);
+            control.log(LogLevel::Info, text);
+            described.notes.iter().for_each(|note| control.log(LogLevel::Warn, note.clone()));
+        }
+        Ok(Outcome { result: TaskResult::Preview(result), artifacts: Vec::new() })
+    }
+
+    fn measure(&self, spec: &ProfileSpec) -> Result<Outcome, RendererError> {
+        let measured = measure_frame(self.renderer, &*self.open.shot, spec.frame, &self.settings, &self.run)?;
+        let Measurement { mut result, artefacts } = measured;
+        let mut files = Files::default();
+        for (share, artefact) in result.shares.iter_mut().zip(&artefacts) {
+            share.hash = Some(files.add(read(&artefact.path)?));
+        }
+        Ok(Outcome { result: TaskResult::Measured(result), artifacts: files.contents })
+    }
+
+    fn render(&self, spec: &RenderSpec) -> Result<Outcome, RendererError> {
+        let number = own_number(spec.frame)?;
+        let taken_over = self.taken_over(spec, number)?;
+        let rendered = self.open.shot.render(number, &self.settings, &taken_over, &self.run)?;
+        let Rendered { files, picture, ids, cost, blocks, .. } = rendered;
+        let image =
+            files.first().ok_or_else(|| RendererError::Answer("the render has no file".to_owned()))?;
+        let mut kept = Files::default();
+        let artifacts = RenderArtifacts {
+            image_exr: kept.add(read(image)?),
+            image_png: kept.add(png(&picture.map_or_else(|| picture_of(image), Ok)?)?),
+            cost_map_png: kept.add(png(&self.cost_map(blocks.as_ref()))?),
+            preview_png: ids.as_ref().map(|ids| png(ids).map(|bytes| kept.add(bytes))).transpose()?,
+        };
+        let stats = self.stats(spec, &cost);
+        Ok(Outcome {
+            result: TaskResult::Render(RenderResult { stats, artifacts }),
+            artifacts: kept.contents,
+        })
+    }
+
+    /// The shares that the task names, as files.
+    fn taken_over(&self, spec: &RenderSpec, frame: i32) -> Result<Vec<Artefact>, RendererError> {
+        let shares = spec.shares.iter().zip(&self.assignment.shares);
+        shares
+            .map(|(share, bytes)| {
+                let path = self.run.scratch.join(format!("taken-over-{}.exr", share.offset));
+                fs::write(&path, bytes).map_err(RendererError::io(&path))?;
+                let part = Part::Samples { offset: share.offset, count: share.count };
+                Ok(Artefact {
+                    renderer: self.renderer.clone(),
+                    frame,
+                    settings: self.settings.clone(),
+                    part,
+                    path,
+                })
+            })
+            .collect()
+    }
+
+    /// The cost of each pixel as a colour, block by block. One colour if the renderer does not know.
+    fn cost_map(&self, blocks: Option<&BlockCosts>) -> RgbImage {
+        let (width, height) = (self.settings.common.width, self.settings.common.height);
+        let costs: Vec<u64> = match blocks {
+            None => Vec::new(),
+            Some(BlockCosts { side, columns, nanos }) => (0..height)
+                .flat_map(|y| (0..width).map(move |x| (x, y)))
+                .map(|(x, y)| nanos.get((y / side * columns + x / side) as usize).copied().unwrap_or(0))
+                .collect(),
+        };
+        cost_map(width, height, &costs)
+    }
+
+    /// The cost of the whole frame: of this render, and of what it took over.
+    fn stats(&self, spec: &RenderSpec, cost: &Cost) -> RenderStats {
+        let reused = as_spent(spec.shares.iter().map(|share| share.cpu_nanos).sum());
+        let whole = as_spent(cost.cpu_nanos).plus(reused);
+        RenderStats {
+            frame: spec.frame,
+            width: self.settings.common.width,
+            height: self.settings.common.height,
+            spp: self.settings.common.samples,
+            allotted: None,
+            effects: Vec::new(),
+            left_out: Vec::new(),
+            rays: Rays::default(),
+            cache_records: Vec::new(),
+            cache: None,
+            work: whole.work,
+            work_by_class: None,
+            work_by_ray: None,
+            cpu_seconds: whole.cpu_nanos as f64 * 1e-9,
+            once: None,
+            wall_seconds: cost.wall_nanos as f64 * 1e-9,
+            peak_rss_bytes: cost.peak_memory_bytes,
+            reused_pixels: 0,
+            reused_rays: 0,
+            reused_work: reused.work,
+            reused_cpu_seconds: reused.cpu_nanos as f64 * 1e-9,
+        }
+    }
+}
+
+/// Files to upload, named by their hash.
+#[derive(Default)]
+struct Files {
+    contents: Vec<Bytes>,
+}
+
+impl Files {
+    fn add(&mut self, content: Vec<u8>) -> ArtifactHash {
+        let hash = ArtifactHash(*blake3::hash(&content).as_bytes());
+        self.contents.push(content.into());
+        hash
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, RendererError> {
+    fs::read(path).map_err(RendererError::io(path))
+}
+
+/// The picture in an image file of a common format.
+fn picture_of(path: &Path) -> Result<RgbImage, RendererError> {
+    let unreadable = |reason: String| RendererError::Answer(format!("{}: {reason}", path.display()));
+    let image = image::open(path).map_err(|error| unreadable(error.to_string()))?;
+    if !matches!(image, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
+        return Ok(image.to_rgb8());
+    }
+    // Linear values.
+    let linear = image.to_rgb32f();
+    Ok(RgbImage::from_fn(linear.width(), linear.height(), |x, y| Rgb(tone_map(linear.get_pixel(x, y).0))))
+}
+
+fn png(picture: &RgbImage) -> Result<Vec<u8>, RendererError> {
+    let mut bytes = Vec::new();
+    picture
+        .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
+        .map_err(|error| RendererError::Answer(format!("cannot encode a picture: {error}")))?;
+    Ok(bytes)
+}
+
+/// BLAKE3 hash of a scene's file.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn scene_digest(path: &Path) -> Result<SceneDigest, RendererError> {
+    let file = File::open(path).map_err(RendererError::io(path))?;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(file).map_err(RendererError::io(path))?;
+    Ok(SceneDigest(*hasher.finalize().as_bytes()))
+}
+
+fn scene_name(path: &Path) -> String {
+    path.file_stem().map_or_else(|| "scene".to_owned(), |stem| stem.to_string_lossy().into_owned())
+}
+
+/// The error of a task. It names the frame, and which limit was exceeded.
+fn failure(error: RendererError, assignment: &Assignment) -> ExecuteError {
+    let frame = assignment.spec.frame().map_or(String::new(), |frame| format!("frame {frame}: "));
+    let text = format!("{frame}{error}");
+    match error {
+        RendererError::Cancelled => ExecuteError::Cancelled,
+        RendererError::OutOfMemory(_) if assignment.limits.memory_bytes.is_some() => {
+            ExecuteError::Limit(TaskLimit::Memory, text)
+        }
+        RendererError::TimeLimit(_) => ExecuteError::Limit(TaskLimit::WallTime, text),
+        error if error.is_permanent() => ExecuteError::Permanent(text),
+        _ => ExecuteError::Transient(text),
+    }
+}
+
+/// Executes a task with the renderer that it names.
+pub struct Renderers {
+    /// Forelight's own renderer.
+    own: Arc<dyn Execute>,
+    others: Vec<ShotRunner>,
+}
+
+impl Renderers {
+    /// Our own renderer, and others that were found on this machine.
+    pub fn new(own: Arc<dyn Execute>, others: Vec<Box<dyn Renderer>>) -> Self {
+        Self { own, others: others.into_iter().map(ShotRunner::new).collect() }
+    }
+
+    /// Names and versions of the others.
+    pub fn ids(&self) -> Vec<RendererId> {
+        self.others.iter().map(|other| other.renderer().clone()).collect()
+    }
+}
+
+impl Execute for Renderers {
+    fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
+        let Some(asked) = assignment.spec.renderer() else { return self.own.execute(assignment, control) };
+        match self.others.iter().find(|other| asked.allows(other.renderer())) {
+            Some(other) => other.execute(assignment, control),
+            // The service would not have sent the task, so the renderer is gone since this worker started.
+            None => Err(ExecuteError::Transient(format!("this worker has no {asked}; start it again"))),
+        }
+    }
+}
