@@ -1,6 +1,7 @@
 //! Colours of pictures for people: rendered images and cost maps, the same for every renderer.
 
-use image::{Rgb, RgbImage};
+use image::{ImageError, ImageFormat, Rgb, RgbImage};
+use std::io::Cursor;
 
 /// A linear colour as 8-bit sRGB for viewing: a filmic curve with a soft shoulder above 0.6 per channel, then
 /// the sRGB transfer function. Values that are not finite are black.
@@ -33,6 +34,16 @@ pub fn cost_map(width: u32, height: u32, costs: &[u64]) -> RgbImage {
         let cost = costs.get((y * width + x) as usize).copied().unwrap_or(0);
         Rgb(cost_color((cost as f32 - lowest) / range))
     })
+}
+
+/// A picture as a PNG file.
+///
+/// # Errors
+/// If the picture is too large to be encoded.
+pub fn png(picture: &RgbImage) -> Result<Vec<u8>, ImageError> {
+    let mut bytes = Vec::new();
+    picture.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)?;
+    Ok(bytes)
 }
 
 /// The false colours of a cost map: `t` in [0, 1] from cyan over blue, green and yellow to red.

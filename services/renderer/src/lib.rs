@@ -8,10 +8,12 @@
 //! | `open_shots` | the last few opened scenes, shared by all workers of a process |
 //! | `process` | foreign programs, held to limits |
 //! | `execute` | a task in, a result and its files out; progress, orders and log lines on the way |
+//! | `files` | the files of a result |
 //! | `memory` | memory of this process |
 
 pub mod door;
 mod execute;
+mod files;
 mod memory;
 mod open_shots;
 pub mod process;
@@ -19,6 +21,7 @@ mod quoting;
 mod tasks;
 
 pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+pub use files::{Files, artifact_name};
 pub use memory::{peak_rss_bytes, resident_bytes};
 pub use open_shots::OpenShots;
 pub use quoting::{

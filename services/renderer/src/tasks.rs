@@ -5,17 +5,16 @@ use crate::door::{
     Shot,
 };
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+use crate::files::Files;
 use crate::open_shots::OpenShots;
 use crate::quoting::{Measurement, as_spent, measure_frame, own_number, preview_result};
-use bytes::Bytes;
 use forelight_pictures::{cost_map, tone_map};
 use forelight_protocol::{
-    ArtifactHash, LogLevel, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderResult, RenderSpec,
-    RenderStats, SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
+    LogLevel, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderResult, RenderSpec, RenderStats,
+    SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
 };
-use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
+use image::{DynamicImage, Rgb, RgbImage};
 use std::fs::{self, File};
-use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -228,20 +227,6 @@ impl Task<'_> {
     }
 }
 
-/// Files to upload, named by their hash.
-#[derive(Default)]
-struct Files {
-    contents: Vec<Bytes>,
-}
-
-impl Files {
-    fn add(&mut self, content: Vec<u8>) -> ArtifactHash {
-        let hash = ArtifactHash(*blake3::hash(&content).as_bytes());
-        self.contents.push(content.into());
-        hash
-    }
-}
-
 fn read(path: &Path) -> Result<Vec<u8>, RendererError> {
     fs::read(path).map_err(RendererError::io(path))
 }
@@ -259,11 +244,8 @@ fn picture_of(path: &Path) -> Result<RgbImage, RendererError> {
 }
 
 fn png(picture: &RgbImage) -> Result<Vec<u8>, RendererError> {
-    let mut bytes = Vec::new();
-    picture
-        .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
-        .map_err(|error| RendererError::Answer(format!("cannot encode a picture: {error}")))?;
-    Ok(bytes)
+    let failed = |error| RendererError::Answer(format!("cannot encode a picture: {error}"));
+    forelight_pictures::png(picture).map_err(failed)
 }
 
 /// BLAKE3 hash of a scene's file.

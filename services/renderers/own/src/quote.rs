@@ -3,13 +3,14 @@
 use crate::error::ShotError;
 use crate::profile::{Observer, ProfiledFrame, count_frames, profile_frame, stratum_ids};
 use crate::quote_options::QuoteOptions;
-use crate::results::{artifact_name, preview_result, profile_result};
+use crate::results::{preview_result, profile_result};
 use crate::shared_cache::{SharedPlan, profile_shared};
 use crate::shot::OwnShot;
 use forelight_protocol::{
     CacheSharing, ForecastDoc, PreviewResult, ProfileArtifacts, QuotedShot, RenderSettings, Spent,
 };
 use forelight_quote::{Measured, MeasuredProfile, SharedCache, frames_to_profile};
+use forelight_renderer::artifact_name;
 
 /// A quote, and the measurements behind it.
 #[derive(Debug, Clone)]

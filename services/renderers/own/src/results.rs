@@ -8,8 +8,8 @@ use crate::shared_cache::cache_sample;
 use forelight_forecast::Observation;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    ArtifactHash, FrameStrata, NoiseCell, NoiseSample, PreviewResult, ProfileArtifacts, ProfileResult,
-    ProfileSample, RenderSettings, Stratum, UncoveredGathers,
+    FrameStrata, NoiseCell, NoiseSample, PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample,
+    RenderSettings, Stratum, UncoveredGathers,
 };
 use forelight_tracer::{Pixel, Settings};
 use std::collections::BTreeSet;
@@ -137,11 +137,6 @@ impl Shown {
     fn place(&self, stratum: usize) -> u32 {
         self.strata.binary_search(&stratum).unwrap_or(self.strata.len()) as u32
     }
-}
-
-/// Name of an artefact with this content.
-pub(crate) fn artifact_name(content: &[u8]) -> ArtifactHash {
-    ArtifactHash(*blake3::hash(content).as_bytes())
 }
 
 /// How a frame gathers at uncovered points. `None` without an irradiance cache.

@@ -8,8 +8,7 @@ use forelight_protocol::Spent;
 use forelight_renderer::ExecuteError;
 use forelight_scene::Frame;
 use forelight_tracer::{Image, Pixel, clocked};
-use image::{ImageFormat, RgbImage};
-use std::io::Cursor;
+use image::RgbImage;
 
 /// The files of a finished frame.
 pub struct Pictures {
@@ -78,11 +77,8 @@ fn stand_in(profiled: &ProfiledFrame) -> Option<Image> {
 
 /// A picture as a PNG file.
 pub fn png(picture: &RgbImage) -> Result<Vec<u8>, ExecuteError> {
-    let mut bytes = Vec::new();
-    picture
-        .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
-        .map_err(|error| ExecuteError::Transient(format!("cannot encode a picture: {error}")))?;
-    Ok(bytes)
+    let failed = |error| ExecuteError::Transient(format!("cannot encode a picture: {error}"));
+    forelight_pictures::png(picture).map_err(failed)
 }
 
 /// The image as an OpenEXR file. The writer needs a file on disk.

@@ -12,16 +12,15 @@ use crate::opening::OwnRenderer;
 use crate::profile::{Observer, count_frames, profile_frame};
 use crate::quote_options::QuoteOptions;
 use crate::render::pictures::{encoding_nanos, png, write_cost};
-use crate::results::{artifact_name, preview_result, profile_result};
+use crate::results::{preview_result, profile_result};
 use crate::shared_cache::profile_shared;
 use crate::shot::OwnShot;
-use bytes::Bytes;
 use forelight_protocol::{
-    AccuracyDoc, ArtifactHash, JobSettings, LadderKind, LogLevel, PreviewSpec, ProfileArtifacts, ProfileSpec,
+    AccuracyDoc, JobSettings, LadderKind, LogLevel, PreviewSpec, ProfileArtifacts, ProfileSpec,
     RenderSettings, Spent, SpentOnForecast, TaskResult, TaskSpec,
 };
 use forelight_quote::{is_own, without_ladders};
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError, OpenShots, Outcome};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Files, OpenShots, Outcome};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -141,20 +140,6 @@ fn ladders(
             control.log(LogLevel::Warn, format!("ladders of qualities cannot be predicted: {error}"));
             Ok(without_ladders(spec.frame, settings, &error.to_string()))
         }
-    }
-}
-
-/// Files to upload, named by their hash.
-#[derive(Default)]
-pub(crate) struct Files {
-    pub(crate) contents: Vec<Bytes>,
-}
-
-impl Files {
-    pub(crate) fn add(&mut self, content: Vec<u8>) -> ArtifactHash {
-        let hash = artifact_name(&content);
-        self.contents.push(content.into());
-        hash
     }
 }
 

@@ -9,13 +9,13 @@ use crate::render::pictures::{encode, write_cost};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use crate::tasks::checkpoint::Checkpoints;
-use crate::tasks::{Files, cache, own};
+use crate::tasks::{cache, own};
 use bytes::Bytes;
 use forelight_protocol::{
     CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
     TaskResult,
 };
-use forelight_renderer::{Assignment, Control, ExecuteError, Outcome};
+use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
 use forelight_tracer::{Cache, CacheError, Pixel, Profile, Totals};
 use std::cell::Cell;
 use std::sync::Once;
