@@ -140,10 +140,7 @@ impl Conductor {
         let Some(profiles) = self.store.sampled_profiles(job.id).await? else { return Ok(()) };
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
         let kind = profiles.first().map(|profile| QuoteKind::of_renderer(&profile.result.renderer));
-        let experience = match &kind {
-            Some(kind) => self.store.experience(kind).await?,
-            None => Experience::default(),
-        };
+        let experience = self.experience(kind.as_ref()).await?;
         let quote = compute(move || {
             let corrections = experience.corrections();
             Ok(quote_sampled(&preview, &profiles, corrections.as_ref())?)
@@ -173,10 +170,7 @@ impl Conductor {
             }
         }
         let kind = QuoteKind::of(&profiles, settings);
-        let experience = match &kind {
-            Some(kind) => self.store.experience(kind).await?,
-            None => Experience::default(),
-        };
+        let experience = self.experience(kind.as_ref()).await?;
         let limit = match &job.within {
             Some(within) => Some(limit(within, job, self.nodes_for_plans(self.clock.now()).await?)?),
             None => None,
@@ -189,6 +183,14 @@ impl Conductor {
         // Frames with a fixed amount of work do not show forecast errors.
         let basis = kind.filter(|_| job.within.is_none()).map(|kind| quote.basis(kind));
         self.book_at_last(job, &quote, basis.as_ref(), &rungs).await
+    }
+
+    /// What past jobs of this kind taught. Nothing without a kind.
+    async fn experience(&self, kind: Option<&QuoteKind>) -> Result<Experience, AdvanceError> {
+        match kind {
+            Some(kind) => Ok(self.store.experience(kind).await?),
+            None => Ok(Experience::default()),
+        }
     }
 
     /// Books the job. Tries again if another plan comes first.

@@ -214,8 +214,6 @@ impl Measured<'_> {
             work: quantiles(&shot.total.work, 1.0),
             cpu_seconds: quantiles(&shot.total.cpu_nanos, 1e-9),
         };
-        let lights: Vec<u32> = populations.iter().map(|frame| frame.lights).collect();
-        let same_lights = lights.windows(2).all(|pair| pair[0] == pair[1]);
         let effects = self.profiles.iter().flat_map(|profile| &profile.result.effects);
         let effects: BTreeSet<&String> = effects.collect();
         let once = |profile: &MeasuredProfile| Some(profile.result.once?.at_speed_one(profile.node_speed));
@@ -234,7 +232,7 @@ impl Measured<'_> {
             cpu_seconds_on: Vec::new(),
             cache: None,
             cost: None,
-            lights: if same_lights { Vec::new() } else { lights },
+            lights: Populations::lights(&populations),
             clock,
         };
         Ok(Quote { job, frames, spreads, shared_cache: None })
@@ -251,12 +249,16 @@ impl Measured<'_> {
 
     fn spent(&self, forecast: f64) -> SpentOnForecast {
         let profiles = self.profiles.iter().map(|profile| profile.result.spent);
-        let spent = profiles.fold(self.preview.spent, Spent::plus);
-        SpentOnForecast {
-            work: spent.work,
-            cpu_seconds: spent.cpu_nanos as f64 * 1e-9,
-            fraction_of_forecast: if forecast > 0.0 { spent.work as f64 / forecast } else { 0.0 },
-        }
+        spent_on(profiles.fold(self.preview.spent, Spent::plus), forecast)
+    }
+}
+
+/// The cost of a quote that forecasts so much work.
+pub(crate) fn spent_on(spent: Spent, forecast: f64) -> SpentOnForecast {
+    SpentOnForecast {
+        work: spent.work,
+        cpu_seconds: spent.cpu_nanos as f64 * 1e-9,
+        fraction_of_forecast: if forecast > 0.0 { spent.work as f64 / forecast } else { 0.0 },
     }
 }
 

@@ -71,6 +71,12 @@ impl Populations {
         Self { strata, frames, names, index, places: classes.of, records, pixel_strata }
     }
 
+    /// For each frame, the number for its set of shining lights. Empty if all frames have the same.
+    pub fn lights(frames: &[FramePopulation]) -> Vec<u32> {
+        let lights: Vec<u32> = frames.iter().map(|frame| frame.lights).collect();
+        if lights.windows(2).all(|pair| pair[0] == pair[1]) { Vec::new() } else { lights }
+    }
+
     pub fn stratum_of(&self, sample: &protocol::ProfileSample, profile: &protocol::ProfileResult) -> u32 {
         let shown = profile.strata.get(sample.stratum as usize);
         let place = shown.and_then(|stratum| self.index.get(&stratum.identity()));

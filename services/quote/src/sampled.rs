@@ -9,11 +9,11 @@ use forelight_forecast::{
 };
 use forelight_protocol::{
     FixedCosts, ForecastTotals, FrameForecast, MeasuredFrame, PreviewResult, Profiled, Quantiles,
-    RayQuantiles, Spent, SpentOnForecast, at_speed_one,
+    RayQuantiles, Spent, at_speed_one,
 };
 
 use crate::error::QuoteError;
-use crate::job_forecast::{JobForecast, Quote, Spreads, quantiles};
+use crate::job_forecast::{JobForecast, Quote, Spreads, quantiles, spent_on};
 use crate::populations::Populations;
 
 /// A measured frame, and the speed of the node that measured it.
@@ -62,15 +62,14 @@ pub fn quote_sampled(
         work: as_work(&shot.total),
         cpu_seconds: quantiles(&shot.total, 1e-9),
     };
-    let lights: Vec<u32> = frames.iter().map(|frame| frame.lights).collect();
-    let same_lights = lights.windows(2).all(|pair| pair[0] == pair[1]);
+    let spent = profiles.iter().map(|profile| profile.result.spent);
     let job = JobForecast {
         profiled: profiled(preview, profiles),
-        spent: spent(preview, profiles, total.work.mean),
+        spent: spent_on(spent.fold(preview.spent, Spent::plus), total.work.mean),
         total,
         calibrated: shot.calibrated,
         fixed: Some(fixed(&shot)),
-        lights: if same_lights { Vec::new() } else { lights },
+        lights: Populations::lights(&frames),
         clock,
         ..JobForecast::default()
     };
@@ -145,16 +144,6 @@ fn profiled(preview: &PreviewResult, profiles: &[SampledProfile]) -> Profiled {
         frame.pixels.iter().map(|&count| u64::from(count)).sum::<u64>() + u64::from(frame.background)
     });
     Profiled { pixels: pixels * frames.len() as u64, frames }
-}
-
-fn spent(preview: &PreviewResult, profiles: &[SampledProfile], forecast: f64) -> SpentOnForecast {
-    let all = profiles.iter().map(|profile| profile.result.spent).fold(preview.spent, Spent::plus);
-    let fraction = if forecast > 0.0 { all.work as f64 / forecast } else { 0.0 };
-    SpentOnForecast {
-        work: all.work,
-        cpu_seconds: all.cpu_nanos as f64 * 1e-9,
-        fraction_of_forecast: fraction,
-    }
 }
 
 /// Mean cost of a frame that does not depend on its samples.
