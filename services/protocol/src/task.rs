@@ -205,7 +205,8 @@ pub struct ProfileSpec {
     pub frame: u32,
     /// Number of pixels to profile.
     pub samples: u32,
-    /// Seed for choosing the pixels. The pixels' own random numbers use `settings.seed`, as in the render.
+    /// Seed for choosing the pixels. The pixels' own random numbers use `settings.seed`, as in the render. For
+    /// another renderer, the number of frames that are measured before this one: its regions differ.
     pub phase_seed: u64,
     /// The job's settings.
     pub settings: JobSettings,

@@ -86,7 +86,7 @@ impl Execute for ShotRunner {
                 open.digest
             )));
         }
-        let settings = self.settings(&*open.shot, &assignment.spec)?;
+        let settings = settings(&*open.shot, &assignment.spec)?;
         let task = Task { open: &open, renderer: self.renderer.id(), settings, run, assignment };
         match &assignment.spec {
             TaskSpec::Preview(spec) => task.preview(spec, control),
@@ -101,22 +101,16 @@ impl Execute for ShotRunner {
     }
 }
 
-impl ShotRunner {
-    /// The scene's settings, changed by the job's.
-    fn settings(&self, shot: &dyn Shot, spec: &TaskSpec) -> Result<Settings, ExecuteError> {
-        let job = match spec {
-            TaskSpec::Preview(PreviewSpec { settings, .. })
-            | TaskSpec::Profile(ProfileSpec { settings, .. })
-            | TaskSpec::Render(RenderSpec { settings, .. }) => settings.shot(),
-            _ => None,
-        };
-        let job = job
-            .ok_or_else(|| ExecuteError::Permanent("the task is for forelight's own renderer".to_owned()))?;
-        let settings = shot.description().settings.changed_by(job);
-        let checked = settings.check(&self.renderer.settings_schema());
-        checked.map_err(|error| ExecuteError::Permanent(error.to_string()))?;
-        Ok(settings)
-    }
+/// The scene's settings, changed by the job's. The shot checks them.
+fn settings(shot: &dyn Shot, spec: &TaskSpec) -> Result<Settings, ExecuteError> {
+    let job = match spec {
+        TaskSpec::Preview(PreviewSpec { settings, .. })
+        | TaskSpec::Profile(ProfileSpec { settings, .. })
+        | TaskSpec::Render(RenderSpec { settings, .. }) => settings.shot(),
+        _ => None,
+    };
+    let for_own = || ExecuteError::Permanent("the task is for forelight's own renderer".to_owned());
+    Ok(shot.description().settings.changed_by(job.ok_or_else(for_own)?))
 }
 
 impl Task<'_> {
@@ -135,7 +129,8 @@ impl Task<'_> {
     }
 
     fn measure(&self, spec: &ProfileSpec) -> Result<Outcome, RendererError> {
-        let measured = measure_frame(self.renderer, &*self.open.shot, spec.frame, &self.settings, &self.run)?;
+        let frame = (spec.frame, u32::try_from(spec.phase_seed).unwrap_or(0));
+        let measured = measure_frame(self.renderer, &*self.open.shot, frame, &self.settings, &self.run)?;
         let Measurement { mut result, artefacts } = measured;
         let mut files = Files::default();
         for (share, artefact) in result.shares.iter_mut().zip(&artefacts) {

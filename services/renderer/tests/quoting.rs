@@ -134,7 +134,7 @@ fn any_renderer_is_quoted_by_what_it_can() {
     for (can, varied, within) in [
         (&[Capability::MeasureSamples, Capability::Resize][..], Varied::Samples, 0.01),
         (&[Capability::Resize, Capability::MeasureRegions], Varied::Size, 0.01),
-        (&[Capability::MeasureRegions], Varied::Regions, 0.05),
+        (&[Capability::MeasureRegions], Varied::Regions, 0.03),
         (&[], Varied::Nothing, 0.01),
     ] {
         let shot = Known::new(can, 1000);

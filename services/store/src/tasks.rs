@@ -45,6 +45,8 @@ pub(crate) struct ProfileAsked {
     pub frame: u32,
     /// Pixels to profile.
     pub samples: u32,
+    /// Number of the job's frames that are profiled before this one.
+    pub turn: u64,
     /// Whether to measure the ladders of qualities, too.
     pub ladders: bool,
     /// A planned shared cache: the pixels are also measured with it.
@@ -102,7 +104,7 @@ impl Common {
     pub(crate) async fn profile(
         &self,
         write: &mut Write,
-        ProfileAsked { frame, samples, ladders, cache }: ProfileAsked,
+        ProfileAsked { frame, samples, turn, ladders, cache }: ProfileAsked,
         waits: bool,
     ) -> Result<()> {
         let spec = ProfileSpec {
@@ -111,7 +113,7 @@ impl Common {
             digest: self.digest,
             frame,
             samples,
-            phase_seed: self.settings.own().map_or(0, |settings| settings.seed),
+            phase_seed: self.settings.own().map_or(turn, |settings| settings.seed),
             settings: self.settings.clone(),
             renderer: self.renderer.clone(),
             ladders,

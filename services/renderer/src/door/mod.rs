@@ -103,7 +103,7 @@ pub trait Renderer: Send + Sync {
     fn open(&self, scene: &Path, run: &Run<'_>) -> Result<Box<dyn Shot>, RendererError>;
 }
 
-/// An open scene.
+/// An open scene. Every question checks its settings.
 pub trait Shot: Send + Sync {
     /// What is in it.
     fn description(&self) -> &Description;

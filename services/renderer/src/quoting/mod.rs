@@ -29,14 +29,15 @@ pub struct Measurement {
 }
 
 /// Measures parts of a frame, by what the renderer can do: a few samples, or smaller images, or regions. If it
-/// can do none of these, the whole frame is measured.
+/// can do none of these, the whole frame is measured. `turn` is the number of frames that are measured before
+/// this one.
 ///
 /// # Errors
 /// If the renderer fails or the run is stopped.
 pub fn measure_frame(
     renderer: &RendererId,
     shot: &dyn Shot,
-    frame: u32,
+    (frame, turn): (u32, u32),
     settings: &Settings,
     run: &Run<'_>,
 ) -> Result<Measurement, RendererError> {
@@ -45,7 +46,7 @@ pub fn measure_frame(
     let varied = best(&can, settings);
     let (mut measured, mut shares, mut artefacts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut times, mut spent) = (BTreeMap::new(), Cost::default());
-    for probe in probes(varied, &can, settings, frame) {
+    for probe in probes(varied, &can, settings, turn) {
         if probe.in_addition && !hide(&measured) {
             continue;
         }

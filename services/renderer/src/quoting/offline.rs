@@ -63,9 +63,10 @@ pub fn quote_shot(
         preview_result(renderer, shot, of, frames, settings, &Run { progress: &previewing, ..*run })?;
     let chosen = frames_to_profile(&preview, Strategy::Snapshot, most)?;
     let mut measured = Vec::with_capacity(chosen.len());
-    for (done, &frame) in chosen.iter().enumerate() {
+    for (turn, &frame) in (0..).zip(&chosen) {
+        let done = measured.len();
         observe(QuotingStep::Measuring { frame, done, all: chosen.len() });
-        measured.push(measure_frame(renderer, shot, frame, settings, run)?);
+        measured.push(measure_frame(renderer, shot, (frame, turn), settings, run)?);
     }
     let profile = |found: &Measurement| SampledProfile { result: found.result.clone(), node_speed: 1.0 };
     let profiles: Vec<SampledProfile> = measured.iter().map(profile).collect();

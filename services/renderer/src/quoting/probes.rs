@@ -70,8 +70,9 @@ pub(super) fn whole(varied: Varied, settings: &Settings) -> u32 {
     }
 }
 
-/// The parts to measure, cheap ones first. Regions differ between frames.
-pub(super) fn probes(varied: Varied, can: &Capabilities, settings: &Settings, frame: u32) -> Vec<Probe> {
+/// The parts to measure, cheap ones first. `turn` is the number of frames that are measured before this one:
+/// regions are spread over the measured frames together.
+pub(super) fn probes(varied: Varied, can: &Capabilities, settings: &Settings, turn: u32) -> Vec<Probe> {
     let probe =
         |part, amount| Probe { settings: settings.clone(), part, amount, pieces: 1, in_addition: false };
     let samples = settings.common.samples;
@@ -106,7 +107,7 @@ pub(super) fn probes(varied: Varied, can: &Capabilities, settings: &Settings, fr
         }
         Varied::Regions => {
             let several = |(index, (divisor, number)): (usize, (u32, usize))| {
-                let regions = regions(settings, divisor, number, frame as usize * number);
+                let regions = regions(settings, divisor, number, turn as usize * number);
                 let amount = regions.first().map_or(0, |region| region.width * region.height);
                 let (pieces, in_addition) = (regions.len(), index == REGIONS.len() - 1);
                 Probe { pieces, in_addition, ..probe(Part::Regions(regions), amount) }

@@ -31,10 +31,11 @@ impl Store {
             Ladders::All => frames.get(frames.len() / 2),
             Ladders::Own => None,
         };
-        for frame in frames {
+        for (turn, frame) in (0..).zip(frames) {
             let asked = ProfileAsked {
                 frame: *frame,
                 samples: row.samples,
+                turn,
                 ladders: with_ladders == Some(frame),
                 cache: None,
             };
@@ -68,9 +69,9 @@ impl Store {
             PlannedCache::There { plan, .. } => plan.cache,
             PlannedCache::NotAsked | PlannedCache::Pending => None,
         };
-        for &frame in frames {
+        for (turn, &frame) in (asked.len() as u64..).zip(frames) {
             let samples = row.samples;
-            let asked = ProfileAsked { frame, samples, ladders: false, cache };
+            let asked = ProfileAsked { frame, samples, turn, ladders: false, cache };
             common.profile(&mut write, asked, false).await?;
         }
         self.commit(write).await

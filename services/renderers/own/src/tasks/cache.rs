@@ -3,11 +3,11 @@
 use crate::error::RenderError;
 use crate::shared_cache::{Filled, fill_part, plan_shared};
 use crate::shot::OwnShot;
+use bytes::Bytes;
 use forelight_protocol::{
     CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanSpec, LogLevel, Spent,
     TaskResult,
 };
-use forelight_renderer::Files;
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
 use forelight_tracer::{Cache, CacheError, clocked};
 use std::sync::atomic::{AtomicU64, Ordering};
