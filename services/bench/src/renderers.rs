@@ -17,7 +17,7 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::Bars;
-use forelight_terminal::quantities::{percent, seconds};
+use forelight_terminal::quantities::seconds;
 use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -250,6 +250,7 @@ fn report(cases: &[Case]) -> Report {
         ("lost", Align::Right),
         ("noise", Align::Right),
     ]);
+    let share = |fraction: f64| format!("{:.1} %", fraction * 100.0);
     for case in cases {
         table.row([
             case.scene.clone(),
@@ -257,12 +258,12 @@ fn report(cases: &[Case]) -> Report {
             case.settings.common.samples.to_string(),
             case.frames.len().to_string(),
             seconds(case.actual_cpu_seconds),
-            percent(case.error),
-            percent(case.frame_error),
-            case.three_frames_error.map_or_else(String::new, |error| percent(error.abs())),
-            percent(case.spent_fraction),
-            percent(case.lost_fraction),
-            percent(case.noise),
+            share(case.error),
+            share(case.frame_error),
+            case.three_frames_error.map_or_else(String::new, |error| share(error.abs())),
+            share(case.spent_fraction),
+            share(case.lost_fraction),
+            share(case.noise),
         ]);
     }
     let seeds = cases.first().map_or(0, |case| case.seeds.len());

@@ -272,7 +272,7 @@ impl RenderSettingsRequest {
             ("materials", self.materials.is_some()),
         ];
         if let Some((name, _)) = ours.into_iter().find(|(_, is_given)| *is_given) {
-            let reason = "only forelight's own renderer has this setting; see `own`".to_owned();
+            let reason = "only forelight's own renderer has this setting".to_owned();
             return Err(BadSetting { name, reason });
         }
         for (name, value) in [("width", self.width), ("height", self.height), ("spp", self.spp)] {

@@ -27,4 +27,4 @@ pub use open_shots::OpenShots;
 pub use quoting::{
     Measurement, QuotingError, QuotingStep, ShotQuote, measure_frame, preview_result, quote_shot,
 };
-pub use tasks::{Renderers, scene_digest};
+pub use tasks::{Renderers, scene_digest, scene_name};

@@ -254,7 +254,8 @@ pub fn scene_digest(path: &Path) -> Result<SceneDigest, RendererError> {
     Ok(SceneDigest(*hasher.finalize().as_bytes()))
 }
 
-fn scene_name(path: &Path) -> String {
+/// Name of a scene: that of its file, without the ending.
+pub fn scene_name(path: &Path) -> String {
     path.file_stem().map_or_else(|| "scene".to_owned(), |stem| stem.to_string_lossy().into_owned())
 }
 

@@ -3,14 +3,14 @@
 
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
-use crate::local::settings_request;
+use crate::local::{cores, settings_request};
 use crate::options::{MachineOptions, QualityOptions};
 use crate::output::Bars;
 use anyhow::{Context, Result};
 use clap::builder::TypedValueParser;
 use forelight_protocol::{FrameSet, RenderSettingsRequest, SceneDigest, ShotSettings};
 use forelight_renderer::door::{Description, Limits, Renderer, RendererError, Run, Settings, Shot};
-use forelight_renderer::scene_digest;
+use forelight_renderer::{scene_digest, scene_name};
 use forelight_renderer_blender::Cycles;
 use forelight_renderer_command::{EXTENSION, open_command};
 use serde_json::Value;
@@ -76,7 +76,12 @@ pub fn own_setting() -> impl TypedValueParser<Value = OwnSetting> {
 
 /// Whether another renderer opens this scene.
 pub fn is_foreign(scene: &Path) -> bool {
-    scene.extension().is_some_and(|end| end.eq_ignore_ascii_case("blend")) || is_command_file(scene)
+    is_blend(scene) || is_command_file(scene)
+}
+
+/// Whether the scene is a Blender file.
+pub fn is_blend(scene: &Path) -> bool {
+    scene.extension().is_some_and(|end| end.eq_ignore_ascii_case("blend"))
 }
 
 /// Refuses flags that only our own renderer understands.
@@ -116,7 +121,7 @@ impl Foreign {
         }
         let renderer = renderer_of(scene)?;
         let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
-        let threads = machine.threads.map_or_else(threads, u32::from);
+        let threads = machine.threads.map_or_else(cores, u32::from);
         let limits = Limits { threads, ..Limits::default() };
         let spinner = bars.spinner(format!("loading {} with {}", scene.display(), renderer.id()));
         let shot = renderer.open(scene, &outside(scratch.path(), limits, interrupt));
@@ -138,9 +143,11 @@ impl Foreign {
 
     /// The file's settings, changed by the flags.
     pub fn settings(&self, quality: &QualityOptions, own: &[OwnSetting]) -> Result<Settings> {
-        let job = shot_settings(quality, own)?;
+        let job = as_shot(&shot_request(quality, own)?)?;
         let settings = self.description().settings.changed_by(&job);
-        settings.check(&self.renderer.settings_schema()).map_err(|wrong| BadInput::new(wrong.to_string()))?;
+        settings.check(&self.renderer.settings_schema()).map_err(|wrong| {
+            BadInput::new(wrong.to_string()).hint("`forelight renderers` lists the settings")
+        })?;
         Ok(settings)
     }
 
@@ -160,25 +167,24 @@ impl Foreign {
 
     /// Name and hash of the scene.
     pub fn scene(&self, path: &Path) -> Result<(String, SceneDigest)> {
-        let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        Ok((name, scene_digest(path)?))
+        Ok((scene_name(path), scene_digest(path)?))
     }
 }
 
-/// The flags as settings of another renderer's job.
-pub fn shot_settings(quality: &QualityOptions, own: &[OwnSetting]) -> Result<ShotSettings> {
-    let request = shot_request(quality, own);
-    request.of_shot().map_err(|wrong| {
-        BadInput::new(format!("--{}: {}", wrong.name.replace('_', "-"), wrong.reason)).into()
-    })
-}
-
-/// The flags as a request for another renderer.
-pub fn shot_request(quality: &QualityOptions, own: &[OwnSetting]) -> RenderSettingsRequest {
+/// The flags as a request for another renderer. Refuses those that only our own renderer understands.
+pub fn shot_request(quality: &QualityOptions, own: &[OwnSetting]) -> Result<RenderSettingsRequest> {
     let own = own.iter().map(|OwnSetting(name, value)| (name.clone(), value.clone())).collect();
     // The service does not know the shape of the scene's image, so a width alone is sent alone.
     let QualityOptions { width, height, .. } = *quality;
-    RenderSettingsRequest { width, height, own, ..settings_request(quality, (1, 1)) }
+    let request = RenderSettingsRequest { width, height, own, ..settings_request(quality, (1, 1)) };
+    as_shot(&request)?;
+    Ok(request)
+}
+
+fn as_shot(request: &RenderSettingsRequest) -> Result<ShotSettings> {
+    request.of_shot().map_err(|wrong| {
+        BadInput::new(format!("--{}: {}", wrong.name.replace('_', "-"), wrong.reason)).into()
+    })
 }
 
 fn outside<'a>(scratch: &'a Path, limits: Limits, interrupt: &'a Interrupt) -> Run<'a> {
@@ -189,8 +195,4 @@ fn outside<'a>(scratch: &'a Path, limits: Limits, interrupt: &'a Interrupt) -> R
         scratch,
         limits,
     }
-}
-
-fn threads() -> u32 {
-    std::thread::available_parallelism().map_or(1, |count| u32::try_from(count.get()).unwrap_or(1))
 }

@@ -22,7 +22,8 @@ const BLEND: &str = "application/x-blender";
 /// error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs find
 /// out what is in it. Files that it refers to must be packed, or lie on storage that all workers share.
 #[utoipa::path(post, path = "/v1/bundles", operation_id = "bundle_upload", tag = "bundles",
-    request_body(content = inline(FileContent), content_type = "application/zip", description = "The zip file; by default at most 256 MiB"),
+    request_body(content((inline(FileContent) = "application/zip"), (inline(FileContent) = "application/x-blender")),
+        description = "The zip or Blender file; by default at most 256 MiB"),
     params(IdempotencyKeyHeader),
     responses((status = 201, description = "The bundle", body = Bundle), Problems))]
 pub(crate) async fn upload(

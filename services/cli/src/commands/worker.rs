@@ -17,7 +17,7 @@ use forelight_terminal::atomic_file::write_secret;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::installed;
 use forelight_terminal::interrupt::Interrupt;
-use forelight_terminal::local::preview_choice;
+use forelight_terminal::local::{cores, preview_choice};
 use forelight_terminal::options::{PreviewBackend, duration};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{parse_bytes, parse_money};
@@ -192,10 +192,6 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
 pub async fn measured(folder: PathBuf, processor: Option<String>) -> Result<NodeCalibration> {
     let measure = move || calibrate::kept(&folder, processor.as_deref());
     tokio::task::spawn_blocking(measure).await.context("cannot measure this machine's speed")
-}
-
-fn cores() -> u32 {
-    std::thread::available_parallelism().map_or(1, |cores| u32::try_from(cores.get()).unwrap_or(1))
 }
 
 fn host_name() -> Result<String> {

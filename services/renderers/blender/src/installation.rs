@@ -1,6 +1,6 @@
 //! Finds Blender, and starts it.
 
-use crate::settings::schema;
+use crate::settings::SCHEMA;
 use crate::shot::BlenderShot;
 use forelight_renderer::door::{
     Capabilities, Capability, Limits, Renderer, RendererError, RendererId, Run, Shot,
@@ -27,6 +27,11 @@ pub(crate) const MESSAGES: &[Message] = &[
     ("calloc returns null", Meaning::OutOfMemory),
     ("system is out of gpu memory", Meaning::Gpu),
 ];
+
+/// Prints the version of the module, or says in one line that there is none.
+const FIND_MODULE: &str = "import importlib.util\n\
+    if importlib.util.find_spec('bpy') is None: raise SystemExit('it has no module bpy')\n\
+    import bpy; print('Blender', bpy.app.version_string)";
 
 /// How Blender is started.
 #[derive(Debug, Clone)]
@@ -94,12 +99,7 @@ impl How {
         let folder = tempfile::tempdir().map_err(RendererError::io("temporary folder"))?;
         let program = match self {
             Self::Program(path) => Program::new(path, folder.path()).args(["--background", "--version"]),
-            Self::Module(path) => Program::new(path, folder.path()).args([
-                "-I",
-                "-B",
-                "-c",
-                "import bpy; print('Blender', bpy.app.version_string)",
-            ]),
+            Self::Module(path) => Program::new(path, folder.path()).args(["-I", "-B", "-c", FIND_MODULE]),
         };
         let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
         let cancelled = AtomicBool::new(false);
@@ -136,7 +136,7 @@ impl Renderer for Cycles {
     }
 
     fn settings_schema(&self) -> Value {
-        schema()
+        SCHEMA.clone()
     }
 
     fn capabilities(&self) -> Capabilities {

@@ -2,10 +2,11 @@
 
 use forelight_renderer::door::Settings;
 use serde_json::{Value, json};
+use std::sync::LazyLock;
 
 /// The schema of the settings that other renderers do not have. Where neither file nor job says anything,
 /// Blender's own defaults hold.
-pub(crate) fn schema() -> Value {
+pub(crate) static SCHEMA: LazyLock<Value> = LazyLock::new(|| {
     json!({
         "type": "object",
         "additionalProperties": false,
@@ -26,12 +27,12 @@ pub(crate) fn schema() -> Value {
                 "description": "Render although files that the scene refers to are missing."},
         },
     })
-}
+});
 
 /// Whether a setting is on. Where it is not stated, its default in the schema holds.
 pub(crate) fn is_on(settings: &Settings, name: &str) -> bool {
     let stated = settings.own.get(name).and_then(Value::as_bool);
-    stated.or_else(|| schema()["properties"][name]["default"].as_bool()).unwrap_or(false)
+    stated.or_else(|| SCHEMA["properties"][name]["default"].as_bool()).unwrap_or(false)
 }
 
 /// Why shares of the samples do not add up to one render at these settings. `None` if they do.
@@ -59,7 +60,7 @@ mod tests {
             Settings { common, own: own.as_object().unwrap().clone() }
         };
         let plain = with(json!({"adaptive_sampling": false}));
-        assert_eq!(plain.check(&schema()), Ok(()));
+        assert_eq!(plain.check(&SCHEMA), Ok(()));
         assert_eq!(why_indivisible(&plain), None);
         assert!(why_indivisible(&with(json!({}))).is_some(), "Cycles samples adaptively by default");
         assert!(why_indivisible(&with(json!({"adaptive_sampling": false, "denoise": true}))).is_some());

@@ -3,7 +3,7 @@
 use crate::connection::Connection;
 use crate::image::{Image, Share, merge};
 use crate::installation::Cycles;
-use crate::settings::{is_on, schema, why_indivisible};
+use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_renderer::door::{
     Artefact, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
     PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot,
@@ -56,7 +56,7 @@ impl BlenderShot {
     }
 
     fn check(&self, settings: &Settings) -> Result<(), RendererError> {
-        settings.check(&schema())?;
+        settings.check(&SCHEMA)?;
         if is_on(settings, "allow_missing") { Ok(()) } else { self.description.require_assets() }
     }
 

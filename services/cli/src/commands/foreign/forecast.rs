@@ -8,7 +8,7 @@ use forelight_terminal::foreign::{Foreign, OwnSetting};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
-use forelight_terminal::quantities::{percent, seconds};
+use forelight_terminal::quantities::seconds;
 use forelight_terminal::table::{Align, Table};
 use std::path::Path;
 
@@ -75,13 +75,14 @@ fn report(quote: &ForecastDoc, renderer: &RendererId, settings: &Settings, sampl
     let plural = if frames == 1 { "" } else { "s" };
     let measured = match samples {
         0 => format!("measured parts of {frames} frame{plural}"),
+        1 => format!("measured 1 sample of {frames} frame{plural}"),
         _ => format!("measured {samples} samples of {frames} frame{plural}"),
     };
     format!(
         "{}\n{renderer}, {width} × {height}, {all} samples per pixel; {measured}.\n\
-         The quote took {} of CPU time, {} of the forecast. Its quantiles are not calibrated on past jobs.\n",
+         The quote took {} of CPU time, {:.1} % of the forecast. Its quantiles are not calibrated on past jobs.\n",
         table.render(),
         seconds(quote.spent.cpu_seconds),
-        percent(quote.spent.fraction_of_forecast),
+        quote.spent.fraction_of_forecast * 100.0,
     )
 }

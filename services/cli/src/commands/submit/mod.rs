@@ -14,9 +14,10 @@ use forelight_protocol::{
     BundleRef, CacheSharing, Confidence, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
     RenderSettingsRequest, RendererRequest, SceneSummary, Timestamp, Within,
 };
+use forelight_renderer::scene_name;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{
-    OwnSetting, is_foreign, own_setting, refuse_own_settings, shot_request, shot_settings,
+    OwnSetting, is_blend, is_foreign, own_setting, refuse_own_settings, shot_request,
 };
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
@@ -209,15 +210,21 @@ async fn foreign_request(
     key: Uuid,
     bars: &Bars,
 ) -> Result<JobRequest> {
-    shot_settings(&args.quality, &args.own)?;
-    let settings = shot_request(&args.quality, &args.own);
+    let settings = shot_request(&args.quality, &args.own)?;
+    let stays = args.shared && args.renderer.is_some();
+    if !is_blend(scene) && !stays {
+        let reason = format!("{}: this scene needs --shared and --renderer", scene.display());
+        let hint = "--shared leaves it on storage that all workers share; --renderer names the renderer, which a \
+                    worker's --command file describes";
+        return Err(BadInput::new(reason).hint(hint).into());
+    }
     let Some(frames) = args.frames.clone() else {
         let reason = "--frames: only its renderer knows the frames of this scene";
         return Err(BadInput::new(reason).hint("give them, such as --frames 1-250").into());
     };
     let renderer =
         args.renderer.clone().unwrap_or(RendererRequest { name: "cycles".to_owned(), version: None });
-    let name = scene.file_stem().unwrap_or(scene.as_os_str()).to_string_lossy().into_owned();
+    let name = scene_name(scene);
     let reference = if args.shared {
         on_shared_storage(scene)?
     } else {
