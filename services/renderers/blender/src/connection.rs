@@ -58,10 +58,11 @@ impl Connection {
             let path = folder.path().join(name);
             std::fs::write(&path, text).map_err(RendererError::io(&path))?;
         }
-        let program = cycles.program(&folder.path().join(SCRIPTS[0].0), folder.path());
+        let driver = folder.path().join(SCRIPTS[0].0);
+        let program = cycles.program(&driver, folder.path(), run.limits.threads);
         let session = Session::start(&program, MESSAGES, run)?;
         let mut connection = Self { scene, session, _folder: folder };
-        let question = json!({"do": "open", "scene": connection.scene});
+        let question = json!({"do": "open", "scene": connection.scene, "threads": run.limits.threads});
         let description = connection.ask(&question, run)?;
         Ok((connection, description))
     }

@@ -73,8 +73,8 @@ impl Cycles {
         })
     }
 
-    /// The program that runs a driver script.
-    pub(crate) fn program(&self, driver: &Path, folder: &Path) -> Program {
+    /// The program that runs a driver script. It will render with this many threads.
+    pub(crate) fn program(&self, driver: &Path, folder: &Path, threads: u32) -> Program {
         let (path, arguments): (_, &[&str]) = match &self.how {
             How::Program(path) => (
                 path,
@@ -90,7 +90,12 @@ impl Cycles {
             ),
             How::Module(path) => (path, &["-I", "-B"]),
         };
-        Program::new(path, folder).pass_on("LD_LIBRARY_PATH").args(arguments).arg(driver)
+        let program = Program::new(path, folder).pass_on("LD_LIBRARY_PATH");
+        let program = match &self.how {
+            How::Program(_) => program.arg("--threads").arg(threads.to_string()),
+            How::Module(_) => program,
+        };
+        program.args(arguments).arg(driver)
     }
 }
 

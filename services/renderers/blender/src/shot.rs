@@ -6,7 +6,7 @@ use crate::installation::Cycles;
 use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_renderer::door::{
     Artefact, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
-    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot,
+    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot, StratumCost,
 };
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -93,11 +93,12 @@ impl BlenderShot {
         }
         let path = run.scratch.join(format!("frame-{frame:04}-samples-{offset}-{count}.exr"));
         let Costs { cost, fixed, .. } = self.samples(frame, settings, Some((offset, count)), &path, run)?;
+        let image = Image::read(&path)?;
+        let strata = image.stratum_costs();
         // Nobody knows how long denoising and compositing take. Both are part of every share, like all that is
         // fixed, so that a line through two shares knows.
         let is_processed = is_on(settings, "denoise") || is_on(settings, "compositing");
-        let fixed = if is_processed { FixedCosts::new() } else { fixed };
-        let image = Image::read(&path)?;
+        let fixed = if is_processed { FixedCosts::new() } else { with_images(fixed, &cost, &strata) };
         let artefact = if why_indivisible(settings).is_none() {
             let renderer = self.cycles.id().clone();
             let part = Part::Samples { offset, count };
@@ -106,8 +107,7 @@ impl BlenderShot {
             std::fs::remove_file(&path).map_err(RendererError::io(&path))?;
             None
         };
-        let (strata, blocks) = (image.stratum_costs(), image.block_costs());
-        Ok(Measured { cost, fixed, pieces: Vec::new(), strata, blocks, artefact })
+        Ok(Measured { cost, fixed, pieces: Vec::new(), strata, blocks: image.block_costs(), artefact })
     }
 
     fn measure_regions(
@@ -172,10 +172,22 @@ fn question(name: &str, frame: i32, settings: &Settings, out: &Path, run: &Run<'
     json!({"do": name, "frame": frame, "settings": settings, "threads": run.limits.threads, "out": out})
 }
 
-/// The settings of a preview: smaller, if the image is large.
+/// Fixed costs with what images cost beside the light in their pixels: buffers, passes. Of a single sample
+/// that is one to two per cent. Pixels tell their time by the clock. It exceeds the CPU time on a busy machine,
+/// and nothing is known about the images then.
+fn with_images(mut fixed: FixedCosts, cost: &Cost, pixels: &[StratumCost]) -> FixedCosts {
+    let in_pixels: u64 = pixels.iter().map(|stratum| stratum.nanos).sum();
+    let known = in_pixels + fixed.values().sum::<u64>();
+    if in_pixels > 0 && known < cost.cpu_nanos {
+        fixed.insert("images".to_owned(), cost.cpu_nanos - known);
+    }
+    fixed
+}
+
+/// The settings of a preview: at most half as wide and high as the image.
 fn preview_settings(settings: &Settings) -> Settings {
     let mut small = settings.clone();
-    let scale = (PREVIEW_PIXELS as f64 / settings.pixels() as f64).sqrt().min(1.0);
+    let scale = (PREVIEW_PIXELS as f64 / settings.pixels() as f64).sqrt().min(0.5);
     for side in [&mut small.common.width, &mut small.common.height] {
         *side = ((f64::from(*side) * scale).round() as u32).max(1);
     }

@@ -49,10 +49,27 @@ class Refused(Exception):
         self.kind = kind
 
 
-def open_scene(scene):
-    import bpy
-    import forelight_describe
+def load_blender(threads):
+    """Imports Blender with as many threads in its pool as there will be to render with.
 
+    The pool (oneTBB) has a thread for every processor that the process may use when it starts. Threads beyond
+    those that render would wait in a busy loop: that doubled the CPU time of a render with one thread.
+    """
+    can_bind = hasattr(os, "sched_setaffinity")
+    allowed = sorted(os.sched_getaffinity(0)) if can_bind else []
+    if can_bind:
+        os.sched_setaffinity(0, allowed[:threads])
+    try:
+        import bpy
+        import forelight_describe
+    finally:
+        if can_bind:
+            os.sched_setaffinity(0, allowed)
+    return bpy, forelight_describe
+
+
+def open_scene(scene, threads):
+    bpy, forelight_describe = load_blender(threads)
     # Neither scripts nor Python drivers of the file are run, whatever its user chose once.
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:
