@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 
 use forelight_forecast::{
     Calibration, Corrections, FramePopulation, Measure, Quantity, SampleCost, SampledFrame,
-    SampledShotForecast, Strategy, Stratum, forecast_sampled_shot, shot_times,
+    SampledShotForecast, Strategy, Stratum, forecast_sampled_shot, shot_times, size_power, straightened,
 };
 use forelight_protocol::{
     FixedCosts, ForecastTotals, FrameForecast, MeasuredFrame, PreviewResult, Profiled, Quantiles,
-    RayQuantiles, Spent, at_speed_one,
+    RayQuantiles, Spent, Varied, at_speed_one,
 };
 
 use crate::error::QuoteError;
@@ -114,10 +114,6 @@ fn forecast(
         let is_known = times.iter().any(|&time| time > 0.0);
         inputs.push((frame, costs, if is_known { times } else { Vec::new() }));
     }
-    let sampled: Vec<SampledFrame<'_>> = inputs
-        .iter()
-        .map(|(frame, costs, times)| SampledFrame { frame: *frame, costs, stratum_times: times })
-        .collect();
     let whole = profiles.first().map_or(1, |profile| profile.result.whole);
     if let Some(other) = profiles.iter().find(|profile| profile.result.whole != whole) {
         return Err(QuoteError::Measured {
@@ -126,6 +122,15 @@ fn forecast(
             expected: whole,
         });
     }
+    if profiles.iter().all(|profile| profile.result.varied == Varied::Size) {
+        let costs: Vec<&[SampleCost]> = inputs.iter().map(|(_, costs, _)| costs.as_slice()).collect();
+        let power = size_power(&costs);
+        inputs.iter_mut().for_each(|(_, costs, _)| *costs = straightened(costs, whole, power));
+    }
+    let sampled: Vec<SampledFrame<'_>> = inputs
+        .iter()
+        .map(|(frame, costs, times)| SampledFrame { frame: *frame, costs, stratum_times: times })
+        .collect();
     forecast_sampled_shot(strata, frames, &sampled, whole, Calibration::NONE).map_err(QuoteError::Forecast)
 }
 

@@ -111,6 +111,11 @@ pub trait Shot: Send + Sync {
     /// What the renderer can do with this scene at these settings.
     fn capabilities(&self, settings: &Settings) -> Capabilities;
 
+    /// How names of its images end, without the dot.
+    fn image_extension(&self, _settings: &Settings) -> String {
+        "exr".to_owned()
+    }
+
     /// What every pixel of these frames shows, as counts, in the order of `frames`.
     ///
     /// # Errors

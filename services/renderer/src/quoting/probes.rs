@@ -10,9 +10,10 @@ const SHARE: u32 = 50;
 /// samples.
 const LARGER_SHARES: [u32; 2] = [16, 4];
 
-/// Divisors of width and height of the smaller images that are measured. The last one is measured only where
-/// fixed costs hide the cost of pixels.
+/// Divisors of width and height of the smaller images that are measured. The last one tells by which power of
+/// the pixels costs grow. It is measured in every fourth frame, and where fixed costs hide the cost of pixels.
 const SIZES: [u32; 3] = [8, 4, 2];
+const EVERY: u32 = 4;
 
 /// Divisors of width and height of the regions that are measured, and their number. The first is a single
 /// small one. The last are measured only where fixed costs hide the cost of pixels.
@@ -101,7 +102,13 @@ pub(super) fn probes(varied: Varied, can: &Capabilities, settings: &Settings, tu
                 }
                 let amount = u32::try_from(settings.pixels()).unwrap_or(u32::MAX);
                 let part = Part::Samples { offset: 0, count: samples };
-                Probe { settings, part, amount, pieces: 1, in_addition: index == SIZES.len() - 1 }
+                Probe {
+                    settings,
+                    part,
+                    amount,
+                    pieces: 1,
+                    in_addition: index == SIZES.len() - 1 && !turn.is_multiple_of(EVERY),
+                }
             };
             SIZES.into_iter().enumerate().map(smaller).collect()
         }

@@ -208,6 +208,12 @@ impl Shot for CommandShot {
         self.renderer.capabilities()
     }
 
+    fn image_extension(&self, settings: &Settings) -> String {
+        let piece = Piece { frame: 0, settings, samples: settings.common.samples, region: None };
+        let name = self.output(&piece, Path::new(""));
+        name.extension().map(|end| end.to_string_lossy().into_owned()).unwrap_or_default()
+    }
+
     /// The command does not say what a pixel shows, so all of the image is of one unknown stratum.
     fn preview(
         &self,

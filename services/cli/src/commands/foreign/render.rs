@@ -39,17 +39,11 @@ struct Stats<'a> {
 
 /// Renders the frame, and writes its image and cost.
 pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
-    if let Some(out) =
-        asked.out.filter(|out| !out.extension().is_some_and(|end| end.eq_ignore_ascii_case("exr")))
-    {
-        let reason =
-            format!("--out {}: the image of a .blend file is a multi-layer .exr file", out.display());
-        return Err(BadInput::new(reason).hint("name a file that ends in .exr").into());
-    }
     atomic_file::check([asked.out, asked.stats])?;
     let bars = Bars::new(asked.json);
     let foreign = Foreign::open(asked.scene, asked.machine, &bars, interrupt)?;
     let settings = foreign.settings(asked.quality, asked.own)?;
+    check_name(asked.out, &foreign.shot.image_extension(&settings))?;
     let frame = asked.frame.unwrap_or(foreign.description().frames.first);
     let bar = bars.bar("rendering", 1000);
     let progress = |share: f64| bar.set_position((share * 1000.0) as u64);
@@ -83,4 +77,16 @@ pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
         seconds(stats.cpu_seconds),
         seconds(fixed as f64 * 1e-9),
     ))
+}
+
+/// Refuses a name that says something else than the renderer's image is.
+fn check_name(out: Option<&Path>, extension: &str) -> Result<()> {
+    let fits = |out: &&Path| out.extension().is_some_and(|end| end.eq_ignore_ascii_case(extension));
+    match out {
+        Some(out) if !fits(&out) => {
+            let reason = format!("--out {}: the renderer writes .{extension} files", out.display());
+            Err(BadInput::new(reason).hint(format!("name a file that ends in .{extension}")).into())
+        }
+        _ => Ok(()),
+    }
 }
