@@ -21,6 +21,9 @@ else
   echo "note: not root and no sudo; please install: ${missing[*]}" >&2
   exit 0
 fi
+# Two scripts may want packages at the same time.
+exec 9<"$0"
+flock 9
 echo "installing ${missing[*]}"
 export DEBIAN_FRONTEND=noninteractive
 "${root[@]}" apt-get update -qq

@@ -26,6 +26,18 @@ touch "$FORELIGHT_NOT_RUN"
 
 step() { printf '\n== %s (%d s)\n' "$1" "$SECONDS"; }
 
+# run_peer SCRIPT: runs a test against another program, and prints its output at the end.
+run_peer() {
+  local name status=0 start=$SECONDS log
+  name=$(basename "$1" .sh) log=$work/$name.log
+  "$1" >"$log" 2>&1 || status=$?
+  flock "$work" bash -c 'printf "\n-- %s (%d s%s)\n" "$1" "$2" "$3"; cat "$4"' - "$name" \
+    $((SECONDS - start)) "$([ $status = 0 ] || echo ', FAILED')" "$log"
+  return $status
+}
+export -f run_peer
+export work
+
 # Lists the tests that were not run, whether the others passed or failed.
 finish() {
   local status=$?
@@ -57,10 +69,10 @@ tests/properties.sh
 if [ "${1:-}" != --quick ]; then
   FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/debug/forelight
   export FORELIGHT_BIN
-  for peer in tests/peers/*.sh; do
-    step "$(basename "$peer" .sh)"
-    "$peer"
-  done
+  step 'Other programs, two at a time'
+  # The longest first. Where one fails, the others still run.
+  printf '%s\n' tests/peers/{slurm,gltf,blender_farm}.sh tests/peers/*.sh | awk '!seen[$0]++' |
+    xargs -P 2 -I{} bash -c 'run_peer {}'
   step 'The main job'
   FORELIGHT_DATA=$work/data DEMO_FRAMES=0-11 DEMO_SIZE=96x54 deploy/demo.sh --once
 fi
