@@ -135,4 +135,22 @@ mod tests {
             assert!(name.starts_with("forelight_") && number.parse::<u64>().is_ok(), "{line}");
         }
     }
+    #[test]
+    fn the_grafana_dashboard_shows_metrics_that_exist() {
+        let text = Metrics::default().render(&DashboardCounts::default(), 0);
+        let dashboard: serde_json::Value =
+            serde_json::from_str(include_str!("../../../deploy/grafana.json")).unwrap();
+        let panels = dashboard["panels"].as_array().unwrap();
+        let targets = panels.iter().flat_map(|panel| panel["targets"].as_array().unwrap());
+        let mut asked = 0;
+        for query in targets.map(|target| target["expr"].as_str().unwrap()) {
+            for name in query.split(|c: char| c != '_' && !c.is_ascii_alphanumeric()) {
+                if name.starts_with("forelight_") {
+                    assert!(text.contains(&format!("# TYPE {name} ")), "{name}");
+                    asked += 1;
+                }
+            }
+        }
+        assert!(asked >= panels.len());
+    }
 }
