@@ -9,10 +9,12 @@ mod events;
 mod job_life;
 mod living_estimate;
 mod nodes;
+mod page;
 mod plans;
 mod renderers;
 mod requests;
 mod results;
+mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
 mod uploads;

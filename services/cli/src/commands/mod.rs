@@ -8,6 +8,7 @@ mod budget;
 mod cache;
 mod calibrate;
 mod cancel;
+mod dashboard;
 mod explain;
 mod export;
 mod farm;
@@ -66,6 +67,7 @@ enum Command {
     Status(status::Args),
     Jobs(jobs::Args),
     Cancel(cancel::Args),
+    Dashboard(dashboard::Args),
     Render(render::Args),
     Renderers(renderers::Args),
     Preview(preview::Args),
@@ -104,6 +106,7 @@ impl Cli {
             Command::Status(args) => status::run(args, interrupt).await,
             Command::Jobs(args) => jobs::run(args).await,
             Command::Cancel(args) => cancel::run(args).await,
+            Command::Dashboard(args) => dashboard::run(args).await,
             Command::Token(args) => token::run(args).await,
             Command::Node(args) => node::run(*args).await,
             Command::Ask(args) => ask::run(args).await,
