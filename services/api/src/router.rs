@@ -21,6 +21,7 @@ use utoipa_axum::routes;
 
 use crate::error::render_problems;
 use crate::openapi::frame;
+use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
     page, plans, projects, sessions, tasks,
@@ -40,7 +41,10 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(bundles::get))
         .routes(routes!(jobs::submit, jobs::list))
         .routes(routes!(jobs::check))
-        .routes(routes!(jobs::get))
+        .routes(routes!(jobs::get, changes::change))
+        .routes(routes!(changes::accept))
+        .routes(routes!(changes::retry_frames))
+        .routes(routes!(changes::cancel_frames))
         .routes(routes!(jobs::cancel))
         .routes(routes!(events::of_job))
         .routes(routes!(forecasts::of_job))
@@ -58,6 +62,7 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(answers::price_curve))
         .routes(routes!(plans::list))
         .routes(routes!(plans::get))
+        .routes(routes!(answers::plan_what_if))
         .routes(routes!(plans::changed))
         .routes(routes!(plans::bookings))
         .routes(routes!(nodes::register, nodes::list))

@@ -59,7 +59,7 @@ pub use accuracy::{
 };
 pub use answers::{
     AnswersDoc, BudgetAnswer, MovedJob, OutlookLine, PlanChange, PlanEffect, PriceOffer, ProjectList,
-    ProjectRequest, ProjectShare, Promise, QualityOffer, WaitKind, Waits,
+    ProjectRequest, ProjectShare, Promise, QualityOffer, WaitKind, Waits, WhatIf, WhatIfRequest,
 };
 pub use artifact::ArtifactStored;
 pub use budget::{
@@ -90,8 +90,8 @@ pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId};
 pub use job::{
-    FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, Job, JobCheck, JobPage,
-    JobRequest, Per, Within,
+    AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, FramesRequest,
+    Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
 };
 pub use job_state::JobState;
 pub use lease::{

@@ -1,5 +1,6 @@
 //! Jobs.
 
+pub(crate) mod changes;
 mod request_checks;
 
 use axum::Json;

@@ -3,6 +3,7 @@
 mod accuracy;
 mod budgets;
 mod calibration;
+mod changes;
 mod cost_limits;
 mod document;
 mod events;

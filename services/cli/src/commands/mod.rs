@@ -1,5 +1,6 @@
 //! The commands, one file each.
 
+mod accept;
 mod accuracy;
 mod allot;
 mod ask;
@@ -64,6 +65,7 @@ enum Command {
     Serve(serve::Args),
     Worker(worker::Args),
     Submit(submit::Args),
+    Accept(accept::Args),
     Status(status::Args),
     Jobs(jobs::Args),
     Cancel(cancel::Args),
@@ -105,6 +107,7 @@ impl Cli {
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Status(args) => status::run(args, interrupt).await,
             Command::Jobs(args) => jobs::run(args).await,
+            Command::Accept(args) => accept::run(args).await,
             Command::Cancel(args) => cancel::run(args).await,
             Command::Dashboard(args) => dashboard::run(args).await,
             Command::Token(args) => token::run(args).await,
@@ -201,6 +204,7 @@ mod tests {
             ("forelight backup --data d", "--to"),
             ("forelight status kitchen --interval 0s", "--interval"),
             ("forelight jobs --state sleeping", "--state"),
+            ("forelight accept j --confidence p99", "--confidence"),
             ("forelight jobs --most 0", "--most"),
             ("forelight simulate --nodes 3", "--nodes"),
             ("forelight simulate --confidence 90", "--confidence"),
