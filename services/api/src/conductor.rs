@@ -3,6 +3,7 @@
 //! ```text
 //! previewing ──preview is there──► choose frames; make profile tasks, plan a shared cache ──► profiling
 //! profiling  ──all are there──► estimate, plan, verify, book; make render and cache tasks ──► booked
+//! profiling  ──all are there, the job is on hold──► estimate ──► quoted ──accepted──► plan, verify, book
 //! ```
 //!
 //! The store makes the other steps: the first task handed out makes a job `rendering`, the last result
@@ -14,13 +15,14 @@
 //! There is one conductor and it does one thing at a time, so plans never compete.
 
 pub(crate) mod answers;
-mod book;
+pub(crate) mod book;
 pub(crate) mod effects;
 pub(crate) mod farm;
 pub(crate) mod job_profile;
 mod qualities;
 mod replan;
 pub(crate) mod settle;
+pub(crate) mod what_if;
 
 use parking_lot::Mutex;
 use std::collections::BTreeSet;
@@ -33,11 +35,12 @@ use forelight_protocol::{
     Timestamp, Within,
 };
 use forelight_quote::{
-    Limit, Measured, MeasuredProfile, Most, Quote, QuoteBasis, QuoteError, QuoteKind, frames_to_profile,
-    is_shared_cache_worth_planning, quote, quote_sampled,
+    Limit, Measured, MeasuredProfile, Most, Quote, QuoteBasis, QuoteError, QuoteKind, SharedCacheToBuild,
+    Spreads, frames_to_profile, is_shared_cache_worth_planning, quote, quote_sampled,
 };
 use forelight_store::{PlannedCache, Store, StoreError};
 
+use self::job_profile::JobProfile;
 use crate::clock::Clock;
 use crate::metrics::Metrics;
 
@@ -111,7 +114,9 @@ impl Conductor {
         match job.state {
             JobState::Previewing => self.choose(&job).await,
             JobState::Profiling => self.forecast_and_book(&job).await,
-            JobState::Booked
+            JobState::Quoted if !job.hold => self.book_accepted(&job).await,
+            JobState::Quoted
+            | JobState::Booked
             | JobState::Rendering
             | JobState::Done
             | JobState::Failed
@@ -193,7 +198,30 @@ impl Conductor {
         }
     }
 
-    /// Books the job. Tries again if another plan comes first.
+    /// Books a job whose quote was accepted. The quote stays as it is.
+    async fn book_accepted(&self, job: &Job) -> Result<(), AdvanceError> {
+        let Some((kept, frames)) = self.store.kept_quote(job.id).await? else { return Ok(()) };
+        let shares = kept.cache.as_ref().is_some_and(|cache| cache.shared_cache.is_some());
+        let planned = self.store.planned_cache(job.id).await?;
+        let shared_cache = planned.plan().filter(|_| shares).and_then(|shared| {
+            let plan = shared.plan;
+            let records = plan.records.iter().map(|&count| u64::from(count)).sum();
+            Some(SharedCacheToBuild { cache: plan.cache?, bytes: plan.bytes, records })
+        });
+        let measured = match job.within {
+            Some(_) => None,
+            None => JobProfile::read(&self.store, job).await?,
+        };
+        let rungs = match measured {
+            Some(measured) => measured.rungs().await?,
+            None => Vec::new(),
+        };
+        let unknown = Spreads { work: 0.0, cpu: 0.0 };
+        let quote = Quote { job: kept, frames, spreads: (unknown, Vec::new()), shared_cache };
+        self.book_at_last(job, &quote, None, &rungs).await
+    }
+
+    /// Books the job, or keeps the quote of a job on hold. Tries again if another plan comes first.
     async fn book_at_last(
         &self,
         job: &Job,
@@ -201,12 +229,16 @@ impl Conductor {
         basis: Option<&QuoteBasis>,
         rungs: &[AccuracyRung],
     ) -> Result<(), AdvanceError> {
+        if job.hold {
+            return self.keep_quote(job, quote, basis).await;
+        }
         for _ in 0..ATTEMPTS {
             match self.book(job, quote, basis, rungs).await {
                 // Overtaken by another plan or a cancellation: look again.
                 Err(AdvanceError::Store(StoreError::Conflict(reason))) => {
                     tracing::info!(job = %job.id, reason, "the plan is made again");
-                    if self.store.job(job.id).await?.state != JobState::Profiling {
+                    let state = self.store.job(job.id).await?.state;
+                    if !matches!(state, JobState::Profiling | JobState::Quoted) {
                         return Ok(());
                     }
                 }

@@ -22,6 +22,11 @@ pub struct Config {
     pub listen: SocketAddr,
     /// How long a lease lasts without renewal. Default 30 s.
     pub lease_ttl: Duration,
+    /// Origin at which people reach the service, such as `https://farm.example.org`, without a path. With
+    /// `https`, browsers send the cookies of sessions over TLS only. Default: none.
+    pub public_origin: Option<String>,
+    /// How long people stay signed in. Default 7 days.
+    pub session_lifetime: Duration,
     /// Folders on shared storage under which jobs may name bundles by path. Default none.
     pub bundle_roots: Vec<PathBuf>,
     /// Limits on what clients send.
@@ -39,6 +44,8 @@ impl Config {
             artifacts_moved: false,
             listen: SocketAddr::from(([127, 0, 0, 1], 7878)),
             lease_ttl: Duration::from_secs(30),
+            public_origin: None,
+            session_lifetime: Duration::from_secs(7 * 86_400),
             bundle_roots: Vec::new(),
             limits: Limits::default(),
             clock: Arc::new(SystemClock::default()),

@@ -6,12 +6,17 @@
 use std::time::Duration;
 
 use axum::Router;
+use hyper::Request;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper_util::rt::TokioIo;
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
+use tower::ServiceExt as _;
+
+use crate::extract::PeerAddress;
 
 /// Most bytes of a request's head, and of read-ahead into a body.
 const BUFFER: usize = 64 << 10;
@@ -28,8 +33,9 @@ pub(crate) async fn serve(listener: TcpListener, router: Router, stopping: Cance
             accepted = listener.accept() => accepted,
         };
         match accepted {
-            Ok((stream, _)) => {
-                drop(connections.spawn(Box::pin(answer(stream, router.clone(), stopping.clone()))))
+            Ok((stream, peer)) => {
+                let peer = PeerAddress(peer.ip());
+                drop(connections.spawn(Box::pin(answer(stream, peer, router.clone(), stopping.clone()))))
             }
             Err(error) if is_of_one_connection(&error) => {}
             Err(error) => {
@@ -43,11 +49,15 @@ pub(crate) async fn serve(listener: TcpListener, router: Router, stopping: Cance
     connections.wait().await;
 }
 
-async fn answer(stream: TcpStream, router: Router, stopping: CancellationToken) {
+async fn answer(stream: TcpStream, peer: PeerAddress, router: Router, stopping: CancellationToken) {
     // An answer is one write, so there is nothing to wait for.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%error, "TCP_NODELAY could not be set; answers may be a little late");
     }
+    let router = router.map_request(move |mut request: Request<Incoming>| {
+        request.extensions_mut().insert(peer);
+        request
+    });
     let mut connection = std::pin::pin!(
         http1::Builder::new()
             .max_buf_size(BUFFER)

@@ -14,6 +14,7 @@ mod clock;
 mod conductor;
 mod config;
 mod connections;
+mod cookies;
 mod disk_space;
 mod error;
 mod extract;
@@ -26,6 +27,7 @@ mod resources;
 mod router;
 mod schema;
 mod service;
+mod sign_in;
 mod state;
 
 pub use budget_forecast::{BudgetForecastError, budget_forecast};

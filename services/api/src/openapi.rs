@@ -1,6 +1,6 @@
 //! The OpenAPI document without its operations, which `router` adds.
 
-use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
+use utoipa::openapi::security::{ApiKey, ApiKeyValue, Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, SecurityRequirement};
 use utoipa::{PartialSchema, ToSchema};
 
@@ -15,13 +15,20 @@ pub(crate) fn frame() -> OpenApi {
             .to_owned(),
     );
     let bearer = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));
+    let cookie = ApiKey::Cookie(ApiKeyValue::with_description(
+        "forelight_session",
+        "The cookie of a session. Requests that change something must come from a page of the same origin.",
+    ));
     let components = ComponentsBuilder::new()
         .security_scheme("bearer", bearer)
+        .security_scheme("session", SecurityScheme::ApiKey(cookie))
         .schema(forelight_protocol::Problem::name(), forelight_protocol::Problem::schema())
         .build();
     OpenApiBuilder::new()
         .info(info)
         .components(Some(components))
-        .security(Some([SecurityRequirement::new("bearer", Vec::<String>::new())]))
+        .security(Some(
+            ["bearer", "session"].map(|name| SecurityRequirement::new(name, Vec::<String>::new())),
+        ))
         .build()
 }

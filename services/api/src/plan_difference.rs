@@ -162,7 +162,8 @@ fn words(difference: &PlanDifference) -> Vec<String> {
     words
 }
 
-fn of_job(change: &VerdictChange) -> Option<String> {
+/// What a plan changes for a job, as one line. `None` if nothing that counts.
+pub(crate) fn of_job(change: &VerdictChange) -> Option<String> {
     let end = |verdict: &JobVerdict| verdict.finish.map_or("never".to_owned(), |finish| finish.to_string());
     let Some(before) = &change.before else {
         return Some(format!("{} ends {}", change.name, end(&change.after)));

@@ -3,11 +3,15 @@
 use std::time::Duration;
 
 use axum::extract::{Request, State};
-use axum::http::StatusCode;
+use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
+use axum::http::{Extensions, HeaderMap, HeaderValue, StatusCode, Version};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::classify::ServerErrorsFailureClass;
+use tower_http::compression::CompressionLayer;
+use tower_http::compression::predicate::{Predicate as _, SizeAbove};
+use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use tower_http::trace::TraceLayer;
 use tracing::Span;
@@ -17,9 +21,10 @@ use utoipa_axum::routes;
 
 use crate::error::render_problems;
 use crate::openapi::frame;
+use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
-    plans, projects, tasks,
+    page, plans, projects, sessions, tasks,
 };
 use crate::state::App;
 
@@ -28,11 +33,18 @@ const BODY_SILENCE: Duration = Duration::from_secs(60);
 
 fn routes() -> (axum::Router<App>, OpenApi) {
     OpenApiRouter::with_openapi(frame())
+        .routes(routes!(sessions::create_code))
+        .routes(routes!(sessions::begin, sessions::list))
+        .routes(routes!(sessions::current, sessions::end_current))
+        .routes(routes!(sessions::end))
         .routes(routes!(bundles::upload))
         .routes(routes!(bundles::get))
         .routes(routes!(jobs::submit, jobs::list))
         .routes(routes!(jobs::check))
-        .routes(routes!(jobs::get))
+        .routes(routes!(jobs::get, changes::change))
+        .routes(routes!(changes::accept))
+        .routes(routes!(changes::retry_frames))
+        .routes(routes!(changes::cancel_frames))
         .routes(routes!(jobs::cancel))
         .routes(routes!(events::of_job))
         .routes(routes!(forecasts::of_job))
@@ -50,6 +62,7 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(answers::price_curve))
         .routes(routes!(plans::list))
         .routes(routes!(plans::get))
+        .routes(routes!(answers::plan_what_if))
         .routes(routes!(plans::changed))
         .routes(routes!(plans::bookings))
         .routes(routes!(nodes::register, nodes::list))
@@ -85,18 +98,39 @@ pub fn openapi_yaml() -> String {
     document.to_yaml().unwrap_or_default()
 }
 
-/// The axum router. Layers from the outside in: log line, counter, form of errors, panics, bodies.
+/// The axum router. Layers from the outside in: log line, counter, compression, form of errors, panics, bodies.
 pub(crate) fn router(app: App) -> axum::Router {
     let (routes, _) = routes();
     routes
-        .fallback(async || StatusCode::NOT_FOUND)
+        .fallback(page::serve)
         .method_not_allowed_fallback(async || StatusCode::METHOD_NOT_ALLOWED)
         .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
         .layer(CatchPanicLayer::custom(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response()))
         .layer(from_fn(render_problems))
+        .layer(CompressionLayer::new().compress_when(SizeAbove::new(WORTH_COMPRESSING).and(is_text)))
+        .layer(SetResponseHeaderLayer::overriding(
+            X_CONTENT_TYPE_OPTIONS,
+            HeaderValue::from_static("nosniff"),
+        ))
         .layer(from_fn_with_state(app.clone(), count))
         .layer(TraceLayer::new_for_http().on_failure(tell_failure))
         .with_state(app)
+}
+
+/// Shorter answers are sent as they are: gzip has a header of its own.
+const WORTH_COMPRESSING: u64 = 1 << 10;
+
+/// Whether an answer is text. Images and artefacts are compressed by themselves. A compressed stream of
+/// events would be held back until there is enough of it.
+fn is_text(status: StatusCode, _: Version, headers: &HeaderMap, _: &Extensions) -> bool {
+    let media_type = headers.get(CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let media_type = media_type.split(';').next().unwrap_or_default().trim();
+    let is_text = match media_type {
+        "text/event-stream" => false,
+        "application/json" | "application/problem+json" | "application/yaml" | "image/svg+xml" => true,
+        other => other.starts_with("text/"),
+    };
+    status != StatusCode::NOT_MODIFIED && is_text
 }
 
 /// Logs a failure. Refusals for lack of disk space repeat, so they are logged at debug level.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use forelight_store::{Store, StoreError};
 use tokio::net::TcpListener;
-use tokio::sync::{Semaphore, mpsc};
+use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
@@ -56,8 +56,18 @@ pub struct Service {
 impl Service {
     /// Opens the data folder, resumes earlier work, and serves. The service is reachable when this returns.
     pub async fn start(config: Config) -> Result<Self, ServiceError> {
-        let Config { data_dir, artifacts, artifacts_moved, listen, lease_ttl, bundle_roots, limits, clock } =
-            config;
+        let Config {
+            data_dir,
+            artifacts,
+            artifacts_moved,
+            listen,
+            lease_ttl,
+            public_origin,
+            session_lifetime,
+            bundle_roots,
+            limits,
+            clock,
+        } = config;
         let roots = bundle_roots
             .into_iter()
             .map(|root| {
@@ -82,6 +92,10 @@ impl Service {
             store: store.clone(),
             clock: clock.clone(),
             lease_ttl,
+            public_origin: public_origin.map(Into::into),
+            session_lifetime,
+            sign_ins: Arc::default(),
+            sessions_ended: Arc::new(watch::Sender::new(0)),
             bundle_roots: roots,
             checks: Arc::new(Semaphore::new(limits.checks_at_once.max(1))),
             limits: Arc::new(limits),

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use forelight_protocol::{JobId, ProblemKind, Timestamp};
 use forelight_store::{IdempotencyKey, Store};
-use tokio::sync::{Semaphore, mpsc};
+use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::answer_cache::AnswerCache;
@@ -14,6 +14,7 @@ use crate::clock::Clock;
 use crate::config::Limits;
 use crate::error::ApiError;
 use crate::metrics::Metrics;
+use crate::sign_in::SignIns;
 
 /// State shared by all handlers. Cheap to clone.
 #[derive(Clone)]
@@ -21,6 +22,12 @@ pub(crate) struct App {
     pub store: Store,
     pub clock: Arc<dyn Clock>,
     pub lease_ttl: Duration,
+    /// See [`crate::Config::public_origin`].
+    pub public_origin: Option<Arc<str>>,
+    pub session_lifetime: Duration,
+    pub sign_ins: Arc<SignIns>,
+    /// Changes whenever a session ends before its time.
+    pub sessions_ended: Arc<watch::Sender<u64>>,
     /// Canonical paths of the bundle roots.
     pub bundle_roots: Arc<[PathBuf]>,
     pub limits: Arc<Limits>,
@@ -40,6 +47,16 @@ pub(crate) struct App {
 impl App {
     pub fn now(&self) -> Timestamp {
         self.clock.now()
+    }
+
+    /// Whether people reach the service over TLS.
+    pub fn is_over_tls(&self) -> bool {
+        self.public_origin.as_ref().is_some_and(|origin| origin.starts_with("https://"))
+    }
+
+    /// Makes the streams of events look whether their sessions go on.
+    pub fn tell_session_ended(&self) {
+        self.sessions_ended.send_modify(|version| *version = version.wrapping_add(1));
     }
 }
 

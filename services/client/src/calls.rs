@@ -6,6 +6,7 @@ mod farm;
 mod jobs;
 mod leases;
 mod nodes;
+mod sessions;
 
 pub use events::EventStream;
 pub use jobs::FramePicture;

@@ -90,6 +90,25 @@ pub struct PlanEffect {
     pub moved: Vec<MovedJob>,
 }
 
+/// Asks what a change would do to the plan. Nothing is stored.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WhatIfRequest {
+    /// The change.
+    pub change: PlanChange,
+    /// The job in question, whose finish the answer gives.
+    pub job_id: JobId,
+}
+
+/// What a change would do to the plan.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct WhatIf {
+    /// The effect on the job in question, on others and on the cost.
+    pub effect: PlanEffect,
+    /// The difference between the plans, one line per statement.
+    pub words: Vec<String>,
+}
+
 /// The state of a promise: a deadline that a plan said it keeps, at the job's confidence.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Promise {

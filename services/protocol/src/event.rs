@@ -13,6 +13,8 @@ pub enum EventKind {
     JobCreated,
     /// A job changed its state.
     JobState,
+    /// A job's deadline, budget or confidence was changed, or frames of it are rendered again or cancelled.
+    JobChanged,
     /// A job's quote is complete.
     ForecastReady,
     /// A job's live estimate exceeds what is booked: `off_forecast` has the numbers.
@@ -62,6 +64,7 @@ impl EventKind {
         match self {
             EventKind::JobCreated => "job_created",
             EventKind::JobState => "job_state",
+            EventKind::JobChanged => "job_changed",
             EventKind::ForecastReady => "forecast_ready",
             EventKind::JobOffForecast => "job_off_forecast",
             EventKind::JobOnForecast => "job_on_forecast",

@@ -72,6 +72,10 @@ id!(
     /// Id of a booking: a node that is reserved for a frame for a period of time.
     BookingId
 );
+id!(
+    /// Id of a session: a person who has signed in with a browser.
+    SessionId
+);
 
 /// Position of an event in the farm's order of events. Later events have greater numbers, with possible gaps.
 pub type EventId = i64;

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::node::given;
 use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobSettings, JobState,
     JobVerdict, Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles,
@@ -72,6 +73,55 @@ pub struct JobRequest {
     /// Limits on what a task of the job may use.
     #[serde(default, skip_serializing_if = "TaskLimits::are_none")]
     pub limits: TaskLimits,
+    /// Whether to wait with the complete quote until somebody accepts it. Nothing is booked before.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub hold: bool,
+}
+
+/// Accepts the quote of a job on hold. What is left out stays as it was submitted.
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AcceptRequest {
+    /// When all frames must be finished.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deadline: Option<Timestamp>,
+    /// Largest cost of the job, in micro-units.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Money>,
+    /// Probability with which the plan must keep deadline and budget.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub confidence: Option<Confidence>,
+}
+
+/// A change to the terms of a job. Absent fields stay; `null` removes a deadline or a budget.
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JobChange {
+    /// When all frames must be finished. `null`: no deadline.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
+    #[schema(value_type = Option<Timestamp>)]
+    pub deadline: Option<Option<Timestamp>>,
+    /// Largest cost of the job, in micro-units. `null`: no limit.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
+    #[schema(value_type = Option<Money>)]
+    pub budget: Option<Option<Money>>,
+    /// Probability with which the plan must keep deadline and budget.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub confidence: Option<Confidence>,
+}
+
+impl From<AcceptRequest> for JobChange {
+    fn from(AcceptRequest { deadline, budget, confidence }: AcceptRequest) -> Self {
+        Self { deadline: deadline.map(Some), budget: budget.map(Some), confidence }
+    }
+}
+
+/// Some frames of a job.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FramesRequest {
+    /// The frames, all of them the job's.
+    pub frames: FrameSet,
 }
 
 /// A limit on the cost of frames. Exactly one of `cpu_micros` and `money` must be given.
@@ -108,6 +158,10 @@ fn default_project() -> String {
 
 fn default_samples() -> u32 {
     256
+}
+
+fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 fn default_weight() -> u32 {
@@ -172,6 +226,9 @@ pub struct Job {
     pub frames_total: u32,
     /// Number of finished frames.
     pub frames_done: u32,
+    /// Number of frames that were cancelled one by one. The job is done without them.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub frames_cancelled: u32,
     /// Share of the forecast work that is done, 0 to 1. Without a forecast, the share of the frames.
     pub progress: f64,
     /// Whether deadline and budget can be kept, by the newest plan. Absent until the job is booked.
@@ -192,6 +249,9 @@ pub struct Job {
     /// The live estimate, updated by finished frames. Absent until the job is booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub live: Option<LiveForecast>,
+    /// Whether the job waits to be accepted once its quote is complete.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub hold: bool,
     /// Why the job failed. Absent if it did not.
     pub error: Option<String>,
     /// When it was submitted.

@@ -13,6 +13,8 @@ pub enum JobState {
     Previewing,
     /// Some frames are being profiled.
     Profiling,
+    /// The quote is complete. Nothing is booked: the job waits to be accepted.
+    Quoted,
     /// The quote is complete, and nodes are booked.
     Booked,
     /// A worker has started a frame, or a part of a shared irradiance cache.
@@ -27,9 +29,10 @@ pub enum JobState {
 
 impl JobState {
     /// All states, in the order of a job's life.
-    pub const ALL: [JobState; 7] = [
+    pub const ALL: [JobState; 8] = [
         JobState::Previewing,
         JobState::Profiling,
+        JobState::Quoted,
         JobState::Booked,
         JobState::Rendering,
         JobState::Done,
@@ -42,6 +45,7 @@ impl JobState {
         match self {
             JobState::Previewing => "previewing",
             JobState::Profiling => "profiling",
+            JobState::Quoted => "quoted",
             JobState::Booked => "booked",
             JobState::Rendering => "rendering",
             JobState::Done => "done",

@@ -45,6 +45,7 @@ mod quantiles;
 mod renderer;
 mod result;
 mod role;
+mod session;
 mod settings;
 mod spent;
 mod stats;
@@ -58,7 +59,7 @@ pub use accuracy::{
 };
 pub use answers::{
     AnswersDoc, BudgetAnswer, MovedJob, OutlookLine, PlanChange, PlanEffect, PriceOffer, ProjectList,
-    ProjectRequest, ProjectShare, Promise, QualityOffer, WaitKind, Waits,
+    ProjectRequest, ProjectShare, Promise, QualityOffer, WaitKind, Waits, WhatIf, WhatIfRequest,
 };
 pub use artifact::ArtifactStored;
 pub use budget::{
@@ -87,10 +88,10 @@ pub use forecast::{
 };
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
-pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, TaskId};
+pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId};
 pub use job::{
-    FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, Job, JobCheck, JobPage,
-    JobRequest, Per, Within,
+    AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, FramesRequest,
+    Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
 };
 pub use job_state::JobState;
 pub use lease::{
@@ -124,6 +125,7 @@ pub use result::{
     RenderResult, SampleCost, StratumTime, TaskResult, Varied,
 };
 pub use role::{Role, UnknownRole};
+pub use session::{Session, SessionCode, SessionPage, SessionRequest};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use spent::{Spent, at_speed_one};
 pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, RenderStats, WithinStats};

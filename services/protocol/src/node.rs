@@ -184,7 +184,7 @@ pub struct NodeChange {
 }
 
 /// Distinguishes `null` (`Some(None)`) from a field that is left out (`None`, the default).
-fn given<'de, T: Deserialize<'de>, D: Deserializer<'de>>(
+pub(crate) fn given<'de, T: Deserialize<'de>, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<Option<T>>, D::Error> {
     Option::deserialize(deserializer).map(Some)

@@ -10,10 +10,12 @@ use utoipa::ToSchema;
 pub enum ProblemKind {
     /// 400: the request is not valid HTTP, JSON or UTF-8.
     Malformed,
-    /// 401: no token, or an unknown one.
+    /// 401: no token or session, or an unknown one.
     Unauthenticated,
     /// 403: the token's role does not allow this.
     Forbidden,
+    /// 403: a page of another site made the request, with the cookie of a session.
+    CrossSite,
     /// 404: the resource does not exist.
     NotFound,
     /// 405: the resource exists, but does not support the method.
@@ -40,6 +42,8 @@ pub enum ProblemKind {
     MissingArtifact,
     /// 422: the idempotency key was used for a different request.
     IdempotencyKeyReused,
+    /// 429: too many requests of this kind. `Retry-After` says when to try again.
+    TooManyRequests,
     /// 500: an error in the service.
     Internal,
     /// 503: too busy. `Retry-After` says when to try again.
@@ -50,10 +54,11 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// All kinds.
-    pub const ALL: [ProblemKind; 19] = [
+    pub const ALL: [ProblemKind; 21] = [
         ProblemKind::Malformed,
         ProblemKind::Unauthenticated,
         ProblemKind::Forbidden,
+        ProblemKind::CrossSite,
         ProblemKind::NotFound,
         ProblemKind::MethodNotAllowed,
         ProblemKind::Conflict,
@@ -67,6 +72,7 @@ impl ProblemKind {
         ProblemKind::HashMismatch,
         ProblemKind::MissingArtifact,
         ProblemKind::IdempotencyKeyReused,
+        ProblemKind::TooManyRequests,
         ProblemKind::Internal,
         ProblemKind::Busy,
         ProblemKind::StorageFull,
@@ -96,8 +102,9 @@ impl ProblemKind {
     const fn facts(self) -> (&'static str, u16, &'static str) {
         match self {
             ProblemKind::Malformed => ("malformed", 400, "The request cannot be read"),
-            ProblemKind::Unauthenticated => ("unauthenticated", 401, "A valid bearer token is needed"),
+            ProblemKind::Unauthenticated => ("unauthenticated", 401, "A valid token or session is needed"),
             ProblemKind::Forbidden => ("forbidden", 403, "The token's role does not allow this"),
+            ProblemKind::CrossSite => ("cross-site", 403, "The request comes from another site"),
             ProblemKind::NotFound => ("not-found", 404, "Not found"),
             ProblemKind::MethodNotAllowed => ("method-not-allowed", 405, "The method is not allowed here"),
             ProblemKind::Conflict => ("conflict", 409, "The state of the resource does not allow this"),
@@ -121,6 +128,7 @@ impl ProblemKind {
             ProblemKind::IdempotencyKeyReused => {
                 ("idempotency-key-reused", 422, "The idempotency key was used for a different request")
             }
+            ProblemKind::TooManyRequests => ("too-many-requests", 429, "There were too many requests"),
             ProblemKind::Internal => ("internal", 500, "The service failed"),
             ProblemKind::Busy => ("busy", 503, "The service is busy"),
             ProblemKind::StorageFull => ("storage-full", 507, "The storage is full"),

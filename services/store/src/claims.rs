@@ -186,7 +186,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         lease.expires_at.micros()
     );
     if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
-        later!(write, "UPDATE jobs SET state = 'rendering' WHERE id = ?", job_id.0);
+        later!(write, "UPDATE jobs SET stage = 'rendering' WHERE id = ?", job_id.0);
         job_state(write, job_id, JobState::Rendering, None, now);
     }
     let leased = Event {

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 
 use forelight_protocol::{
     ArtifactHash, BookingId, BudgetForecast, BundleId, JobId, JobState, LeaseId, LogLevel, NodeId, PlanId,
-    SceneSummary, TaskId, TaskKind, TaskSpec, Timestamp,
+    SceneSummary, SessionId, TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -113,7 +113,7 @@ macro_rules! from_id {
         })*
     };
 }
-from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, TaskId);
+from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId);
 
 macro_rules! from_column {
     ($($column:ident<$name:ty>),* $(,)?) => {

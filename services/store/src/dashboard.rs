@@ -8,7 +8,7 @@ use forelight_protocol::{
 };
 use sqlx::SqliteConnection;
 
-use crate::columns::Unread;
+use crate::columns::{Unread, Word};
 use crate::database::Store;
 use crate::error::Result;
 use crate::events;
@@ -62,9 +62,11 @@ impl Store {
 
 async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> Result<DashboardCounts> {
     let mut counts = DashboardCounts::default();
-    for row in sqlx::query!("SELECT state, count(*) AS \"number!: u64\" FROM jobs GROUP BY state")
-        .fetch_all(&mut *connection)
-        .await?
+    for row in sqlx::query!(
+        r#"SELECT state AS "state!: Word<JobState>", count(*) AS "number!: u64" FROM jobs GROUP BY state"#
+    )
+    .fetch_all(&mut *connection)
+    .await?
     {
         let number = row.number;
         match row.state.0 {

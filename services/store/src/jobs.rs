@@ -1,10 +1,12 @@
 //! Reading jobs.
 
+pub(crate) mod changing;
 pub(crate) mod ending;
 pub(crate) mod frames;
 pub(crate) mod open_jobs;
 pub(crate) mod outlooks;
 pub(crate) mod progress;
+pub(crate) mod retrying;
 pub(crate) mod submitting;
 
 use forelight_protocol::{
@@ -62,6 +64,9 @@ pub(crate) struct JobRow {
     pub verdict: Option<Json<JobVerdict>>,
     pub outlook: Json<JobOutlook>,
     pub factor: f64,
+    pub hold: bool,
+    pub terms: i64,
+    pub terms_planned: i64,
     pub error: Option<String>,
     pub created_at: Time,
     pub finished_at: Option<Time>,
@@ -75,7 +80,7 @@ macro_rules! job_rows {
             "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
              frames_total, renderer, settings, samples, profile_frames, profiles_more, ladders, cache, within, limits, \
              deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
-             error, created_at, finished_at FROM jobs "
+             hold, terms, terms_planned, error, created_at, finished_at FROM jobs "
                 + $rest
             $(, $value)*
         )
@@ -111,12 +116,16 @@ impl Store {
         Ok(jobs)
     }
 
-    /// The jobs that the service itself may have to move on: those before `booked`, oldest first.
+    /// The jobs that the service itself may have to move on, oldest first: those before `booked`, except those
+    /// that wait to be accepted.
     pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>> {
         let ids =
-            sqlx::query_scalar!("SELECT id FROM jobs WHERE state IN ('previewing', 'profiling') ORDER BY id")
-                .fetch_all(self.readers())
-                .await?;
+            sqlx::query_scalar!(
+            "SELECT id FROM jobs WHERE state IN ('previewing', 'profiling') OR (state = 'quoted' AND hold = 0) \
+             ORDER BY id"
+        )
+        .fetch_all(self.readers())
+        .await?;
         Ok(ids.into_iter().map(JobId::from).collect())
     }
 }
@@ -173,6 +182,7 @@ impl JobRow {
             limits: self.limits.0,
             frames_total: self.frames_total,
             frames_done: progress.frames_done,
+            frames_cancelled: progress.frames_dropped,
             progress: progress.fraction,
             verdict: self.verdict.map(|it| it.0),
             plan_id: self.plan_id.map(Into::into),
@@ -184,6 +194,7 @@ impl JobRow {
             eta: None,
             spent: None,
             live: progress.live,
+            hold: self.hold,
             error: self.error,
             created_at: self.created_at.into(),
             finished_at: self.finished_at.map(Into::into),

@@ -23,7 +23,6 @@ use crate::plans::reading::newest;
 use crate::plans::replans::Wanted;
 use crate::policy::rebooking::{NewBooking, Rebooked, rebook};
 use crate::quotes;
-use crate::quotes::calibration;
 use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Finished, RenderAsked, Slot, rates};
 use crate::writing::run;
@@ -57,6 +56,8 @@ pub struct NewJobPlan {
     pub begun: BTreeSet<u32>,
     /// The factor that the plan applies to its forecast.
     pub factor: f64,
+    /// The version of its terms that the plan was made for, see [`crate::FarmJob::terms`].
+    pub terms: i64,
 }
 
 impl Store {
@@ -64,8 +65,10 @@ impl Store {
     /// The plan may rebook other jobs, too. Without a `basis`, nothing is learnt from the forecast when the
     /// job is finished.
     ///
-    /// A [`StoreError::Conflict`] if the job is not `profiling` (it was cancelled or booked before), or if
-    /// another plan was stored since this one was begun: their bookings could overlap.
+    /// Of a job that was accepted, the forecast is stored already and stays.
+    ///
+    /// A [`StoreError::Conflict`] if the job is neither `profiling` nor accepted (it was cancelled or booked
+    /// before), or if another plan was stored since this one was begun: their bookings could overlap.
     pub async fn book(
         &self,
         job: JobId,
@@ -78,20 +81,11 @@ impl Store {
         let mut write = self.write().await?;
         let row = jobs::row(write.connection().await?, job).await?;
         let state = row.state.0;
-        if state != JobState::Profiling {
-            return Err(StoreError::Conflict(format!("the job is {state}, not profiling")));
+        match state {
+            JobState::Profiling => quotes::keep(&mut write, job, forecast, frames, basis, now).await?,
+            JobState::Quoted if !row.hold => {}
+            other => return Err(StoreError::Conflict(format!("the job is {other} and is not to be booked"))),
         }
-        quotes::keep_frames(&mut write, job, frames, &forecast.clock).await?;
-        if let Some(basis) = basis {
-            calibration::keep(&mut write, job, forecast, frames, basis).await?;
-        }
-        run!(
-            write,
-            "UPDATE jobs SET forecast = ?, work_by_class = ? WHERE id = ?",
-            Json(forecast),
-            forecast.work_by_class.map(Json),
-            job.0
-        );
         let mut common = Common::of(&row);
         let mut finished: BTreeMap<u32, Finished> =
             Self::finished_by_profiles(write.connection().await?, job).await?.into_iter().collect();
@@ -99,7 +93,6 @@ impl Store {
             && let JobSettings::Own(settings) = &mut common.settings
         {
             settings.spp = spp;
-            run!(write, "UPDATE jobs SET settings = ? WHERE id = ?", Json(&common.settings), job.0);
             // Profiled pixels belong to images with the same number of samples in every pixel.
             finished.clear();
         }
@@ -114,14 +107,13 @@ impl Store {
             let asked = RenderAsked { frame, work: work.get(&frame).copied(), finished };
             common.render(&mut write, asked, waits).await?;
         }
-        append(&mut write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) });
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
         if let Some(cache) = &plan.shared_cache {
             parts::keep_bookings(&mut write, plan_id.0, job, &cache.bookings).await?;
             shared_cache::begin(&mut write, &common, cache).await?;
         }
         let booked =
-            run!(write, "UPDATE jobs SET state = 'booked' WHERE id = ? AND plan_id = ?", job.0, plan_id.0);
+            run!(write, "UPDATE jobs SET stage = 'booked' WHERE id = ? AND plan_id = ?", job.0, plan_id.0);
         if booked != 1 {
             return Err(StoreError::Conflict("the plan does not book the job".to_owned()));
         }
@@ -197,7 +189,7 @@ async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<(
     let before = bookings_before(write, job_id).await?;
     let waiting: Vec<u32> = sqlx::query_scalar!(
         "SELECT frame AS \"frame!\" FROM tasks WHERE job_id = ? AND kind = 'render' \
-         AND state NOT IN ('leased', 'done') AND frame IS NOT NULL",
+         AND state IN ('waiting', 'ready') AND frame IS NOT NULL",
         job_id.0
     )
     .fetch_all(write.connection().await?)
@@ -229,10 +221,11 @@ async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<(
     );
     run!(
         write,
-        "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ? WHERE id = ?",
+        "UPDATE jobs SET plan_id = ?, verdict = ?, factor = ?, terms_planned = ? WHERE id = ?",
         plan.0,
         Json(&job.verdict),
         job.factor,
+        job.terms,
         job_id.0
     );
     Ok(())
@@ -252,7 +245,11 @@ async fn bookings_before(write: &mut Write, job: JobId) -> Result<BTreeMap<u32, 
 }
 
 /// Writes to the tasks of these frames where they are booked, with the job's rate on each node.
-async fn book_tasks(write: &mut Write, job: JobId, tasks: Vec<(u32, Option<NewBooking>)>) -> Result<()> {
+pub(crate) async fn book_tasks(
+    write: &mut Write,
+    job: JobId,
+    tasks: Vec<(u32, Option<NewBooking>)>,
+) -> Result<()> {
     let of_job = rates(write.connection().await?, job).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
     for (frame, booking) in tasks {

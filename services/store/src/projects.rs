@@ -56,7 +56,7 @@ pub(crate) async fn read(connection: &mut SqliteConnection, now: Timestamp) -> R
     let mut found: BTreeMap<String, ProjectUse> = BTreeMap::new();
     let rows = sqlx::query!(
         "SELECT name AS \"name!\", max(share) AS \"share!: u32\" FROM (SELECT name, share FROM projects \
-         UNION ALL SELECT project, 0 FROM jobs WHERE state IN ('previewing', 'profiling', 'booked', \
+         UNION ALL SELECT project, 0 FROM jobs WHERE stage IN ('previewing', 'profiling', 'booked', \
          'rendering')) GROUP BY name"
     )
     .fetch_all(&mut *connection)

@@ -4,14 +4,48 @@ pub(crate) mod calibration;
 pub(crate) mod profiling;
 pub(crate) mod track_record;
 
-use forelight_protocol::{ForecastDoc, FrameForecast, JobId, QuotedShot};
+use forelight_protocol::{
+    Event, EventKind, ForecastDoc, FrameForecast, JobId, JobSettings, JobState, QuotedShot, Timestamp,
+};
+use forelight_quote::{JobForecast, QuoteBasis};
+use sqlx::SqliteConnection;
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
+use crate::events::{append, event, job_state};
+use crate::jobs;
 use crate::writing::run;
 
 impl Store {
+    /// Stores the quote of a job on hold, which then waits to be accepted. A [`StoreError::Conflict`] if the
+    /// job is not `profiling`.
+    pub async fn keep_quote(
+        &self,
+        job: JobId,
+        forecast: &JobForecast,
+        frames: &[FrameForecast],
+        basis: Option<&QuoteBasis>,
+        now: Timestamp,
+    ) -> Result<()> {
+        let mut write = self.write().await?;
+        let state = jobs::state(write.connection().await?, job).await?;
+        if state != JobState::Profiling {
+            return Err(StoreError::Conflict(format!("the job is {state}, not profiling")));
+        }
+        keep(&mut write, job, forecast, frames, basis, now).await?;
+        job_state(&mut write, job, JobState::Quoted, None, now);
+        self.commit(write).await
+    }
+
+    /// The stored quote of a job: of all frames together, and of each. `None` before it is made.
+    pub async fn kept_quote(&self, job: JobId) -> Result<Option<(JobForecast, Vec<FrameForecast>)>> {
+        let mut transaction = self.read().await?;
+        let row = jobs::row(&mut transaction, job).await?;
+        let Some(kept) = row.forecast else { return Ok(None) };
+        Ok(Some((kept.read()?, frames(&mut transaction, job).await?)))
+    }
+
     /// The job's quote; `None` before it is made.
     pub async fn forecast(&self, job: JobId) -> Result<Option<ForecastDoc>> {
         let mut transaction = self.read().await?;
@@ -22,24 +56,54 @@ impl Store {
         let Some(kept) = row.forecast else { return Ok(None) };
         let renderer = row.renderer.map(|it| it.0);
         let of = QuotedShot { scene: row.scene.0.digest, renderer, settings: row.settings.0 };
-        let frames = sqlx::query_scalar!(
-            r#"SELECT forecast AS "forecast!" FROM frames WHERE job_id = ? AND forecast IS NOT NULL
-               ORDER BY frame"#,
-            job.0
-        )
-        .fetch_all(&mut *transaction)
-        .await?;
-        let frames = frames.into_iter().map(|frame| frame.0).collect();
+        let frames = frames(&mut transaction, job).await?;
         Ok(Some(kept.read()?.document(of, frames)))
     }
 }
 
-pub(crate) async fn keep_frames(
+async fn frames(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<FrameForecast>> {
+    let frames = sqlx::query_scalar!(
+        r#"SELECT forecast AS "forecast!" FROM frames WHERE job_id = ? AND forecast IS NOT NULL
+           ORDER BY frame"#,
+        job.0
+    )
+    .fetch_all(connection)
+    .await?;
+    Ok(frames.into_iter().map(|frame| frame.0).collect())
+}
+
+/// Stores a job's quote inside a write. Without a `basis`, nothing is learnt from it when the job is finished.
+pub(crate) async fn keep(
     write: &mut Write,
     job: JobId,
+    forecast: &JobForecast,
     frames: &[FrameForecast],
-    clock: &[f64],
+    basis: Option<&QuoteBasis>,
+    now: Timestamp,
 ) -> Result<()> {
+    keep_frames(write, job, frames, &forecast.clock).await?;
+    if let Some(basis) = basis {
+        calibration::keep(write, job, forecast, frames, basis).await?;
+    }
+    run!(
+        write,
+        "UPDATE jobs SET forecast = ?, work_by_class = ?, quoted_at = ? WHERE id = ?",
+        Json(forecast),
+        forecast.work_by_class.map(Json),
+        now.micros(),
+        job.0
+    );
+    if let Some(spp) = forecast.chosen_spp
+        && let JobSettings::Own(mut settings) = jobs::row(write.connection().await?, job).await?.settings.0
+    {
+        settings.spp = spp;
+        run!(write, "UPDATE jobs SET settings = ? WHERE id = ?", Json(JobSettings::Own(settings)), job.0);
+    }
+    append(write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) });
+    Ok(())
+}
+
+async fn keep_frames(write: &mut Write, job: JobId, frames: &[FrameForecast], clock: &[f64]) -> Result<()> {
     for (place, forecast) in frames.iter().enumerate() {
         run!(
             write,

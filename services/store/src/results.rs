@@ -59,10 +59,17 @@ impl Store {
             job_state,
         };
         if row.fence == fence && row.state == LeaseState::Committed {
-            let earlier =
-                sqlx::query_scalar!("SELECT body_hash FROM results WHERE task_id = ?", row.task_id.0)
-                    .fetch_one(write.connection().await?)
-                    .await?;
+            let earlier = sqlx::query_scalar!(
+                "SELECT body_hash FROM results WHERE task_id = ? AND lease_id = ?",
+                row.task_id.0,
+                lease.0
+            )
+            .fetch_optional(write.connection().await?)
+            .await?;
+            let Some(earlier) = earlier else {
+                // The frame is rendered again, so this result counts no more.
+                return self.refuse(write, &row, now).await;
+            };
             if earlier.0.0 != body_hash {
                 return Err(StoreError::Conflict(
                     "another result of this lease was committed before".to_owned(),
@@ -347,8 +354,8 @@ async fn keep_render(
     );
     later!(
         write,
-        "UPDATE jobs SET state = 'done', finished_at = ? WHERE id = ? AND state = 'rendering' \
-             AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = jobs.id AND actual IS NULL)",
+        "UPDATE jobs SET stage = 'done', finished_at = ? WHERE id = ? AND stage = 'rendering' \
+             AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = jobs.id AND actual IS NULL AND dropped = 0)",
         now.micros(),
         row.job_id.0
     );

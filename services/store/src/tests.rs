@@ -193,6 +193,7 @@ impl Farm {
                 bookings,
                 begun: BTreeSet::new(),
                 factor: 1.0,
+                terms: 0,
             }],
             outlooks: Vec::new(),
         }

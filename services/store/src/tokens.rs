@@ -1,6 +1,6 @@
 //! Bearer tokens.
 
-use forelight_protocol::{NodeId, Role, Timestamp};
+use forelight_protocol::{NodeId, Role, SessionId, Timestamp};
 use uuid::Uuid;
 
 use crate::database::Store;
@@ -14,8 +14,12 @@ pub struct Principal {
     pub role: Role,
     /// The token's name.
     pub name: String,
-    /// BLAKE3 hash of the token. Idempotency keys belong to it.
+    /// BLAKE3 hash of the token, or of the session's secret. Idempotency keys belong to it.
     pub hash: [u8; 32],
+    /// BLAKE3 hash of the token, also of the one with which a session began.
+    pub token: [u8; 32],
+    /// The session, if the caller has one.
+    pub session: Option<SessionId>,
     /// The node that the token belongs to, if any.
     pub node: Option<NodeId>,
 }
@@ -55,7 +59,7 @@ pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>> {
         .await?;
     Ok(row.map(|row| {
         let node = row.node_id.map(Into::into);
-        Principal { role: row.role.0, name: row.name, hash, node }
+        Principal { role: row.role.0, name: row.name, hash, token: hash, session: None, node }
     }))
 }
 

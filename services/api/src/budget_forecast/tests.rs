@@ -116,6 +116,8 @@ fn forecast_of(
         spent: Money(0),
         factor: 1.0,
         held: false,
+        terms: 0,
+        has_new_terms: false,
     };
     let open = OpenJob {
         job: farm_job.job.clone(),

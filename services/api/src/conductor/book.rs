@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    AccuracyRung, Job, Money, Node, NodeSeconds, PlanReason, Quantiles, Timestamp, Verdict,
+    AccuracyRung, FrameForecast, Job, JobId, JobState, Money, Node, NodeSeconds, PlanReason, Quantiles,
+    Timestamp, Verdict,
 };
 use forelight_quote::{JobForecast, Quote, QuoteBasis, mean_price};
-use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCache};
+use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCache, Store, StoreError};
 
 use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
 use super::qualities::qualities;
@@ -15,6 +16,23 @@ use super::settle::{Settled, Unsettled, settle};
 use super::{AdvanceError, Conductor, compute};
 
 impl Conductor {
+    /// Keeps the quote of a job on hold.
+    pub(super) async fn keep_quote(
+        &self,
+        job: &Job,
+        forecast: &Quote,
+        basis: Option<&QuoteBasis>,
+    ) -> Result<(), AdvanceError> {
+        let now = self.clock.now();
+        let nodes = self.nodes_for_plans(now).await?;
+        let mut kept = forecast.job.clone();
+        price(&mut kept, forecast, &nodes);
+        kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
+        self.store.keep_quote(job.id, &kept, &forecast.frames, basis, now).await?;
+        tracing::info!(job = %job.id, "quoted");
+        Ok(())
+    }
+
     /// Plans the farm with the job, verifies and keeps the plan. `rungs` are other qualities of the job.
     pub(super) async fn book(
         &self,
@@ -24,13 +42,18 @@ impl Conductor {
         rungs: &[AccuracyRung],
     ) -> Result<(), AdvanceError> {
         let now = self.clock.now();
+        let (job, terms) = self.store.job_with_terms(job.id).await?;
         let mut snapshot = Snapshot::read(&self.store, now, self.started).await?;
         let nodes = snapshot.nodes.clone();
         let (parent, wanted) = (snapshot.parent, snapshot.wanted.clone());
         let mut kept = forecast.job.clone();
-        price(&mut kept, forecast, &nodes);
+        // A quote that was accepted keeps its prices.
+        let is_accepted = job.state == JobState::Quoted;
+        if !is_accepted {
+            price(&mut kept, forecast, &nodes);
+        }
         let spent = self.store.spent_on(job.id, now).await?;
-        snapshot.jobs.push(fresh(job, &kept, forecast, spent));
+        snapshot.jobs.push(fresh((job.clone(), terms), &kept, &forecast.frames, spent));
         let (id, rungs) = (job.id, rungs.to_vec());
         let settled = compute(move || {
             let farm = Farm::new(&snapshot);
@@ -60,7 +83,9 @@ impl Conductor {
         let word = verdict.map_or("", |verdict| verdict.verdict.name());
         tracing::info!(job = %id, verdict = word, jobs = jobs.len(), "planned");
         let new = NewPlan { parent, reason: PlanReason::JobForecast, wanted, jobs, outlooks, shared_cache };
-        kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
+        if !is_accepted {
+            kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
+        }
         let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
         self.metrics.plans_stored.add(1);
         tracing::info!(job = %job.id, %plan, "booked");
@@ -83,13 +108,20 @@ impl Conductor {
     }
 }
 
+/// A job that has a quote and no plan, in the form of the jobs that have one. `None` without a quote.
+pub(crate) async fn quoted(store: &Store, job: JobId, now: Timestamp) -> Result<Option<FarmJob>, StoreError> {
+    let with_terms = store.job_with_terms(job).await?;
+    let Some((kept, frames)) = store.kept_quote(job).await? else { return Ok(None) };
+    let spent = store.spent_on(job, now).await?;
+    Ok(Some(fresh(with_terms, &kept, &frames, spent)))
+}
+
 /// A job that gets its first plan, in the form of the jobs that have one.
-fn fresh(job: &Job, kept: &JobForecast, forecast: &Quote, spent: Money) -> FarmJob {
+fn fresh((job, terms): (Job, i64), kept: &JobForecast, frames: &[FrameForecast], spent: Money) -> FarmJob {
     FarmJob {
-        job: job.clone(),
+        job,
         forecast: Some(kept.clone()),
-        frames: forecast
-            .frames
+        frames: frames
             .iter()
             .map(|each| FarmFrame {
                 number: each.frame,
@@ -102,6 +134,8 @@ fn fresh(job: &Job, kept: &JobForecast, forecast: &Quote, spent: Money) -> FarmJ
         spent,
         factor: 1.0,
         held: false,
+        terms,
+        has_new_terms: false,
     }
 }
 

@@ -87,6 +87,10 @@ pub(crate) struct Asked {
     /// Its cost so far, with the expected cost of running tasks, in micro-units; see [`FarmJob::spent`].
     pub spent: i64,
     pub held: bool,
+    /// Version of its terms, see [`FarmJob::terms`].
+    pub terms: i64,
+    /// Whether they were changed since its newest plan, so that it is placed anew.
+    pub has_new_terms: bool,
     pub begun: BTreeSet<u32>,
 }
 
@@ -196,6 +200,8 @@ fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
         under_way: under_way.map(|frame| frame.end.micros()).max(),
         spent: farm_job.spent.micro_units(),
         held: farm_job.held,
+        terms: farm_job.terms,
+        has_new_terms: farm_job.has_new_terms,
         begun: begun.map(|frame| frame.number).collect(),
     }
 }

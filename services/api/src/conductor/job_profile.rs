@@ -1,6 +1,6 @@
 //! Measurements of a job, and the answers about its cost that need nothing else.
 
-use forelight_protocol::{AccuracyDoc, Explanation, Job, PreviewResult, RenderSettings};
+use forelight_protocol::{AccuracyDoc, AccuracyRung, Explanation, Job, PreviewResult, RenderSettings};
 use forelight_quote::{Measured, MeasuredProfile, with_samples};
 use forelight_store::{PlannedCache, Store, StoreError};
 
@@ -37,6 +37,18 @@ impl JobProfile {
 
     pub async fn qualities(self) -> Result<AccuracyDoc, AdvanceError> {
         compute(move || Ok(self.measured().qualities(&self.settings)?)).await
+    }
+
+    /// The qualities that the job could have instead. None if the profile does not say.
+    pub async fn rungs(self) -> Result<Vec<AccuracyRung>, StoreError> {
+        match self.qualities().await {
+            Ok(document) => Ok(document.rungs),
+            Err(AdvanceError::Store(error)) => Err(error),
+            Err(AdvanceError::Hopeless(reason)) => {
+                tracing::debug!(reason, "no other qualities");
+                Ok(Vec::new())
+            }
+        }
     }
 
     pub async fn explanation(self, frame: Option<u32>) -> Result<Explanation, AdvanceError> {

@@ -25,12 +25,14 @@ impl Offered {
 
     /// The quality as a change of a job with this cost. `None` if it does not fit or changes nothing.
     pub fn way(&self, cost: i64) -> Option<PlanEffect> {
-        let QualityOffer { settings, asked_for, finish, cost: less, fits, .. } = &self.offer;
-        if *asked_for || !fits {
-            return None;
-        }
+        (!self.offer.asked_for && self.offer.fits).then(|| self.effect(cost))
+    }
+
+    /// The quality as a change of a job with this cost.
+    pub fn effect(&self, cost: i64) -> PlanEffect {
+        let QualityOffer { settings, finish, cost: less, fits, .. } = &self.offer;
         let added = less.micro_units().saturating_sub(cost);
-        Some(PlanEffect {
+        PlanEffect {
             change: PlanChange::Quality {
                 spp: settings.spp,
                 width: settings.width,
@@ -40,9 +42,9 @@ impl Offered {
             words: format!("{}: {}", self.words, priced(added)),
             added_cost: Money(added),
             finish: *finish,
-            in_time: true,
+            in_time: *fits,
             moved: Vec::new(),
-        })
+        }
     }
 }
 

@@ -29,7 +29,7 @@ const MOST_DRAWS: usize = 1_000_000;
 const SEED: u64 = 0x0070_726f_6d69_7365;
 /// A frame has moved if its start shifts by more than this (one minute, in microseconds) and a quarter of its
 /// length.
-const STILL: i64 = 60_000_000;
+pub(crate) const STILL: i64 = 60_000_000;
 /// Most jobs for which one plan looks for ways out.
 const MOST_HELPED: usize = 3;
 
@@ -64,7 +64,8 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let says_new = |(job, said): (usize, &JobVerdict)| {
         let asked = &farm.jobs[job];
         let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
-        let is_new = fresh == Some(job) || says_new || asked.factor != asked.factor_before;
+        let is_new =
+            fresh == Some(job) || asked.has_new_terms || says_new || asked.factor != asked.factor_before;
         is_new || has_moved(farm, &plan, job)
     };
     let news: Vec<bool> = verdicts.iter().enumerate().map(says_new).collect();
@@ -89,16 +90,19 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
         let bookings = bookings.ok_or_else(|| {
             AdvanceError::Hopeless("the plan books a node or frame that does not exist".to_owned())
         })?;
-        jobs.push(NewJobPlan { verdict: said, bookings, begun: asked.begun.clone(), factor: asked.factor });
+        let (begun, factor, terms) = (asked.begun.clone(), asked.factor, asked.terms);
+        jobs.push(NewJobPlan { verdict: said, bookings, begun, factor, terms });
     }
     Ok(Settled { plan, jobs, outlooks })
 }
 
-/// Bookings that stay unless needed: normally all. If a new job without a deadline is due before others, then
+/// Bookings that stay unless needed: normally all. A job with new terms is placed anew. If a new job without a deadline is due before others, then
 /// all such jobs of its priority or lower take turns anew.
 fn what_stays(farm: &Farm, fresh: Option<usize>) -> Vec<Booking> {
+    let stays = |booking: &&Booking| !farm.jobs[booking.job as usize].has_new_terms;
+    let standing: Vec<Booking> = farm.standing.iter().filter(stays).copied().collect();
     let fresh = fresh.map(|fresh| &farm.input.jobs[fresh]).filter(|fresh| fresh.deadline.is_none());
-    let Some(fresh) = fresh else { return farm.standing.clone() };
+    let Some(fresh) = fresh else { return standing };
     let takes_turns = |booking: &Booking| {
         let other = &farm.input.jobs[booking.job as usize];
         other.deadline.is_none() && other.priority <= fresh.priority
@@ -107,10 +111,10 @@ fn what_stays(farm: &Farm, fresh: Option<usize>) -> Vec<Booking> {
         let other = &farm.input.jobs[booking.job as usize];
         takes_turns(booking) && (other.project != fresh.project || other.priority < fresh.priority)
     };
-    if !farm.standing.iter().any(goes_before) {
-        return farm.standing.clone();
+    if !standing.iter().any(goes_before) {
+        return standing;
     }
-    farm.standing.iter().filter(|booking| !takes_turns(booking)).copied().collect()
+    standing.into_iter().filter(|booking| !takes_turns(booking)).collect()
 }
 
 /// The plan with fewest moves, unless another one keeps more deadlines. Also the promises that it breaks.
@@ -124,7 +128,10 @@ fn least_moved(
         let misses = |job: usize| !farm.jobs[job].is_kept(end(farm, plan, job));
         let promised =
             (0..farm.jobs.len()).filter(|&job| farm.jobs[job].is_promised() && misses(job)).count();
-        (promised, fresh.is_some_and(misses))
+        // A deadline that was just asked for counts like that of a new job.
+        let asked_for =
+            (0..farm.jobs.len()).filter(|&job| fresh == Some(job) || farm.jobs[job].has_new_terms);
+        (promised, asked_for.into_iter().any(misses))
     };
     let found = broken(&mended.plan);
     if found == (0, false) {

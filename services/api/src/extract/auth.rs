@@ -1,12 +1,17 @@
 //! Authentication and authorisation. A handler takes one of these types; requests without the role never
-//! reach it.
+//! reach it. A request carries a bearer token, or the cookie of a session, which has the role of its token.
+
+use std::convert::Infallible;
+use std::net::IpAddr;
 
 use axum::extract::FromRequestParts;
+use axum::http::Method;
 use axum::http::header::AUTHORIZATION;
 use axum::http::request::Parts;
 use forelight_protocol::{LeaseId, NodeId, ProblemKind, Role};
 use forelight_store::tokens::{self, Principal};
 
+use crate::cookies::{check_same_origin, session_secret};
 use crate::error::{ApiError, ApiResult, BAD_TOKEN, NO_TOKEN, WRONG_ROLE};
 use crate::state::App;
 
@@ -72,6 +77,21 @@ impl WorkerToken {
     }
 }
 
+/// The address of a connection's other end. Each request carries it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PeerAddress(pub IpAddr);
+
+/// Who sent the request, if that is known.
+pub(crate) struct Peer(pub Option<IpAddr>);
+
+impl FromRequestParts<App> for Peer {
+    type Rejection = Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, _: &App) -> Result<Self, Infallible> {
+        Ok(Self(parts.extensions.get::<PeerAddress>().map(|address| address.0)))
+    }
+}
+
 /// A bearer token that may be a one-time token. It is checked when it is used up.
 pub(crate) struct OneTimeToken(pub String);
 
@@ -96,6 +116,17 @@ fn bearer(parts: &Parts) -> ApiResult<&str> {
 }
 
 async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
+    let secret = session_secret(&parts.headers).filter(|_| !parts.headers.contains_key(AUTHORIZATION));
+    if let Some(secret) = secret {
+        if !matches!(parts.method, Method::GET | Method::HEAD) {
+            check_same_origin(&parts.headers, app.public_origin.as_deref())?;
+        }
+        let caller = app.store.caller_of_session(secret, app.now()).await?;
+        return caller.ok_or_else(|| {
+            let reason = "the session has ended; sign in again";
+            ApiError::new(ProblemKind::Unauthenticated, reason).authenticate(BAD_TOKEN)
+        });
+    }
     match tokens::find(&app.store, bearer(parts)?).await? {
         Some(principal) => Ok(principal),
         None => Err(ApiError::new(ProblemKind::Unauthenticated, "the service does not know this token")

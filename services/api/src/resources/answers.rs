@@ -6,16 +6,21 @@ use std::time::Duration;
 use axum::Json;
 use axum::extract::State;
 use axum::response::Response;
-use forelight_protocol::{AccuracyRung, AnswersDoc, Job, JobId, JobState, Money, ProblemKind, Timestamp};
+use forelight_protocol::{
+    AccuracyRung, AnswersDoc, Job, JobId, JobState, Money, PlanChange, ProblemKind, Timestamp, WhatIf,
+    WhatIfRequest,
+};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use crate::conductor::answers::{Question, answers, curve_svg};
+use crate::conductor::book::quoted;
 use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::job_profile::JobProfile;
+use crate::conductor::what_if::what_if;
 use crate::conductor::{AdvanceError, compute};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
+use crate::extract::{JsonBody, QueryParameters, Reader, Segment, number_if_any};
 use crate::resources::checks::HIGHEST_SUM;
 use crate::resources::forecasts::svg;
 use crate::schema::FileContent;
@@ -42,7 +47,9 @@ pub(crate) struct AnswersQuery {
     pub budget: Option<i64>,
 }
 
-/// Everything known about a job's plan. 409 before the job is booked and once it is over.
+/// Everything known about a job's plan. 409 before the job has a quote and once it is over.
+///
+/// For a job on hold, the answers are about the plan that would book it now.
 ///
 /// It covers the chance to meet the deadline, prices of deadlines, the earliest finish for a budget, and
 /// other qualities. It also has the effects of node changes, delayed jobs, and ways out. The question is not
@@ -74,18 +81,7 @@ pub(crate) async fn price_curve(
 async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<AnswersDoc>> {
     let budget = query.budget.map(Money);
     let asked = app.store.job(job).await?;
-    if !matches!(asked.state, JobState::Booked | JobState::Rendering) {
-        let reason = format!("the job is {}: it has no plan to ask about", asked.state);
-        return Err(ApiError::new(ProblemKind::Conflict, reason));
-    }
-    let now = app.now().micros();
-    let mut snapshot =
-        Snapshot::read(&app.store, Timestamp::from_micros(now - now.rem_euclid(MINUTE)), app.started).await?;
-    // Progress moves the expected ends all the time. Rounded to the minute, they stay the same for a while.
-    for frame in snapshot.projected.frames.iter_mut().filter(|frame| frame.under_way) {
-        let end = frame.end.micros();
-        frame.end = Timestamp::from_micros(end.saturating_add(MINUTE - 1) / MINUTE * MINUTE);
-    }
+    let snapshot = snapshot_for(app, &asked).await?;
     let plan_id = snapshot.parent;
     let deadline = query.deadline;
     let prepared = compute(move || {
@@ -100,7 +96,6 @@ async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<Ans
     if let Some(known) = app.answers.find(&key) {
         return Ok(known);
     }
-    let busy = || ApiError::new(ProblemKind::Busy, "the service is computing other answers; ask again soon");
     let turn = tokio::time::timeout(TURN, app.answers.turn.acquire()).await;
     let _turn = turn.map_err(|_| busy())?.map_err(|_| busy())?;
     if let Some(known) = app.answers.find(&key) {
@@ -116,6 +111,57 @@ async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<Ans
     Ok(document)
 }
 
+/// The farm for questions about a job, as it stands at the start of this minute. 409 if the job has no quote.
+async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
+    if !matches!(job.state, JobState::Quoted | JobState::Booked | JobState::Rendering) {
+        let reason = format!("the job is {}: it has no plan to ask about", job.state);
+        return Err(ApiError::new(ProblemKind::Conflict, reason));
+    }
+    let now = app.now().micros();
+    let minute = Timestamp::from_micros(now - now.rem_euclid(MINUTE));
+    let mut snapshot = Snapshot::read(&app.store, minute, app.started).await?;
+    // Progress moves the expected ends all the time. Rounded to the minute, they stay the same for a while.
+    for frame in snapshot.projected.frames.iter_mut().filter(|frame| frame.under_way) {
+        let end = frame.end.micros();
+        frame.end = Timestamp::from_micros(end.saturating_add(MINUTE - 1) / MINUTE * MINUTE);
+    }
+    if job.state == JobState::Quoted {
+        snapshot.jobs.extend(quoted(&app.store, job.id, minute).await?);
+    }
+    Ok(snapshot)
+}
+
+/// Says what a change would do to the plan: to the job in question, to others, and to the cost.
+///
+/// The plan is made as it would be after the change, with as few moves as possible. Nothing is stored. 409 if
+/// the job has no quote or is over.
+#[utoipa::path(post, path = "/v1/plans/what-if", operation_id = "plan_what_if", tag = "farm",
+    request_body = WhatIfRequest,
+    responses((status = 200, description = "The effect", body = WhatIf), Problems))]
+pub(crate) async fn plan_what_if(
+    State(app): State<App>,
+    _: Reader,
+    JsonBody { value: request, .. }: JsonBody<WhatIfRequest>,
+) -> ApiResult<Json<WhatIf>> {
+    let asked = app.store.job(request.job_id).await?;
+    let snapshot = snapshot_for(&app, &asked).await?;
+    let rungs = match request.change {
+        PlanChange::Quality { .. } => rungs(&app, &asked).await?,
+        _ => Vec::new(),
+    };
+    let turn = tokio::time::timeout(TURN, app.answers.turn.acquire()).await;
+    let _turn = turn.map_err(|_| busy())?.map_err(|_| busy())?;
+    let WhatIfRequest { change, job_id } = request;
+    match compute(move || what_if(&snapshot, job_id, &change, &rungs)).await.map_err(refused)? {
+        Ok(found) => Ok(Json(found)),
+        Err(reason) => Err(ApiError::invalid("/change", reason)),
+    }
+}
+
+fn busy() -> ApiError {
+    ApiError::new(ProblemKind::Busy, "the service is computing other answers; ask again soon")
+}
+
 fn refused(error: AdvanceError) -> ApiError {
     match error {
         AdvanceError::Store(error) => error.into(),
@@ -124,13 +170,8 @@ fn refused(error: AdvanceError) -> ApiError {
 }
 
 async fn rungs(app: &App, job: &Job) -> ApiResult<Vec<AccuracyRung>> {
-    let Some(measured) = JobProfile::read(&app.store, job).await? else { return Ok(Vec::new()) };
-    match measured.qualities().await {
-        Ok(document) => Ok(document.rungs),
-        Err(AdvanceError::Store(error)) => Err(error.into()),
-        Err(AdvanceError::Hopeless(reason)) => {
-            tracing::debug!(job = %job.id, reason, "no other qualities");
-            Ok(Vec::new())
-        }
+    match JobProfile::read(&app.store, job).await? {
+        Some(measured) => Ok(measured.rungs().await?),
+        None => Ok(Vec::new()),
     }
 }

@@ -2,20 +2,24 @@
 //! `Last-Event-ID` misses nothing and sees nothing twice, even after a restart of the service.
 
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use forelight_protocol::{Event, EventId, EventKind, JobId, ProblemKind};
+use forelight_protocol::{Event, EventId, EventKind, JobId, ProblemKind, SessionId};
+use forelight_store::tokens::Principal;
 use forelight_store::{Store, StoreError};
 use futures::{Stream, stream};
 use serde::Deserialize;
 use tokio::sync::watch;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
+use crate::clock::Clock;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::state::App;
@@ -24,6 +28,9 @@ const BATCH: u32 = 200;
 
 /// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
+
+/// Interval at which a stream looks whether its session has expired.
+const SESSION_CHECKED: Duration = Duration::from_secs(60);
 
 /// Where to start.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -53,7 +60,7 @@ pub(crate) struct EventMessage {
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
 pub(crate) async fn of_farm(
     State(app): State<App>,
-    _: Reader,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -61,7 +68,7 @@ pub(crate) async fn of_farm(
         Some(after) => after,
         None => app.store.last_event_id().await?,
     };
-    Ok(respond(follow(&app, None, after, false)))
+    Ok(respond(follow(&app, &caller, None, (after, false))))
 }
 
 /// All events of a job after `Last-Event-ID`. Without it, from its beginning.
@@ -73,7 +80,7 @@ pub(crate) async fn of_farm(
               (status = 204, description = "The job is over and all its events were seen"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
-    _: Reader,
+    Reader(caller): Reader,
     Segment(job): Segment<JobId>,
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
@@ -83,7 +90,7 @@ pub(crate) async fn of_job(
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    Ok(respond(follow(&app, Some(job), after, state.is_final())))
+    Ok(respond(follow(&app, &caller, Some(job), (after, state.is_final()))))
 }
 
 fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
@@ -105,6 +112,13 @@ struct Cursor {
     after: EventId,
     batch: std::vec::IntoIter<Event>,
     changes: watch::Receiver<u64>,
+    /// The session of the caller, if there is one. The stream ends with it.
+    session: Option<SessionId>,
+    sessions_ended: watch::Receiver<u64>,
+    /// How many sessions had ended, and when, as it was last seen that this one goes on.
+    ended: u64,
+    checked: Instant,
+    clock: Arc<dyn Clock>,
     stopping: CancellationToken,
     /// Whether the job is over. Existing later events, such as refusals of late workers, are still sent; none
     /// are waited for.
@@ -113,9 +127,9 @@ struct Cursor {
 
 fn follow(
     app: &App,
+    caller: &Principal,
     job: Option<JobId>,
-    after: EventId,
-    over: bool,
+    (after, over): (EventId, bool),
 ) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
     let cursor = Cursor {
         store: app.store.clone(),
@@ -123,6 +137,11 @@ fn follow(
         after,
         batch: Vec::new().into_iter(),
         changes: app.store.watch_events(),
+        session: caller.session,
+        sessions_ended: app.sessions_ended.subscribe(),
+        ended: *app.sessions_ended.borrow(),
+        checked: Instant::now(),
+        clock: app.clock.clone(),
         stopping: app.stopping.clone(),
         over,
     };
@@ -133,13 +152,27 @@ fn follow(
 }
 
 impl Cursor {
-    /// The next event. `None` when the job is over, the service stops, or the database fails.
+    /// Whether the caller's session has not ended. Looks only if it may have.
+    async fn goes_on(&mut self) -> bool {
+        let Some(session) = self.session else { return true };
+        let ended = *self.sessions_ended.borrow_and_update();
+        if ended == self.ended && self.checked.elapsed() < SESSION_CHECKED {
+            return true;
+        }
+        (self.ended, self.checked) = (ended, Instant::now());
+        !matches!(self.store.session(session, self.clock.now()).await, Err(StoreError::NotFound(_)))
+    }
+
+    /// The next event. `None` when the job or the session is over, the service stops, or the database fails.
     async fn next(&mut self) -> Option<Event> {
         loop {
             if let Some(event) = self.batch.next() {
                 self.after = event.id;
                 self.over |= self.job.is_some() && event.job_state.is_some_and(|state| state.is_final());
                 return Some(event);
+            }
+            if !self.goes_on().await {
+                return None;
             }
             // Marked as seen before reading, so that anything written after the read wakes this stream again.
             self.changes.borrow_and_update();
@@ -158,6 +191,8 @@ impl Cursor {
             }
             tokio::select! {
                 changed = self.changes.changed() => changed.ok()?,
+                changed = self.sessions_ended.changed(), if self.session.is_some() => changed.ok()?,
+                () = tokio::time::sleep_until(self.checked + SESSION_CHECKED), if self.session.is_some() => {}
                 () = self.stopping.cancelled() => return None,
             }
         }

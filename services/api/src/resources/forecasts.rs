@@ -2,6 +2,7 @@
 
 use axum::Json;
 use axum::extract::State;
+use axum::http::HeaderMap;
 use axum::response::Response;
 use forelight_forecast::Correction;
 use forelight_plots::PlotError;
@@ -25,14 +26,16 @@ use crate::state::App;
 /// A job's quote. 409 until it exists.
 #[utoipa::path(get, path = "/v1/jobs/{id}/forecast", operation_id = "job_forecast",
     tag = "jobs", params(("id" = JobId, Path)),
-    responses((status = 200, description = "The quote", body = ForecastDoc), Problems))]
+    responses((status = 200, description = "The quote", body = ForecastDoc),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
     _: Reader,
     Segment(job): Segment<JobId>,
-) -> ApiResult<Json<ForecastDoc>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     match app.store.forecast(job).await? {
-        Some(forecast) => Ok(Json(forecast)),
+        Some(forecast) => responses::tagged(&headers, &forecast),
         None => {
             let state = app.store.job(job).await?.state;
             Err(ApiError::new(ProblemKind::Conflict, format!("the job is {state} and has no quote")))

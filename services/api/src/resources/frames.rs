@@ -2,12 +2,12 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH};
+use axum::http::header::{CACHE_CONTROL, ETAG};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobId, ProblemKind};
 
-use super::responses::file;
+use super::responses::{file, is_known, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, Segments};
 use crate::page::{PageQuery, cut};
@@ -17,17 +17,19 @@ use crate::state::App;
 /// The frames of a job, ascending: forecast, actual, error, booking, times, pictures.
 #[utoipa::path(get, path = "/v1/jobs/{id}/frames", operation_id = "frame_list",
     tag = "jobs", params(("id" = JobId, Path), PageQuery),
-    responses((status = 200, description = "A page of frames", body = FramePage), Problems))]
+    responses((status = 200, description = "A page of frames", body = FramePage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
     _: Reader,
     Segment(job): Segment<JobId>,
     QueryParameters(query): QueryParameters<PageQuery>,
-) -> ApiResult<Json<FramePage>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let size = query.size();
     let mut items = app.store.frames(job, query.key("frames")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "frames", |row| row.frame);
-    Ok(Json(FramePage { items, next_page_token }))
+    tagged(&headers, &FramePage { items, next_page_token })
 }
 
 /// One frame.
@@ -91,7 +93,7 @@ async fn picture(
     // A better preview can replace a picture at the same address, so caches have to revalidate.
     let etag = HeaderValue::from_str(&format!("\"{hash}\""))
         .map_err(|_| ApiError::new(ProblemKind::Internal, "the picture has no tag"))?;
-    if headers.get(IF_NONE_MATCH) == Some(&etag) {
+    if is_known(headers, &etag) {
         return Ok((StatusCode::NOT_MODIFIED, [(ETAG, etag)]).into_response());
     }
     let own =

@@ -1,17 +1,18 @@
 //! Jobs.
 
+pub(crate) mod changes;
 mod request_checks;
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
 use forelight_store::{JobFilter, project};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use super::responses::{created, repeated};
+use super::responses::{created, repeated, tagged};
 use crate::error::{ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter, number_if_any};
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
@@ -93,12 +94,14 @@ pub(crate) async fn list(
 /// One job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", operation_id = "job_get",
     tag = "jobs", params(("id" = JobId, Path)),
-    responses((status = 200, description = "The job", body = Job), Problems))]
+    responses((status = 200, description = "The job", body = Job),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
     _: Reader,
     Segment(job): Segment<JobId>,
-) -> ApiResult<Json<Job>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let mut job = app.store.job(job).await?;
     expect(&app, std::slice::from_mut(&mut job)).await?;
     let spent = app.store.spent_on(job.id, app.now()).await?;
@@ -107,7 +110,7 @@ pub(crate) async fn get(
     if let Some(live) = &mut job.live {
         live.cost = live.cost.map(|cost| cost.at_least(spent));
     }
-    Ok(Json(job))
+    tagged(&headers, &job)
 }
 
 /// Cancels a job. Its workers stop at their next renewal. Repeating the request changes nothing.

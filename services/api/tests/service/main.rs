@@ -3,16 +3,19 @@
 mod accuracy;
 mod budgets;
 mod calibration;
+mod changes;
 mod cost_limits;
 mod document;
 mod events;
 mod job_life;
 mod living_estimate;
 mod nodes;
+mod page;
 mod plans;
 mod renderers;
 mod requests;
 mod results;
+mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
 mod uploads;

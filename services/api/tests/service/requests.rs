@@ -141,7 +141,7 @@ async fn addresses_methods_and_parameters_that_lead_nowhere_are_problems_too() {
     let job = farm.submit("0-3").await;
     let nothing = "0197a8a5-0000-7000-8000-000000000000";
     for path in [
-        "/".to_owned(),
+        "/nothing".to_owned(),
         "/v2/jobs".to_owned(),
         "/v1/jobs/x".to_owned(),
         format!("/v1/jobs/{nothing}"),
@@ -197,12 +197,22 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
     let nothing = "0197a8a5-0000-7000-8000-000000000000";
     // All bodies are empty objects. Forbidden callers are refused before the body is read; others learn that
     // it is invalid.
-    let table: [(Method, String, &str); 26] = [
+    let table: [(Method, String, &str); 36] = [
+        (Method::POST, "/v1/sessions/codes".into(), "s-ov"),
+        (Method::GET, "/v1/sessions/current".into(), "s-ov"),
+        (Method::DELETE, "/v1/sessions/current".into(), "s-ov"),
+        (Method::GET, "/v1/sessions".into(), "--o-"),
+        (Method::DELETE, format!("/v1/sessions/{nothing}"), "--o-"),
         (Method::POST, "/v1/bundles".into(), "s-o-"),
         (Method::GET, format!("/v1/bundles/{nothing}"), "swov"),
         (Method::POST, "/v1/jobs".into(), "s-o-"),
         (Method::POST, "/v1/jobs/check".into(), "s-o-"),
         (Method::POST, format!("/v1/jobs/{nothing}/cancel"), "s-o-"),
+        (Method::PATCH, format!("/v1/jobs/{nothing}"), "s-o-"),
+        (Method::POST, format!("/v1/jobs/{nothing}/accept"), "s-o-"),
+        (Method::POST, format!("/v1/jobs/{nothing}/frames/retry"), "s-o-"),
+        (Method::POST, format!("/v1/jobs/{nothing}/frames/cancel"), "s-o-"),
+        (Method::POST, "/v1/plans/what-if".into(), "s-ov"),
         (Method::GET, "/v1/jobs".into(), "s-ov"),
         (Method::GET, format!("/v1/jobs/{id}"), "s-ov"),
         (Method::GET, format!("/v1/jobs/{id}/frames"), "s-ov"),

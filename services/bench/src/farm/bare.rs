@@ -112,7 +112,7 @@ impl Bare {
             "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) VALUES (?, ?, ?, ?, 1.0, 'active', ?, ?)",
             params![lease, task, self.node(), fence, now, expiry(now)],
         )?;
-        write.run("UPDATE jobs SET state = 'rendering' WHERE id = ? AND state = 'booked'", params![job])?;
+        write.run("UPDATE jobs SET stage = 'rendering' WHERE id = ? AND state = 'booked'", params![job])?;
         write.event("task_leased", &job, frame, now)?;
         write.run(
             "INSERT INTO idempotency (principal, key, request_hash, status, body, created_at) VALUES (?, ?, ?, 200, ?, ?)",
@@ -165,8 +165,8 @@ impl Bare {
             params![self.result, now, held.job, held.frame],
         )?;
         write.run(
-            "UPDATE jobs SET state = 'done', finished_at = ?1 WHERE id = ?2 AND state = 'rendering' \
-             AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = ?2 AND actual IS NULL)",
+            "UPDATE jobs SET stage = 'done', finished_at = ?1 WHERE id = ?2 AND stage = 'rendering' \
+             AND NOT EXISTS (SELECT 1 FROM frames WHERE job_id = ?2 AND actual IS NULL AND dropped = 0)",
             params![now, held.job],
         )?;
         write.commit()

@@ -50,7 +50,7 @@ pub async fn run(args: Args) -> Result<()> {
 }
 
 /// The id of the job with this id, or of the only open job with this name.
-async fn find(client: &Client, wanted: &str) -> Result<JobId> {
+pub(super) async fn find(client: &Client, wanted: &str) -> Result<JobId> {
     if let Ok(id) = wanted.parse() {
         return Ok(id);
     }

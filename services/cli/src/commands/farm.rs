@@ -1,6 +1,6 @@
 //! `forelight farm`: the service and its workers, in one process on this machine.
 
-use super::serve::{self, Executor, ServiceOptions};
+use super::serve::{self, Executor, ServiceOptions, reachable};
 use super::worker::{equipment, measured};
 use anyhow::Result;
 use forelight_client::Client;
@@ -11,6 +11,7 @@ use forelight_terminal::options::PreviewBackend;
 use forelight_terminal::output;
 use forelight_terminal::quantities::parse_money;
 use forelight_worker::{Agent, AgentError};
+use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
@@ -76,6 +77,12 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
     let threads = args.threads;
     output::line(running.greeting())?;
+    // A log is read by others, and a link that signs in is not for them.
+    output::line(if std::io::stdout().is_terminal() {
+        format!("dashboard, signed in once within five minutes: {}", running.sign_in_link().await?)
+    } else {
+        format!("dashboard at {}/", running.public_address())
+    })?;
     output::line(match workers {
         0 => "Slurm starts the workers; Ctrl-C ends the farm, and Slurm's jobs go on".to_owned(),
         _ => format!("{workers} workers of {threads} threads, speed {speed:.2}; Ctrl-C ends the farm"),
@@ -92,21 +99,4 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
     running.shutdown().await;
     outcome
-}
-
-/// The address at which this process reaches its own service.
-fn reachable(address: &str) -> String {
-    address.replace("//0.0.0.0:", "//127.0.0.1:").replace("//[::]:", "//[::1]:")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::reachable;
-
-    #[test]
-    fn a_service_that_listens_everywhere_is_reached_at_home() {
-        assert_eq!(reachable("http://0.0.0.0:7878"), "http://127.0.0.1:7878");
-        assert_eq!(reachable("http://[::]:1"), "http://[::1]:1");
-        assert_eq!(reachable("http://10.0.0.7:80"), "http://10.0.0.7:80");
-    }
 }

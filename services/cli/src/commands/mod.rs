@@ -1,5 +1,6 @@
 //! The commands, one file each.
 
+mod accept;
 mod accuracy;
 mod allot;
 mod ask;
@@ -8,6 +9,7 @@ mod budget;
 mod cache;
 mod calibrate;
 mod cancel;
+mod dashboard;
 mod explain;
 mod export;
 mod farm;
@@ -63,9 +65,11 @@ enum Command {
     Serve(serve::Args),
     Worker(worker::Args),
     Submit(submit::Args),
+    Accept(accept::Args),
     Status(status::Args),
     Jobs(jobs::Args),
     Cancel(cancel::Args),
+    Dashboard(dashboard::Args),
     Render(render::Args),
     Renderers(renderers::Args),
     Preview(preview::Args),
@@ -103,7 +107,9 @@ impl Cli {
             Command::Submit(args) => submit::run(args, interrupt).await,
             Command::Status(args) => status::run(args, interrupt).await,
             Command::Jobs(args) => jobs::run(args).await,
+            Command::Accept(args) => accept::run(args).await,
             Command::Cancel(args) => cancel::run(args).await,
+            Command::Dashboard(args) => dashboard::run(args).await,
             Command::Token(args) => token::run(args).await,
             Command::Node(args) => node::run(*args).await,
             Command::Ask(args) => ask::run(args).await,
@@ -198,6 +204,7 @@ mod tests {
             ("forelight backup --data d", "--to"),
             ("forelight status kitchen --interval 0s", "--interval"),
             ("forelight jobs --state sleeping", "--state"),
+            ("forelight accept j --confidence p99", "--confidence"),
             ("forelight jobs --most 0", "--most"),
             ("forelight simulate --nodes 3", "--nodes"),
             ("forelight simulate --confidence 90", "--confidence"),

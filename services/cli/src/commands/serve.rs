@@ -55,6 +55,10 @@ pub struct ServiceOptions {
     /// Time until a lease expires without renewal, such as 30s
     #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = duration)]
     pub lease_ttl: Duration,
+    /// Address at which people reach the service, if it is another one, such as https://farm.example.org behind
+    /// a TLS proxy. Links begin with it. With https, browsers send sessions over TLS only
+    #[arg(long, value_name = "URL", value_parser = origin)]
+    pub public_url: Option<String>,
     /// Folder on shared storage below which jobs may name bundles by path. May be repeated
     #[arg(long, value_name = "DIR")]
     pub bundle_root: Vec<PathBuf>,
@@ -92,6 +96,7 @@ impl ServiceOptions {
         config.artifacts_moved = self.artifacts_moved;
         config.listen = self.listen;
         config.lease_ttl = self.lease_ttl;
+        config.public_origin.clone_from(&self.public_url);
         config.bundle_roots.clone_from(&self.bundle_root);
         config.limits.bundle_bytes = self.max_bundle << 20;
         config.limits.frames = self.max_frames;
@@ -100,9 +105,22 @@ impl ServiceOptions {
         config
     }
 }
+
+/// Reads `https://farm.example.org` or `http://10.0.0.5:7878/`: scheme, host and port, without a path.
+fn origin(text: &str) -> Result<String, String> {
+    let plain = text.trim_end_matches('/');
+    let rest = plain.strip_prefix("https://").or_else(|| plain.strip_prefix("http://"));
+    let is_host = |rest: &str| !rest.is_empty() && !rest.contains(['/', '?', '#', '@', ' ']);
+    match rest {
+        Some(rest) if is_host(rest) => Ok(plain.to_owned()),
+        _ => Err("expected http:// or https://, a host, and a port if it is not the usual one".to_owned()),
+    }
+}
+
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let running = start(&args.service).await?;
     output::line(running.greeting())?;
+    output::line(format!("dashboard at {}/", running.public_address()))?;
     interrupt.token().cancelled().await;
     running.shutdown().await;
     Ok(())
@@ -112,12 +130,29 @@ pub struct Running {
     pub service: Service,
     pub worker_token: Token,
     data: PathBuf,
+    public_url: Option<String>,
+    /// The operator's token, which signs the person in who started the farm.
+    operator: String,
     engine: Option<(JoinHandle<()>, CancellationToken)>,
 }
 
 impl Running {
     pub fn address(&self) -> String {
         format!("http://{}", self.service.local_addr())
+    }
+
+    /// The address for people: that of --public-url, or one at which this machine reaches the service.
+    pub fn public_address(&self) -> String {
+        self.public_url.clone().unwrap_or_else(|| reachable(&self.address()))
+    }
+
+    /// A link that signs in once, as an operator, within five minutes.
+    pub async fn sign_in_link(&self) -> Result<String> {
+        let store = self.service.store();
+        let caller = tokens::find(store, &self.operator).await?;
+        let caller = caller.context("the farm does not know its operator's token")?;
+        let code = store.create_session_code(&caller, Timestamp::now()).await?.code;
+        Ok(sign_in_link(&self.public_address(), &code))
     }
 
     /// Ends the engine, then the service. Slurm's jobs go on, and the next start finds them again.
@@ -146,10 +181,17 @@ pub async fn start(options: &ServiceOptions) -> Result<Running> {
     let service = Service::start(options.config())
         .await
         .with_context(|| format!("cannot start the service with data in {data}"))?;
-    let worker_token = first_tokens(service.store(), &options.data)
+    let (worker_token, operator) = first_tokens(service.store(), &options.data)
         .await
         .with_context(|| format!("cannot create the tokens in {data}"))?;
-    let mut running = Running { service, worker_token, data: options.data.clone(), engine: None };
+    let mut running = Running {
+        service,
+        worker_token,
+        data: options.data.clone(),
+        public_url: options.public_url.clone(),
+        operator,
+        engine: None,
+    };
     if options.executor == Executor::Slurm {
         let logs = options.data.join("slurm");
         fs::create_dir_all(&logs).with_context(|| format!("cannot create the folder {}", logs.display()))?;
@@ -167,10 +209,20 @@ fn token_path(data: &Path, role: Role) -> PathBuf {
     data.join("tokens").join(format!("{role}.token"))
 }
 
-/// Writes a token file for each role, if it is missing, and returns the worker's token. A file with an
-/// unknown token is replaced, because it belongs to another or a deleted database.
-async fn first_tokens(store: &Store, data: &Path) -> Result<Token> {
-    let mut worker = None;
+/// Link to the page that signs in with a one-time code. Browsers do not send what follows `#`.
+pub fn sign_in_link(address: &str, code: &str) -> String {
+    format!("{}/#/sign-in?code={code}", address.trim_end_matches('/'))
+}
+
+/// The address at which this machine reaches its own service.
+pub fn reachable(address: &str) -> String {
+    address.replace("//0.0.0.0:", "//127.0.0.1:").replace("//[::]:", "//[::1]:")
+}
+
+/// Writes a token file for each role, if it is missing, and returns the worker's and the operator's tokens. A
+/// file with an unknown token is replaced, because it belongs to another or a deleted database.
+async fn first_tokens(store: &Store, data: &Path) -> Result<(Token, String)> {
+    let (mut worker, mut operator) = (None, None);
     for role in Role::ALL {
         let path = token_path(data, role);
         let known = match fs::read_to_string(&path) {
@@ -187,17 +239,36 @@ async fn first_tokens(store: &Store, data: &Path) -> Result<Token> {
                 text
             }
         };
-        if role == Role::Worker {
-            worker = Some(Token::new(&text));
+        match role {
+            Role::Worker => worker = Some(Token::new(&text)),
+            Role::Operator => operator = Some(text.trim().to_owned()),
+            Role::Submitter | Role::Viewer => {}
         }
     }
-    worker.context("the list of roles lacks the worker")
+    worker.zip(operator).context("the list of roles lacks the worker or the operator")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::os::unix::fs::PermissionsExt;
+
+    #[test]
+    fn a_service_that_listens_everywhere_is_reached_at_home() {
+        assert_eq!(reachable("http://0.0.0.0:7878"), "http://127.0.0.1:7878");
+        assert_eq!(reachable("http://[::]:1"), "http://[::1]:1");
+        assert_eq!(reachable("http://10.0.0.7:80"), "http://10.0.0.7:80");
+    }
+
+    #[test]
+    fn a_public_address_is_an_origin_without_a_path() {
+        assert_eq!(origin("https://farm.example.org/").as_deref(), Ok("https://farm.example.org"));
+        assert_eq!(origin("http://[::1]:7878").as_deref(), Ok("http://[::1]:7878"));
+        for wrong in ["farm.example.org", "ftp://farm", "https://", "https://farm/x", "https://a@b", ""] {
+            assert!(origin(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(sign_in_link("http://farm:1/", "c"), "http://farm:1/#/sign-in?code=c");
+    }
 
     #[tokio::test]
     async fn tokens_are_made_once_kept_and_replaced_where_the_farm_does_not_know_them() {

@@ -5,8 +5,8 @@ use crate::error::ClientError;
 use crate::transport::{Payload, Request};
 use bytes::Bytes;
 use forelight_protocol::{
-    AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId, JobPage,
-    JobRequest, Money, Timestamp,
+    AcceptRequest, AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId,
+    JobPage, JobRequest, Money, Timestamp,
 };
 use reqwest::Method;
 use std::path::Path;
@@ -65,6 +65,12 @@ impl Client {
     /// One job.
     pub async fn job(&self, id: JobId) -> Result<Job, ClientError> {
         self.get(format!("/v1/jobs/{id}")).await
+    }
+
+    /// Accepts the quote of a job on hold. Repeated without changes, it changes nothing.
+    pub async fn accept(&self, id: JobId, request: &AcceptRequest) -> Result<Job, ClientError> {
+        let path = format!("/v1/jobs/{id}/accept");
+        self.transport.json(&Request::json(Method::POST, path, request)).await
     }
 
     /// Cancels a job. Cancelling it again changes nothing.

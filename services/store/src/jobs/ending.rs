@@ -26,15 +26,13 @@ impl Store {
                     current.state
                 )));
             }
-            JobState::Previewing | JobState::Profiling | JobState::Booked | JobState::Rendering => {}
+            JobState::Previewing
+            | JobState::Profiling
+            | JobState::Quoted
+            | JobState::Booked
+            | JobState::Rendering => {}
         }
-        withdraw(&mut write, job, now).await?;
-        run!(write, "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ?", now.micros(), job.0);
-        job_state(&mut write, job, JobState::Cancelled, None, now);
-        living::update(&mut write, job, Occasion::Ended, now).await?;
-        if current.plan_id.is_some() {
-            replans::want(&mut write, &format!("job {} was cancelled", current.name)).await?;
-        }
+        cancel(&mut write, &current, now).await?;
         let cancelled = read(write.connection().await?, job).await?;
         self.commit(write).await?;
         Ok(cancelled)
@@ -46,6 +44,18 @@ impl Store {
         fail(&mut write, job, error, now).await?;
         self.commit(write).await
     }
+}
+
+/// Cancels an open job inside a write.
+pub(crate) async fn cancel(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
+    withdraw(write, job.id, now).await?;
+    run!(write, "UPDATE jobs SET stage = 'cancelled', finished_at = ? WHERE id = ?", now.micros(), job.id.0);
+    job_state(write, job.id, JobState::Cancelled, None, now);
+    living::update(write, job.id, Occasion::Ended, now).await?;
+    if job.plan_id.is_some() {
+        replans::want(write, &format!("job {} was cancelled", job.name)).await?;
+    }
+    Ok(())
 }
 
 pub(crate) async fn fail_task_and_job(
@@ -80,8 +90,8 @@ pub(crate) async fn fail_for_task(
 pub(crate) async fn fail(write: &mut Write, job: JobId, error: &str, now: Timestamp) -> Result<()> {
     let failed = run!(
         write,
-        "UPDATE jobs SET state = 'failed', error = ?, finished_at = ? WHERE id = ? \
-         AND state IN ('previewing', 'profiling', 'booked', 'rendering')",
+        "UPDATE jobs SET stage = 'failed', error = ?, finished_at = ? WHERE id = ? \
+         AND stage IN ('previewing', 'profiling', 'booked', 'rendering')",
         error,
         now.micros(),
         job.0

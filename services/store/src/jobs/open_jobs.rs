@@ -25,7 +25,7 @@ impl Store {
     /// The jobs that are neither done, failed nor cancelled, oldest first.
     pub async fn open_jobs(&self) -> Result<Vec<OpenJob>> {
         let mut transaction = self.read().await?;
-        let rows = job_rows!("WHERE state IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id")
+        let rows = job_rows!("WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
             .await?;
         let mut open = Vec::with_capacity(rows.len());
@@ -36,7 +36,7 @@ impl Store {
             let job = row.job(done)?;
             let frames = sqlx::query!(
                 r#"SELECT frame, cpu_p50 AS "cpu_p50!", cpu_p80 AS "cpu_p80!" FROM frames
-                   WHERE job_id = ? AND finished_at IS NULL AND cpu_p50 IS NOT NULL ORDER BY frame"#,
+                   WHERE job_id = ? AND finished_at IS NULL AND dropped = 0 AND cpu_p50 IS NOT NULL ORDER BY frame"#,
                 job_id.0
             )
             .fetch_all(&mut *transaction)

@@ -11,6 +11,8 @@ use crate::shared_cache::parts;
 #[derive(Clone, PartialEq, Debug)]
 pub(crate) struct Progress {
     pub frames_done: u32,
+    /// Frames that a person took out of the job.
+    pub frames_dropped: u32,
     /// 0 to 1, as a share of the forecast work; without a forecast, of the frames.
     pub fraction: f64,
     /// Estimate of the job's cost; `None` before it is booked.
@@ -27,7 +29,8 @@ pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Res
     let row = sqlx::query!(
         r#"SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS "done!: u32",
                   coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased', 0)), 0) AS "begun!: bool",
-                  total(coalesce(f.work_mean, 1.0)) AS "weight!: f64",
+                  coalesce(sum(f.dropped), 0) AS "dropped!: u32",
+                  total(CASE WHEN f.dropped THEN 0.0 ELSE coalesce(f.work_mean, 1.0) END) AS "weight!: f64",
                   total(coalesce(f.work_mean, 1.0) * CASE WHEN f.actual IS NOT NULL THEN 1.0
                         WHEN t.state = 'leased' THEN t.progress ELSE 0.0 END) AS "reached!: f64"
            FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames
@@ -40,5 +43,6 @@ pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Res
     let fraction = if row.weight > 0.0 { (row.reached / row.weight).clamp(0.0, 1.0) } else { 0.0 };
     let live = living::newest(connection, job).await?;
     let shared_cache = parts::progress(connection, job).await?;
-    Ok(Progress { frames_done: row.done, fraction, begun: row.begun, live, shared_cache })
+    let (frames_done, frames_dropped) = (row.done, row.dropped);
+    Ok(Progress { frames_done, frames_dropped, fraction, begun: row.begun, live, shared_cache })
 }

@@ -44,10 +44,10 @@ impl Store {
         let job_id = JobId::new();
         run!(
             write,
-            "INSERT INTO jobs (id, name, project, state, bundle_id, bundle_path, bundle_source, scene, \
+            "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
              frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
-             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             job_id.0,
             request.name,
             request.project,
@@ -71,7 +71,8 @@ impl Store {
             request.weight,
             request.profile_frames.is_none(),
             request.ladders.name(),
-            request.renderer.as_ref().map(Json)
+            request.renderer.as_ref().map(Json),
+            request.hold
         );
         for frame in request.frames.iter() {
             run!(write, "INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame);

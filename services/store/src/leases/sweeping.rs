@@ -14,6 +14,7 @@ use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
 use crate::living;
 use crate::nodes::changing::stop_after_windows;
 use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
+use crate::sessions::forget_ended_sessions;
 use crate::writing::run;
 
 /// The result of a sweep.
@@ -36,6 +37,7 @@ impl Store {
         forget_old(&mut write, now).await?;
         forget_old_progress(&mut write, now).await?;
         forget_old_logs(&mut write, now).await?;
+        forget_ended_sessions(&mut write, now).await?;
         self.commit(write).await?;
         self.forget_checkpoints().await?;
         Ok(swept)

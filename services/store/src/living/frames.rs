@@ -11,7 +11,7 @@ pub(super) async fn read(connection: &mut SqliteConnection, job: JobId, lights: 
     let rows = sqlx::query!(
         r#"SELECT f.frame, f.clock, f.work_mean, f.work_p50, f.work_p80, f.work_p95, f.cpu_mean, f.cpu_p50,
                   f.cpu_p80, f.cpu_p95,
-                  f.actual_work, f.actual_cpu, t.pixels_share, t.pixels_work, t.pixels_cpu
+                  f.actual_work, f.actual_cpu, f.dropped, t.pixels_share, t.pixels_work, t.pixels_cpu
            FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames
                 ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame AND t.state = 'leased'
            WHERE f.job_id = ? ORDER BY f.frame"#,
@@ -19,8 +19,13 @@ pub(super) async fn read(connection: &mut SqliteConnection, job: JobId, lights: 
     )
     .fetch_all(connection)
     .await?;
+    // `lights` has a number for each frame of the quote, also for those that were taken out since.
+    let stays = rows.iter().map(|row| !row.dropped);
+    let lights: Vec<u32> =
+        lights.iter().zip(stays).filter_map(|(&lights, stays)| stays.then_some(lights)).collect();
     let states: Vec<FrameState> = rows
         .into_iter()
+        .filter(|row| !row.dropped)
         .map(|row| FrameState {
             number: row.frame,
             clock: row.clock,
@@ -37,7 +42,7 @@ pub(super) async fn read(connection: &mut SqliteConnection, job: JobId, lights: 
             },
         })
         .collect();
-    Ok(Frames::new(&states, lights))
+    Ok(Frames::new(&states, &lights))
 }
 
 /// A job that is booked has a forecast of every frame.

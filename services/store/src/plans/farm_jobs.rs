@@ -27,6 +27,10 @@ pub struct FarmJob {
     pub factor: f64,
     /// Its project's budget holds it back.
     pub held: bool,
+    /// How often its deadline, budget or confidence were changed.
+    pub terms: i64,
+    /// Whether that was since its newest plan was made.
+    pub has_new_terms: bool,
 }
 
 /// A frame of such a job. CPU seconds are those of a node of speed 1.
@@ -62,11 +66,12 @@ impl Store {
 async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Timestamp) -> Result<FarmJob> {
     let job = JobId::from(row.id);
     let (forecast, factor) = (row.forecast.take(), row.factor);
+    let (terms, has_new_terms) = (row.terms, row.terms != row.terms_planned);
     let done = progress::of_job(connection, job).await?;
     // The job's frames that have a forecast, with their bookings.
     let rows = sqlx::query!(
         r#"SELECT f.frame, f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
-                  t.state NOT IN ('leased', 'done') AS "waits!: bool", t.held,
+                  t.state NOT IN ('leased', 'done') AND NOT f.dropped AS "waits!: bool", t.held,
                   b.end_at - b.start_at AS "length?: i64",
                   coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
            FROM frames f JOIN jobs j ON j.id = f.job_id
@@ -101,6 +106,8 @@ async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Times
         spent: spent_and_under_way(&payments, &booked, booked_cache, now),
         factor,
         held,
+        terms,
+        has_new_terms,
     })
 }
 

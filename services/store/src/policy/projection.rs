@@ -202,7 +202,7 @@ impl Projection {
     /// the job.
     pub fn eta(&self, job: &Job) -> Option<Timestamp> {
         let booked = self.frames.iter().filter(|frame| frame.booking.job_id == job.id).count();
-        let open = job.frames_total.saturating_sub(job.frames_done);
+        let open = job.frames_total.saturating_sub(job.frames_done + job.frames_cancelled);
         let waits_for_money = job.waits.as_ref().is_some_and(Waits::is_for_money);
         self.finish_of(job.id).filter(|_| !waits_for_money && booked >= open as usize)
     }

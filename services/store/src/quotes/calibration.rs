@@ -80,7 +80,16 @@ pub(crate) async fn keep(
 }
 
 /// Stores the residuals of the job's quote, inside the write that finishes the job, if it has a stored basis.
+///
+/// Nothing is learnt from a job without some of its frames: the quote is for all of them.
 pub(crate) async fn learn(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    let lacks_some = sqlx::query_scalar!(
+        r#"SELECT EXISTS (SELECT 1 FROM frames WHERE job_id = ? AND dropped = 1) AS "lacks_some!: bool""#,
+        job.0
+    );
+    if lacks_some.fetch_one(write.connection().await?).await? {
+        return Ok(());
+    }
     let rows = sqlx::query!(
         r#"SELECT s.frame AS "frame!: i64", s.work_mean AS "work_mean!: f64", s.work_spread AS "work_spread!: f64",
                   s.cpu_mean AS "cpu_mean!: f64", s.cpu_spread AS "cpu_spread!: f64",

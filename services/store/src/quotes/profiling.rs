@@ -44,7 +44,7 @@ impl Store {
         if plan_cache {
             common.cache_plan(&mut write, row.frame_set()?.iter().collect()).await?;
         }
-        run!(write, "UPDATE jobs SET state = 'profiling' WHERE id = ?", job.0);
+        run!(write, "UPDATE jobs SET stage = 'profiling' WHERE id = ?", job.0);
         job_state(&mut write, job, JobState::Profiling, None, now);
         self.commit(write).await
     }

@@ -236,7 +236,7 @@ impl Farm {
             parent: self.store.newest_plan().await.unwrap(),
             reason: PlanReason::Events,
             wanted: self.store.wanted_plan().await.unwrap(),
-            jobs: vec![NewJobPlan { verdict: verdict(job), bookings, begun, factor }],
+            jobs: vec![NewJobPlan { verdict: verdict(job), bookings, begun, factor, terms: 0 }],
             outlooks: Vec::new(),
             shared_cache: None,
         }

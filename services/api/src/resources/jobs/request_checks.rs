@@ -2,7 +2,7 @@
 
 use forelight_protocol::{
     BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, JobSettings, Ladders, Money,
-    RenderSettings, RenderSettingsRequest, SceneSummary,
+    RenderSettings, RenderSettingsRequest, SceneSummary, Timestamp,
 };
 use forelight_store::{NewJob, StoreError};
 
@@ -37,18 +37,7 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
             _ => return Err(ApiError::invalid("/within", "give exactly one of `cpu_micros` and `money`")),
         }
     }
-    if let Some(budget) = request.budget {
-        within("/budget", budget.micro_units(), 0..=HIGHEST_SUM.micro_units())?;
-    }
-    if let Some(deadline) = request.deadline {
-        let wrong =
-            |reason: &str| ApiError::invalid("/deadline", format!("the deadline {deadline} {reason}"));
-        match deadline.micros_since(app.now()) {
-            ..=0 => return Err(wrong("has passed")),
-            LATEST_DEADLINE.. => return Err(wrong("is more than ten years away")),
-            _ => {}
-        }
-    }
+    check_terms(app, request.deadline, request.budget)?;
     let frames = request.frames.count();
     if frames > app.limits.frames {
         return Err(ApiError::invalid(
@@ -91,6 +80,20 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
     let settings = request.settings.complete((scene.width, scene.height));
     check_size(app, &settings)?;
     Ok(NewJob { request, scene, source, settings: settings.into() })
+}
+
+/// Checks a deadline and a budget.
+pub(super) fn check_terms(app: &App, deadline: Option<Timestamp>, budget: Option<Money>) -> ApiResult<()> {
+    if let Some(budget) = budget {
+        within("/budget", budget.micro_units(), 0..=HIGHEST_SUM.micro_units())?;
+    }
+    let Some(deadline) = deadline else { return Ok(()) };
+    let wrong = |reason: &str| ApiError::invalid("/deadline", format!("the deadline {deadline} {reason}"));
+    match deadline.micros_since(app.now()) {
+        ..=0 => Err(wrong("has passed")),
+        LATEST_DEADLINE.. => Err(wrong("is more than ten years away")),
+        _ => Ok(()),
+    }
 }
 
 /// Checks a job of a renderer other than our own. Its scene is not opened here: the job's first task does that.

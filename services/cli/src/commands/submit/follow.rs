@@ -28,7 +28,7 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
         let mut stages = Stages::new(bars, &job);
         let mut last: Option<EventId> = None;
         let mut failures = 0;
-        while !job.state.is_final() {
+        while !has_stopped(&job) {
             match client.events(id, last).await {
                 Ok(stream) => {
                     failures = 0;
@@ -65,6 +65,11 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
     }
 }
 
+/// Whether the job is over, or waits for a person to accept its quote.
+fn has_stopped(job: &Job) -> bool {
+    job.state.is_final() || job.state == JobState::Quoted && job.hold
+}
+
 /// Reads events until the stream ends or falls silent, or the job is booked or over. Returns the last id.
 async fn listen(
     mut stream: EventStream,
@@ -77,7 +82,10 @@ async fn listen(
         last = Some(event.id);
         stages.event(&event);
         // A job that is now booked shows whether its frames wait for a cache.
-        if event.job_state.is_some_and(|state| state.is_final() || state == JobState::Booked) {
+        if event
+            .job_state
+            .is_some_and(|state| state.is_final() || matches!(state, JobState::Booked | JobState::Quoted))
+        {
             break;
         }
         if stages.is_behind && asked.elapsed() >= BETWEEN_ESTIMATES {
@@ -203,7 +211,7 @@ impl Stages {
         if stage(state) >= stage(JobState::Profiling) {
             self.previews.set_position(self.previews.length().unwrap_or(0));
         }
-        if stage(state) >= stage(JobState::Booked) {
+        if stage(state) >= stage(JobState::Quoted) {
             // The job may have profiled fewer frames than the maximum.
             if !self.profiles.is_empty() {
                 self.profiling.set_length(self.profiles.len() as u64);
@@ -230,8 +238,9 @@ fn stage(state: JobState) -> u8 {
     match state {
         JobState::Failed | JobState::Cancelled | JobState::Previewing => 0,
         JobState::Profiling => 1,
-        JobState::Booked => 2,
-        JobState::Rendering => 3,
-        JobState::Done => 4,
+        JobState::Quoted => 2,
+        JobState::Booked => 3,
+        JobState::Rendering => 4,
+        JobState::Done => 5,
     }
 }

@@ -36,11 +36,15 @@ Examples:
   forelight submit kitchen.zip --frames 0,12 --budget 12.50 --server http://farm:7878
   forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
   forelight submit /mnt/shots/kitchen.blend --shared --frames 1-250 --spp 256 --set denoise=false
+  forelight submit kitchen/ --frames 0-47 --deadline 2h --hold --follow --data farm-data
   forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
 
 Without --follow and --out, the command prints the job's id and ends. A folder is packed and uploaded, unless the farm \
 already has this bundle. Files that a .blend file refers to are not uploaded: pack them, or use --shared. With \
---follow or --out, the exit code is 0 only if all frames were delivered.")]
+--follow or --out, the exit code is 0 only if all frames were delivered.
+
+With --hold, the job waits with its complete quote, and nothing is booked. `forelight accept` books it; `forelight \
+cancel` drops it.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file. Or a .blend file, which nodes with Blender render
     #[arg(required_unless_present = "job")]
@@ -119,7 +123,10 @@ pub struct Args {
     /// then, because 2h from now differs each time
     #[arg(long, value_name = "UUID")]
     idempotency_key: Option<Uuid>,
-    /// Wait until the job ends, and print forecast and true cost of each frame
+    /// Wait with the complete quote until `forelight accept`. Book nothing before
+    #[arg(long, conflicts_with_all = ["job", "out"])]
+    hold: bool,
+    /// Wait until the job ends, and print forecast and true cost of each frame. With --hold, wait for the quote
     #[arg(long)]
     follow: bool,
     /// Follow the job, and write images, cost maps and a contact sheet into this folder
@@ -157,6 +164,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
     bars.note(format!("job {} \"{}\", {} frames", job.id, job.name, job.frames_total));
     let job = follow::follow(&client, job, &bars, &interrupt).await?;
+    if job.state == JobState::Quoted {
+        return show_quote(&client, &job, args.json).await;
+    }
     let frames = client.frames(job.id).await.context("cannot read the frames")?;
     let forecast = client.forecast(job.id).await.ok();
     if let Some(folder) = &args.out {
@@ -176,6 +186,16 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             bail!("the job is {state}; {} of {} frames were delivered", job.frames_done, job.frames_total)
         }
     }
+}
+
+/// Prints the quote of a job that waits to be accepted.
+async fn show_quote(client: &Client, job: &Job, as_json: bool) -> Result<()> {
+    let forecast = client.forecast(job.id).await.context("cannot read the quote")?;
+    if as_json {
+        return output::json(&report::Document { job, forecast: Some(&forecast), frames: &[] });
+    }
+    let answers = client.answers(job.id, None, None).await.context("cannot ask what a plan would do")?;
+    output::print(&report::quoted(job, &forecast, &answers, Timestamp::now()))
 }
 
 async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Result<Job> {
@@ -268,6 +288,7 @@ fn request(
         priority: args.priority,
         weight: args.weight,
         limits: task_limits(args.task_memory, args.task_time),
+        hold: args.hold,
     })
 }
 

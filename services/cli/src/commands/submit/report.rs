@@ -2,7 +2,8 @@
 
 use crate::caches;
 use forelight_protocol::{
-    AllottedStats, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut, Timestamp, Verdict,
+    AllottedStats, AnswersDoc, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut,
+    Timestamp, Verdict,
 };
 use forelight_terminal::output;
 use forelight_terminal::quantities::{clock, count, money, percent, seconds};
@@ -125,32 +126,60 @@ fn remark(row: &FrameRow) -> String {
     remarks.join("; ")
 }
 
-fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
-    let mut text = String::new();
-    if let Some(quote) = forecast {
-        let shared = quote.cache.as_ref().map(CacheQuote::shared_cache_seconds).unwrap_or_default();
-        let cpu = quote.total.cpu_seconds.plus(&shared);
-        text += &format!(
-            "quoted     {} CPU time (P50), {} (P80), {} (P95){}",
-            seconds(cpu.p50),
-            seconds(cpu.p80),
-            seconds(cpu.p95),
-            if shared.mean > 0.0 { ", frames and shared cache" } else { "" }
-        );
-        if let Some(cost) = &quote.cost {
-            text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));
-        }
-        text += "\n";
-        if let Some(cache) = &quote.cache {
-            text += &made_caches(cache, job);
-        }
-        if !quote.effects.is_empty() {
-            text += &format!("simulated  {}\n", output::list(&quote.effects));
-        }
-        for LeftOut { what, reason } in &quote.left_out {
-            text += &format!("left out   {what}: {reason}\n");
-        }
+/// The quote of a job that waits to be accepted, and what a plan would make of it now.
+pub fn quoted(job: &Job, forecast: &ForecastDoc, answers: &AnswersDoc, now: Timestamp) -> String {
+    let mut text = quote(job, forecast);
+    for line in &answers.outlook {
+        let confidence = line.confidence.name().to_uppercase();
+        let ready = line.finish.map_or("never ready".to_owned(), |at| format!("ready by {}", clock(at, now)));
+        let in_time = match line.in_time {
+            Some(true) => ", in time",
+            Some(false) => ", too late",
+            None => "",
+        };
+        text += &format!("at {confidence}     {ready}{in_time}, for {}\n", money(line.cost.micro_units()));
     }
+    for reason in &answers.why_not {
+        text += &format!("           {reason}\n");
+    }
+    for way in &answers.ways_out {
+        text += &format!("           {}\n", way.words);
+    }
+    text + &format!(
+        "nothing is booked; `forelight accept {0}` books it, `forelight cancel {0}` drops it\n",
+        job.id
+    )
+}
+
+fn quote(job: &Job, quote: &ForecastDoc) -> String {
+    let mut text = String::new();
+    let shared = quote.cache.as_ref().map(CacheQuote::shared_cache_seconds).unwrap_or_default();
+    let cpu = quote.total.cpu_seconds.plus(&shared);
+    text += &format!(
+        "quoted     {} CPU time (P50), {} (P80), {} (P95){}",
+        seconds(cpu.p50),
+        seconds(cpu.p80),
+        seconds(cpu.p95),
+        if shared.mean > 0.0 { ", frames and shared cache" } else { "" }
+    );
+    if let Some(cost) = &quote.cost {
+        text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));
+    }
+    text += "\n";
+    if let Some(cache) = &quote.cache {
+        text += &made_caches(cache, job);
+    }
+    if !quote.effects.is_empty() {
+        text += &format!("simulated  {}\n", output::list(&quote.effects));
+    }
+    for LeftOut { what, reason } in &quote.left_out {
+        text += &format!("left out   {what}: {reason}\n");
+    }
+    text
+}
+
+fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: Timestamp) -> String {
+    let mut text = forecast.map(|forecast| quote(job, forecast)).unwrap_or_default();
     if let Some(verdict) = &job.verdict {
         let said = match verdict.verdict {
             Verdict::OnTime => "on time",

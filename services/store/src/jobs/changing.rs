@@ -1,0 +1,143 @@
+//! Accepting quotes, and changing the terms of jobs: deadline, budget and confidence.
+
+use forelight_protocol::{Event, EventKind, Job, JobChange, JobId, JobState, Money, Timestamp};
+
+use crate::columns::{Id, Time};
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
+use crate::events::{append, event};
+use crate::jobs::{read, row};
+use crate::plans::{book_tasks, replans};
+use crate::policy::rebooking::NewBooking;
+use crate::writing::run;
+
+impl Store {
+    /// Accepts the quote of a job on hold, under these terms. It is booked after that. Repeating this without
+    /// a change does nothing. A [`StoreError::Conflict`] if the job has no complete quote, or was not on hold.
+    pub async fn accept_job(&self, job: JobId, change: &JobChange, now: Timestamp) -> Result<Job> {
+        let mut write = self.write().await?;
+        let current = read(write.connection().await?, job).await?;
+        match current.state {
+            JobState::Quoted if current.hold => {}
+            JobState::Previewing | JobState::Profiling if current.hold => {
+                return Err(StoreError::Conflict(format!(
+                    "the job is {}: its quote is not complete yet",
+                    current.state
+                )));
+            }
+            JobState::Failed | JobState::Cancelled => {
+                return Err(StoreError::Conflict(format!("the job is {}; submit it again", current.state)));
+            }
+            _ if *change == JobChange::default() => return Ok(current),
+            state => {
+                return Err(StoreError::Conflict(format!(
+                    "the job is {state} and waits for nobody; change its terms with PATCH"
+                )));
+            }
+        }
+        run!(write, "UPDATE jobs SET hold = 0 WHERE id = ?", job.0);
+        set_terms(&mut write, job, change).await?;
+        tell(&mut write, job, "its quote was accepted", now);
+        let accepted = read(write.connection().await?, job).await?;
+        self.commit(write).await?;
+        Ok(accepted)
+    }
+
+    /// Changes the terms of a job, and calls for a new plan. A [`StoreError::Conflict`] if the job is over.
+    pub async fn change_job(&self, job: JobId, change: &JobChange, now: Timestamp) -> Result<Job> {
+        let mut write = self.write().await?;
+        let current = read(write.connection().await?, job).await?;
+        if current.state.is_final() {
+            let reason = format!("the job is {} and cannot be changed", current.state);
+            return Err(StoreError::Conflict(reason));
+        }
+        let changed = JobChange {
+            deadline: change.deadline.filter(|it| *it != current.deadline),
+            budget: change.budget.filter(|it| *it != current.budget),
+            confidence: change.confidence.filter(|it| *it != current.confidence),
+        };
+        if changed == JobChange::default() {
+            return Ok(current);
+        }
+        set_terms(&mut write, job, &changed).await?;
+        rebook_rates(&mut write, job).await?;
+        let what = in_words(&changed);
+        replans::want(&mut write, &format!("job {} has {what}", current.name)).await?;
+        tell(&mut write, job, &what, now);
+        let changed = read(write.connection().await?, job).await?;
+        self.commit(write).await?;
+        Ok(changed)
+    }
+
+    /// A job, and the version of its terms, see [`crate::FarmJob::terms`].
+    pub async fn job_with_terms(&self, job: JobId) -> Result<(Job, i64)> {
+        let mut transaction = self.read().await?;
+        let terms = row(&mut transaction, job).await?.terms;
+        Ok((read(&mut transaction, job).await?, terms))
+    }
+}
+
+async fn set_terms(write: &mut Write, job: JobId, change: &JobChange) -> Result<()> {
+    run!(
+        write,
+        "UPDATE jobs SET deadline_at = CASE WHEN ?1 THEN ?2 ELSE deadline_at END, \
+         budget = CASE WHEN ?3 THEN ?4 ELSE budget END, confidence = coalesce(?5, confidence), \
+         terms = terms + 1 WHERE id = ?6",
+        change.deadline.is_some(),
+        change.deadline.flatten().map(Timestamp::micros),
+        change.budget.is_some(),
+        change.budget.flatten().map(Money::micro_units),
+        change.confidence.map(|confidence| confidence.name()),
+        job.0
+    );
+    // Claims look for tasks by the deadline of their jobs.
+    run!(
+        write,
+        "UPDATE tasks SET due_at = (SELECT coalesce(deadline_at, 9223372036854775807) FROM jobs WHERE id = ?1) \
+         WHERE job_id = ?1 AND state IN ('waiting', 'ready', 'leased')",
+        job.0
+    );
+    Ok(())
+}
+
+/// Writes to the waiting frames what plans pay for them, which depends on whether the job has a deadline or a
+/// budget. They stay where they are booked until the new plan.
+async fn rebook_rates(write: &mut Write, job: JobId) -> Result<()> {
+    let rows = sqlx::query!(
+        r#"SELECT frame AS "frame!", booked_node AS "node!: Id", booked_at AS "start!: Time" FROM tasks
+           WHERE job_id = ? AND kind = 'render' AND state IN ('waiting', 'ready') AND booked_node IS NOT NULL
+           AND frame IS NOT NULL"#,
+        job.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    let booked = rows.into_iter().map(|row| {
+        let start = Timestamp::from(row.start);
+        let booking = NewBooking { frame: row.frame, node: row.node.into(), start, end: start };
+        (row.frame, Some(booking))
+    });
+    book_tasks(write, job, booked.collect()).await
+}
+
+pub(crate) fn tell(write: &mut Write, job: JobId, what: &str, now: Timestamp) {
+    let changed = Event { job_id: Some(job), ..event(EventKind::JobChanged, now) };
+    append(write, Event { message: Some(what.to_owned()), ..changed });
+}
+
+fn in_words(change: &JobChange) -> String {
+    let mut words = Vec::new();
+    match change.deadline {
+        Some(Some(deadline)) => words.push(format!("a new deadline, {deadline}")),
+        Some(None) => words.push("no deadline any more".to_owned()),
+        None => {}
+    }
+    match change.budget {
+        Some(Some(budget)) => words.push(format!("a new budget, {budget}")),
+        Some(None) => words.push("no budget any more".to_owned()),
+        None => {}
+    }
+    if let Some(confidence) = change.confidence {
+        words.push(format!("a new confidence, {}", confidence.name()));
+    }
+    words.join(" and ")
+}

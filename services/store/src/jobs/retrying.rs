@@ -1,0 +1,201 @@
+//! Frames that are rendered again, and frames that are taken out of their job.
+//!
+//! A person asks for both, so what was acknowledged may be undone here: a finished frame that is rendered
+//! again loses its result. Its fencing token grows with the next lease as always, and a late message about
+//! the old result is refused.
+
+use forelight_protocol::{FrameSet, Job, JobId, JobState, LeaseId, Timestamp};
+
+use crate::columns::Id;
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
+use crate::events::job_state;
+use crate::jobs::changing::tell;
+use crate::jobs::{ending, read};
+use crate::leases::take_back;
+use crate::living::{self, Occasion};
+use crate::plans::replans;
+use crate::quotes::calibration;
+use crate::shared_cache::parts;
+use crate::writing::run;
+
+/// A frame with its task.
+struct Row {
+    frame: u32,
+    task: Id,
+    state: String,
+    lease: Option<Id>,
+    /// Whether a person took it out of the job.
+    dropped: bool,
+}
+
+impl Store {
+    /// Renders these frames of a job again, finished ones too, and forgives their failures. A job that is done
+    /// goes on. A job that failed goes on with all frames that it had left.
+    ///
+    /// A [`StoreError::Conflict`] if the job was cancelled, or has no frames to render yet.
+    pub async fn retry_frames(&self, job: JobId, frames: &FrameSet, now: Timestamp) -> Result<Job> {
+        let mut write = self.write().await?;
+        let current = read(write.connection().await?, job).await?;
+        if current.state == JobState::Cancelled {
+            return Err(StoreError::Conflict("the job was cancelled; submit it again".to_owned()));
+        }
+        let rows = rows_of(&mut write, &current).await?;
+        let held: Vec<LeaseId> =
+            asked(&rows, frames).filter_map(|row| row.lease).map(LeaseId::from).collect();
+        take_back(&mut write, held, now).await?;
+        for row in asked(&rows, frames) {
+            if row.state == "done" {
+                forget_result(&mut write, job, row).await?;
+            }
+            run!(write, "UPDATE frames SET dropped = 0 WHERE job_id = ? AND frame = ?", job.0, row.frame);
+        }
+        // A frame waits for the cache that it shares.
+        let shared_cache = parts::progress(write.connection().await?, job).await?;
+        let state = if shared_cache.is_some_and(|cache| !cache.ready) { "waiting" } else { "ready" };
+        for row in &rows {
+            let is_asked = frames.contains(row.frame);
+            let is_left = !row.dropped && ["failed", "cancelled"].contains(&row.state.as_str());
+            if is_asked || is_left && current.state == JobState::Failed {
+                begin_again(&mut write, row.task, state).await?;
+            }
+        }
+        if current.state.is_final() {
+            go_on(&mut write, &current, now).await?;
+        }
+        write.made_work = true;
+        replans::want(&mut write, &format!("frames of job {} are rendered again", current.name)).await?;
+        living::update(&mut write, job, Occasion::Booked, now).await?;
+        tell(&mut write, job, &format!("frames {frames} are rendered again"), now);
+        let going_on = read(write.connection().await?, job).await?;
+        self.commit(write).await?;
+        Ok(going_on)
+    }
+
+    /// Takes these frames out of a job. Finished frames stay. The job is done once the others are; without any
+    /// others, it is done, or cancelled if no frame is finished.
+    ///
+    /// A [`StoreError::Conflict`] if the job is over, or has no frames to render yet.
+    pub async fn drop_frames(&self, job: JobId, frames: &FrameSet, now: Timestamp) -> Result<Job> {
+        let mut write = self.write().await?;
+        let current = read(write.connection().await?, job).await?;
+        if current.state.is_final() {
+            return Err(StoreError::Conflict(format!("the job is {}", current.state)));
+        }
+        let rows = rows_of(&mut write, &current).await?;
+        let is_open = |row: &&Row| ["waiting", "ready", "leased"].contains(&row.state.as_str());
+        let open: Vec<&Row> = asked(&rows, frames).filter(is_open).collect();
+        if open.is_empty() {
+            return Ok(current);
+        }
+        let held: Vec<LeaseId> = open.iter().filter_map(|row| row.lease).map(LeaseId::from).collect();
+        take_back(&mut write, held, now).await?;
+        for row in &open {
+            run!(
+                write,
+                "UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE id = ?",
+                now.micros(),
+                row.task
+            );
+            run!(write, "UPDATE frames SET dropped = 1 WHERE job_id = ? AND frame = ?", job.0, row.frame);
+        }
+        tell(&mut write, job, &format!("frames {frames} were cancelled"), now);
+        let is_any_left = rows.iter().filter(is_open).count() > open.len();
+        if is_any_left {
+            living::update(&mut write, job, Occasion::Booked, now).await?;
+            replans::want(&mut write, &format!("frames of job {} were cancelled", current.name)).await?;
+        } else if current.frames_done == 0 {
+            ending::cancel(&mut write, &current, now).await?;
+        } else {
+            finish(&mut write, &current, now).await?;
+        }
+        let changed = read(write.connection().await?, job).await?;
+        self.commit(write).await?;
+        Ok(changed)
+    }
+}
+
+/// The frames of a job with their tasks. A [`StoreError::Conflict`] if it has none yet.
+async fn rows_of(write: &mut Write, job: &Job) -> Result<Vec<Row>> {
+    let rows = sqlx::query_as!(
+        Row,
+        r#"SELECT t.frame AS "frame!", t.id AS task, t.state, f.dropped,
+                  (SELECT l.id FROM leases l WHERE l.task_id = t.id AND l.state = 'active') AS "lease?: Id"
+           FROM tasks t
+           JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame WHERE t.job_id = ? AND t.kind = 'render'
+           AND t.frame IS NOT NULL ORDER BY t.frame"#,
+        job.id.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    if rows.is_empty() {
+        let reason = match job.state {
+            JobState::Failed => "the job failed before it was booked; submit it again".to_owned(),
+            state => format!("the job is {state}: it has no frames to render yet"),
+        };
+        return Err(StoreError::Conflict(reason));
+    }
+    Ok(rows)
+}
+
+fn asked<'a>(rows: &'a [Row], frames: &'a FrameSet) -> impl Iterator<Item = &'a Row> {
+    rows.iter().filter(|row| frames.contains(row.frame))
+}
+
+/// Forgets the result of a finished frame.
+async fn forget_result(write: &mut Write, job: JobId, row: &Row) -> Result<()> {
+    run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", row.task);
+    run!(write, "DELETE FROM results WHERE task_id = ?", row.task);
+    run!(
+        write,
+        "UPDATE frames SET actual = NULL, actual_work = NULL, actual_cpu = NULL, artifacts = NULL, \
+         finished_at = NULL WHERE job_id = ? AND frame = ?",
+        job.0,
+        row.frame
+    );
+    Ok(())
+}
+
+/// Makes a task as if it had never been handed out, except for its fencing token. A budget in force holds it.
+async fn begin_again(write: &mut Write, task: Id, state: &'static str) -> Result<()> {
+    run!(
+        write,
+        "UPDATE tasks SET state = ?1, failures = 0, expiries = 0, progress = 0, error = NULL, not_before = 0, \
+         node_id = NULL, started_at = NULL, finished_at = NULL, pixels_share = NULL, pixels_work = NULL, \
+         pixels_cpu = NULL, held = EXISTS (SELECT 1 FROM budgets b JOIN jobs j ON j.project = b.project \
+         WHERE j.id = tasks.job_id AND b.action IN ('drain', 'stop')) WHERE id = ?2",
+        state,
+        task
+    );
+    Ok(())
+}
+
+/// Opens a job that is done or failed. Parts of its shared cache that failed or were withdrawn go on too.
+async fn go_on(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
+    let of_cache = sqlx::query_scalar!(
+        "SELECT id FROM tasks WHERE job_id = ? AND kind IN ('cache_fill', 'cache_merge') \
+         AND state IN ('failed', 'cancelled')",
+        job.id.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    for task in of_cache {
+        begin_again(write, task, "ready").await?;
+    }
+    run!(
+        write,
+        "UPDATE jobs SET stage = 'rendering', error = NULL, finished_at = NULL WHERE id = ?",
+        job.id.0
+    );
+    job_state(write, job.id, JobState::Rendering, None, now);
+    Ok(())
+}
+
+/// Ends a job whose other frames are all finished.
+async fn finish(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
+    run!(write, "UPDATE jobs SET stage = 'done', finished_at = ? WHERE id = ?", now.micros(), job.id.0);
+    calibration::learn(write, job.id, now).await?;
+    job_state(write, job.id, JobState::Done, None, now);
+    living::update(write, job.id, Occasion::Ended, now).await?;
+    replans::want(write, &format!("job {} is done without some frames", job.name)).await
+}
