@@ -24,7 +24,14 @@ deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev
 command -v cargo >/dev/null || PATH="$HOME/.cargo/bin:$PATH"
 if [ -z "${FORELIGHT_BIN:-}" ]; then
   command -v cargo >/dev/null || { echo 'error: Rust is missing; install it from https://rustup.rs and run this again' >&2; exit 1; }
-  cargo build --profile demo --package forelight-cli
+  # With the dashboard page, if it can be built.
+  features=()
+  if services/dashboard/build.sh; then
+    features=(--features dashboard)
+  else
+    echo 'note: built without the dashboard page, which needs Node.js 18 and the network' >&2
+  fi
+  cargo build --profile demo --package forelight-cli "${features[@]}"
   FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/demo/forelight
 fi
 
@@ -63,7 +70,7 @@ if ! $once; then
 The farm is still running (process $farm, stop it with: kill $farm).
   address     $address
   token       $data/tokens/operator.token
-  dashboard   curl -H "Authorization: Bearer \$(cat $data/tokens/operator.token)" $address/v1/dashboard
+  dashboard   $FORELIGHT_BIN dashboard --server $address --data $data
   next job    $FORELIGHT_BIN submit deploy/scenes/corridor --server $address --data $data --deadline 1h --out corridor-images
 EOF
 fi

@@ -2,7 +2,9 @@
 # Property tests (proptest) with one seed.
 #
 #   tests/properties.sh        a fresh seed; prints the command that repeats the run
-#   tests/properties.sh SEED   this seed
+#   tests/properties.sh SEED   this seed; an empty one is a fresh one
+#
+# Further arguments go to cargo.
 #
 # The seed of a failing case is added to a file `*proptest-regressions*` near the test's sources, and later
 # runs try it first. Commit that file with the fix.
@@ -19,7 +21,7 @@ mapfile -t names < <(git grep -l 'proptest! {' -- '*.rs' | xargs awk '
 seed=${1:-$(od -An -N4 -tu4 /dev/urandom | tr -d ' ')}
 echo "${#names[@]} property tests with seed $seed; to repeat: tests/properties.sh $seed"
 kept() { git ls-files --modified --others --exclude-standard -- '*proptest-regressions*'; }
-if ! PROPTEST_RNG_SEED=$seed cargo test --workspace --tests --quiet --no-fail-fast -- "${names[@]}"; then
+if ! PROPTEST_RNG_SEED=$seed cargo test --workspace --tests "${@:2}" --quiet --no-fail-fast -- "${names[@]}"; then
   printf 'error: property tests failed with seed %s\n' "$seed" >&2
   [ -z "$(kept)" ] || printf 'The cases are kept; commit these files with the fix:\n%s\n' "$(kept)" >&2
   exit 1

@@ -53,22 +53,33 @@ trap finish EXIT
 step 'Packages'
 deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev python3-venv
 
+step 'The dashboard page'
+# Tests start a program with the page. Without Node.js only the page's own test is not run.
+features=()
+if services/dashboard/build.sh; then
+  features=(--features forelight-cli/dashboard)
+elif [ -n "${CI:-}" ]; then
+  exit 1
+fi
+
 step 'Format and lints'
 cargo fmt --all --check
-cargo clippy --workspace --all-targets --quiet -- -D warnings
+cargo clippy --workspace --all-targets "${features[@]}" --quiet -- -D warnings
 RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --quiet
 services/store/prepare.sh --check
 
 step 'Tests'
-cargo build --workspace --quiet # the processes that tests start
-cargo test --workspace --quiet --no-fail-fast
+cargo build --workspace "${features[@]}" --quiet # the processes that tests start
+cargo test --workspace "${features[@]}" --quiet --no-fail-fast
+cargo test -p forelight-dashboard --quiet # what a program without the page shows
 
 step 'Property tests with a fresh seed'
-tests/properties.sh
+tests/properties.sh '' "${features[@]}"
 
 if [ "${1:-}" != --quick ]; then
   FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/debug/forelight
   export FORELIGHT_BIN
+  [ ${#features[@]} -eq 0 ] || export FORELIGHT_DASHBOARD_BIN=$FORELIGHT_BIN
   step 'Other programs, two at a time'
   # The longest first. Where one fails, the others still run.
   printf '%s\n' tests/peers/{slurm,gltf,blender_farm}.sh tests/peers/*.sh | awk '!seen[$0]++' |
