@@ -27,6 +27,7 @@ mod resources;
 mod router;
 mod schema;
 mod service;
+mod shared;
 mod sign_in;
 mod state;
 

@@ -18,4 +18,6 @@ pub(crate) mod plans;
 pub(crate) mod projects;
 mod responses;
 pub(crate) mod sessions;
+pub(crate) mod strip;
 pub(crate) mod tasks;
+pub(crate) mod timeline;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use axum::extract::{Request, State};
 use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
-use axum::http::{Extensions, HeaderMap, HeaderValue, StatusCode, Version};
+use axum::http::{Extensions, HeaderMap, HeaderValue, Method, StatusCode, Version};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use tower_http::catch_panic::CatchPanicLayer;
@@ -24,12 +24,15 @@ use crate::openapi::frame;
 use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
-    page, plans, projects, sessions, tasks,
+    page, plans, projects, sessions, strip, tasks, timeline,
 };
 use crate::state::App;
 
 /// Longest pause of a client within a body.
 const BODY_SILENCE: Duration = Duration::from_secs(60);
+
+/// What workers ask for all day. What they change is seen a little later on a large farm, see `shared`.
+const FOR_WORKERS: [&str; 2] = ["/v1/leases", "/v1/artifacts"];
 
 fn routes() -> (axum::Router<App>, OpenApi) {
     OpenApiRouter::with_openapi(frame())
@@ -52,6 +55,7 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(forecasts::explanation_of_job))
         .routes(routes!(forecasts::history_of_job))
         .routes(routes!(forecasts::history_of_job_svg))
+        .routes(routes!(strip::get))
         .routes(routes!(frames::list))
         .routes(routes!(frames::get))
         .routes(routes!(frames::preview_png))
@@ -65,6 +69,7 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(answers::plan_what_if))
         .routes(routes!(plans::changed))
         .routes(routes!(plans::bookings))
+        .routes(routes!(timeline::get))
         .routes(routes!(nodes::register, nodes::list))
         .routes(routes!(nodes::get, nodes::change))
         .routes(routes!(nodes::join))
@@ -144,7 +149,12 @@ fn tell_failure(failure: ServerErrorsFailureClass, latency: Duration, _: &Span) 
 }
 
 async fn count(State(app): State<App>, request: Request, next: Next) -> Response {
+    let is_of_people = !FOR_WORKERS.iter().any(|path| request.uri().path().starts_with(path));
+    let changes = is_of_people && !matches!(*request.method(), Method::GET | Method::HEAD);
     let response = next.run(request).await;
+    if changes {
+        app.note_change();
+    }
     app.metrics.count_response(response.status().as_u16());
     response
 }

@@ -5,9 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_store::{Store, StoreError};
+use parking_lot::Mutex;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use crate::background::{run_conductor, run_sweep};
@@ -104,6 +106,9 @@ impl Service {
             conductor,
             in_flight: InFlight::default(),
             answers: Arc::default(),
+            dashboard: Arc::default(),
+            projected: Arc::default(),
+            last_change: Arc::new(Mutex::new(Instant::now())),
             started: clock.now(),
             openapi: openapi_yaml().into(),
         };

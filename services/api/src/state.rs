@@ -4,16 +4,18 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use forelight_protocol::{JobId, ProblemKind, Timestamp};
-use forelight_store::{IdempotencyKey, Store};
+use forelight_protocol::{Dashboard, JobId, ProblemKind, Timestamp};
+use forelight_store::{IdempotencyKey, Projection, Store, project};
 use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use crate::answer_cache::AnswerCache;
 use crate::clock::Clock;
 use crate::config::Limits;
-use crate::error::ApiError;
+use crate::error::{ApiError, ApiResult};
 use crate::metrics::Metrics;
+use crate::shared::Shared;
 use crate::sign_in::SignIns;
 
 /// State shared by all handlers. Cheap to clone.
@@ -40,6 +42,11 @@ pub(crate) struct App {
     pub conductor: mpsc::UnboundedSender<JobId>,
     pub in_flight: InFlight,
     pub answers: Arc<AnswerCache>,
+    pub dashboard: Arc<Shared<Dashboard>>,
+    /// Expected course of the open bookings.
+    pub projected: Arc<Shared<Projection>>,
+    /// When a person last changed something.
+    pub last_change: Arc<Mutex<Instant>>,
     pub started: Timestamp,
     pub openapi: Arc<str>,
 }
@@ -47,6 +54,24 @@ pub(crate) struct App {
 impl App {
     pub fn now(&self) -> Timestamp {
         self.clock.now()
+    }
+
+    /// When a person last changed something through this service.
+    pub fn changed(&self) -> Instant {
+        *self.last_change.lock()
+    }
+
+    pub fn note_change(&self) {
+        *self.last_change.lock() = Instant::now();
+    }
+
+    /// Expected course of the open bookings. On a large farm, it may be a few seconds old.
+    pub async fn projection(&self) -> ApiResult<Arc<Projection>> {
+        let read = async {
+            let (bookings, parts) = (self.store.open_bookings().await?, self.store.open_cache_parts().await?);
+            Ok(project(&bookings, &parts, self.now()))
+        };
+        self.projected.get(self.changed(), read).await
     }
 
     /// Whether people reach the service over TLS.
@@ -74,7 +99,7 @@ pub(crate) struct InFlightGuard {
 
 impl InFlight {
     /// Takes a key, or returns an error if another request holds it.
-    pub fn enter(&self, key: Option<&IdempotencyKey>) -> Result<Option<InFlightGuard>, ApiError> {
+    pub fn enter(&self, key: Option<&IdempotencyKey>) -> ApiResult<Option<InFlightGuard>> {
         let Some(key) = key else { return Ok(None) };
         let key = (key.principal, key.key.clone());
         let mut keys = self.0.lock();

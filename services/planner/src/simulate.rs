@@ -19,6 +19,9 @@ pub struct Simulation {
     pub jobs: Vec<JobRisk>,
     /// Cost in micro-units at P50, P80 and P95.
     pub cost: [i64; 3],
+    /// Last end of all jobs that find a place, at P50, P80 and P95. `None` if there is none.
+    #[serde(skip)]
+    pub finish: [Option<i64>; 3],
 }
 
 /// The risk of one job.
@@ -58,12 +61,19 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
     let fixed_part = plan.cost.saturating_sub(planned);
     let mut finishes: Vec<Vec<i64>> = vec![Vec::with_capacity(scenarios as usize); problem.jobs.len()];
     let mut costs = Vec::with_capacity(scenarios as usize);
+    let mut last_ends = Vec::with_capacity(scenarios as usize);
+    let booked: BTreeSet<u64> = plan.bookings.iter().map(|booking| booking.job).collect();
     for scenario in 0..scenarios {
         let (ends, cost) = carry_out(&problem, &tasks, seed, u64::from(scenario), |_, _, _| {});
+        let placed = problem.jobs.iter().zip(&ends).filter(|(work, _)| booked.contains(&work.job.id));
+        last_ends.extend(placed.map(|(_, &end)| end).filter(|&end| end < i64::MAX).max());
         finishes.iter_mut().zip(ends).for_each(|(all, end)| all.push(end));
         costs.push(cost.saturating_add(fixed_part));
     }
     costs.sort_unstable();
+    last_ends.sort_unstable();
+    let last = |quantile| (!last_ends.is_empty()).then(|| at(&last_ends, quantile));
+    let finish = [last(50), last(80), last(95)];
     let without_place = |job: &&JobPlan| matches!(job.verdict, Verdict::Unplaced { .. });
     let never_done: BTreeSet<u64> = plan.jobs.iter().filter(without_place).map(|job| job.job).collect();
     let jobs = problem.jobs.iter().zip(&mut finishes).map(|(work, ends)| {
@@ -76,7 +86,8 @@ pub fn simulate(input: &Input, plan: &Plan, scenarios: u32, seed: u64) -> Result
         let finite = |quantile| Some(at(ends, quantile)).filter(|&end| end < i64::MAX);
         JobRisk { job: work.job.id, late: late as u32, finish: [finite(50), finite(80), finite(95)] }
     });
-    Ok(Simulation { scenarios, jobs: jobs.collect(), cost: [at(&costs, 50), at(&costs, 80), at(&costs, 95)] })
+    let cost = [at(&costs, 50), at(&costs, 80), at(&costs, 95)];
+    Ok(Simulation { scenarios, jobs: jobs.collect(), cost, finish })
 }
 
 /// Time of a node that a job uses in a scenario.

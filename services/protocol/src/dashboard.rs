@@ -1,11 +1,11 @@
-//! The document with everything that a farm dashboard shows.
+//! The document with everything that a farm dashboard shows first.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    Booking, Event, JobId, JobState, LiveForecast, Money, MoneyQuantiles, Node, Promise, QuantileHits,
-    Quantiles, SharedCacheProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
+    Booking, Budget, Event, JobId, JobState, Money, MoneyQuantiles, NodeId, NodeState, Promise, QuantileHits,
+    SharedCacheProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
 };
 
 /// Number of tasks by state.
@@ -26,6 +26,82 @@ pub struct TaskCounts {
     pub cancelled: u64,
 }
 
+/// Number of jobs by state.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct JobCounts {
+    /// The frames are being previewed.
+    pub previewing: u64,
+    /// Some frames are being profiled.
+    pub profiling: u64,
+    /// The quote is complete, and the job waits to be accepted.
+    pub quoted: u64,
+    /// Nodes are booked.
+    pub booked: u64,
+    /// A worker has started a frame.
+    pub rendering: u64,
+    /// All frames are finished.
+    pub done: u64,
+    /// A task failed after all attempts.
+    pub failed: u64,
+    /// A person cancelled it.
+    pub cancelled: u64,
+}
+
+impl JobCounts {
+    /// The number of jobs in a state.
+    pub fn of(&mut self, state: JobState) -> &mut u64 {
+        match state {
+            JobState::Previewing => &mut self.previewing,
+            JobState::Profiling => &mut self.profiling,
+            JobState::Quoted => &mut self.quoted,
+            JobState::Booked => &mut self.booked,
+            JobState::Rendering => &mut self.rendering,
+            JobState::Done => &mut self.done,
+            JobState::Failed => &mut self.failed,
+            JobState::Cancelled => &mut self.cancelled,
+        }
+    }
+}
+
+/// Number of nodes by state.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct NodeCounts {
+    /// Without a task.
+    pub idle: u64,
+    /// With a task.
+    pub working: u64,
+    /// Ordered to pause, not confirmed yet.
+    pub pausing: u64,
+    /// Paused.
+    pub paused: u64,
+    /// Finishing their tasks before they stop.
+    pub draining: u64,
+    /// Drained, without a task.
+    pub drained: u64,
+    /// Set aside, because too much failed on them.
+    pub set_aside: u64,
+    /// Silent for too long.
+    pub silent: u64,
+    /// Asleep by their schedules or maintenance. They also count in one of the other states.
+    pub asleep: u64,
+}
+
+impl NodeCounts {
+    /// The number of nodes in a state.
+    pub fn of(&mut self, state: NodeState) -> &mut u64 {
+        match state {
+            NodeState::Idle => &mut self.idle,
+            NodeState::Working => &mut self.working,
+            NodeState::Pausing => &mut self.pausing,
+            NodeState::Paused => &mut self.paused,
+            NodeState::Draining => &mut self.draining,
+            NodeState::Drained => &mut self.drained,
+            NodeState::SetAside => &mut self.set_aside,
+            NodeState::Silent => &mut self.silent,
+        }
+    }
+}
+
 /// Counts of the farm.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct DashboardCounts {
@@ -37,6 +113,9 @@ pub struct DashboardCounts {
     pub jobs_failed: u64,
     /// Jobs cancelled.
     pub jobs_cancelled: u64,
+    /// Number of jobs by state.
+    #[serde(default)]
+    pub jobs: JobCounts,
     /// Number of tasks by state.
     pub tasks: TaskCounts,
     /// Nodes that sent a request within the last three lease times, and are neither draining nor set aside.
@@ -45,7 +124,18 @@ pub struct DashboardCounts {
     pub nodes: u64,
 }
 
-/// A job on the dashboard.
+/// An instant that is not known for sure.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FinishQuantiles {
+    /// Median.
+    pub p50: Timestamp,
+    /// 80 % quantile.
+    pub p80: Timestamp,
+    /// 95 % quantile.
+    pub p95: Timestamp,
+}
+
+/// An open job on the dashboard.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct DashboardJob {
     /// Its id.
@@ -56,21 +146,33 @@ pub struct DashboardJob {
     pub project: String,
     /// Its state.
     pub state: JobState,
+    /// Whether it waits to be accepted once its quote is complete.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub hold: bool,
     /// Number of frames.
     pub frames_total: u32,
     /// Number of finished frames.
     pub frames_done: u32,
+    /// Number of frames that were cancelled one by one.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub frames_cancelled: u32,
     /// Share of the forecast work that is done, 0 to 1.
     pub progress: f64,
     /// Progress of the irradiance cache that its frames share. Absent if they do not share one.
     #[serde(default, skip_serializing_if = "Option::is_none", alias = "seed")]
     pub shared_cache: Option<SharedCacheProgress>,
     /// Its deadline. Absent if it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline: Option<Timestamp>,
     /// Whether deadline and budget can be kept, by the newest plan. Absent until it is planned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
     /// Expected finish of the last frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eta: Option<Timestamp>,
+    /// When it will be finished, in the scenarios of the newest plan. Absent if no plan says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finish: Option<FinishQuantiles>,
     /// Why it waits. Absent if it does not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub waits: Option<Waits>,
@@ -78,18 +180,18 @@ pub struct DashboardJob {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
     /// Cost of its bookings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub booked_cost: Option<Money>,
     /// Its budget. Absent if it has none.
-    pub budget: Option<Money>,
-    /// Quoted total work.
-    pub work: Option<Quantiles>,
-    /// Quoted total CPU seconds, on a node of speed 1.
-    pub cpu_seconds: Option<Quantiles>,
-    /// Quoted total cost.
-    pub cost: Option<MoneyQuantiles>,
-    /// The live estimate, updated by finished frames. Absent until the job is booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub live: Option<LiveForecast>,
+    pub budget: Option<Money>,
+    /// Expected total cost: by the live estimate, or as quoted before the job is booked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<MoneyQuantiles>,
+}
+
+fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 /// The task that a node is working on.
@@ -109,33 +211,63 @@ pub struct NodeActivity {
     pub started: Timestamp,
 }
 
-/// A node on the dashboard.
+/// A node on the dashboard. `/v1/nodes` has all of it.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct DashboardNode {
-    /// The node.
-    pub node: Node,
+    /// Its id.
+    pub id: NodeId,
+    /// Its name.
+    pub name: String,
+    /// Its state.
+    pub state: NodeState,
     /// Whether it sent a request within the last three lease times.
     pub alive: bool,
     /// What it is working on. Absent if it is idle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub activity: Option<NodeActivity>,
+}
+
+/// What a project spends.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct ProjectSpending {
+    /// The project.
+    pub project: String,
+    /// Begin of the present night: noon in the time zone of the project's budget, else in UTC.
+    pub night_from: Timestamp,
+    /// Cost of node time in the present night so far.
+    pub tonight: Money,
+    /// Its budgets, with what is spent in their periods.
+    pub budgets: Vec<Budget>,
 }
 
 /// The farm at one instant.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Dashboard {
-    /// When the document was read. It is read in one transaction, so it is consistent.
+    /// When the document was made. It is read in one transaction, so it is consistent.
     pub at: Timestamp,
     /// Id of the newest event that is taken into account. Subscribe to events from here.
     pub last_event_id: i64,
     /// Counts of the farm.
     pub counts: DashboardCounts,
-    /// All active jobs, and the newest finished ones: at most 200.
+    /// Number of nodes by state.
+    #[serde(default)]
+    pub node_counts: NodeCounts,
+    /// Open jobs: those at risk first, then by deadline. At most 200; `/v1/jobs?open=true` has all.
     pub jobs: Vec<DashboardJob>,
-    /// The nodes, at most 1000.
+    /// Number of open jobs.
+    #[serde(default)]
+    pub jobs_open_total: u64,
+    /// When the last booked frame of the farm will be finished. Absent if nothing is booked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finish: Option<FinishQuantiles>,
+    /// Projects that have a budget or spent something tonight, by name.
+    #[serde(default)]
+    pub spending: Vec<ProjectSpending>,
+    /// The nodes: those that need somebody first, then those at work, by name. At most 200; `/v1/nodes` has all.
     pub nodes: Vec<DashboardNode>,
-    /// The open bookings by start, at most 1000.
+    /// The next open bookings by start, at most 100. `/v1/timeline` has all.
     pub bookings: Vec<Booking>,
-    /// The newest events, newest first, at most 50.
+    /// The newest events but progress, newest first, at most 20.
     pub events: Vec<Event>,
     /// Number of finished frames that had a forecast.
     pub track_frames: u64,

@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{EventId, JobId, JobState, NodeId, OffForecast, PlanId, Promise, TaskId, TaskKind, Timestamp};
+use crate::{
+    EventId, JobId, JobState, NodeId, NodeState, OffForecast, PlanId, Promise, TaskId, TaskKind, Timestamp,
+};
 
 /// Kind of an event. It is also the `event:` field of the server-sent events.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -89,6 +91,15 @@ impl EventKind {
     }
 }
 
+/// What a finished frame cost.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FrameCost {
+    /// Work: a count of operations.
+    pub work: f64,
+    /// CPU seconds on a node of speed 1.
+    pub cpu_seconds: f64,
+}
+
 /// One event. Fields that do not apply to its kind are absent.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Event {
@@ -116,6 +127,15 @@ pub struct Event {
     /// The node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_id: Option<NodeId>,
+    /// The state of the node, as far as it does not depend on the clock.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node_state: Option<NodeState>,
+    /// Number of the job's finished frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames_done: Option<u32>,
+    /// What the finished frame cost.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<FrameCost>,
     /// The plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plan_id: Option<PlanId>,

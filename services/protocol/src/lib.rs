@@ -52,6 +52,7 @@ mod stats;
 mod stratum;
 mod task;
 mod time;
+mod timeline;
 mod track_record;
 
 pub use accuracy::{
@@ -78,8 +79,11 @@ pub use calendar::{
 };
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use confidence::Confidence;
-pub use dashboard::{Dashboard, DashboardCounts, DashboardJob, DashboardNode, NodeActivity, TaskCounts};
-pub use event::{Event, EventKind};
+pub use dashboard::{
+    Dashboard, DashboardCounts, DashboardJob, DashboardNode, FinishQuantiles, JobCounts, NodeActivity,
+    NodeCounts, ProjectSpending, TaskCounts,
+};
+pub use event::{Event, EventKind, FrameCost};
 pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
 pub use fixed_costs::{FixedCosts, ProcessCosts};
 pub use forecast::{
@@ -132,6 +136,7 @@ pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, 
 pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
+pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, TimelinePage, TimelineSpan};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,
     TrackRecordKind, TrackRecordRow,

@@ -101,7 +101,7 @@ async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>> {
         .collect())
 }
 
-async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>> {
+pub(crate) async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>> {
     let mut found = Vec::new();
     for kept in kept(connection).await? {
         found.push(as_it_stands(connection, kept, now).await?);

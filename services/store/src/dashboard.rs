@@ -1,52 +1,63 @@
 //! The farm at one instant.
 
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use forelight_protocol::{
-    Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobState, NodeActivity, NodeId, TaskCounts,
-    Timestamp,
+    Booking, Budget, Dashboard, DashboardCounts, DashboardJob, DashboardNode, Money, MoneyQuantiles, Night,
+    Node, NodeActivity, NodeCounts, NodeId, NodeState, PowerState, ProjectSpending, TaskCounts, Timestamp,
 };
 use sqlx::SqliteConnection;
 
-use crate::columns::{Unread, Word};
+use crate::budgets;
+use crate::columns::{Json, Word};
 use crate::database::Store;
 use crate::error::Result;
 use crate::events;
-use crate::jobs::{job_rows, progress};
-use crate::nodes;
+use crate::jobs::listing::{self, JobFilter, JobOrder};
+use crate::jobs::{self, JobRow, outlooks, progress};
+use crate::nodes::listing::without_capabilities;
 use crate::nodes::unattended::{Unattended, unattended};
-use crate::plans::bookings;
 use crate::policy::availability::{as_it_is, silent_after};
-use crate::policy::projection::{Projection, project};
+use crate::policy::projection::{JobEnds, Projected, Projection, rounded_up};
 use crate::quotes::track_record;
-use crate::shared_cache::parts;
 
 /// Most rows of each kind that the dashboard shows.
 const JOBS: u32 = 200;
-const NODES: u32 = 1000;
-const BOOKINGS: usize = 1000;
-const EVENTS: u32 = 50;
+const NODES: usize = 200;
+const BOOKINGS: usize = 100;
+const EVENTS: u32 = 20;
 
 impl Store {
-    /// Everything that a dashboard shows, read in one transaction. A node is alive if it was heard of within
-    /// the last three lease times.
-    pub async fn dashboard(&self, ttl: Duration, now: Timestamp) -> Result<Dashboard> {
-        let silent_since = now.plus_micros(-silent_after(ttl));
+    /// Everything that a dashboard shows first, read in one transaction. A node is alive if it was heard of
+    /// within the last three lease times. `projection` is the expected course of the open bookings.
+    pub async fn dashboard(
+        &self,
+        projection: &Projection,
+        ttl: Duration,
+        now: Timestamp,
+    ) -> Result<Dashboard> {
         let mut transaction = self.read().await?;
         let connection = &mut *transaction;
-        let open = bookings::open(connection).await?;
-        let projected = project(&open, &parts::open(connection).await?, now);
+        let ends = projection.ends();
         let unattended = unattended(connection, ttl, now).await?;
         let record = track_record::totals(connection).await?;
-        let newest = events::newest(connection, EVENTS).await?;
+        let counts = counts(connection, now.plus_micros(-silent_after(ttl))).await?;
+        let (nodes, node_counts) = dashboard_nodes(connection, ttl, now).await?;
+        let spread = outlooks::of_farm(connection).await?;
         Ok(Dashboard {
             at: now,
-            last_event_id: newest.first().map_or(0, |event| event.id),
-            counts: counts(connection, silent_since).await?,
-            jobs: dashboard_jobs(connection, &projected, &unattended).await?,
-            nodes: dashboard_nodes(connection, ttl, now).await?,
-            bookings: open.into_iter().take(BOOKINGS).map(|open| open.booking).collect(),
-            events: newest,
+            last_event_id: events::last_id(connection).await?,
+            jobs: dashboard_jobs(connection, &ends, &unattended, now).await?,
+            jobs_open_total: counts.jobs_active,
+            finish: ends.last().map(|end| spread.unwrap_or_default().around(end, now)),
+            spending: spending(connection, now).await?,
+            counts,
+            nodes,
+            node_counts,
+            bookings: next_bookings(projection, now),
+            events: events::newest(connection, EVENTS).await?,
             track_frames: record.frames,
             track_work_hits: record.work_hits,
             track_work_error: record.work_mean_absolute_error,
@@ -60,22 +71,33 @@ impl Store {
     }
 }
 
+/// The first bookings that wait, with the times that are expected of them.
+fn next_bookings(projection: &Projection, now: Timestamp) -> Vec<Booking> {
+    let waiting = projection.frames.iter().filter(|frame| !frame.under_way);
+    let booking = |frame: &Projected| {
+        let (start, end) = (rounded_up(frame.start, now), rounded_up(frame.end, now));
+        Booking { start, end, ..frame.booking.clone() }
+    };
+    waiting.take(BOOKINGS).map(booking).collect()
+}
+
 async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> Result<DashboardCounts> {
     let mut counts = DashboardCounts::default();
     for row in sqlx::query!(
-        r#"SELECT state AS "state!: Word<JobState>", count(*) AS "number!: u64" FROM jobs GROUP BY state"#
+        r#"SELECT state AS "state!: Word<forelight_protocol::JobState>", count(*) AS "number!: u64"
+           FROM jobs GROUP BY state"#
     )
     .fetch_all(&mut *connection)
     .await?
     {
-        let number = row.number;
-        match row.state.0 {
-            JobState::Done => counts.jobs_done = number,
-            JobState::Failed => counts.jobs_failed = number,
-            JobState::Cancelled => counts.jobs_cancelled = number,
-            _ => counts.jobs_active += number,
+        *counts.jobs.of(row.state.0) = row.number;
+        if !row.state.0.is_final() {
+            counts.jobs_active += row.number;
         }
     }
+    counts.jobs_done = counts.jobs.done;
+    counts.jobs_failed = counts.jobs.failed;
+    counts.jobs_cancelled = counts.jobs.cancelled;
     for row in sqlx::query!("SELECT state, count(*) AS \"number!: u64\" FROM tasks GROUP BY state")
         .fetch_all(&mut *connection)
         .await?
@@ -106,64 +128,156 @@ async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> R
 
 async fn dashboard_jobs(
     connection: &mut SqliteConnection,
-    projected: &Projection,
+    ends: &JobEnds,
     unattended: &Unattended,
+    now: Timestamp,
 ) -> Result<Vec<DashboardJob>> {
-    let rows = job_rows!("ORDER BY state IN ('done', 'failed', 'cancelled'), id DESC LIMIT ?", JOBS)
-        .fetch_all(&mut *connection)
-        .await?;
-    let mut list = Vec::with_capacity(rows.len());
-    for mut row in rows {
-        let progress = progress::of_job(connection, row.id.into()).await?;
-        let forecast = row.forecast.take().map(Unread::read).transpose()?;
+    let open = JobFilter { open: true, ..JobFilter::default() };
+    let ids = listing::ids(connection, &open, (JobOrder::Risk, None), JOBS).await?;
+    let mut list = Vec::with_capacity(ids.len());
+    for id in ids {
+        let row = jobs::row(connection, id).await?;
+        let quoted = quoted_cost(connection, &row).await?;
+        let spread = row.outlook.0.finish;
+        let progress = progress::of_job(connection, id).await?;
         let job = row.job(progress)?;
-        let eta = projected.eta(&job);
+        let eta = ends.eta(&job);
         list.push(DashboardJob {
             id: job.id,
             name: job.name,
             project: job.project,
             state: job.state,
+            hold: job.hold,
             frames_total: job.frames_total,
             frames_done: job.frames_done,
-            progress: job.progress,
+            frames_cancelled: job.frames_cancelled,
+            progress: rounded(job.progress),
             shared_cache: job.shared_cache,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
-            eta,
+            eta: eta.map(|eta| rounded_up(eta, now)),
+            finish: eta.zip(spread).map(|(end, spread)| spread.around(end, now)),
             waits: job.waits.or_else(|| unattended.waits(job.id)),
             promise: job.promise,
             booked_cost: job.verdict.and_then(|verdict| verdict.cost),
             budget: job.budget,
-            work: forecast.as_ref().map(|forecast| forecast.total.work),
-            cpu_seconds: forecast.as_ref().map(|forecast| forecast.total.cpu_seconds),
-            cost: forecast.and_then(|forecast| forecast.cost),
-            live: job.live,
+            cost: job.live.and_then(|live| live.cost).or(quoted),
         });
     }
     Ok(list)
+}
+
+/// To a ten-thousandth: more says nothing, and does not compress.
+fn rounded(share: f64) -> f64 {
+    (share * 1e4).round() / 1e4
+}
+
+/// The quoted cost of a job that is not booked yet.
+async fn quoted_cost(connection: &mut SqliteConnection, row: &JobRow) -> Result<Option<MoneyQuantiles>> {
+    if row.plan_id.is_some() || row.forecast.is_none() {
+        return Ok(None);
+    }
+    let cost = sqlx::query_scalar!(
+        r#"SELECT json_extract(forecast, '$.cost') AS "cost?: Json<MoneyQuantiles>" FROM jobs WHERE id = ?"#,
+        row.id
+    )
+    .fetch_one(connection)
+    .await?;
+    Ok(cost.map(|it| it.0))
 }
 
 async fn dashboard_nodes(
     connection: &mut SqliteConnection,
     ttl: Duration,
     now: Timestamp,
-) -> Result<Vec<DashboardNode>> {
-    let mut list = Vec::new();
-    for node in nodes::list(connection, None, NODES).await? {
-        let activity = activity(connection, node.id).await?;
-        let alive = node.last_seen_at >= now.plus_micros(-silent_after(ttl));
-        list.push(DashboardNode { alive, node: as_it_is(node, ttl, now), activity });
+) -> Result<(Vec<DashboardNode>, NodeCounts)> {
+    let nodes = without_capabilities(connection).await?;
+    let mut nodes: Vec<Node> = nodes.into_iter().map(|node| as_it_is(node, ttl, now)).collect();
+    let mut counts = NodeCounts::default();
+    for node in &nodes {
+        *counts.of(node.state) += 1;
+        counts.asleep +=
+            u64::from(node.power.as_ref().is_some_and(|power| power.state == PowerState::Asleep));
     }
-    Ok(list)
+    let urgency = |state: NodeState| match state {
+        NodeState::SetAside => 3,
+        NodeState::Silent => 2,
+        NodeState::Working | NodeState::Draining | NodeState::Pausing => 1,
+        NodeState::Idle | NodeState::Paused | NodeState::Drained => 0,
+    };
+    nodes.sort_by(|a, b| (Reverse(urgency(a.state)), &a.name).cmp(&(Reverse(urgency(b.state)), &b.name)));
+    nodes.truncate(NODES);
+    let mut list = Vec::with_capacity(nodes.len());
+    for node in nodes {
+        let activity = match node.task_id {
+            Some(_) => activity(connection, node.id).await?,
+            None => None,
+        };
+        let alive = node.last_seen_at >= now.plus_micros(-silent_after(ttl));
+        list.push(DashboardNode { id: node.id, name: node.name, state: node.state, alive, activity });
+    }
+    Ok((list, counts))
 }
 
 async fn activity(connection: &mut SqliteConnection, node: NodeId) -> Result<Option<NodeActivity>> {
-    Ok(sqlx::query_as!(
+    let activity = sqlx::query_as!(
         NodeActivity,
         r#"SELECT id AS task_id, kind, job_id, frame, progress, started_at AS "started!" FROM tasks
            WHERE node_id = ? AND state = 'leased' ORDER BY started_at DESC, id LIMIT 1"#,
         node.0
     )
     .fetch_optional(connection)
-    .await?)
+    .await?;
+    Ok(activity.map(|it| NodeActivity { progress: rounded(it.progress), ..it }))
+}
+
+/// What projects with a budget, and those that spent something tonight, spend.
+async fn spending(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<ProjectSpending>> {
+    let mut by_project: BTreeMap<String, Vec<Budget>> = BTreeMap::new();
+    for budget in budgets::budgets(connection, now).await? {
+        by_project.entry(budget.project.clone()).or_default().push(budget);
+    }
+    let utc = night_of("UTC", now);
+    let zones: BTreeSet<String> = by_project.values().flatten().map(|budget| budget.zone.clone()).collect();
+    let mut nights: BTreeMap<String, BTreeMap<String, Money>> = BTreeMap::new();
+    for zone in zones.into_iter().chain(["UTC".to_owned()]) {
+        let spent = spent_since(connection, night_of(&zone, now), now).await?;
+        nights.insert(zone, spent);
+    }
+    for project in nights.get("UTC").into_iter().flat_map(BTreeMap::keys) {
+        by_project.entry(project.clone()).or_default();
+    }
+    Ok(by_project
+        .into_iter()
+        .map(|(project, budgets)| {
+            let zone = budgets.first().map(|budget| budget.zone.as_str());
+            let night_from = zone.map_or(utc, |zone| night_of(zone, now));
+            let tonight = nights.get(zone.unwrap_or("UTC")).and_then(|spent| spent.get(&project).copied());
+            ProjectSpending { project, night_from, tonight: tonight.unwrap_or_default(), budgets }
+        })
+        .collect())
+}
+
+fn night_of(zone: &str, now: Timestamp) -> Timestamp {
+    Night::of(zone, now).map_or(now, |night| night.from)
+}
+
+/// What each project's leases cost since an instant. Active leases count up to now.
+async fn spent_since(
+    connection: &mut SqliteConnection,
+    from: Timestamp,
+    now: Timestamp,
+) -> Result<BTreeMap<String, Money>> {
+    let rows = sqlx::query!(
+        r#"SELECT d.project AS "project!",
+                  total((min(coalesce(d.until_at, l.paid_until, ?2), ?2) - max(d.from_at, ?1))
+                        * (d.price_per_hour / 3.6e9)) AS "cost!: f64"
+           FROM ledger d JOIN leases l ON l.id = d.lease_id
+           WHERE d.from_at < ?2 AND (d.until_at IS NULL OR d.until_at > ?1) GROUP BY d.project"#,
+        from.micros(),
+        now.micros()
+    )
+    .fetch_all(connection)
+    .await?;
+    Ok(rows.into_iter().map(|row| (row.project, Money(row.cost.round() as i64))).collect())
 }

@@ -1,6 +1,6 @@
 //! The farm's events, in one order.
 
-use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, NodeId, Timestamp};
+use forelight_protocol::{Event, EventId, EventKind, JobId, JobState, Node, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::columns::Json;
@@ -23,6 +23,9 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
         task_kind: None,
         frame: None,
         node_id: None,
+        node_state: None,
+        frames_done: None,
+        cost: None,
         plan_id: None,
         progress: None,
         off_forecast: None,
@@ -55,8 +58,10 @@ pub(crate) fn job_state(
     append(write, Event { message, ..of_job });
 }
 
-pub(crate) fn node_event(write: &mut Write, kind: EventKind, node: NodeId, message: String, now: Timestamp) {
-    append(write, Event { node_id: Some(node), message: Some(message), ..event(kind, now) });
+/// An event about a node, with the state that it has now.
+pub(crate) fn node_event(write: &mut Write, kind: EventKind, node: &Node, message: String, now: Timestamp) {
+    let of_node = Event { node_id: Some(node.id), node_state: Some(node.state), ..event(kind, now) };
+    append(write, Event { message: Some(message), ..of_node });
 }
 
 pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Result<()> {
@@ -79,11 +84,15 @@ impl From<EventRow> for Event {
     }
 }
 
-/// The newest events of the farm, newest first.
+/// The newest events of the farm but progress, newest first.
 pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>> {
-    let rows = sqlx::query_as!(EventRow, "SELECT id, body FROM events ORDER BY id DESC LIMIT ?", limit)
-        .fetch_all(connection)
-        .await?;
+    let rows = sqlx::query_as!(
+        EventRow,
+        "SELECT id, body FROM events WHERE kind <> 'task_progress' ORDER BY id DESC LIMIT ?",
+        limit
+    )
+    .fetch_all(connection)
+    .await?;
     Ok(rows.into_iter().map(Event::from).collect())
 }
 
@@ -106,8 +115,13 @@ impl Store {
 
     /// The id of the newest event; 0 if there is none.
     pub async fn last_event_id(&self) -> Result<EventId> {
-        Ok(sqlx::query_scalar!(r#"SELECT coalesce(max(id), 0) AS "id!" FROM events"#)
-            .fetch_one(self.readers())
-            .await?)
+        last_id(&mut *self.readers().acquire().await?).await
     }
+}
+
+/// The id of the newest event; 0 if there is none.
+pub(crate) async fn last_id(connection: &mut SqliteConnection) -> Result<EventId> {
+    Ok(sqlx::query_scalar!(r#"SELECT coalesce(max(id), 0) AS "id!" FROM events"#)
+        .fetch_one(connection)
+        .await?)
 }

@@ -3,10 +3,12 @@
 pub(crate) mod changing;
 pub(crate) mod ending;
 pub(crate) mod frames;
+pub(crate) mod listing;
 pub(crate) mod open_jobs;
 pub(crate) mod outlooks;
 pub(crate) mod progress;
 pub(crate) mod retrying;
+pub(crate) mod strip;
 pub(crate) mod submitting;
 
 use forelight_protocol::{
@@ -21,17 +23,6 @@ use crate::columns::{Id, Json, Time, Unread, Word, corrupt};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use forelight_quote::JobForecast;
-
-/// Which jobs to list.
-#[derive(Clone, PartialEq, Eq, Debug, Default)]
-pub struct JobFilter {
-    /// Only jobs in this state.
-    pub state: Option<JobState>,
-    /// Only jobs of this project.
-    pub project: Option<String>,
-    /// Only jobs with exactly this name.
-    pub name: Option<String>,
-}
 
 /// A job's row, without the columns that only claims read.
 pub(crate) struct JobRow {
@@ -92,28 +83,6 @@ impl Store {
     /// A job.
     pub async fn job(&self, job: JobId) -> Result<Job> {
         read(&mut *self.read().await?, job).await
-    }
-
-    /// The jobs submitted before `before`, newest first, at most `limit`.
-    pub async fn jobs(&self, filter: &JobFilter, before: Option<JobId>, limit: u32) -> Result<Vec<Job>> {
-        let mut transaction = self.read().await?;
-        let rows = job_rows!(
-            "WHERE id < ?1 AND (?2 IS NULL OR state = ?2) AND (?3 IS NULL OR project = ?3) \
-             AND (?4 IS NULL OR name = ?4) ORDER BY id DESC LIMIT ?5",
-            before.map_or(uuid::Uuid::max(), |job| job.0),
-            filter.state.map(JobState::name),
-            filter.project,
-            filter.name,
-            limit
-        )
-        .fetch_all(&mut *transaction)
-        .await?;
-        let mut jobs = Vec::with_capacity(rows.len());
-        for row in rows {
-            let progress = progress::of_job(&mut transaction, row.id.into()).await?;
-            jobs.push(row.job(progress)?);
-        }
-        Ok(jobs)
     }
 
     /// The jobs that the service itself may have to move on, oldest first: those before `booked`, except those

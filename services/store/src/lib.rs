@@ -40,6 +40,7 @@ mod sessions;
 mod shared_cache;
 mod slurm;
 mod tasks;
+mod timeline;
 pub mod tokens;
 mod writing;
 
@@ -50,21 +51,22 @@ pub use bundles::NewBundle;
 pub use database::{DATABASE, Store};
 pub use error::StoreError;
 pub use idempotency::{Answered, IdempotencyKey, RecordedAnswer};
-pub use jobs::JobFilter;
+pub use jobs::listing::{JobFilter, JobOrder, JobPlace};
 pub use jobs::open_jobs::OpenJob;
-pub use jobs::outlooks::JobOutlook;
+pub use jobs::outlooks::{FinishSpread, JobOutlook};
 pub use jobs::submitting::NewJob;
 pub use leases::LeaseInfo;
 pub use leases::sweeping::Swept;
 pub use nodes::LOST;
 pub use nodes::joining::token_hash;
+pub use nodes::listing::{NodeFilter, NodeOrder, NodePlace};
 pub use nodes::unattended::Unattended;
 pub use plans::farm_jobs::{FarmFrame, FarmJob};
 pub use plans::replans::Wanted;
 pub use plans::{NewJobPlan, NewPlan};
 pub use policy::availability::{Opening, as_it_is, free_time_of, opening, silence};
 pub use policy::projection::{
-    Holder, OpenBooking, OpenCachePart, Projected, ProjectedCachePart, Projection, project,
+    Holder, JobEnds, OpenBooking, OpenCachePart, Projected, ProjectedCachePart, Projection, project,
 };
 pub use policy::rebooking::NewBooking;
 pub use policy::retries::{FAILED_JOBS, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES};
@@ -76,6 +78,7 @@ pub use sessions::NewSession;
 pub use shared_cache::parts::NewPartBooking;
 pub use shared_cache::{NewSharedCache, PlannedCache};
 pub use slurm::{BookedTime, Holding, NewArray, OpenArray, OpenElement, SeenNode, Waiting};
+pub use timeline::Spans;
 
 #[cfg(test)]
 mod tests;

@@ -3,6 +3,7 @@
 pub(crate) mod changing;
 pub(crate) mod joining;
 pub(crate) mod learning;
+pub(crate) mod listing;
 pub(crate) mod unattended;
 
 use forelight_forecast::learned_factor;

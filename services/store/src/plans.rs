@@ -17,7 +17,7 @@ use crate::columns::Json;
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
-use crate::jobs::outlooks::{self, JobOutlook};
+use crate::jobs::outlooks::{self, FinishSpread, JobOutlook};
 use crate::living::{self, Occasion};
 use crate::plans::reading::newest;
 use crate::plans::replans::Wanted;
@@ -41,6 +41,8 @@ pub struct NewPlan {
     pub jobs: Vec<NewJobPlan>,
     /// New outlooks of jobs: why they wait, and the state of their promises.
     pub outlooks: Vec<(JobId, JobOutlook)>,
+    /// How the end of all bookings varies in the scenarios of the plan.
+    pub finish: Option<FinishSpread>,
     /// The irradiance cache that the frames of a newly booked job wait for; `None` if they share none.
     pub shared_cache: Option<NewSharedCache>,
 }
@@ -139,6 +141,7 @@ impl Store {
             return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
         }
         outlooks::keep(&mut write, &plan.outlooks, now).await?;
+        outlooks::keep_of_farm(&mut write, plan.finish).await?;
         replans::planned(&mut write, &plan.wanted).await?;
         self.commit(write).await
     }
@@ -179,6 +182,7 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         append(write, Event { message, ..told });
     }
     outlooks::keep(write, &plan.outlooks, now).await?;
+    outlooks::keep_of_farm(write, plan.finish).await?;
     replans::planned(write, &plan.wanted).await?;
     Ok(plan_id)
 }

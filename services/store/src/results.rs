@@ -3,8 +3,9 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    ArtifactHash, Described, EventKind, JobId, JobState, LeaseId, MeasuredShare, Node, PreviewResult,
-    ProfileSpec, RenderResult, RendererRequest, TaskId, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, Described, Event, EventKind, FrameCost, JobId, JobState, LeaseId, MeasuredShare, Node,
+    PreviewResult, ProfileSpec, RenderResult, RendererRequest, TaskId, TaskKind, TaskResult, TaskSpec,
+    Timestamp,
 };
 use forelight_quote::{MeasuredProfile, SampledProfile};
 use sqlx::FromRow;
@@ -101,7 +102,9 @@ impl Store {
             now.micros(),
             row.task_id.0
         );
-        append(&mut write, row.event(EventKind::TaskDone, now));
+        if row.kind != TaskKind::Render {
+            append(&mut write, row.event(EventKind::TaskDone, now));
+        }
         let state = keep(&mut write, &row, &node, result, now).await?;
         self.commit(write).await?;
         Ok(committed(false, state))
@@ -360,6 +363,9 @@ async fn keep_render(
         row.job_id.0
     );
     let before = living::before(write, row.job_id).await?;
+    let cost = Some(FrameCost { work: actual_work, cpu_seconds: cpu_at_speed_one });
+    let frames_done = before.frames_done().map(|done| done + 1);
+    append(write, Event { cost, frames_done, ..row.event(EventKind::TaskDone, now) });
     let is_last = before.job_state == JobState::Done && row.job_state != JobState::Done;
     if is_last {
         calibration::learn(write, row.job_id, now).await?;

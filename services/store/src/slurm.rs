@@ -25,6 +25,7 @@ use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::events::{append, event, node_event};
 use crate::jobs::ending;
+use crate::nodes;
 use crate::writing::run;
 
 /// A task that waits to be submitted to Slurm.
@@ -394,7 +395,8 @@ impl Store {
                 node.cores,
                 now.micros()
             );
-            node_event(&mut write, EventKind::NodeRegistered, new, node.name.clone(), now);
+            let new = nodes::read(write.connection().await?, new).await?;
+            node_event(&mut write, EventKind::NodeRegistered, &new, node.name.clone(), now);
         }
         self.commit(write).await
     }

@@ -68,6 +68,13 @@ impl Farm {
         Self { folder, store }
     }
 
+    /// What a dashboard shows.
+    async fn dashboard(&self, now: Timestamp) -> forelight_protocol::Dashboard {
+        let (bookings, parts) =
+            (self.store.open_bookings().await.unwrap(), self.store.open_cache_parts().await.unwrap());
+        self.store.dashboard(&crate::project(&bookings, &parts, now), TTL, now).await.unwrap()
+    }
+
     /// The service dies and is started again.
     async fn restarted(self) -> Self {
         let Self { folder, store } = self;
@@ -196,6 +203,7 @@ impl Farm {
                 terms: 0,
             }],
             outlooks: Vec::new(),
+            finish: None,
         }
     }
 }

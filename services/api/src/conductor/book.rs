@@ -66,7 +66,7 @@ impl Conductor {
             }))
         })
         .await?;
-        let Settled { plan, jobs, outlooks } = self.passed(settled)?;
+        let Settled { plan, jobs, outlooks, finish } = self.passed(settled)?;
         let of_cache = plan.bookings.iter().filter(|booking| booking.task.is_shared_cache());
         let shared_cache =
             match (&forecast.shared_cache, kept.cache.as_ref().and_then(|cache| cache.shared_cache.as_ref()))
@@ -82,7 +82,8 @@ impl Conductor {
             jobs.iter().find(|planned| planned.verdict.job_id == id).map(|planned| &planned.verdict);
         let word = verdict.map_or("", |verdict| verdict.verdict.name());
         tracing::info!(job = %id, verdict = word, jobs = jobs.len(), "planned");
-        let new = NewPlan { parent, reason: PlanReason::JobForecast, wanted, jobs, outlooks, shared_cache };
+        let reason = PlanReason::JobForecast;
+        let new = NewPlan { parent, reason, wanted, jobs, outlooks, finish, shared_cache };
         if !is_accepted {
             kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
         }

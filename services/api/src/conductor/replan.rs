@@ -45,10 +45,11 @@ impl Conductor {
             return Ok(self.store.plan_still_good(&wanted).await?);
         }
         let settled = compute(move || Ok(settle(&Farm::new(&snapshot), None))).await?;
-        let Settled { jobs, outlooks, .. } = self.passed(settled)?;
+        let Settled { jobs, outlooks, finish, .. } = self.passed(settled)?;
         let causes = wanted.causes.join("; ");
         let rebooked = jobs.len();
-        let new = NewPlan { parent, reason: PlanReason::Events, wanted, jobs, outlooks, shared_cache: None };
+        let reason = PlanReason::Events;
+        let new = NewPlan { parent, reason, wanted, jobs, outlooks, finish, shared_cache: None };
         if rebooked == 0 {
             self.store.keep_outlooks(&new, now).await?;
             tracing::debug!(causes, "the plan is still good");

@@ -15,7 +15,7 @@ use forelight_protocol::{
     JobId, JobVerdict, Money, NodeId, ProjectShare, Promise, RendererRequest, Timestamp, Verdict, WaitKind,
     Waits,
 };
-use forelight_store::{HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
+use forelight_store::{FinishSpread, HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
 
 use super::AdvanceError;
 use super::effects::duration;
@@ -38,6 +38,8 @@ pub(crate) struct Settled {
     pub plan: planner::Plan,
     pub jobs: Vec<NewJobPlan>,
     pub outlooks: Vec<(JobId, JobOutlook)>,
+    /// How the end of all bookings varies.
+    pub finish: Option<FinishSpread>,
 }
 
 #[derive(Debug)]
@@ -58,7 +60,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let (plan, at_risk) = least_moved(farm, &standing, fresh)?;
     let whole = farm.with_standing(&standing);
     planner::verify(&whole, &plan).map_err(Unsettled::Refused)?;
-    let probabilities = probabilities(farm, &plan)?;
+    let (risks, finish) = risks(farm, &plan)?;
     let waits = waits(farm, &plan)?;
     let verdicts: Vec<JobVerdict> = (0..farm.jobs.len()).map(|job| verdict(farm, &plan, job)).collect();
     let says_new = |(job, said): (usize, &JobVerdict)| {
@@ -75,8 +77,9 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let mut helped = 0;
     for (job, mut said) in verdicts.into_iter().enumerate() {
         let asked = &farm.jobs[job];
-        let promise = promise(farm, &plan, &at_risk, probabilities[job], job)?;
-        outlooks.push((asked.job.id, JobOutlook { waits: waits.get(&job).cloned(), promise }));
+        let promise = promise(farm, &plan, &at_risk, risks[job].in_time, job)?;
+        let outlook = JobOutlook { waits: waits.get(&job).cloned(), promise, finish: risks[job].finish };
+        outlooks.push((asked.job.id, outlook));
         if !booked_anew[job] {
             continue;
         }
@@ -93,7 +96,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
         let (begun, factor, terms) = (asked.begun.clone(), asked.factor, asked.terms);
         jobs.push(NewJobPlan { verdict: said, bookings, begun, factor, terms });
     }
-    Ok(Settled { plan, jobs, outlooks })
+    Ok(Settled { plan, jobs, outlooks, finish })
 }
 
 /// Bookings that stay unless needed: normally all. A job with new terms is placed anew. If a new job without a deadline is due before others, then
@@ -309,17 +312,36 @@ fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> S
     }
 }
 
-/// By job, the share of scenarios in which it meets its deadline.
-fn probabilities(farm: &Farm, plan: &planner::Plan) -> Result<Vec<f64>, AdvanceError> {
+/// What happens to a job in the scenarios.
+#[derive(Clone, Copy, Debug)]
+struct Risk {
+    /// Share of scenarios in which it meets its deadline.
+    in_time: f64,
+    finish: Option<FinishSpread>,
+}
+
+/// The quantiles of an end, less the planned end. `None` if some scenario has no end.
+fn spread(quantiles: [Option<i64>; 3], planned: Option<i64>) -> Option<FinishSpread> {
+    let planned = planned?;
+    let [p50, p80, p95] = quantiles.map(|end| Some(end?.saturating_sub(planned)));
+    Some(FinishSpread { p50: p50?, p80: p80?, p95: p95? })
+}
+
+/// By job, what happens to it in the scenarios; and how the end of all bookings varies.
+fn risks(farm: &Farm, plan: &planner::Plan) -> Result<(Vec<Risk>, Option<FinishSpread>), AdvanceError> {
     let count = (MOST_DRAWS / plan.bookings.len().max(1)).clamp(50, SCENARIOS) as u32;
     let simulation = planner::simulate(&farm.input, plan, count, SEED)?;
     let of_job = |(job, asked): (usize, &Asked)| {
         let deadline = asked.job.deadline.map(Timestamp::micros);
         let late_by_fact = asked.under_way.zip(deadline).is_some_and(|(end, deadline)| end > deadline);
         let risk = simulation.jobs.iter().find(|risk| risk.job == job as u64);
-        if late_by_fact { 0.0 } else { 1.0 - risk.map_or(0.0, |risk| risk.probability(count)) }
+        let in_time = if late_by_fact { 0.0 } else { 1.0 - risk.map_or(0.0, |risk| risk.probability(count)) };
+        let planned = plan.job(job as u64).and_then(|entry| entry.verdict.finish());
+        Risk { in_time, finish: risk.and_then(|risk| spread(risk.finish, planned)) }
     };
-    Ok(farm.jobs.iter().enumerate().map(of_job).collect())
+    let last = plan.bookings.iter().map(|booking| booking.end).max();
+    let jobs = farm.jobs.iter().enumerate().map(of_job).collect();
+    Ok((jobs, spread(simulation.finish, last)))
 }
 
 /// State of a job's promise. `None` if its deadline was never promised and is not kept.

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use forelight_protocol::Money;
+use forelight_protocol::{Money, ProblemKind};
 
 use crate::error::{ApiError, ApiResult};
 
@@ -19,6 +19,17 @@ pub(crate) fn check_name(pointer: &str, name: &str, longest: usize) -> ApiResult
         return Err(ApiError::invalid(pointer, "a name has no control characters"));
     }
     Ok(())
+}
+
+/// Checks the text of a search.
+pub(crate) fn check_search(text: Option<&str>) -> ApiResult<()> {
+    match text {
+        Some(text) if text.chars().count() > 200 => {
+            let reason = "a search has at most 200 characters";
+            Err(ApiError::new(ProblemKind::Invalid, reason).in_parameter("search"))
+        }
+        _ => Ok(()),
+    }
 }
 
 pub(crate) fn within(pointer: &str, value: i64, range: RangeInclusive<i64>) -> ApiResult<()> {

@@ -8,10 +8,11 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
-use forelight_store::{JobFilter, project};
+use forelight_store::{JobFilter, JobOrder};
 use serde::Deserialize;
-use utoipa::IntoParams;
+use utoipa::{IntoParams, ToSchema};
 
+use super::checks::check_search;
 use super::responses::{created, repeated, tagged};
 use crate::error::{ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter, number_if_any};
@@ -54,17 +55,57 @@ pub(crate) async fn check(
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }
 
+/// The order of a list of jobs.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum JobSort {
+    /// Newest first.
+    #[default]
+    #[serde(rename = "-created")]
+    Newest,
+    /// Those at risk first, then by deadline.
+    Risk,
+    /// By deadline; jobs without one last.
+    Deadline,
+    /// By name.
+    Name,
+    /// Dearest first, by the cost of their bookings.
+    Cost,
+}
+
+impl JobSort {
+    /// The order, and the name of such a list in page tokens.
+    fn order(self) -> (JobOrder, &'static str) {
+        match self {
+            JobSort::Newest => (JobOrder::Newest, "jobs"),
+            JobSort::Risk => (JobOrder::Risk, "jobs by risk"),
+            JobSort::Deadline => (JobOrder::Deadline, "jobs by deadline"),
+            JobSort::Name => (JobOrder::Name, "jobs by name"),
+            JobSort::Cost => (JobOrder::Cost, "jobs by cost"),
+        }
+    }
+}
+
 /// Filter of the list of jobs.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct JobQuery {
+    /// Only jobs that are not over.
+    #[serde(default)]
+    pub open: bool,
     /// Only jobs in this state.
     pub state: Option<JobState>,
     /// Only jobs of this project.
     pub project: Option<String>,
     /// Only jobs with exactly this name.
     pub name: Option<String>,
+    /// Only jobs with this text in the name of job or project.
+    #[param(max_length = 200)]
+    pub search: Option<String>,
+    /// The order. Default: newest first.
+    #[param(inline)]
+    pub sort: Option<JobSort>,
     /// `next_page_token` of the previous page.
     pub page_token: Option<String>,
     /// Number of items on a page: 1 to 200, default 50.
@@ -73,22 +114,27 @@ pub(crate) struct JobQuery {
     pub page_size: Option<u32>,
 }
 
-/// The jobs, newest first.
+/// The jobs, newest first unless another order is asked for.
 #[utoipa::path(get, path = "/v1/jobs", operation_id = "job_list", tag = "jobs", params(JobQuery),
-    responses((status = 200, description = "A page of jobs", body = JobPage), Problems))]
+    responses((status = 200, description = "A page of jobs", body = JobPage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
     _: Reader,
     QueryParameters(query): QueryParameters<JobQuery>,
-) -> ApiResult<Json<JobPage>> {
-    let JobQuery { state, project, name, page_token, page_size } = query;
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let JobQuery { open, state, project, name, search, sort, page_token, page_size } = query;
+    check_search(search.as_deref())?;
     let page = PageQuery { page_token, page_size };
     let size = page.size();
-    let filter = JobFilter { state, project, name };
-    let mut items = app.store.jobs(&filter, page.key("jobs")?, size + 1).await?;
-    let next_page_token = cut(&mut items, size, "jobs", |job| job.id);
+    let filter = JobFilter { open, state, project, name, search };
+    let (order, list) = sort.unwrap_or_default().order();
+    let after = page.key(list)?;
+    let mut items = app.store.jobs(&filter, (order, after.as_ref()), size + 1).await?;
+    let next_page_token = cut(&mut items, size, list, |job| order.place(job));
     expect(&app, &mut items).await?;
-    Ok(Json(JobPage { items, next_page_token }))
+    tagged(&headers, &JobPage { items, next_page_token })
 }
 
 /// One job.
@@ -131,9 +177,8 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
     }
     if jobs.iter().any(|job| !job.state.is_final() && job.plan_id.is_some()) {
-        let (bookings, parts) = (app.store.open_bookings().await?, app.store.open_cache_parts().await?);
-        let projected = project(&bookings, &parts, app.now());
-        jobs.iter_mut().for_each(|job| job.eta = projected.eta(job));
+        let ends = app.projection().await?.ends();
+        jobs.iter_mut().for_each(|job| job.eta = ends.eta(job));
     }
     // The expected end depends on the plan's reason to wait.
     app.tell_disk_full(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));

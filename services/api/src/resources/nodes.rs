@@ -4,22 +4,24 @@ mod node_checks;
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{
     JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration,
-    ProblemKind,
+    NodeState, ProblemKind,
 };
-use forelight_store::as_it_is;
+use forelight_store::{NodeFilter, NodeOrder, as_it_is};
+use serde::Deserialize;
+use utoipa::{IntoParams, ToSchema};
 
 use self::node_checks::{check_change, check_registration};
-use super::checks::check_name;
-use super::responses::{created, repeated};
+use super::checks::{check_name, check_search};
+use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
-    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken,
+    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken, number_if_any,
 };
-use crate::page::{PageQuery, cut};
+use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::IdempotencyKeyHeader;
 use crate::state::App;
 
@@ -85,20 +87,74 @@ pub(crate) async fn join_token(
     Ok((StatusCode::CREATED, Json(app.store.create_join_token(&request.name, valid, app.now()).await?)))
 }
 
-/// The nodes, oldest first.
-#[utoipa::path(get, path = "/v1/nodes", operation_id = "node_list", tag = "work", params(PageQuery),
-    responses((status = 200, description = "A page of nodes", body = NodePage), Problems))]
+/// The order of a list of nodes.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum NodeSort {
+    /// Oldest first.
+    #[default]
+    Created,
+    /// By name.
+    Name,
+    /// Slowest core first.
+    Speed,
+    /// Cheapest hour first.
+    Price,
+}
+
+impl NodeSort {
+    /// The order, and the name of such a list in page tokens.
+    fn order(self) -> (NodeOrder, &'static str) {
+        match self {
+            NodeSort::Created => (NodeOrder::Created, "nodes"),
+            NodeSort::Name => (NodeOrder::Name, "nodes by name"),
+            NodeSort::Speed => (NodeOrder::Speed, "nodes by speed"),
+            NodeSort::Price => (NodeOrder::Price, "nodes by price"),
+        }
+    }
+}
+
+/// Filter of the list of nodes.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct NodeQuery {
+    /// Only nodes in this state.
+    pub state: Option<NodeState>,
+    /// Only nodes with this text in their names.
+    #[param(max_length = 200)]
+    pub search: Option<String>,
+    /// The order. Default: oldest first.
+    #[param(inline)]
+    pub sort: Option<NodeSort>,
+    /// `next_page_token` of the previous page.
+    pub page_token: Option<String>,
+    /// Number of items on a page: 1 to 200, default 50.
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    #[serde(default, deserialize_with = "number_if_any::<_, _, 1, LARGEST_PAGE>")]
+    pub page_size: Option<u32>,
+}
+
+/// The nodes, oldest first unless another order is asked for.
+#[utoipa::path(get, path = "/v1/nodes", operation_id = "node_list", tag = "work", params(NodeQuery),
+    responses((status = 200, description = "A page of nodes", body = NodePage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
     _: Anyone,
-    QueryParameters(query): QueryParameters<PageQuery>,
-) -> ApiResult<Json<NodePage>> {
-    let size = query.size();
-    let mut items = app.store.nodes(query.key("nodes")?, size + 1).await?;
-    let next_page_token = cut(&mut items, size, "nodes", |node| node.id);
-    let now = app.now();
-    let items = items.into_iter().map(|node| as_it_is(node, app.lease_ttl, now)).collect();
-    Ok(Json(NodePage { items, next_page_token }))
+    QueryParameters(query): QueryParameters<NodeQuery>,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let NodeQuery { state, search, sort, page_token, page_size } = query;
+    check_search(search.as_deref())?;
+    let page = PageQuery { page_token, page_size };
+    let size = page.size();
+    let (order, list) = sort.unwrap_or_default().order();
+    let after = page.key(list)?;
+    let (filter, times) = (NodeFilter { state, search }, (app.lease_ttl, app.now()));
+    let mut items = app.store.listed_nodes(&filter, (order, after.as_ref()), size + 1, times).await?;
+    let next_page_token = cut(&mut items, size, list, |node| order.place(node));
+    tagged(&headers, &NodePage { items, next_page_token })
 }
 
 /// One node.

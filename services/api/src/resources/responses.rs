@@ -60,17 +60,27 @@ pub(crate) fn is_known(headers: &HeaderMap, etag: &HeaderValue) -> bool {
 
 /// A JSON document with a tag of its content, or 304 if the client has it already.
 pub(crate) fn tagged<T: Serialize>(headers: &HeaderMap, document: &T) -> ApiResult<Response> {
+    tagged_by(headers, document, document)
+}
+
+/// A JSON document with a tag of `content`, which is what counts of it.
+pub(crate) fn tagged_by<C: Serialize, T: Serialize>(
+    headers: &HeaderMap,
+    content: &C,
+    document: &T,
+) -> ApiResult<Response> {
     let failed = |error: &dyn std::fmt::Display| {
         tracing::error!(%error, "a document could not be written");
         ApiError::new(ProblemKind::Internal, "the service failed; its log says more")
     };
-    let json = serde_json::to_vec(document).map_err(|error| failed(&error))?;
-    let tag = blake3::hash(&json).to_hex();
+    let counts = serde_json::to_vec(content).map_err(|error| failed(&error))?;
+    let tag = blake3::hash(&counts).to_hex();
     let etag = HeaderValue::from_str(&format!("W/\"{}\"", &tag[..32])).map_err(|error| failed(&error))?;
     let own = [(ETAG, etag.clone()), (CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))];
     if is_known(headers, &etag) {
         return Ok((StatusCode::NOT_MODIFIED, own).into_response());
     }
+    let json = serde_json::to_vec(document).map_err(|error| failed(&error))?;
     let mut answer = ([(CONTENT_TYPE, "application/json")], json).into_response();
     answer.headers_mut().extend(own);
     Ok(answer)

@@ -8,6 +8,7 @@ mod cost_limits;
 mod document;
 mod events;
 mod job_life;
+mod lists;
 mod living_estimate;
 mod nodes;
 mod page;

@@ -236,7 +236,7 @@ mod tests {
     use super::super::filling::fill;
     use super::*;
     use forelight_protocol::JobState;
-    use forelight_store::{Store, StoreError};
+    use forelight_store::{JobFilter, JobOrder, Store, StoreError};
 
     #[tokio::test(flavor = "multi_thread")]
     async fn what_is_written_by_hand_is_what_the_farm_reads_as_frames_that_are_done() {
@@ -265,7 +265,7 @@ mod tests {
             tokio::time::sleep(Duration::from_millis(10)).await;
             store = Store::open(folder.path()).await;
         }
-        let jobs = store.unwrap().jobs(&forelight_store::JobFilter::default(), None, 10).await.unwrap();
+        let jobs = store.unwrap().jobs(&JobFilter::default(), (JobOrder::Newest, None), 10).await.unwrap();
         assert_eq!((jobs[0].state, jobs[0].frames_done), (JobState::Done, 3));
     }
 }

@@ -73,6 +73,7 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
             shared_cache: None,
             wanted: store.wanted_plan().await?,
             jobs: vec![NewJobPlan { verdict, bookings, begun: BTreeSet::new(), factor: 1.0, terms: 0 }],
+            finish: None,
             outlooks: Vec::new(),
         };
         store.book(job.id, &JobForecast::default(), &frame_forecasts(&job), None, &plan, now).await?;

@@ -1,12 +1,14 @@
 //! Outlooks of booked jobs: why they wait, and the state of their promises.
 
-use forelight_protocol::{Event, JobId, Promise, Timestamp, Waits};
+use forelight_protocol::{Event, FinishQuantiles, JobId, Promise, Timestamp, Waits};
 use serde::{Deserialize, Serialize};
+use sqlx::SqliteConnection;
 
 use crate::columns::Json;
 use crate::database::Write;
 use crate::error::{Result, StoreError};
 use crate::events::{append, event};
+use crate::policy::projection::rounded_up;
 use crate::policy::rebooking::promise_news;
 use crate::writing::run;
 
@@ -19,6 +21,48 @@ pub struct JobOutlook {
     /// The state of its promise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
+    /// How its end varies in the scenarios of the plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finish: Option<FinishSpread>,
+}
+
+/// How an end varies in the scenarios of a plan: quantiles less the planned end, in microseconds. Between two
+/// plans, the expected end moves, and this stays.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize)]
+pub struct FinishSpread {
+    /// Median.
+    pub p50: i64,
+    /// 80 % quantile.
+    pub p80: i64,
+    /// 95 % quantile.
+    pub p95: i64,
+}
+
+impl FinishSpread {
+    /// The quantiles around an expected end, none of them past, rounded up.
+    pub(crate) fn around(self, end: Timestamp, now: Timestamp) -> FinishQuantiles {
+        let at = |by: i64| rounded_up(end.plus_micros(by).max(now), now);
+        FinishQuantiles { p50: at(self.p50), p80: at(self.p80), p95: at(self.p95) }
+    }
+}
+
+/// The spread of the farm's last end in the newest plan; `None` before the first.
+pub(crate) async fn of_farm(connection: &mut SqliteConnection) -> Result<Option<FinishSpread>> {
+    let kept = sqlx::query_scalar!(r#"SELECT body AS "body: Json<FinishSpread>" FROM farm_outlook"#)
+        .fetch_optional(connection)
+        .await?;
+    Ok(kept.map(|it| it.0))
+}
+
+/// Keeps the spread of the farm's last end.
+pub(crate) async fn keep_of_farm(write: &mut Write, finish: Option<FinishSpread>) -> Result<()> {
+    let Some(finish) = finish else { return Ok(()) };
+    run!(
+        write,
+        "INSERT INTO farm_outlook (one, body) VALUES (1, ?) ON CONFLICT DO UPDATE SET body = excluded.body",
+        Json(finish)
+    );
+    Ok(())
 }
 
 /// Keeps the outlooks of jobs, and writes an event for each promise that broke or is kept again.

@@ -105,9 +105,9 @@ async fn set_aside_if_at_fault(write: &mut Write, node: NodeId, error: &str, now
     let set =
         run!(write, "UPDATE nodes SET set_aside = ? WHERE id = ? AND set_aside IS NULL", reason, node.0);
     if set == 1 {
-        let name = nodes::read(write.connection().await?, node).await?.name;
-        replans::want(write, &format!("node {name} is set aside")).await?;
-        node_event(write, EventKind::NodeSetAside, node, format!("{name}: {reason}"), now);
+        let node = nodes::read(write.connection().await?, node).await?;
+        replans::want(write, &format!("node {} is set aside", node.name)).await?;
+        node_event(write, EventKind::NodeSetAside, &node, format!("{}: {reason}", node.name), now);
     }
     Ok(())
 }

@@ -68,6 +68,13 @@ pub(crate) struct Before {
     pub job_state: JobState,
 }
 
+impl Before {
+    /// Number of frames that were finished before; `None` without an estimate.
+    pub(crate) fn frames_done(&self) -> Option<u32> {
+        self.estimate.as_ref().map(|kept| kept.last.frames_done + kept.last.frames_since)
+    }
+}
+
 /// Reads what is stored before an update.
 pub(crate) async fn before(write: &mut Write, job: JobId) -> Result<Before> {
     ask!(

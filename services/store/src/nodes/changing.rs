@@ -63,7 +63,7 @@ impl Store {
             take_tasks_away(&mut write, node, now).await?;
         }
         let changed = read(write.connection().await?, node).await?;
-        node_event(&mut write, EventKind::NodeChanged, node, changed.name.clone(), now);
+        node_event(&mut write, EventKind::NodeChanged, &changed, changed.name.clone(), now);
         // Waiting claims should look again.
         write.made_work |= may_take_tasks_again(change);
         if let Some(cause) = cause_of(change) {
@@ -123,7 +123,7 @@ pub(crate) async fn upsert(
         }
         Some(_) => {}
     }
-    node_event(write, EventKind::NodeRegistered, node.id, node.name.clone(), now);
+    node_event(write, EventKind::NodeRegistered, &node, node.name.clone(), now);
     Ok(with_power(node, now))
 }
 

@@ -181,6 +181,14 @@ pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) ->
     projection
 }
 
+/// An expected instant, rounded up: to the second if it is within ten minutes, else to the minute. What waits for
+/// a node that is not there is expected later with each look, and most of that is no news.
+pub(crate) fn rounded_up(at: Timestamp, now: Timestamp) -> Timestamp {
+    const SECOND: i64 = 1_000_000;
+    let step = if at.micros_since(now) <= 600 * SECOND { SECOND } else { 60 * SECOND };
+    Timestamp::from_micros(at.micros().saturating_add(step - 1).div_euclid(step).saturating_mul(step))
+}
+
 /// The bookings, with their lengths multiplied by this factor.
 pub(crate) fn stretched(bookings: &[OpenBooking], by: f64) -> Vec<OpenBooking> {
     let mut bookings = bookings.to_vec();
@@ -207,9 +215,41 @@ impl Projection {
         self.finish_of(job.id).filter(|_| !waits_for_money && booked >= open as usize)
     }
 
+    /// When each job ends, for lists of many jobs.
+    pub fn ends(&self) -> JobEnds {
+        let mut ends: BTreeMap<JobId, (usize, Timestamp)> = BTreeMap::new();
+        let frames = self.frames.iter().map(|frame| (frame.booking.job_id, 1, frame.end));
+        let parts = self.cache_parts.iter().map(|part| (part.booking.job_id, 0, part.end));
+        for (job, count, end) in frames.chain(parts) {
+            let (booked, last) = ends.entry(job).or_insert((0, end));
+            *booked += count;
+            *last = (*last).max(end);
+        }
+        JobEnds(ends)
+    }
+
     /// When the cache that a job's frames share should be full; `None` if they wait for none.
     pub fn cache_full_at(&self, job: JobId) -> Option<Timestamp> {
         self.cache_parts.iter().filter(|part| part.booking.job_id == job).map(|part| part.end).max()
+    }
+}
+
+/// The number of open bookings of each job, and the last end of them and of its cache.
+#[derive(Clone, PartialEq, Debug, Default)]
+pub struct JobEnds(BTreeMap<JobId, (usize, Timestamp)>);
+
+impl JobEnds {
+    /// As [`Projection::eta`].
+    pub fn eta(&self, job: &Job) -> Option<Timestamp> {
+        let &(booked, end) = self.0.get(&job.id)?;
+        let open = job.frames_total.saturating_sub(job.frames_done + job.frames_cancelled);
+        let waits_for_money = job.waits.as_ref().is_some_and(Waits::is_for_money);
+        (!waits_for_money && booked >= open as usize).then_some(end)
+    }
+
+    /// The last end of all; `None` if nothing is booked.
+    pub fn last(&self) -> Option<Timestamp> {
+        self.0.values().map(|&(_, end)| end).max()
     }
 }
 
@@ -292,6 +332,15 @@ mod tests {
             times(&project(&[farm.frame(0, 0, (0, 10), farm.held(1, 0, progress))], &[], at(now)))[0].2
         };
         assert_eq!((end(0.0, 4), end(0.9, 4), end(1.0, 4), end(0.0, 30)), (10, 5, 5, 40));
+    }
+
+    #[test]
+    fn near_instants_are_shown_to_the_second_and_far_ones_to_the_minute() {
+        let micros = |micros| Timestamp::from_micros(micros);
+        assert_eq!(rounded_up(micros(1_000_001), at(0)), at(2));
+        assert_eq!(rounded_up(at(600), at(0)), at(600));
+        assert_eq!(rounded_up(micros(600_000_001), at(0)), at(660));
+        assert_eq!(rounded_up(micros(-1), at(0)), at(0));
     }
 
     #[test]

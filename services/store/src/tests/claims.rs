@@ -218,7 +218,7 @@ async fn frames_find_their_tasks_one_by_one_however_many_the_job_has() {
     let farm = Farm::new().await;
     let statements = super::statements::checked();
     let of_frames = statements.iter().filter(|statement| statement.contains("INDEXED BY tasks_of_frames"));
-    assert_eq!(of_frames.clone().count(), 8);
+    assert_eq!(of_frames.clone().count(), 10);
     for query in of_frames {
         let steps = steps_of(&farm, query).await;
         let task = steps.iter().find(|step| step.starts_with("SEARCH t "));

@@ -3,10 +3,14 @@
 use forelight_protocol::{EventKind, JobState};
 
 use super::*;
-use crate::{IdempotencyKey, JobFilter, StoreError};
+use crate::{IdempotencyKey, JobFilter, JobOrder, JobPlace, StoreError};
 
 fn key(name: &str, request: u8) -> IdempotencyKey {
     IdempotencyKey { principal: [1; 32], key: name.to_owned(), request_hash: [request; 32] }
+}
+
+fn newest(after: Option<&JobPlace>) -> (JobOrder, Option<&JobPlace>) {
+    (JobOrder::Newest, after)
 }
 
 #[tokio::test]
@@ -19,7 +23,7 @@ async fn a_repeated_request_gets_the_first_answer_even_after_a_restart() {
     let Answered::Repeated(answer) = repeated else { panic!("a second job was made") };
     assert_eq!(answer.status, 201);
     assert_eq!(serde_json::from_str::<Job>(&answer.body).unwrap(), job);
-    assert_eq!(farm.store.jobs(&JobFilter::default(), None, 10).await.unwrap().len(), 1);
+    assert_eq!(farm.store.jobs(&JobFilter::default(), newest(None), 10).await.unwrap().len(), 1);
 }
 
 #[tokio::test]
@@ -48,7 +52,7 @@ async fn a_request_sent_many_times_at_once_makes_one_job() {
     let fresh =
         senders.join_all().await.iter().filter(|answered| matches!(answered, Answered::Fresh(_))).count();
     assert_eq!(fresh, 1);
-    assert_eq!(farm.store.jobs(&JobFilter::default(), None, 20).await.unwrap().len(), 1);
+    assert_eq!(farm.store.jobs(&JobFilter::default(), newest(None), 20).await.unwrap().len(), 1);
 }
 
 #[tokio::test]
@@ -62,14 +66,18 @@ async fn pages_of_jobs_are_newest_first_and_meet_without_gap_or_overlap() {
     submitted.reverse();
     let (mut paged, mut before) = (Vec::new(), None);
     loop {
-        let page = farm.store.jobs(&JobFilter::default(), before, 3).await.unwrap();
+        let page = farm.store.jobs(&JobFilter::default(), newest(before.as_ref()), 3).await.unwrap();
         let Some(last) = page.last() else { break };
-        before = Some(last.id);
+        before = Some(JobOrder::Newest.place(last));
         paged.extend(page.iter().map(|job| job.id));
     }
     assert_eq!(paged, submitted);
-    let filter = JobFilter { project: Some("odd".to_owned()), state: Some(JobState::Previewing), name: None };
-    assert_eq!(farm.store.jobs(&filter, None, 10).await.unwrap().len(), 3);
+    let filter = JobFilter {
+        project: Some("odd".to_owned()),
+        state: Some(JobState::Previewing),
+        ..JobFilter::default()
+    };
+    assert_eq!(farm.store.jobs(&filter, newest(None), 10).await.unwrap().len(), 3);
 }
 
 #[tokio::test]

@@ -238,6 +238,7 @@ impl Farm {
             wanted: self.store.wanted_plan().await.unwrap(),
             jobs: vec![NewJobPlan { verdict: verdict(job), bookings, begun, factor, terms: 0 }],
             outlooks: Vec::new(),
+            finish: None,
             shared_cache: None,
         }
     }

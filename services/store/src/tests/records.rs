@@ -64,7 +64,7 @@ async fn the_dashboard_shows_what_every_node_does_and_which_are_silent() {
     let job = farm.booked_job(request("0-3"), a.id, at(100)).await;
     let lease = farm.claim(a.id, at(100)).await.unwrap();
     farm.store.renew(lease.lease_id, &renewal(lease.fence, 0.5), TTL, at(105)).await.unwrap();
-    let dashboard = farm.store.dashboard(TTL, at(105)).await.unwrap();
+    let dashboard = farm.dashboard(at(105)).await;
     assert_eq!(
         (dashboard.counts.jobs_active, dashboard.counts.nodes, dashboard.counts.nodes_alive),
         (1, 2, 1)
@@ -75,12 +75,15 @@ async fn the_dashboard_shows_what_every_node_does_and_which_are_silent() {
     );
     let shown = &dashboard.jobs[0];
     assert_eq!((shown.id, shown.progress, shown.eta), (job, 0.125, Some(at(140))));
-    let [first, second] = &dashboard.nodes[..] else { panic!() };
-    assert_eq!((first.node.id, first.alive, second.node.id, second.alive), (a.id, true, b.id, false));
+    // A silent node needs somebody, so it comes first.
+    let [second, first] = &dashboard.nodes[..] else { panic!() };
+    assert_eq!((first.id, first.alive, second.id, second.alive), (a.id, true, b.id, false));
     let activity = first.activity.as_ref().unwrap();
     assert_eq!((activity.frame, activity.progress, activity.started), (Some(0), 0.5, at(100)));
     assert_eq!(second.activity, None);
-    assert_eq!((first.node.state, second.node.state), (NodeState::Working, NodeState::Silent));
-    assert_eq!(dashboard.bookings.len(), 4);
+    assert_eq!((first.state, second.state), (NodeState::Working, NodeState::Silent));
+    assert_eq!((dashboard.node_counts.working, dashboard.node_counts.silent), (1, 1));
+    assert_eq!((dashboard.counts.jobs.rendering, dashboard.jobs_open_total), (1, 1));
+    assert_eq!(dashboard.bookings.iter().map(|booking| booking.frame).collect::<Vec<_>>(), [1, 2, 3]);
     assert_eq!(dashboard.last_event_id, farm.store.last_event_id().await.unwrap());
 }

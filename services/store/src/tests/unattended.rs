@@ -6,7 +6,7 @@ use super::*;
 
 async fn waits(farm: &Farm, job: JobId, now: Timestamp) -> Option<(WaitKind, String, Option<Timestamp>)> {
     let waits = farm.store.unattended(TTL, now).await.unwrap().waits(job);
-    let shown = farm.store.dashboard(TTL, now).await.unwrap().jobs[0].waits.clone();
+    let shown = farm.dashboard(now).await.jobs[0].waits.clone();
     assert_eq!(shown, waits);
     waits.map(|waits| (waits.kind, waits.because, waits.until))
 }

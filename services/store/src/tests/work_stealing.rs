@@ -35,13 +35,14 @@ impl Farm {
     /// Records, without a new plan, whether a job's deadline is kept.
     async fn promise(&self, job: JobId, kept: bool) {
         let promise = Promise { kept, probability: 0.5, finish: None, since: at(0), rescue: None };
-        let outlook = JobOutlook { waits: None, promise: Some(promise) };
+        let outlook = JobOutlook { promise: Some(promise), ..JobOutlook::default() };
         let said = NewPlan {
             parent: self.store.newest_plan().await.unwrap(),
             reason: PlanReason::Events,
             wanted: self.store.wanted_plan().await.unwrap(),
             jobs: Vec::new(),
             outlooks: vec![(job, outlook)],
+            finish: None,
             shared_cache: None,
         };
         self.store.keep_outlooks(&said, at(1)).await.unwrap();

@@ -1,0 +1,232 @@
+//! A large farm: 5,000 nodes, 2,000 open jobs, one of them of 10,000 frames. Its documents stay short.
+//!
+//! The database is filled by SQL, with copies of one real job and one real node.
+
+#[path = "support/mod.rs"]
+mod support;
+
+use std::time::Instant;
+
+use forelight_protocol::{Dashboard, FrameStrip, JobPage, NodePage, TimelinePage};
+use reqwest::{Method, StatusCode};
+use rusqlite::Connection;
+use serde_json::json;
+
+use support::{Farm, start};
+
+/// Most bytes of a compressed document.
+const MOST_BYTES: usize = 60 << 10;
+
+const NODES: u32 = 5_000;
+const JOBS: u32 = 2_000;
+const FRAMES: u32 = 10_000;
+
+/// Copies rows of a table once for each row of `each`, with other values in some columns.
+fn copy(database: &Connection, table: &str, which: &str, each: &str, other: &[(&str, &str)]) {
+    let mut columns = database
+        .prepare(&format!("SELECT name FROM pragma_table_xinfo('{table}') WHERE hidden = 0"))
+        .unwrap();
+    let columns: Vec<String> = columns.query_map([], |row| row.get(0)).unwrap().map(Result::unwrap).collect();
+    let value = |name: &String| {
+        let changed = other.iter().find(|(other, _)| other == name);
+        changed.map_or(format!("t.{name}"), |(_, value)| (*value).to_owned())
+    };
+    let values: Vec<String> = columns.iter().map(value).collect();
+    let (columns, values) = (columns.join(", "), values.join(", "));
+    let statement =
+        format!("INSERT INTO {table} ({columns}) SELECT {values} FROM {table} t, {each} WHERE {which}");
+    database.execute(&statement, []).unwrap_or_else(|error| panic!("{statement}: {error}"));
+}
+
+/// Fills the database. It has one booked job of frames 0 to 3, one finished frame, and one node.
+fn fill(database: &Connection, now: i64) {
+    let run = |statement: &str| {
+        database.execute_batch(statement).unwrap_or_else(|error| panic!("{statement}: {error}"));
+    };
+    run("PRAGMA foreign_keys = ON; BEGIN");
+    run(&format!(
+        "CREATE TEMP TABLE template AS SELECT id AS job, plan_id AS plan, (SELECT max(frame) FROM tasks WHERE kind = 'render' AND state = 'ready') AS last FROM jobs;
+         CREATE TEMP TABLE numbers AS WITH RECURSIVE n (n) AS (SELECT 0 UNION ALL SELECT n + 1 FROM n WHERE n < {FRAMES}) SELECT n FROM n;
+         CREATE TEMP TABLE new_nodes AS SELECT n, randomblob(16) AS id FROM numbers WHERE n BETWEEN 1 AND {NODES} - 1;
+         CREATE UNIQUE INDEX temp.new_nodes_by_n ON new_nodes (n);
+         CREATE TEMP TABLE new_jobs AS SELECT n, randomblob(16) AS id FROM numbers WHERE n BETWEEN 1 AND {JOBS} - 1"
+    ));
+    let a_node = "(SELECT id FROM new_nodes WHERE n = 1 + (e.n * 7 + coalesce(t.frame, 0) * 13) % 4999)";
+    let last_seen = now.to_string();
+    copy(
+        database,
+        "nodes",
+        "1",
+        "new_nodes e",
+        &[
+            ("id", "e.id"),
+            ("name", "printf('rack-%02d-%04d', e.n % 40, e.n)"),
+            ("speed", "1 + e.n % 7 / 3.0"),
+            ("last_seen_at", &last_seen),
+        ],
+    );
+    copy(
+        database,
+        "jobs",
+        "1",
+        "new_jobs e",
+        &[
+            ("id", "e.id"),
+            ("name", "printf('sq%03d_sh%04d_lighting_v%d', e.n % 90, e.n, e.n % 9)"),
+            ("project", "printf('project %d', e.n % 12)"),
+            ("deadline_at", "t.deadline_at + e.n * 1000000"),
+            ("outlook", "json_set(t.outlook, '$.promise.kept', json(iif(e.n % 20, 'true', 'false')))"),
+            ("frames_total", &format!("iif(e.n = 1, {FRAMES}, t.frames_total)")),
+            ("frames", &format!("iif(e.n = 1, '0-{}', t.frames)", FRAMES - 1)),
+        ],
+    );
+    let of_job = "t.job_id = (SELECT job FROM template)";
+    let small = "(SELECT * FROM new_jobs WHERE n > 1) e";
+    let large = format!("(SELECT j.id, n.n FROM new_jobs j, numbers n WHERE j.n = 1 AND n.n < {FRAMES}) e");
+    let waits = [
+        ("actual", "NULL"),
+        ("actual_work", "NULL"),
+        ("actual_cpu", "NULL"),
+        ("artifacts", "NULL"),
+        ("finished_at", "NULL"),
+    ];
+    copy(database, "frames", of_job, small, &[&[("job_id", "e.id")][..], &waits].concat());
+    // A third of the frames are done. Costs rise through the shot, and each is a little off its forecast.
+    let factor = "(1 + e.n / 5000.0 + (e.n * 7919 % 101) / 2000.0)";
+    let of = |column: &str| format!("t.{column} * {factor}");
+    let columns = ["work_p50", "work_p80", "work_p95", "cpu_p50", "cpu_p80", "cpu_p95"];
+    let scaled: Vec<(&str, String)> = columns.iter().map(|column| (*column, of(column))).collect();
+    let done = |column: &str| format!("iif(e.n < 3333, t.{column}, NULL)");
+    let about = [
+        ("actual", done("actual")),
+        ("artifacts", done("artifacts")),
+        ("finished_at", done("finished_at")),
+        (
+            "actual_work",
+            format!("iif(e.n < 3333, t.actual_work * {factor} * (0.95 + (e.n * 31 % 97) / 970.0), NULL)"),
+        ),
+        (
+            "actual_cpu",
+            format!("iif(e.n < 3333, t.actual_cpu * {factor} * (0.95 + (e.n * 31 % 97) / 970.0), NULL)"),
+        ),
+        ("job_id", "e.id".to_owned()),
+        ("frame", "e.n".to_owned()),
+    ];
+    let all: Vec<(&str, &str)> =
+        scaled.iter().chain(&about).map(|(column, value)| (*column, value.as_str())).collect();
+    let finished = format!("{of_job} AND t.actual IS NOT NULL");
+    copy(database, "frames", &finished, &large, &all);
+    // A frame of each second job is being rendered, so half of the nodes that are named below work.
+    let started = now.to_string();
+    copy(
+        database,
+        "tasks",
+        &format!("{of_job} AND t.kind = 'render' AND t.state = 'ready'"),
+        small,
+        &[
+            ("id", "randomblob(16)"),
+            ("job_id", "e.id"),
+            ("state", "iif(t.frame = (SELECT last FROM template) AND e.n % 2, 'leased', 'ready')"),
+            ("fence", "1"),
+            ("progress", "iif(t.frame = (SELECT last FROM template) AND e.n % 2, e.n % 100 / 100.0, 0)"),
+            ("node_id", &format!("iif(t.frame = (SELECT last FROM template) AND e.n % 2, {a_node}, NULL)")),
+            (
+                "started_at",
+                &format!("iif(t.frame = (SELECT last FROM template) AND e.n % 2, {started}, NULL)"),
+            ),
+            ("booked_node", a_node),
+        ],
+    );
+    copy(
+        database,
+        "tasks",
+        &format!("{of_job} AND t.kind = 'render' AND t.frame = (SELECT last FROM template)"),
+        &large,
+        &[
+            ("id", "randomblob(16)"),
+            ("job_id", "e.id"),
+            ("frame", "e.n"),
+            ("state", "iif(e.n < 3333, 'done', 'ready')"),
+            ("booked_node", "(SELECT id FROM new_nodes WHERE n = 1 + e.n % 4999)"),
+        ],
+    );
+    run(&format!(
+        "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at)
+         SELECT randomblob(16), plan, job_id, frame, booked_node, {now} + (row_number() OVER (PARTITION BY booked_node)) * 600000000,
+                {now} + (row_number() OVER (PARTITION BY booked_node) + 1) * 600000000 FROM tasks, template
+         WHERE kind = 'render' AND job_id <> job;
+         INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at)
+         SELECT randomblob(16), id, node_id, 1, 1.0, 'active', {now}, {now} + 3600000000 FROM tasks, template
+         WHERE state = 'leased' AND job_id <> job;
+         INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at, ended_at)
+         SELECT randomblob(16), t.id, e.id, 100 + e.n * 3 + k.n, 1.0, 'committed', {now} - (k.n + 1) * 1200000000, {now},
+                {now} - (k.n + 1) * 1200000000 + 1000000000
+         FROM new_nodes e, (SELECT n FROM numbers WHERE n < 3) k
+         JOIN tasks t ON t.job_id = (SELECT id FROM new_jobs WHERE n = 1) AND t.frame = (e.n * 3 + k.n) % 3333;
+         INSERT INTO live_forecasts SELECT e.id, l.plan_id, l.booked_cpu, l.booked_rest, l.booked_share, l.frames_done,
+                l.frames_since, l.cost_is_off, l.finish_is_off, l.body, l.updated_at FROM live_forecasts l, new_jobs e;
+         COMMIT"
+    ));
+}
+
+/// A document: its bytes compressed and plain, and how long it took.
+async fn document(farm: &Farm, path: &str) -> Vec<u8> {
+    let begun = Instant::now();
+    let request = farm.viewer.request(Method::GET, path).header("accept-encoding", "gzip");
+    let answer = request.send().await.unwrap();
+    assert_eq!(answer.status(), StatusCode::OK, "{path}");
+    assert_eq!(answer.headers()["content-encoding"], "gzip", "{path}");
+    let short = answer.bytes().await.unwrap();
+    let took = begun.elapsed();
+    let plain = farm.viewer.get(path).await.bytes().await.unwrap();
+    println!(
+        "{path:60} {:6.1} KiB compressed, {:7.1} KiB plain, {:5} ms",
+        short.len() as f64 / 1024.0,
+        plain.len() as f64 / 1024.0,
+        took.as_millis()
+    );
+    assert!(short.len() <= MOST_BYTES, "{path}: {} bytes", short.len());
+    plain.to_vec()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn documents_of_a_large_farm_are_short() {
+    let farm = Farm::new().await;
+    let node = farm.node("rack-00-0000").await;
+    let mut request = farm.job_request("0-3");
+    request["deadline"] = json!(forelight_protocol::Timestamp::now().plus_micros(300 * 86_400_000_000));
+    let job: forelight_protocol::Job =
+        support::Answer::parsed(farm.submitter.post("/v1/jobs", &request).await, StatusCode::CREATED).await;
+    farm.until_booked(&node, &job).await;
+    farm.finish(&farm.next_task(&node).await).await;
+    let Farm { folder, service, operator, submitter, worker, viewer, nobody } = farm;
+    service.shutdown().await;
+    let database = Connection::open(folder.path().join("data/forelight.sqlite")).unwrap();
+    fill(&database, forelight_protocol::Timestamp::now().micros());
+    drop(database);
+    let service = start(&support::config(folder.path())).await;
+    let address = support::address(&service);
+    let [operator, submitter, worker, viewer, nobody] =
+        [operator, submitter, worker, viewer, nobody].map(|client| client.at(&address));
+    let farm = Farm { folder, service, operator, submitter, worker, viewer, nobody };
+
+    let dashboard: Dashboard = serde_json::from_slice(&document(&farm, "/v1/dashboard").await).unwrap();
+    assert_eq!((dashboard.counts.nodes, dashboard.jobs_open_total), (u64::from(NODES), u64::from(JOBS)));
+    assert_eq!((dashboard.jobs.len(), dashboard.nodes.len(), dashboard.bookings.len()), (200, 200, 100));
+    assert!(dashboard.jobs[..90].iter().all(|job| job.promise.as_ref().is_some_and(|promise| !promise.kept)));
+    let page = document(&farm, "/v1/jobs?open=true&sort=risk").await;
+    let page: JobPage = serde_json::from_slice(&page).unwrap();
+    let big = document(&farm, "/v1/jobs?open=true&search=sh0001_&sort=deadline").await;
+    let big: JobPage = serde_json::from_slice(&big).unwrap();
+    assert_eq!((page.items.len(), big.items[0].frames_total), (50, FRAMES));
+    let nodes = document(&farm, "/v1/nodes?sort=name&state=working").await;
+    assert_eq!(serde_json::from_slice::<NodePage>(&nodes).unwrap().items.len(), 50);
+    let timeline = document(&farm, "/v1/timeline?page_size=50").await;
+    let timeline: TimelinePage = serde_json::from_slice(&timeline).unwrap();
+    assert!(timeline.items.iter().all(|node| node.spans.len() >= 3), "{:?}", timeline.items[0]);
+    for quantity in ["cpu_seconds", "work", "cost"] {
+        let path = format!("/v1/jobs/{}/strip?quantity={quantity}", big.items[0].id);
+        let strip: FrameStrip = serde_json::from_slice(&document(&farm, &path).await).unwrap();
+        assert_eq!((strip.states.len(), strip.p95.len()), (FRAMES as usize, FRAMES as usize));
+    }
+}

@@ -1,0 +1,218 @@
+// The farm: nodes and time, as a chart and as a list.
+
+import { useCallback, useEffect, useMemo, useState } from "preact/hooks";
+import type { NodeState } from "../../api/types";
+import { farm, farmError, now } from "../../state/farm";
+import { href, param, setQuery } from "../../state/route";
+import { mayOperate } from "../../state/session";
+import { titled } from "../../state/tab";
+import { grouped } from "../../ui/format";
+import { Mark } from "../../ui/mark";
+import { Choice, Trouble, Waiting } from "../../ui/parts";
+import { AddNode } from "./add";
+import { Chart, zoomed } from "./chart";
+import { NodeList } from "./list";
+import { NodeDialog } from "./node";
+import { Plans, type Playing } from "./plans";
+import { type Stretch, useTimeline } from "./timeline";
+import "../../styles/farm.css";
+
+const HOUR = 3_600_000;
+
+/** From a little ago until the farm finishes. If nothing is booked, what was done lately. */
+function tonight(): Stretch {
+  const at = now.peek();
+  const end = farm.peek()?.finish?.p95;
+  if (!end) return { from: at - 2 * HOUR, to: at + HOUR };
+  const ahead = Math.min(14 * 24 * HOUR, Math.max(0.5 * HOUR, (Date.parse(end) - at) * 1.1));
+  return { from: at - ahead * 0.4, to: at + ahead };
+}
+
+export function FarmScreen() {
+  useEffect(() => titled("Farm"), []);
+  const doc = farm.value;
+  if (!doc) {
+    return farmError.value ? (
+      <Trouble error={farmError.value} />
+    ) : (
+      <Waiting>Asking the service how the farm stands…</Waiting>
+    );
+  }
+  return <Nodes />;
+}
+
+function Nodes() {
+  const doc = farm.value!;
+  const list = param("view") === "list";
+  const state = knownState(param("state"));
+  const search = param("search") ?? "";
+  const node = param("node");
+  const [version, setVersion] = useState(0);
+  const { asleep, ...states } = doc.node_counts;
+  const counts = (Object.entries(states) as [NodeState, number][]).filter(([, count]) => count > 0);
+  return (
+    <div class="farm">
+      <div class="section-head">
+        <h1>Farm</h1>
+        <div class="filters">
+          <Choice
+            label="View"
+            value={list ? "list" : "chart"}
+            options={[
+              ["chart", "Chart"],
+              ["list", "List"],
+            ]}
+            choose={(value) => setQuery({ view: value === "list" ? value : null, sort: null })}
+          />
+          <label>
+            Search{" "}
+            <input
+              type="search"
+              id="search"
+              value={search}
+              placeholder="name of a node"
+              onInput={(event) => setQuery({ search: event.currentTarget.value })}
+            />
+          </label>
+          {mayOperate.value && (
+            <button type="button" onClick={() => setQuery({ add: "1" })}>
+              Add a node…
+            </button>
+          )}
+        </div>
+      </div>
+      <div class="states" role="group" aria-label="Only nodes in this state">
+        <button type="button" aria-pressed={state === ""} onClick={() => setQuery({ state: null })}>
+          all {grouped(doc.counts.nodes)}
+        </button>
+        {counts.map(([name, count]) => (
+          <button
+            type="button"
+            key={name}
+            aria-pressed={state === name}
+            onClick={() => setQuery({ state: state === name ? null : name })}
+          >
+            <Mark of={name} /> {grouped(count)}
+          </button>
+        ))}
+        {asleep > 0 && <Mark of="asleep" word={`${grouped(asleep)} of them asleep`} />}
+      </div>
+      {doc.counts.nodes === 0 ? (
+        <NoNodes />
+      ) : list ? (
+        <NodeList state={state} search={search} open={(id) => setQuery({ node: id })} key={version} />
+      ) : (
+        <ChartView
+          state={state}
+          search={search}
+          total={state || search ? 0 : doc.counts.nodes}
+          version={version}
+        />
+      )}
+      {node && (
+        <NodeDialog
+          id={node}
+          close={() => setQuery({ node: null })}
+          changed={() => setVersion((n) => n + 1)}
+        />
+      )}
+      {param("add") && <AddNode close={() => setQuery({ add: null })} />}
+    </div>
+  );
+}
+
+/** A state that the address names, or all. */
+function knownState(name: string | null): NodeState | "" {
+  const { asleep: _, ...states } = farm.peek()!.node_counts;
+  return name !== null && name in states ? (name as NodeState) : "";
+}
+
+function NoNodes() {
+  return (
+    <section aria-label="No nodes">
+      <p>
+        The farm has no nodes, so nothing can be rendered.{" "}
+        {mayOperate.value
+          ? "“Add a node” above makes a one-time token and shows the command for the machine."
+          : "An operator can add some."}
+      </p>
+      <p>
+        For a trial, <code>forelight farm --workers 2</code> runs the service and two workers on one machine.{" "}
+        <a href={href(["tonight"])}>The first three things to do</a>
+      </p>
+    </section>
+  );
+}
+
+function ChartView(props: { state: NodeState | ""; search: string; total: number; version: number }) {
+  const from = Number(param("from"));
+  const to = Number(param("to"));
+  const shared = Number.isFinite(from) && Number.isFinite(to) && from > 0 && to > from;
+  const [view, setLocal] = useState<Stretch>(() =>
+    shared ? { from: from * 1000, to: to * 1000 } : tonight(),
+  );
+  const [playing, setPlaying] = useState<Playing>({ moves: [], played: 0 });
+  const rows = useTimeline(view, props.state, props.search);
+  const setView = useCallback((next: Stretch) => setLocal(next), []);
+  const reset = useCallback(() => {
+    setLocal(tonight());
+    setQuery({ from: null, to: null });
+  }, []);
+  // The address follows when the view rests, so that a link shows the same.
+  const first = useMemo(() => view, []);
+  useEffect(() => {
+    if (view === first) return undefined;
+    const timer = setTimeout(
+      () => setQuery({ from: String(Math.round(view.from / 1000)), to: String(Math.round(view.to / 1000)) }),
+      400,
+    );
+    return () => clearTimeout(timer);
+  }, [view]);
+  useEffect(() => {
+    if (props.version > 0) rows.again();
+  }, [props.version]);
+  const length = view.to - view.from;
+  const middle = view.from + length / 2;
+  return (
+    <>
+      <div class="chart-tools">
+        <span class="choice" role="group" aria-label="Time">
+          <button
+            type="button"
+            aria-label="Earlier"
+            onClick={() => setView({ from: view.from - length / 3, to: view.to - length / 3 })}
+          >
+            ‹
+          </button>
+          <button
+            type="button"
+            aria-label="Later"
+            onClick={() => setView({ from: view.from + length / 3, to: view.to + length / 3 })}
+          >
+            ›
+          </button>
+          <button type="button" aria-label="Zoom out" onClick={() => setView(zoomed(view, 1 / 1.6, middle))}>
+            −
+          </button>
+          <button type="button" aria-label="Zoom in" onClick={() => setView(zoomed(view, 1.6, middle))}>
+            +
+          </button>
+          <button type="button" onClick={reset}>
+            Tonight
+          </button>
+        </span>
+        <Plans rows={rows.rows} play={setPlaying} />
+      </div>
+      <Chart
+        rows={rows}
+        total={props.total}
+        view={view}
+        setView={setView}
+        reset={reset}
+        open={(id) => setQuery({ node: id })}
+        moves={playing.moves}
+        played={playing.played}
+      />
+    </>
+  );
+}

@@ -1,0 +1,205 @@
+// The nodes as a table: the same as the chart shows, and orders to each.
+
+import { useCallback, useEffect, useState } from "preact/hooks";
+import { get, patch } from "../../api/client";
+import type { Node, NodeChange, NodeState } from "../../api/types";
+import { farm, now, refresh } from "../../state/farm";
+import { onEvent } from "../../state/live";
+import { href, param, setQuery } from "../../state/route";
+import { mayOperate } from "../../state/session";
+import { bytes, clean, counted, money, percent, significant, words } from "../../ui/format";
+import { Mark } from "../../ui/mark";
+import { Trouble, Waiting } from "../../ui/parts";
+import { asError, useThrottled } from "../../ui/resource";
+import { VirtualRows } from "../../ui/virtual";
+
+const SORTS = [
+  ["name", "Name"],
+  ["speed", "Speed"],
+  ["price", "Price"],
+] as const;
+
+interface Listed {
+  nodes: Node[];
+  next: string | null;
+  loading: boolean;
+  error: Error | null;
+}
+
+export function NodeList(props: { state: NodeState | ""; search: string; open: (id: string) => void }) {
+  const sort = SORTS.find(([value]) => value === param("sort"))?.[0] ?? "name";
+  const [listed, setListed] = useState<Listed>({ nodes: [], next: null, loading: true, error: null });
+  const ask = useCallback(
+    async (old: Node[], token: string | null) => {
+      setListed((was) => ({ ...was, loading: true }));
+      try {
+        const page = await get("/v1/nodes", {
+          query: {
+            page_size: 100,
+            sort,
+            ...(props.state ? { state: props.state } : {}),
+            ...(props.search ? { search: props.search } : {}),
+            ...(token ? { page_token: token } : {}),
+          },
+        });
+        setListed({
+          nodes: [...old, ...page.items],
+          next: page.next_page_token ?? null,
+          loading: false,
+          error: null,
+        });
+      } catch (failure) {
+        setListed((was) => ({ ...was, loading: false, error: asError(failure) }));
+      }
+    },
+    [sort, props.state, props.search],
+  );
+  useEffect(() => void ask([], null), [ask]);
+  const again = useThrottled(() => void ask([], null), 3_000);
+  useEffect(
+    () =>
+      onEvent((event) => event.node_id && /node_|task_leased|task_done|lease_/.test(event.kind) && again()),
+    [again],
+  );
+  const more = useCallback(() => {
+    if (!listed.loading && listed.next) void ask(listed.nodes, listed.next);
+  }, [listed, ask]);
+  const changed = (node: Node) =>
+    setListed((was) => ({ ...was, nodes: was.nodes.map((one) => (one.id === node.id ? node : one)) }));
+  void now.value;
+
+  if (listed.nodes.length === 0) {
+    if (listed.error) return <Trouble error={listed.error} retry={() => void ask([], null)} />;
+    return listed.loading ? (
+      <Waiting>Asking for the nodes…</Waiting>
+    ) : (
+      <p class="note">No node is like that.</p>
+    );
+  }
+  return (
+    <>
+      <div class="filters">
+        <label>
+          Sort{" "}
+          <select value={sort} onChange={(event) => setQuery({ sort: event.currentTarget.value })}>
+            {SORTS.map(([value, word]) => (
+              <option key={value} value={value}>
+                {word}
+              </option>
+            ))}
+          </select>
+        </label>
+      </div>
+      <div class="scroll-x list-box" tabIndex={0} role="region" aria-label="Nodes">
+        <div role="table" aria-label="Nodes" class="node-table">
+          <div role="rowgroup">
+            <div role="row" class="node-row node-head">
+              {["State", "Name", "Speed", "Cores", "Price/h", "Memory", "Does", "Orders"].map((name) => (
+                <span role="columnheader" key={name}>
+                  {name}
+                </span>
+              ))}
+            </div>
+          </div>
+          <VirtualRows
+            role="rowgroup"
+            items={listed.nodes}
+            height={36}
+            nearEnd={more}
+            row={(node) => <Row node={node} open={props.open} changed={changed} />}
+          />
+        </div>
+      </div>
+      <p class="note">
+        {counted(listed.nodes.length, "node")} shown{listed.next ? ", more below" : ""}.{" "}
+        {listed.loading && "Asking…"}
+      </p>
+      {listed.error && <Trouble error={listed.error} retry={() => void ask([], null)} />}
+    </>
+  );
+}
+
+function Row(props: { node: Node; open: (id: string) => void; changed: (node: Node) => void }) {
+  const { node } = props;
+  const [busy, setBusy] = useState(false);
+  const [error, setError] = useState<string | null>(null);
+  const order = async (change: NodeChange) => {
+    setBusy(true);
+    try {
+      props.changed(await patch("/v1/nodes/{id}", { path: { id: node.id }, body: change }));
+      setError(null);
+      void refresh();
+    } catch (failure) {
+      setError(asError(failure).message);
+    }
+    setBusy(false);
+  };
+  return (
+    <div role="row" class="node-row">
+      <span role="cell">
+        <Mark of={node.state ?? "idle"} />
+      </span>
+      <span role="cell">
+        <button type="button" class="plain name" onClick={() => props.open(node.id)}>
+          {clean(node.name)}
+        </button>
+      </span>
+      <span role="cell" class="right">
+        {significant(node.speed, 3)}
+      </span>
+      <span role="cell" class="right">
+        {node.cores}
+      </span>
+      <span role="cell" class="right">
+        {money(node.price_per_hour)}
+      </span>
+      <span role="cell" class="right">
+        {node.capabilities?.memory_bytes ? bytes(node.capabilities.memory_bytes) : "–"}
+      </span>
+      <span role="cell" class="does" title={node.idle_reason ?? ""}>
+        {error ? <span class="tone-bad">{error}</span> : <Does node={node} />}
+      </span>
+      <span role="cell" class="orders">
+        {mayOperate.value && (
+          <>
+            <button
+              type="button"
+              disabled={busy}
+              onClick={() => void order({ drain: !node.drain })}
+              aria-label={`${node.drain ? "Back to work" : "Drain"}: ${clean(node.name)}`}
+            >
+              {node.drain ? "Back" : "Drain"}
+            </button>{" "}
+            <button
+              type="button"
+              disabled={busy}
+              onClick={() => void order({ pause: !node.pause })}
+              aria-label={`${node.pause ? "Resume" : "Pause"}: ${clean(node.name)}`}
+            >
+              {node.pause ? "Resume" : "Pause"}
+            </button>
+          </>
+        )}
+      </span>
+    </div>
+  );
+}
+
+function Does(props: { node: Node }) {
+  const { node } = props;
+  const activity = farm.value?.nodes.find((one) => one.id === node.id)?.activity;
+  if (activity) {
+    const job = farm.value?.jobs.find((one) => one.id === activity.job_id);
+    return (
+      <>
+        {words(activity.kind)}
+        {activity.frame != null && ` ${activity.frame}`} of{" "}
+        <a href={href(["jobs", activity.job_id])}>{job ? clean(job.name) : "a job"}</a>,{" "}
+        {percent(activity.progress)}
+      </>
+    );
+  }
+  if (node.set_aside) return <>set aside: {clean(node.set_aside)}</>;
+  if (node.idle_reason) return <span class="muted">{clean(node.idle_reason)}</span>;
+  return <span class="none">{node.task_id ? "a task" : "nothing"}</span>;
+}

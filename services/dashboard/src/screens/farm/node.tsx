@@ -1,0 +1,335 @@
+// One node: what it is, what it does, and orders to it.
+
+import { useState } from "preact/hooks";
+import { get, patch } from "../../api/client";
+import type { Node, NodeChange } from "../../api/types";
+import { farm, refresh } from "../../state/farm";
+import { href } from "../../state/route";
+import { mayOperate } from "../../state/session";
+import { Dialog } from "../../ui/dialog";
+import {
+  bytes,
+  clean,
+  money,
+  parseMoney,
+  percent,
+  significant,
+  timeZone,
+  told,
+  words,
+} from "../../ui/format";
+import { Mark } from "../../ui/mark";
+import { Field, Time, Trouble, Waiting } from "../../ui/parts";
+import { asError, useResource } from "../../ui/resource";
+import { Schedule, scheduleWords } from "./schedule";
+
+export function NodeDialog(props: { id: string; close: () => void; changed: () => void }) {
+  const node = useResource<Node>(
+    (signal) => get("/v1/nodes/{id}", { path: { id: props.id }, signal }),
+    [props.id],
+  );
+  const [error, setError] = useState<Error | null>(null);
+  const [busy, setBusy] = useState(false);
+  const order = async (change: NodeChange) => {
+    setBusy(true);
+    setError(null);
+    try {
+      await patch("/v1/nodes/{id}", { path: { id: props.id }, body: change });
+      node.reload();
+      props.changed();
+      void refresh();
+    } catch (failure) {
+      setError(asError(failure));
+    }
+    setBusy(false);
+  };
+  const doc = node.data;
+  return (
+    <Dialog title={doc ? clean(doc.name) : "Node"} close={props.close} wide>
+      {!doc &&
+        (node.error ? (
+          <Trouble error={node.error} retry={node.reload} />
+        ) : (
+          <Waiting>Asking for the node…</Waiting>
+        ))}
+      {doc && (
+        <>
+          <NodeFacts node={doc} />
+          {mayOperate.value && <Orders node={doc} order={order} busy={busy} />}
+          {error && <Trouble error={error} />}
+          {mayOperate.value && <Terms node={doc} order={order} busy={busy} />}
+        </>
+      )}
+      <div class="buttons">
+        <button type="button" onClick={props.close}>
+          Close
+        </button>
+      </div>
+    </Dialog>
+  );
+}
+
+function NodeFacts(props: { node: Node }) {
+  const { node } = props;
+  const what = node.capabilities;
+  const activity = farm.value?.nodes.find((one) => one.id === node.id)?.activity;
+  const job = activity && farm.value?.jobs.find((one) => one.id === activity.job_id);
+  return (
+    <>
+      <dl class="facts">
+        <Fact name="State">
+          <Mark of={node.state ?? "idle"} />
+        </Fact>
+        <Fact name="Speed of a core">{significant(node.speed, 3)}</Fact>
+        <Fact name="Cores">{node.cores}</Fact>
+        <Fact name="Price per hour">{money(node.price_per_hour)}</Fact>
+        <Fact name="Memory">{what?.memory_bytes ? bytes(what.memory_bytes) : "not known"}</Fact>
+        <Fact name="Last heard">
+          <Time at={node.last_seen_at} exact />
+        </Fact>
+        {node.power && (
+          <Fact name="By its schedule">
+            <Mark of={node.power.state === "asleep" ? "asleep" : "idle"} word={node.power.state} />
+            {node.power.until && (
+              <>
+                {" "}
+                until <Time at={node.power.until} />
+              </>
+            )}
+          </Fact>
+        )}
+        {what?.processor && <Fact name="Processor">{clean(what.processor)}</Fact>}
+        {what?.vulkan_adapter && <Fact name="Previews by">{clean(what.vulkan_adapter)}</Fact>}
+        {(what?.renderers?.length ?? 0) > 0 && (
+          <Fact name="Other renderers">
+            {what!.renderers!.map((one) => `${one.name} ${one.version}`).join(", ")}
+          </Fact>
+        )}
+      </dl>
+      {activity && (
+        <p>
+          It does the {words(activity.kind)}
+          {activity.frame != null && ` of frame ${activity.frame}`} of{" "}
+          <a href={href(["jobs", activity.job_id])}>{job ? clean(job.name) : "a job"}</a>,{" "}
+          {percent(activity.progress)} done, since <Time at={activity.started} exact />.
+        </p>
+      )}
+      {node.idle_reason && <p>It is idle: {told(node.idle_reason)}.</p>}
+      {node.set_aside && (
+        <p class="trouble">
+          <span class="glyph" aria-hidden="true">
+            ✕
+          </span>
+          Set aside: {clean(node.set_aside)}
+        </p>
+      )}
+    </>
+  );
+}
+
+function Fact(props: { name: string; children: preact.ComponentChildren }) {
+  return (
+    <div>
+      <dt>{props.name}</dt>
+      <dd>{props.children}</dd>
+    </div>
+  );
+}
+
+type Order = (change: NodeChange) => Promise<void>;
+
+function Orders(props: { node: Node; order: Order; busy: boolean }) {
+  const { node, order, busy } = props;
+  return (
+    <div class="buttons">
+      {node.drain ? (
+        <button type="button" disabled={busy} onClick={() => void order({ drain: false })}>
+          Back to work
+        </button>
+      ) : (
+        <button
+          type="button"
+          disabled={busy}
+          title="It finishes its task and takes no more"
+          onClick={() => void order({ drain: true })}
+        >
+          Drain
+        </button>
+      )}
+      {node.pause ? (
+        <button type="button" disabled={busy} onClick={() => void order({ pause: false })}>
+          Resume
+        </button>
+      ) : (
+        <button
+          type="button"
+          disabled={busy}
+          title="It keeps its task and stands still"
+          onClick={() => void order({ pause: true })}
+        >
+          Pause
+        </button>
+      )}
+      {node.set_aside ? (
+        <button type="button" disabled={busy} onClick={() => void order({ set_aside: false })}>
+          Bring back
+        </button>
+      ) : (
+        <button
+          type="button"
+          class="danger"
+          disabled={busy}
+          title="It gets no tasks until it is brought back"
+          onClick={() => void order({ set_aside: true })}
+        >
+          Set aside
+        </button>
+      )}
+      {node.task_id && (
+        <button
+          type="button"
+          class="danger"
+          disabled={busy}
+          title="Any node may start the task again"
+          onClick={() => void order({ cancel_task: true })}
+        >
+          Take its task away
+        </button>
+      )}
+    </div>
+  );
+}
+
+function Terms(props: { node: Node; order: Order; busy: boolean }) {
+  const { node, order, busy } = props;
+  const [price, setPrice] = useState(money(node.price_per_hour));
+  const [editing, setEditing] = useState(false);
+  const micros = parseMoney(price);
+  return (
+    <details class="terms">
+      <summary>Price and schedule</summary>
+      <form
+        class="inline-form"
+        onSubmit={(event) => {
+          event.preventDefault();
+          if (micros !== null) void order({ price_per_hour: micros });
+        }}
+      >
+        <Field label="Price per hour" error={micros === null ? "Write an amount such as 0.40." : null}>
+          {(id) => (
+            <input
+              id={id}
+              inputMode="decimal"
+              value={price}
+              onInput={(event) => setPrice(event.currentTarget.value)}
+            />
+          )}
+        </Field>
+        <button type="submit" disabled={busy || micros === null || micros === node.price_per_hour}>
+          Set the price
+        </button>
+        {node.price_set && (
+          <button type="button" disabled={busy} onClick={() => void order({ price_per_hour: null })}>
+            What the node says
+          </button>
+        )}
+      </form>
+      <p>
+        Awake: {node.schedule ? scheduleWords(node.schedule) : "always"}.{" "}
+        {!editing && (
+          <button type="button" class="plain" onClick={() => setEditing(true)}>
+            Change the schedule
+          </button>
+        )}
+      </p>
+      {editing && (
+        <Schedule
+          schedule={node.schedule ?? null}
+          busy={busy}
+          save={async (schedule) => {
+            await order({ schedule });
+            setEditing(false);
+          }}
+        />
+      )}
+      <Maintenance node={node} order={order} busy={busy} />
+    </details>
+  );
+}
+
+/** Times at which the node is closed, whatever its schedule says. */
+function Maintenance(props: { node: Node; order: Order; busy: boolean }) {
+  const { node, order, busy } = props;
+  const [from, setFrom] = useState("");
+  const [to, setTo] = useState("");
+  const spans = node.terms?.maintenance ?? [];
+  const set = (maintenance: typeof spans) => order({ terms: { ...NO_TERMS, ...node.terms, maintenance } });
+  return (
+    <>
+      <ul class="sentences">
+        {spans.map((span) => (
+          <li key={span.start}>
+            Maintenance from <Time at={span.start} />{" "}
+            {span.end ? (
+              <>
+                to <Time at={span.end} />
+              </>
+            ) : (
+              "without end"
+            )}{" "}
+            <button
+              type="button"
+              class="plain"
+              disabled={busy}
+              onClick={() => void set(spans.filter((one) => one !== span))}
+            >
+              Remove
+            </button>
+          </li>
+        ))}
+      </ul>
+      <form
+        class="inline-form"
+        onSubmit={(event) => {
+          event.preventDefault();
+          void set([
+            ...spans,
+            { start: new Date(from).toISOString(), end: to ? new Date(to).toISOString() : null },
+          ]).then(() => (setFrom(""), setTo("")));
+        }}
+      >
+        <Field label={`Maintenance from (${timeZone})`}>
+          {(id) => (
+            <input
+              id={id}
+              type="datetime-local"
+              required
+              value={from}
+              onInput={(event) => setFrom(event.currentTarget.value)}
+            />
+          )}
+        </Field>
+        <Field label="to (empty: without end)">
+          {(id) => (
+            <input
+              id={id}
+              type="datetime-local"
+              value={to}
+              onInput={(event) => setTo(event.currentTarget.value)}
+            />
+          )}
+        </Field>
+        <button type="submit" disabled={busy || from === ""}>
+          Add
+        </button>
+      </form>
+    </>
+  );
+}
+
+const NO_TERMS = {
+  billing_step_seconds: 0,
+  minimum_booking_seconds: 0,
+  setup_seconds: 0,
+  window_end: "finish",
+} as const;

@@ -1,0 +1,136 @@
+// What a new plan changed: in words, and played on the chart.
+
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { get } from "../../api/client";
+import type { PlanDifference, TimelineNode } from "../../api/types";
+import { now } from "../../state/farm";
+import { param, setQuery } from "../../state/route";
+import { clockTime, counted, told } from "../../ui/format";
+import { Trouble } from "../../ui/parts";
+import { useResource } from "../../ui/resource";
+import { lessMotion } from "../../ui/theme";
+import type { Move } from "./paint";
+
+const PLAYED_MS = 2_200;
+
+export interface Playing {
+  moves: readonly Move[];
+  played: number;
+}
+
+/** The moves of a difference, on the rows that are shown. */
+function movesOf(difference: PlanDifference, rows: readonly TimelineNode[]): Move[] {
+  const places = new Map(rows.map((row, at) => [row.node_id, at]));
+  const out: Move[] = [];
+  for (const move of difference.frames) {
+    const before = move.before ? places.get(move.before.node_id) : undefined;
+    const after = move.after ? places.get(move.after.node_id) : undefined;
+    if (before === undefined && after === undefined) continue;
+    out.push({
+      row: after ?? before!,
+      rowBefore: before ?? after!,
+      from:
+        move.before && before !== undefined
+          ? [Date.parse(move.before.start), Date.parse(move.before.end)]
+          : null,
+      to:
+        move.after && after !== undefined ? [Date.parse(move.after.start), Date.parse(move.after.end)] : null,
+      job: move.job_id,
+    });
+  }
+  return out.filter((move) => move.from || move.to);
+}
+
+export function Plans(props: { rows: readonly TimelineNode[]; play: (playing: Playing) => void }) {
+  const version = Math.floor(now.value / 20_000);
+  const plans = useResource((signal) => get("/v1/plans", { query: { page_size: 30 }, signal }), [version]);
+  const chosen = param("plan");
+  const difference = useResource<PlanDifference>(
+    (signal) => (chosen ? get("/v1/plans/{id}/difference", { path: { id: chosen }, signal }) : null),
+    [chosen],
+  );
+  const moves = useMemo(
+    () => (difference.data ? movesOf(difference.data, props.rows) : []),
+    [difference.data, props.rows],
+  );
+  const [playing, setPlaying] = useState(false);
+  const frame = useRef(0);
+  const show = useRef(props.play);
+  show.current = props.play;
+
+  useEffect(() => {
+    cancelAnimationFrame(frame.current);
+    setPlaying(false);
+    show.current({ moves: [], played: 0 });
+  }, [chosen]);
+  useEffect(() => () => cancelAnimationFrame(frame.current), []);
+
+  const play = () => {
+    cancelAnimationFrame(frame.current);
+    if (lessMotion()) {
+      show.current({ moves, played: 1 });
+      return;
+    }
+    setPlaying(true);
+    const begin = performance.now();
+    const step = (at: number) => {
+      const played = Math.min(1, Math.max(0, at - begin - 300) / PLAYED_MS);
+      show.current({ moves, played });
+      if (played < 1) frame.current = requestAnimationFrame(step);
+      else {
+        setPlaying(false);
+        setTimeout(() => show.current({ moves: [], played: 0 }), 1_500);
+      }
+    };
+    frame.current = requestAnimationFrame(step);
+  };
+
+  const items = plans.data?.items ?? [];
+  return (
+    <div class="plans">
+      <label>
+        Plan{" "}
+        <select value={chosen ?? ""} onChange={(event) => setQuery({ plan: event.currentTarget.value })}>
+          <option value="">choose one to see what it changed</option>
+          {items.map((plan) => (
+            <option key={plan.id} value={plan.id}>
+              {clockTime(Date.parse(plan.created_at))}: {told(plan.causes?.[0] ?? "a job was quoted")}
+            </option>
+          ))}
+        </select>
+      </label>
+      {plans.error && <Trouble error={plans.error} retry={plans.reload} />}
+      {chosen && difference.error && <Trouble error={difference.error} retry={difference.reload} />}
+      {difference.data && (
+        <>
+          <button type="button" onClick={play} disabled={moves.length === 0}>
+            {playing ? "Playing…" : `Play ${counted(moves.length, "move")}`}
+          </button>
+          <PlanWords words={difference.data.words} />
+        </>
+      )}
+    </div>
+  );
+}
+
+const FIRST = 3;
+
+function PlanWords(props: { words: string[] }) {
+  const shown = props.words.map(told);
+  const rest = shown.slice(FIRST);
+  return (
+    <div class="plan-words">
+      <p>{shown.slice(0, FIRST).join("; ")}.</p>
+      {rest.length > 0 && (
+        <details>
+          <summary>{counted(rest.length, "more change")}</summary>
+          <ul class="sentences">
+            {rest.map((line) => (
+              <li key={line}>{line}</li>
+            ))}
+          </ul>
+        </details>
+      )}
+    </div>
+  );
+}

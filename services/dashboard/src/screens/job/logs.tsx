@@ -1,0 +1,149 @@
+// Logs of a job's tasks: followed while they run, searchable, errors marked.
+
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { get } from "../../api/client";
+import type { Job, TaskLog } from "../../api/types";
+import { param, setQuery } from "../../state/route";
+import { clean, counted, exactTime, fullTime, words } from "../../ui/format";
+import { glyphOf, Mark, wordOf } from "../../ui/mark";
+import { Trouble, Waiting } from "../../ui/parts";
+import { useResource } from "../../ui/resource";
+import { useTasks, type Task } from "./tasks";
+
+const FOLLOW = 2_000;
+const LISTED = 400;
+
+export function Logs(props: { job: Job }) {
+  const { tasks, error } = useTasks(props.job.id);
+  const frame = param("frame");
+  const chosen = param("task");
+  const ordered = useMemo(() => [...tasks].sort(worstFirst), [tasks]);
+  const wanted = ordered.filter((task) => frame === null || task.frame === Number(frame));
+  const task = tasks.find((one) => one.id === chosen) ?? wanted[0] ?? null;
+  if (error) return <Trouble error={new Error(error)} />;
+  if (tasks.length === 0)
+    return <Waiting>Reading the job’s events. No task was handed out yet, if none appears…</Waiting>;
+  return (
+    <>
+      <div class="filters">
+        <label>
+          Task{" "}
+          <select value={task?.id ?? ""} onChange={(event) => setQuery({ task: event.currentTarget.value })}>
+            {(wanted.length ? wanted : ordered).slice(0, LISTED).map((one) => (
+              <option key={one.id} value={one.id}>
+                {glyphOf(one.state)} {taskName(one)}: {wordOf(one.state)}
+              </option>
+            ))}
+          </select>
+        </label>
+        <span class="muted">
+          {frame === null
+            ? counted(tasks.length, "task")
+            : `${counted(wanted.length, "task")} of frame ${frame}`}
+          {frame !== null && (
+            <>
+              {" "}
+              <button type="button" class="plain" onClick={() => setQuery({ frame: null, task: null })}>
+                All tasks
+              </button>
+            </>
+          )}
+        </span>
+      </div>
+      {frame !== null && wanted.length === 0 && (
+        <p class="note">Frame {frame} was not handed out yet. Another task is shown.</p>
+      )}
+      {task && <Log task={task} key={task.id} />}
+    </>
+  );
+}
+
+/** Failed ones first, then running ones, then the newest. */
+function worstFirst(a: Task, b: Task): number {
+  const rank = (task: Task) => ["failed", "running", "done", "waiting"].indexOf(task.state);
+  return rank(a) - rank(b) || b.at.localeCompare(a.at);
+}
+
+function taskName(task: Task): string {
+  return task.frame === null ? words(task.kind) : `${words(task.kind)} of frame ${task.frame}`;
+}
+
+function Log(props: { task: Task }) {
+  const { task } = props;
+  const search = param("find") ?? "";
+  const [round, setRound] = useState(0);
+  const log = useResource<TaskLog>(
+    (signal) => get("/v1/tasks/{id}/log", { path: { id: task.id }, signal }),
+    [task.id, task.state, round],
+  );
+  const box = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    if (task.state !== "running") return undefined;
+    const timer = setInterval(() => document.visibilityState === "visible" && setRound((n) => n + 1), FOLLOW);
+    return () => clearInterval(timer);
+  }, [task.state]);
+  const kept = useRef<TaskLog | null>(null);
+  if (log.data) kept.current = log.data;
+  const lines = kept.current?.lines ?? [];
+  const atEnd = useRef(true);
+  useEffect(() => {
+    if (atEnd.current && box.current) box.current.scrollTop = box.current.scrollHeight;
+  }, [lines.length]);
+  const found = search
+    ? lines.filter((line) => line.text.toLowerCase().includes(search.toLowerCase()))
+    : lines;
+  const errors = lines.filter((line) => line.level === "error").length;
+  return (
+    <>
+      <div class="filters">
+        <label>
+          Find{" "}
+          <input
+            type="search"
+            id="search"
+            value={search}
+            onInput={(event) => setQuery({ find: event.currentTarget.value })}
+          />
+        </label>
+        <span class="muted" role="status">
+          {search ? `${found.length} of ${counted(lines.length, "line")}` : counted(lines.length, "line")}
+          {errors > 0 && <span class="tone-bad"> · {counted(errors, "error")}</span>} ·{" "}
+          <Mark of={task.state} />
+          {task.state === "running" && " · followed live"}
+        </span>
+      </div>
+      {log.error && <Trouble error={log.error} retry={log.reload} />}
+      <div
+        class="log"
+        ref={box}
+        tabIndex={0}
+        role="region"
+        aria-label={`Log of ${taskName(task)}`}
+        onScroll={(event) => {
+          const { scrollTop, clientHeight, scrollHeight } = event.currentTarget;
+          atEnd.current = scrollTop + clientHeight > scrollHeight - 8;
+        }}
+      >
+        {found.length === 0 && (
+          <p class="note">
+            {log.loading
+              ? "Reading the log…"
+              : search
+                ? "No line has these words."
+                : "The task has written nothing."}
+          </p>
+        )}
+        {found.map((line, at) => (
+          <div key={`${line.attempt}-${line.number}`} class={`log-line level-${line.level}`}>
+            {line.attempt !== found[at - 1]?.attempt && <div class="attempt">Attempt {line.attempt}</div>}
+            <time dateTime={line.at} title={fullTime(Date.parse(line.at))}>
+              {exactTime(Date.parse(line.at))}
+            </time>{" "}
+            {line.level !== "info" && <strong>{line.level === "error" ? "✕ error: " : "⚠ warning: "}</strong>}
+            {clean(line.text)}
+          </div>
+        ))}
+      </div>
+    </>
+  );
+}

@@ -1,0 +1,67 @@
+// The tasks of a job, as its events tell of them: which there are, and how each stands.
+
+import { signal } from "@preact/signals";
+import { useEffect, useMemo } from "preact/hooks";
+import type { Event } from "../../api/types";
+
+export interface Task {
+  id: string;
+  kind: string;
+  frame: number | null;
+  state: "running" | "done" | "failed" | "waiting";
+  /** Instant of the last event. */
+  at: string;
+}
+
+const STATE: Partial<Record<Event["kind"], Task["state"]>> = {
+  task_leased: "running",
+  task_submitted: "waiting",
+  task_done: "done",
+  task_failed: "failed",
+  lease_expired: "waiting",
+  lease_released: "waiting",
+  lease_lost: "waiting",
+};
+
+/** Reads the job's events from its beginning, and follows them. */
+export function useTasks(job: string): { tasks: Task[]; error: string | null } {
+  const state = useMemo(
+    () => signal<{ tasks: Task[]; error: string | null }>({ tasks: [], error: null }),
+    [job],
+  );
+  useEffect(() => {
+    const tasks = new Map<string, Task>();
+    let timer: ReturnType<typeof setTimeout> | undefined;
+    const source = new EventSource(`/v1/jobs/${job}/events`);
+    const take = (message: MessageEvent<string>) => {
+      const event = JSON.parse(message.data) as Event;
+      const next = STATE[event.kind];
+      if (!event.task_id || !next) return;
+      const old = tasks.get(event.task_id);
+      tasks.set(event.task_id, {
+        id: event.task_id,
+        kind: event.task_kind ?? old?.kind ?? "task",
+        frame: event.frame ?? old?.frame ?? null,
+        state: next,
+        at: event.at,
+      });
+      // Thousands of events arrive at once at first.
+      timer ??= setTimeout(() => {
+        timer = undefined;
+        state.value = { tasks: [...tasks.values()], error: null };
+      }, 100);
+    };
+    for (const kind of Object.keys(STATE))
+      source.addEventListener(kind, take as (message: globalThis.Event) => void);
+    source.onerror = () => {
+      if (source.readyState === EventSource.CLOSED && tasks.size === 0) {
+        state.value = { tasks: [], error: "The job’s events could not be read." };
+      }
+    };
+    return () => {
+      clearTimeout(timer);
+      source.close();
+    };
+  }, [job]);
+  return state.value;
+}

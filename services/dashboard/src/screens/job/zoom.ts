@@ -1,0 +1,117 @@
+// Zoom and pan of an image in its box: wheel, drag, two fingers, and keys.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+
+export interface View {
+  /** CSS pixels per pixel of the image. */
+  scale: number;
+  /** Where the image's left top corner lies in the box. */
+  x: number;
+  y: number;
+}
+
+export interface Zoom {
+  view: View;
+  /** Zooms around the middle. */
+  by(factor: number): void;
+  /** Shows the whole image. */
+  all(): void;
+}
+
+const MOST = 32;
+
+/** The view that shows the whole image in the middle of a box. */
+export function fit(room: [width: number, height: number], size: [width: number, height: number]): View {
+  const scale = Math.min(room[0] / size[0], room[1] / size[1]);
+  return { scale, x: (room[0] - size[0] * scale) / 2, y: (room[1] - size[1] * scale) / 2 };
+}
+
+/** Zoom of an image of a size in a box with that much room. Until somebody zooms, it shows the whole image. */
+export function useZoom(
+  box: { current: HTMLElement | null },
+  room: [width: number, height: number],
+  size: [width: number, height: number] | null,
+): Zoom {
+  const [chosen, setChosen] = useState<View | null>(null);
+  const whole = size ? fit(room, size) : { scale: 1, x: 0, y: 0 };
+  const view = chosen ?? whole;
+  const now = useRef({ view, whole, room });
+  now.current = { view, whole, room };
+
+  const all = () => setChosen(null);
+  const around = (factor: number, x: number, y: number) => {
+    const { view: old, whole: least } = now.current;
+    const scale = Math.min(MOST, old.scale * factor);
+    if (scale <= least.scale) return setChosen(null);
+    const ratio = scale / old.scale;
+    return setChosen({ scale, x: x - (x - old.x) * ratio, y: y - (y - old.y) * ratio });
+  };
+  const pan = (x: number, y: number) => {
+    const { view: old, whole: least } = now.current;
+    if (old.scale > least.scale) setChosen({ ...old, x: old.x + x, y: old.y + y });
+  };
+
+  useEffect(all, [size?.[0], size?.[1]]);
+
+  useEffect(() => {
+    const target = box.current;
+    if (!target) return;
+    const fingers = new Map<number, PointerEvent>();
+    const wheel = (event: WheelEvent) => {
+      if (!event.ctrlKey && !target.contains(document.activeElement)) return;
+      event.preventDefault();
+      const place = target.getBoundingClientRect();
+      around(2 ** (-event.deltaY / 240), event.clientX - place.left, event.clientY - place.top);
+    };
+    const down = (event: PointerEvent) => {
+      fingers.set(event.pointerId, event);
+      target.setPointerCapture(event.pointerId);
+    };
+    const move = (event: PointerEvent) => {
+      const before = fingers.get(event.pointerId);
+      if (!before) return;
+      if (fingers.size === 1) pan(event.clientX - before.clientX, event.clientY - before.clientY);
+      else {
+        const other = [...fingers.values()].find((finger) => finger.pointerId !== event.pointerId)!;
+        const place = target.getBoundingClientRect();
+        const apart = (finger: PointerEvent) =>
+          Math.hypot(finger.clientX - other.clientX, finger.clientY - other.clientY);
+        around(
+          apart(event) / Math.max(1, apart(before)),
+          (event.clientX + other.clientX) / 2 - place.left,
+          (event.clientY + other.clientY) / 2 - place.top,
+        );
+      }
+      fingers.set(event.pointerId, event);
+    };
+    const up = (event: PointerEvent) => fingers.delete(event.pointerId);
+    const press = (event: KeyboardEvent) => {
+      const middle: [number, number] = [target.clientWidth / 2, target.clientHeight / 2];
+      if (event.key === "+" || event.key === "=") around(2, ...middle);
+      else if (event.key === "-") around(0.5, ...middle);
+      else if (event.key === "0") all();
+      else if (event.key === "ArrowLeft") pan(60, 0);
+      else if (event.key === "ArrowRight") pan(-60, 0);
+      else if (event.key === "ArrowUp") pan(0, 60);
+      else if (event.key === "ArrowDown") pan(0, -60);
+      else return;
+      event.preventDefault();
+    };
+    target.addEventListener("wheel", wheel, { passive: false });
+    target.addEventListener("pointerdown", down);
+    target.addEventListener("pointermove", move);
+    target.addEventListener("pointerup", up);
+    target.addEventListener("pointercancel", up);
+    target.addEventListener("keydown", press);
+    return () => {
+      target.removeEventListener("wheel", wheel);
+      target.removeEventListener("pointerdown", down);
+      target.removeEventListener("pointermove", move);
+      target.removeEventListener("pointerup", up);
+      target.removeEventListener("pointercancel", up);
+      target.removeEventListener("keydown", press);
+    };
+  }, [size === null]);
+
+  return { view, all, by: (factor) => around(factor, room[0] / 2, room[1] / 2) };
+}

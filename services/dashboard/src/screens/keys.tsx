@@ -1,0 +1,53 @@
+// The list of keys.
+
+import { useEffect } from "preact/hooks";
+import { titled } from "../state/tab";
+
+const KEYS: [keys: string[], does: string][] = [
+  [["g", "t"], "go to Tonight"],
+  [["g", "f"], "go to Farm"],
+  [["g", "r"], "go to Record"],
+  [["g", "s"], "go to Submit"],
+  [["/"], "search on this screen"],
+  [["?"], "this list"],
+  [["←", "→"], "on a frame strip: the frame before, the next frame; with Shift, select"],
+  [["↑", "↓"], "on a frame strip: a row up, a row down"],
+  [["Home", "End"], "on a frame strip: first frame, last frame"],
+  [["Enter"], "on a frame strip: show this frame's images"],
+  [["Escape"], "clear the selection; close a question"],
+  [["+", "−"], "on the farm's chart and on images: zoom"],
+  [["←", "→"], "on the farm's chart: earlier, later"],
+  [["0"], "on the farm's chart: tonight; on images: the whole image"],
+];
+
+export function KeysScreen() {
+  useEffect(() => titled("Keys"), []);
+  return (
+    <div class="alone">
+      <h1>Keys</h1>
+      <table class="numbers keys">
+        <thead>
+          <tr>
+            <th scope="col">Press</th>
+            <th scope="col">To</th>
+          </tr>
+        </thead>
+        <tbody>
+          {KEYS.map(([keys, does]) => (
+            <tr key={keys.join() + does}>
+              <td>
+                {keys.map((key, at) => (
+                  <>
+                    {at > 0 && " "}
+                    <kbd>{key}</kbd>
+                  </>
+                ))}
+              </td>
+              <td>{does}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}

@@ -1,0 +1,110 @@
+// The forecast of the nights to come beside what the nights before really cost.
+
+import { get, post } from "../../api/client";
+import type { BudgetForecast } from "../../api/types";
+import { dayName, money, percent, timeZone } from "../../ui/format";
+import { Money, Prose, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
+import { useResource } from "../../ui/resource";
+import { Bar } from "../tonight/spend";
+
+const BEFORE = 6;
+const AHEAD = 4;
+
+/** The date of the night that holds an instant: nights begin at noon. */
+export function nightOf(at: number): string {
+  const noon = new Date(at - 12 * 3_600_000);
+  const two = (value: number) => String(value).padStart(2, "0");
+  return `${noon.getFullYear()}-${two(noon.getMonth() + 1)}-${two(noon.getDate())}`;
+}
+
+export function Nights() {
+  const answer = useResource<BudgetForecast>(
+    (signal) =>
+      post("/v1/budget-forecasts", {
+        body: { date: nightOf(Date.now() - BEFORE * 86_400_000), days: BEFORE + AHEAD, zone: timeZone },
+        signal,
+      }),
+    [],
+  );
+  const doc = answer.data;
+  return (
+    <Section title="Nights">
+      {doc ? (
+        <Table doc={doc} />
+      ) : answer.error ? (
+        <Trouble error={answer.error} retry={answer.reload} />
+      ) : (
+        <Waiting>Adding up the nights…</Waiting>
+      )}
+    </Section>
+  );
+}
+
+function Table(props: { doc: BudgetForecast }) {
+  const { doc } = props;
+  const most = Math.max(1, ...doc.nights.map((night) => Math.max(night.cost.p95, night.spent)));
+  const record = doc.track_record;
+  const now = Date.now();
+  return (
+    <>
+      <ul class="nights">
+        {doc.nights.map((night) => {
+          const past = Date.parse(night.until) <= now;
+          return (
+            <li key={night.date} class={past ? "past-night" : ""}>
+              <span class="night-name">
+                {Date.parse(night.from) <= now && !past ? "Tonight" : dayName(Date.parse(night.from))}
+              </span>
+              <Bar
+                spent={night.spent}
+                cost={past ? { p50: night.spent, p80: night.spent, p95: night.spent } : night.cost}
+                limit={null}
+                most={most}
+              />
+              <span class="number right">{money(past ? night.spent : night.cost.p50)}</span>
+              <span class="number right muted">{past ? "spent" : `to ${money(night.cost.p95)}`}</span>
+            </li>
+          );
+        })}
+      </ul>
+      <p class="note">
+        <Prose text={recordWords(record)} />
+      </p>
+      <TableBehind
+        label="Nights, as a table"
+        head={["Night", "Spent", "P50", "P80", "P95"]}
+        rows={() =>
+          doc.nights.map((night) => [
+            night.date,
+            <Money of={night.spent} />,
+            <Money of={night.cost.p50} />,
+            <Money of={night.cost.p80} />,
+            <Money of={night.cost.p95} />,
+          ])
+        }
+      />
+    </>
+  );
+}
+
+function recordWords(record: BudgetForecast["track_record"]): string {
+  if (record.nights === 0) {
+    return "No night was forecast before it began yet. `forelight budget`, run every evening, keeps forecasts for comparison.";
+  }
+  const [p50, p80, p95] = [record.within_p50, record.within_p80, record.within_p95].map((nights) =>
+    percent(nights / record.nights),
+  );
+  return `Of ${record.nights} nights that were forecast before they began, ${p50} cost at most P50, ${p80} at most P80, ${p95} at most P95.`;
+}
+
+/** Project of each job, for jobs that are asked about. */
+export async function projectsOf(jobs: readonly string[], signal: AbortSignal): Promise<Map<string, string>> {
+  const out = new Map<string, string>();
+  await Promise.all(
+    jobs.slice(0, 60).map(async (id) => {
+      const job = await get("/v1/jobs/{id}", { path: { id }, signal });
+      out.set(id, job.project);
+    }),
+  );
+  return out;
+}

@@ -1,0 +1,223 @@
+// Submit: a bundle, what is wanted, and a quote before anything is booked.
+
+import { useEffect, useState } from "preact/hooks";
+import { cancelJob } from "../../actions/jobs";
+import { newKey, post, Refused } from "../../api/client";
+import type { Bundle, Job } from "../../api/types";
+import { go, param } from "../../state/route";
+import { maySubmit, session } from "../../state/session";
+import { titled } from "../../state/tab";
+import { bytes, clean, counted, percent } from "../../ui/format";
+import { Trouble, Waiting } from "../../ui/parts";
+import { asError } from "../../ui/resource";
+import { droppedFiles, pack, pickedFiles, upload } from "./bundle";
+import { type Draft, draftFor, draftOf, fieldOf, Fields, requestOf } from "./form";
+import { Quote } from "./quote";
+import "../../styles/job.css";
+import "../../styles/submit.css";
+
+interface Wanted {
+  bundle: Job["bundle"];
+  /** The scene, unless its renderer has to find out first. */
+  scene: Bundle["scene"];
+  own: boolean;
+  draft: Draft;
+  /** The job on hold that this one replaces. */
+  instead: string | null;
+}
+
+export function SubmitScreen() {
+  useEffect(() => titled("Submit"), []);
+  const quoted = param("job");
+  const [wanted, setWanted] = useState<Wanted | null>(null);
+  if (!maySubmit.value) {
+    return (
+      <div class="submit">
+        <h1>Submit</h1>
+        <p>
+          Your role is {session.value?.role}: it may look at everything and submit nothing. Sign in with a
+          token of the role submitter or operator.
+        </p>
+      </div>
+    );
+  }
+  return (
+    <div class="submit">
+      {quoted ? (
+        <Quote
+          id={quoted}
+          key={quoted}
+          edit={(job) => {
+            setWanted({
+              bundle: job.bundle,
+              scene: job.scene,
+              own: !job.renderer,
+              draft: draftOf(job),
+              instead: job.id,
+            });
+            go(["submit"]);
+          }}
+        />
+      ) : wanted ? (
+        <Form wanted={wanted} back={() => setWanted(null)} change={setWanted} />
+      ) : (
+        <Pick
+          got={(bundle) =>
+            setWanted({
+              bundle: { id: bundle.id },
+              scene: bundle.scene,
+              own: bundle.scene.width > 0,
+              draft: draftFor(bundle),
+              instead: null,
+            })
+          }
+        />
+      )}
+    </div>
+  );
+}
+
+function Pick(props: { got: (bundle: Bundle) => void }) {
+  const [state, setState] = useState<{ busy: string | null; error: Error | null }>({
+    busy: null,
+    error: null,
+  });
+  const [over, setOver] = useState(false);
+  const take = async (files: ReturnType<typeof pickedFiles> | Promise<ReturnType<typeof pickedFiles>>) => {
+    try {
+      setState({ busy: "Packing the files…", error: null });
+      const packed = await pack(await files, (share) =>
+        setState({ busy: `Packing the files: ${percent(share)}…`, error: null }),
+      );
+      setState({
+        busy: `Uploading ${packed.name}, ${bytes(packed.body.size)}. The service loads the scene before it answers…`,
+        error: null,
+      });
+      props.got(await upload(packed));
+    } catch (failure) {
+      setState({ busy: null, error: asError(failure) });
+    }
+  };
+  return (
+    <>
+      <h1>Submit</h1>
+      <p>You see what it will cost, and how sure that is, before anything is booked.</p>
+      <div
+        class={over ? "drop over" : "drop"}
+        onDragOver={(event) => {
+          event.preventDefault();
+          setOver(true);
+        }}
+        onDragLeave={() => setOver(false)}
+        onDrop={(event) => {
+          event.preventDefault();
+          setOver(false);
+          if (event.dataTransfer) void take(droppedFiles(event.dataTransfer.items));
+        }}
+      >
+        {state.busy ? (
+          <Waiting>{state.busy}</Waiting>
+        ) : (
+          <>
+            <p>
+              <strong>Drop a bundle here</strong>: a folder with <code>scene.json</code> or one glTF file, a
+              zip file of it, or a Blender file.
+            </p>
+            <div class="buttons">
+              <label class="button">
+                Pick a file
+                <input
+                  type="file"
+                  class="unseen"
+                  accept=".zip,.blend,.glb"
+                  onChange={(event) =>
+                    event.currentTarget.files && void take(pickedFiles(event.currentTarget.files))
+                  }
+                />
+              </label>
+              <label class="button">
+                Pick a folder
+                <input
+                  type="file"
+                  class="unseen"
+                  {...{ webkitdirectory: true }}
+                  onChange={(event) =>
+                    event.currentTarget.files && void take(pickedFiles(event.currentTarget.files))
+                  }
+                />
+              </label>
+            </div>
+          </>
+        )}
+      </div>
+      {state.error && <Trouble error={state.error} />}
+      <p class="note">
+        In a terminal, the same is <code>forelight submit BUNDLE --frames 0-47 --deadline 2h --hold</code>,
+        and then <code>forelight accept JOB</code>.
+      </p>
+    </>
+  );
+}
+
+function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted) => void }) {
+  const { wanted } = props;
+  const { draft, scene } = wanted;
+  const [state, setState] = useState<{
+    busy: boolean;
+    error: Error | null;
+    wrong: Partial<Record<keyof Draft, string>>;
+  }>({ busy: false, error: null, wrong: {} });
+  const submit = async (event: Event) => {
+    event.preventDefault();
+    const { request, wrong } = requestOf(draft, wanted.bundle, wanted.own ? scene : null);
+    if (Object.keys(wrong).length) {
+      setState({ busy: false, error: null, wrong });
+      return;
+    }
+    setState({ busy: true, error: null, wrong: {} });
+    try {
+      const job = await post("/v1/jobs", { body: request, key: newKey() });
+      if (wanted.instead) await cancelJob(wanted.instead);
+      go(["submit"], { job: job.id });
+    } catch (failure) {
+      const field = failure instanceof Refused ? fieldOf(failure.pointer) : null;
+      setState({
+        busy: false,
+        error: field ? null : asError(failure),
+        wrong: field ? { [field]: asError(failure).message } : {},
+      });
+    }
+  };
+  return (
+    <>
+      <h1>{wanted.instead ? `Change ${clean(draft.name)}` : "What do you want?"}</h1>
+      <p class="muted">
+        {clean(scene.name)}
+        {scene.triangles > 0 &&
+          `: ${counted(scene.triangles, "triangle")}, ${counted(scene.objects, "object")}, ${counted(scene.materials, "material")}, ${counted(scene.frames, "frame")}, ${scene.width} × ${scene.height}`}
+        {!wanted.own && ". Its renderer tells more once it has looked at it."}{" "}
+        {!wanted.instead && (
+          <button type="button" class="plain" onClick={props.back}>
+            Another bundle
+          </button>
+        )}
+      </p>
+      <form onSubmit={submit}>
+        <Fields
+          draft={draft}
+          scene={wanted.own ? scene : null}
+          own={wanted.own}
+          wrong={state.wrong}
+          change={(part) => props.change({ ...wanted, draft: { ...draft, ...part } })}
+        />
+        {state.error && <Trouble error={state.error} />}
+        <div class="buttons">
+          <button type="submit" class="primary" disabled={state.busy}>
+            {state.busy ? "Asking for a quote…" : "Get a quote"}
+          </button>
+          <span class="muted">Nothing is booked yet.</span>
+        </div>
+      </form>
+    </>
+  );
+}

@@ -1,0 +1,372 @@
+// The quote of a job on hold: how it is made, what it says, and the three things that can be done with it.
+
+import { useEffect, useState } from "preact/hooks";
+import { cancelJob } from "../../actions/jobs";
+import { get, post } from "../../api/client";
+import type { AnswersDoc, Explanation, ForecastDoc, Job } from "../../api/types";
+import { onEvent } from "../../state/live";
+import { go, href, param } from "../../state/route";
+import { AxisHead, axisFor, Fan, slackWords, spreadWords } from "../../ui/fan";
+import { clean, counted, cpuTime, instant, maybeInstant, percent, words, work } from "../../ui/format";
+import { Mark } from "../../ui/mark";
+import { Money, Prose, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
+import { asError, useResource, useThrottled } from "../../ui/resource";
+import { Outlook } from "../job/price";
+import { useTasks } from "../job/tasks";
+
+export function Quote(props: { id: string; edit: (job: Job) => void }) {
+  const { id } = props;
+  const job = useResource<Job>((signal) => get("/v1/jobs/{id}", { path: { id }, signal }), [id]);
+  const soon = useThrottled(job.reload, 400);
+  useEffect(() => onEvent((event) => event.job_id === id && event.kind !== "task_progress" && soon()), [id]);
+  const doc = job.data;
+  if (!doc)
+    return job.error ? (
+      <Trouble error={job.error} retry={job.reload} />
+    ) : (
+      <Waiting>Asking for the job…</Waiting>
+    );
+  return (
+    <>
+      <h1>
+        Quote for {clean(doc.name)} <Mark of={doc.state} />
+      </h1>
+      <p class="muted">
+        {counted(doc.frames_total, "frame")} of {clean(doc.scene.name)}, {settingsWords(doc)}.
+        {doc.plan_id ? "" : " Nothing is booked before you accept."}
+      </p>
+      <Making job={doc} />
+      {(doc.state === "quoted" || doc.plan_id) && <Ready job={doc} edit={props.edit} />}
+      {doc.state === "failed" && (
+        <Trouble error={new Error(`The quote failed: ${clean(doc.error ?? "the job’s log says why")}`)} />
+      )}
+      {doc.state === "cancelled" && (
+        <p>
+          It was dropped. <a href={href(["submit"])}>Submit another one</a>
+        </p>
+      )}
+      {(doc.state === "previewing" || doc.state === "profiling") && (
+        <div class="buttons">
+          <Drop job={doc} done={job.reload} />
+        </div>
+      )}
+    </>
+  );
+}
+
+function settingsWords(job: Job): string {
+  const settings = job.settings as Record<string, number | string | undefined>;
+  const parts = [];
+  if (settings["width"] && settings["height"]) parts.push(`${settings["width"]} × ${settings["height"]}`);
+  const samples = settings["spp"] ?? settings["samples"];
+  if (samples) parts.push(`${samples} samples per pixel`);
+  return parts.join(", ") || "settings of the scene";
+}
+
+const STEPS = ["previewing", "profiling", "quoted"] as const;
+const STEP_WORDS: Record<(typeof STEPS)[number], [name: string, does: string]> = {
+  previewing: ["Preview", "which object and material every pixel of every frame shows"],
+  profiling: ["Profile", "a few pixels of a few frames are traced and measured"],
+  quoted: ["Quote", "what all frames will cost, and how sure that is"],
+};
+
+/** The way to the quote, with what is being done now. */
+function Making(props: { job: Job }) {
+  const { job } = props;
+  const { tasks } = useTasks(job.id);
+  const at = STEPS.indexOf(job.state as (typeof STEPS)[number]);
+  const reached = at < 0 ? (job.state === "cancelled" || job.state === "failed" ? -1 : STEPS.length) : at;
+  if (reached < 0) return null;
+  const profiles = tasks.filter((task) => task.kind === "profile");
+  return (
+    <ol class="steps" aria-label="The way to the quote">
+      {STEPS.map((step, index) => {
+        const done = reached > index || job.state === "quoted" || reached === STEPS.length;
+        const busy = reached === index && job.state !== "quoted";
+        return (
+          <li
+            key={step}
+            class={done ? "step-done" : busy ? "step-busy" : "step-open"}
+            aria-current={busy ? "step" : undefined}
+          >
+            <Mark of={done ? "done" : busy ? step : "waiting"} word={STEP_WORDS[step][0]} />
+            <span class="under">
+              {step === "profiling" && profiles.length > 0
+                ? `${profiles.filter((task) => task.state === "done").length} of ${counted(profiles.length, "frame")} measured so far`
+                : STEP_WORDS[step][1]}
+            </span>
+          </li>
+        );
+      })}
+      {job.waits && at >= 0 && job.state !== "quoted" && (
+        <li class="muted">
+          It <Prose text={job.waits.because} bare />.
+        </li>
+      )}
+    </ol>
+  );
+}
+
+function Ready(props: { job: Job; edit: (job: Job) => void }) {
+  const { job } = props;
+  const quote = useResource<ForecastDoc>(
+    (signal) => get("/v1/jobs/{id}/forecast", { path: { id: job.id }, signal }),
+    [job.id],
+  );
+  const answers = useResource<AnswersDoc>(
+    (signal) => get("/v1/jobs/{id}/answers", { path: { id: job.id }, signal }),
+    [job.id, job.deadline, job.budget],
+  );
+  const why = useResource<Explanation>(
+    (signal) => get("/v1/jobs/{id}/explanation", { path: { id: job.id }, signal }),
+    [job.id],
+  );
+  const [state, setState] = useState<{ busy: boolean; error: Error | null }>({ busy: false, error: null });
+  const held = job.state === "quoted";
+  const accept = async () => {
+    setState({ busy: true, error: null });
+    try {
+      await post("/v1/jobs/{id}/accept", { path: { id: job.id }, body: {} });
+      const replaces = param("replaces");
+      if (replaces) await cancelJob(replaces);
+      go(["jobs", job.id]);
+    } catch (failure) {
+      setState({ busy: false, error: asError(failure) });
+    }
+  };
+  return (
+    <>
+      {quote.data ? (
+        <Numbers quote={quote.data} />
+      ) : quote.error ? (
+        <Trouble error={quote.error} retry={quote.reload} />
+      ) : (
+        <Waiting>Reading the quote…</Waiting>
+      )}
+      <Section title="When it would be ready, and for how much">
+        {answers.data ? (
+          <When job={job} doc={answers.data} />
+        ) : answers.error ? (
+          <Trouble error={answers.error} retry={answers.reload} />
+        ) : (
+          <Waiting>Asking the planner…</Waiting>
+        )}
+      </Section>
+      {why.data && (
+        <Section title="Why it costs that">
+          <ul class="sentences">
+            {why.data.words.slice(0, 4).map((line) => (
+              <li key={line}>
+                <Prose text={line} />
+              </li>
+            ))}
+          </ul>
+          <p>
+            <a href={href(["jobs", job.id], { tab: "why" })}>All of it</a>,{" "}
+            <a href={href(["jobs", job.id], { tab: "ladders" })}>and what accuracy costs</a>
+          </p>
+        </Section>
+      )}
+      {state.error && <Trouble error={state.error} />}
+      {held ? (
+        <div class="buttons decide">
+          <button type="button" class="primary" disabled={state.busy} onClick={() => void accept()}>
+            {state.busy ? "Booking…" : "Book it"}
+          </button>
+          <button type="button" disabled={state.busy} onClick={() => props.edit(job)}>
+            Change it
+          </button>
+          <Drop job={job} done={() => go(["submit"])} />
+        </div>
+      ) : (
+        <p>
+          It was booked. <a href={href(["jobs", job.id])}>To the job</a>
+        </p>
+      )}
+    </>
+  );
+}
+
+function Numbers(props: { quote: ForecastDoc }) {
+  const { quote } = props;
+  const { cpu_seconds: cpu, work: operations } = quote.total;
+  const rows: [string, string, string, string, string][] = [
+    ["CPU time", cpuTime(cpu.mean), cpuTime(cpu.p50), cpuTime(cpu.p80), cpuTime(cpu.p95)],
+  ];
+  if (operations.mean > 0)
+    rows.push([
+      "Work",
+      work(operations.mean),
+      work(operations.p50),
+      work(operations.p80),
+      work(operations.p95),
+    ]);
+  return (
+    <Section title="What all frames cost">
+      <table class="numbers body outlook">
+        <thead>
+          <tr>
+            <th scope="col">
+              <span class="unseen">Quantity</span>
+            </th>
+            {["Expected", "P50", "P80", "P95"].map((name) => (
+              <th scope="col" class="right" key={name}>
+                {name}
+              </th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {quote.cost && (
+            <tr>
+              <th scope="row">Money</th>
+              {[quote.cost.mean, quote.cost.p50, quote.cost.p80, quote.cost.p95].map((amount, at) => (
+                <td class="right" key={at}>
+                  <Money of={amount} />
+                </td>
+              ))}
+            </tr>
+          )}
+          {rows.map(([name, ...values]) => (
+            <tr key={name}>
+              <th scope="row">{name}</th>
+              {values.map((value, at) => (
+                <td class="right" key={at}>
+                  {value}
+                </td>
+              ))}
+            </tr>
+          ))}
+        </tbody>
+      </table>
+      <p class="note">
+        It rests on {counted(quote.profiled.pixels, "pixel")} of{" "}
+        {counted(quote.profiled.frames.length, "frame")}, and making it cost{" "}
+        {percent(quote.spent.fraction_of_forecast, 1)} of the job; these pixels are kept.{" "}
+        {quote.calibrated
+          ? "The quantiles are calibrated on past jobs."
+          : "The quantiles rest on sampling alone: too few jobs are finished to calibrate them."}
+        {(quote.effects?.length ?? 0) > 0 && ` Effects: ${quote.effects!.map(words).join(", ")}.`}
+      </p>
+    </Section>
+  );
+}
+
+function When(props: { job: Job; doc: AnswersDoc }) {
+  const { job, doc } = props;
+  const finish = (confidence: string) =>
+    maybeInstant(doc.outlook.find((line) => line.confidence === confidence)?.finish);
+  const spread = { p50: finish("p50"), p80: finish("p80"), p95: finish("p95") };
+  const deadline = maybeInstant(job.deadline);
+  const axis = axisFor(
+    instant(doc.at),
+    [spread.p95, spread.p50, deadline].filter((at) => at !== null),
+  );
+  const line = doc.outlook.find((one) => one.confidence === job.confidence);
+  const over = job.budget != null && line !== undefined && line.cost > job.budget;
+  return (
+    <>
+      <p class="lead-words">
+        {line?.finish ? (
+          <>
+            Ready by <Time at={line.finish} /> at {job.confidence.toUpperCase()}
+            {deadline !== null && <> ({slackWords(instant(line.finish), deadline)})</>}, for{" "}
+            <Money of={line.cost} />
+            {job.budget != null && (
+              <>
+                {" "}
+                of a budget of <Money of={job.budget} />
+              </>
+            )}
+            .{" "}
+            {line.in_time === false ? (
+              <Mark of="late" word="misses its deadline" />
+            ) : over ? (
+              <Mark of="over_budget" />
+            ) : (
+              <Mark of="on_time" word="fits" />
+            )}
+          </>
+        ) : (
+          "No plan finishes it."
+        )}
+      </p>
+      {spread.p50 !== null && (
+        <>
+          <AxisHead axis={axis} />
+          <Fan
+            axis={axis}
+            spread={spread}
+            deadline={deadline}
+            label={spreadWords(spread)}
+            late={line?.in_time === false}
+          />
+        </>
+      )}
+      <Outlook doc={doc} />
+      {doc.why_not.map((reason) => (
+        <p key={reason}>
+          <Prose text={reason} />
+        </p>
+      ))}
+      {doc.ways_out.length > 0 && (
+        <ul class="sentences">
+          {doc.ways_out.map((way) => (
+            <li key={way.words}>
+              <Prose text={way.words} />
+            </li>
+          ))}
+        </ul>
+      )}
+      {doc.pushes_back.length > 0 && (
+        <p>
+          <Mark of="over_budget" word="It delays" />{" "}
+          {doc.pushes_back
+            .map((moved) => `${clean(moved.name)}${moved.breaks_promise ? " past its deadline" : ""}`)
+            .join(", ")}
+          .
+        </p>
+      )}
+      {doc.qualities.length > 1 && (
+        <TableBehind
+          label="Other qualities, as a table"
+          head={["Size", "Samples", "Error", "Ready by", "Cost", ""]}
+          rows={() =>
+            doc.qualities.map((offer) => [
+              `${offer.settings.width} × ${offer.settings.height}`,
+              offer.settings.spp,
+              offer.error ? percent(offer.error.p50, 1) : "–",
+              <Time at={offer.finish} none="never" />,
+              <Money of={offer.cost} />,
+              offer.asked_for ? "as asked" : offer.fits ? "fits" : "does not fit",
+            ])
+          }
+        />
+      )}
+    </>
+  );
+}
+
+function Drop(props: { job: Job; done: () => void }) {
+  const [busy, setBusy] = useState(false);
+  const [error, setError] = useState<Error | null>(null);
+  return (
+    <>
+      <button
+        type="button"
+        class="danger"
+        disabled={busy}
+        onClick={() => {
+          setBusy(true);
+          cancelJob(props.job.id).then(props.done, (failure: unknown) => {
+            setBusy(false);
+            setError(asError(failure));
+          });
+        }}
+      >
+        {busy ? "Dropping…" : "Drop it"}
+      </button>
+      {error && <Trouble error={error} />}
+    </>
+  );
+}

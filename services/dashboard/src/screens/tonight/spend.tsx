@@ -1,0 +1,121 @@
+// Money: tonight and the nights after, against budgets.
+
+import { post } from "../../api/client";
+import type { BudgetForecast, MoneyForecast } from "../../api/types";
+import { clean, dayName, money, percent, timeZone } from "../../ui/format";
+import { Mark } from "../../ui/mark";
+import { Money, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
+import { useResource } from "../../ui/resource";
+
+export function Spend(props: { version: number }) {
+  const forecast = useResource(
+    (signal) => post("/v1/budget-forecasts", { body: { days: 4, zone: timeZone }, signal }),
+    [props.version],
+  );
+  return (
+    <Section title="Spend" class="spend">
+      {forecast.data ? (
+        <Nights forecast={forecast.data} />
+      ) : forecast.error ? (
+        <Trouble error={forecast.error} retry={forecast.reload} />
+      ) : (
+        <Waiting>Forecasting what the nights cost…</Waiting>
+      )}
+    </Section>
+  );
+}
+
+function Nights(props: { forecast: BudgetForecast }) {
+  const { forecast } = props;
+  const most = Math.max(1, ...forecast.nights.map((night) => night.cost.p95));
+  return (
+    <>
+      <ul class="nights">
+        {forecast.nights.map((night, at) => (
+          <li key={night.date}>
+            <span class="night-name">{at === 0 ? "Tonight" : dayName(Date.parse(night.from))}</span>
+            <Bar spent={night.spent} cost={night.cost} limit={null} most={most} />
+            <span class="number right">{money(night.cost.p50)}</span>
+            <span class="number right muted">to {money(night.cost.p95)}</span>
+          </li>
+        ))}
+      </ul>
+      <p class="note">
+        A night is the 24 hours from noon, in {forecast.zone}. P50 to P95; the dark part is spent.
+        {forecast.unknown.length > 0 &&
+          ` Without jobs that have no quote yet: ${forecast.unknown.map(clean).join(", ")}.`}
+      </p>
+      {forecast.budgets.length === 0 ? (
+        <p class="note">
+          No budget is set. <code>forelight budget set film 250 --per night</code> sets one.
+        </p>
+      ) : (
+        <ul class="budgets">
+          {forecast.budgets.map((budget) => (
+            <li key={`${budget.project}-${budget.period}-${budget.from}`}>
+              <span>
+                {clean(budget.project)}, per {budget.period === "total" ? "project" : budget.period}
+              </span>
+              <Bar
+                spent={budget.spent}
+                cost={budget.cost}
+                limit={budget.amount}
+                most={Math.max(budget.amount, budget.cost.p95)}
+              />
+              <span class="number right">
+                {money(budget.cost.p50)} of {money(budget.amount)}
+              </span>
+              <span class="right">
+                {budget.threatened ? (
+                  <Mark of="risk" word={`exceeded with ${percent(budget.probability_over)}`} />
+                ) : (
+                  <Mark of="kept" word={`exceeded with ${percent(budget.probability_over)}`} />
+                )}
+              </span>
+            </li>
+          ))}
+        </ul>
+      )}
+      <TableBehind
+        label="Nights by project, as a table"
+        head={["Night", "Project", "Spent", "P50", "P80", "P95"]}
+        rows={() =>
+          forecast.nights.flatMap((night) =>
+            [{ name: "all", spent: night.spent, cost: night.cost }, ...night.projects].map((line) => [
+              night.date,
+              clean(line.name),
+              <Money of={line.spent} />,
+              <Money of={line.cost.p50} />,
+              <Money of={line.cost.p80} />,
+              <Money of={line.cost.p95} />,
+            ]),
+          )
+        }
+      />
+    </>
+  );
+}
+
+/** Spent, then P50, P80 and P95 of the whole, and the limit as a line. */
+export function Bar(props: { spent: number; cost: MoneyForecast; limit: number | null; most: number }) {
+  const x = (amount: number) => (Math.min(amount, props.most) / Math.max(props.most, 1)) * 1000;
+  const { spent, cost, limit } = props;
+  return (
+    <svg
+      class="money-bar"
+      viewBox="0 0 1000 16"
+      preserveAspectRatio="none"
+      role="img"
+      aria-label={`${money(spent)} spent; P50 ${money(cost.p50)}, P80 ${money(cost.p80)}, P95 ${money(cost.p95)}${
+        limit === null ? "" : `; budget ${money(limit)}`
+      }`}
+    >
+      <rect class="base" width="1000" height="16" />
+      <rect class="p95" width={x(cost.p95)} y="3" height="10" />
+      <rect class="p80" width={x(cost.p80)} y="3" height="10" />
+      <rect class="p50" width={x(cost.p50)} y="3" height="10" />
+      <rect class="spent" width={x(spent)} y="3" height="10" />
+      {limit !== null && <line class="limit" x1={x(limit)} x2={x(limit)} y1="0" y2="16" />}
+    </svg>
+  );
+}

@@ -1,0 +1,151 @@
+// The farm at one instant, kept fresh: events change counts at once; finishes, costs and promises, which only
+// the service can compute, are asked for a few seconds after events say that they may have moved.
+
+import { batch, computed, signal } from "@preact/signals";
+import { get } from "../api/client";
+import type { Event, Farm } from "../api/types";
+import { follow, onEvent, unfollow } from "./live";
+
+export const farm = signal<Farm | null>(null);
+export const farmError = signal<Error | null>(null);
+
+/** The present minute, so that what depends on the time is drawn anew once a minute. */
+export const now = signal(Date.now());
+
+/** The newest events, newest first. */
+export const recent = signal<Event[]>([]);
+
+export const atRisk = computed(
+  () => farm.value?.jobs.filter((job) => job.promise && !job.promise.kept) ?? [],
+);
+
+const SOON = 3_000;
+const QUIET = 30_000;
+const KEPT_EVENTS = 200;
+
+let timer: ReturnType<typeof setTimeout> | undefined;
+let due = 0;
+let queued: Event[] = [];
+let flushing: ReturnType<typeof setTimeout> | undefined;
+let stop: (() => void) | null = null;
+let minute: ReturnType<typeof setInterval> | undefined;
+
+/** Starts to watch the farm. */
+export function watch(): void {
+  if (stop) return;
+  stop = onEvent(queue);
+  minute = setInterval(() => (now.value = Date.now()), 20_000);
+  document.addEventListener("visibilitychange", woken);
+  void refresh();
+}
+
+export function unwatch(): void {
+  stop?.();
+  stop = null;
+  clearInterval(minute);
+  clearTimeout(timer);
+  document.removeEventListener("visibilitychange", woken);
+  unfollow();
+  farm.value = null;
+  recent.value = [];
+}
+
+function woken(): void {
+  if (document.visibilityState === "visible") {
+    now.value = Date.now();
+    void refresh();
+  }
+}
+
+/** Asks for the farm now. */
+export async function refresh(): Promise<void> {
+  clearTimeout(timer);
+  due = Infinity;
+  try {
+    const next = (await get("/v1/dashboard")) as Farm;
+    if (!stop) return;
+    farm.value = next;
+    farmError.value = null;
+    now.value = Date.now();
+    const newest = recent.peek()[0]?.id ?? 0;
+    const missing = next.events.filter((event) => event.id > newest);
+    if (missing.length) recent.value = [...missing, ...recent.peek()].slice(0, KEPT_EVENTS);
+    follow(next.last_event_id);
+  } catch (error) {
+    farmError.value = error instanceof Error ? error : new Error(String(error));
+  }
+  if (stop) schedule(QUIET);
+}
+
+function schedule(after: number): void {
+  const at = Date.now() + after;
+  if (at >= due) return;
+  due = at;
+  clearTimeout(timer);
+  timer = setTimeout(() => void refresh(), after);
+}
+
+/** A large farm writes hundreds of events a second: they are applied together, four times a second. */
+function queue(event: Event): void {
+  queued.push(event);
+  flushing ??= setTimeout(flush, 250);
+}
+
+function flush(): void {
+  flushing = undefined;
+  const events = queued;
+  queued = [];
+  const told = events.filter((event) => event.kind !== "task_progress").reverse();
+  const old = farm.peek();
+  batch(() => {
+    if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
+    if (old) farm.value = changedFarm(old, events);
+  });
+  schedule(SOON);
+}
+
+function changedFarm(old: Farm, events: Event[]): Farm {
+  const jobs = new Map(old.jobs.map((job) => [job.id, job]));
+  const nodes = new Map(old.nodes.map((node) => [node.id, node]));
+  for (const event of events) {
+    const job = event.job_id && jobs.get(event.job_id);
+    if (job) jobs.set(job.id, changedJob(job, event));
+    const node = event.node_id && nodes.get(event.node_id);
+    if (node) nodes.set(node.id, changedNode(node, event));
+  }
+  return { ...old, jobs: [...jobs.values()], nodes: [...nodes.values()] };
+}
+
+type Job = Farm["jobs"][number];
+type Node = Farm["nodes"][number];
+
+function changedJob(job: Job, event: Event): Job {
+  switch (event.kind) {
+    case "job_state":
+      return event.job_state ? { ...job, state: event.job_state } : job;
+    case "task_done":
+      return event.frames_done == null ? job : { ...job, frames_done: event.frames_done };
+    case "job_promise_at_risk":
+    case "job_promise_safe":
+      return event.promise ? { ...job, promise: event.promise } : job;
+    default:
+      return job;
+  }
+}
+
+function changedNode(before: Node, event: Event): Node {
+  const node = event.node_state ? { ...before, state: event.node_state } : before;
+  switch (event.kind) {
+    case "task_progress":
+      if (node.activity?.task_id !== event.task_id || event.progress == null) return node;
+      return { ...node, activity: { ...node.activity!, progress: event.progress } };
+    case "task_done":
+    case "task_failed":
+    case "lease_expired":
+    case "lease_released":
+    case "lease_lost":
+      return node.activity && node.activity.task_id === event.task_id ? { ...node, activity: null } : node;
+    default:
+      return node;
+  }
+}

@@ -1,0 +1,167 @@
+// Small parts that all screens use.
+
+import type { ComponentChildren } from "preact";
+import { useId, useState } from "preact/hooks";
+import { clockTime, exactTime, fullTime, money, sentence, told } from "./format";
+
+/** An instant in the viewer's zone, with everything in its tooltip. */
+export function Time(props: { at: number | string | null | undefined; exact?: boolean; none?: string }) {
+  if (props.at == null) return <span class="none">{props.none ?? "–"}</span>;
+  const at = typeof props.at === "string" ? Date.parse(props.at) : props.at;
+  return (
+    <time dateTime={new Date(at).toISOString()} title={fullTime(at)}>
+      {props.exact ? exactTime(at) : clockTime(at)}
+    </time>
+  );
+}
+
+export function Money(props: { of: number | null | undefined; none?: string }) {
+  if (props.of == null) return <span class="none">{props.none ?? "–"}</span>;
+  return (
+    <span class="number" title={`${(props.of / 1e6).toFixed(6)} of the farm's currency`}>
+      {money(props.of)}
+    </span>
+  );
+}
+
+/** A text of the service: instants in the viewer's zone, and what stands in backquotes as code. */
+export function Prose(props: { text: string; bare?: boolean }) {
+  const parts = (props.bare ? told(props.text) : sentence(props.text)).split("`");
+  return <>{parts.map((part, at) => (at % 2 === 1 ? <code key={at}>{part}</code> : part))}</>;
+}
+
+/** What is being done while nothing can be shown yet. Never without words. */
+export function Waiting(props: { children: ComponentChildren }) {
+  return (
+    <p class="waiting" role="status">
+      {props.children}
+    </p>
+  );
+}
+
+/** What went wrong, and how to try again. */
+export function Trouble(props: { error: Error; retry?: () => void }) {
+  return (
+    <p class="trouble" role="alert">
+      <span class="glyph" aria-hidden="true">
+        ⚠
+      </span>
+      <Prose text={props.error.message} />{" "}
+      {props.retry && (
+        <button type="button" class="plain" onClick={props.retry}>
+          Try again
+        </button>
+      )}
+    </p>
+  );
+}
+
+/** A part of a screen with its heading. */
+export function Section(props: {
+  title: ComponentChildren;
+  aside?: ComponentChildren;
+  children: ComponentChildren;
+  class?: string;
+  level?: 2 | 3;
+}) {
+  const id = useId();
+  const Heading = props.level === 3 ? "h3" : "h2";
+  return (
+    <section aria-labelledby={id} class={props.class}>
+      <div class="section-head">
+        <Heading id={id}>{props.title}</Heading>
+        {props.aside}
+      </div>
+      {props.children}
+    </section>
+  );
+}
+
+/** The numbers behind a chart, as a table that opens. */
+export function TableBehind(props: {
+  label: string;
+  head: string[];
+  rows: () => ComponentChildren[][];
+  note?: string;
+}) {
+  const [open, setOpen] = useState(false);
+  return (
+    <details class="behind" open={open} onToggle={(event) => setOpen(event.currentTarget.open)}>
+      <summary>{props.label}</summary>
+      {open && <Rows label={props.label} head={props.head} rows={props.rows} />}
+      {props.note && <p class="note">{props.note}</p>}
+    </details>
+  );
+}
+
+function Rows(props: { label: string; head: string[]; rows: () => ComponentChildren[][] }) {
+  return (
+    <div class="scroll-x" tabIndex={0} role="region" aria-label={props.label}>
+      <table class="numbers">
+        <thead>
+          <tr>
+            {props.head.map((name) => (
+              <th scope="col" key={name}>
+                {name}
+              </th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {props.rows().map((row, at) => (
+            <tr key={at}>
+              {row.map((cell, column) => (
+                <td key={column}>{cell}</td>
+              ))}
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+/** A choice of a few, as buttons: one is pressed. */
+export function Choice<T extends string>(props: {
+  label: string;
+  value: T;
+  options: readonly (readonly [value: T, word: string])[];
+  choose: (value: T) => void;
+}) {
+  return (
+    <div class="choice" role="group" aria-label={props.label}>
+      {props.options.map(([value, word]) => (
+        <button
+          type="button"
+          key={value}
+          aria-pressed={props.value === value}
+          onClick={() => props.choose(value)}
+        >
+          {word}
+        </button>
+      ))}
+    </div>
+  );
+}
+
+/** A label, a field, and what is wrong with it. */
+export function Field(props: {
+  label: string;
+  hint?: ComponentChildren;
+  error?: string | null;
+  children: (id: string) => ComponentChildren;
+}) {
+  const id = useId();
+  return (
+    <div class={props.error ? "field wrong" : "field"}>
+      <label for={id}>{props.label}</label>
+      {props.children(id)}
+      {props.hint && <p class="hint">{props.hint}</p>}
+      {props.error && (
+        <p class="wrong-text" role="alert">
+          <Prose text={props.error} />
+        </p>
+      )}
+    </div>
+  );
+}

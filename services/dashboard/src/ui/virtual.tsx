@@ -1,0 +1,68 @@
+// A long list of rows of one height: only those in view are in the document. The window scrolls, not a box.
+
+import type { ComponentChildren } from "preact";
+import { useLayoutEffect, useRef, useState } from "preact/hooks";
+
+const MARGIN = 12;
+
+export function VirtualRows<T>(props: {
+  items: readonly T[];
+  height: number;
+  /** Role of the container, such as `rowgroup`. */
+  role?: string;
+  row: (item: T, at: number) => ComponentChildren;
+  /** Called when rows near the end are shown. */
+  nearEnd?: () => void;
+}) {
+  const element = useRef<HTMLDivElement>(null);
+  const [range, setRange] = useState<[number, number]>([0, 60]);
+  const count = props.items.length;
+  const { height, nearEnd } = props;
+
+  useLayoutEffect(() => {
+    const measure = () => {
+      const box = element.current?.getBoundingClientRect();
+      if (!box) return;
+      const first = Math.max(0, Math.floor(-box.top / height) - MARGIN);
+      const last = Math.min(count, Math.ceil((innerHeight - box.top) / height) + MARGIN);
+      setRange((old) => (old[0] === first && old[1] === last ? old : [first, Math.max(first, last)]));
+      if (last >= count - MARGIN) nearEnd?.();
+    };
+    measure();
+    addEventListener("scroll", measure, { passive: true });
+    addEventListener("resize", measure);
+    // What stands above the list may grow or go.
+    const observer = new ResizeObserver(measure);
+    observer.observe(document.body);
+    return () => {
+      observer.disconnect();
+      removeEventListener("scroll", measure);
+      removeEventListener("resize", measure);
+    };
+  }, [count, height, nearEnd]);
+
+  const [first, last] = range;
+  return (
+    <div
+      ref={element}
+      role={props.role as never}
+      style={{ height: `${count * height}px`, position: "relative" }}
+    >
+      {props.items.slice(first, last).map((item, at) => (
+        <div
+          key={first + at}
+          role="presentation"
+          style={{
+            position: "absolute",
+            left: 0,
+            right: 0,
+            top: `${(first + at) * height}px`,
+            height: `${height}px`,
+          }}
+        >
+          {props.row(item, first + at)}
+        </div>
+      ))}
+    </div>
+  );
+}
