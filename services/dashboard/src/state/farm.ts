@@ -95,7 +95,9 @@ function flush(): void {
   flushing = undefined;
   const events = queued;
   queued = [];
-  const told = events.filter((event) => event.kind !== "task_progress").reverse();
+  // The document may have told of some of them already.
+  const newest = recent.peek()[0]?.id ?? 0;
+  const told = events.filter((event) => event.kind !== "task_progress" && event.id > newest).reverse();
   const old = farm.peek();
   batch(() => {
     if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);

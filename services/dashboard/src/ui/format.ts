@@ -54,6 +54,13 @@ export function dayName(at: number): string {
   return `${weekday.format(at)} ${dayMonth.format(at)}`;
 }
 
+/** The date of the night that holds an instant: nights begin at noon. */
+export function nightOf(at: number): string {
+  const noon = new Date(at - 12 * 3_600_000);
+  const two = (value: number) => String(value).padStart(2, "0");
+  return `${noon.getFullYear()}-${two(noon.getMonth() + 1)}-${two(noon.getDate())}`;
+}
+
 /** Everything, for a tooltip: `Thursday, 26 November 2026 at 06:40:12 CET`. */
 export function fullTime(at: number): string {
   return full.format(at);

@@ -48,6 +48,17 @@ export function axes(
   ];
 }
 
+const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000];
+
+/** The same for a row of frames, by their places: lines stand only at whole ones. */
+export function frameAxes(
+  unit: (value: number, step: number) => string,
+  name: (place: number) => string,
+): uPlot.Axis[] {
+  const [across, up] = axes(unit, false, name);
+  return [{ ...across!, incrs: WHOLE }, up!];
+}
+
 export function Plot(props: {
   label: string;
   height: number;

@@ -24,7 +24,7 @@ function tonight(): Stretch {
   const at = now.peek();
   const end = farm.peek()?.finish?.p95;
   if (!end) return { from: at - 2 * HOUR, to: at + HOUR };
-  const ahead = Math.min(14 * 24 * HOUR, Math.max(0.5 * HOUR, (Date.parse(end) - at) * 1.1));
+  const ahead = Math.min(14 * 24 * HOUR, Math.max(HOUR / 12, (Date.parse(end) - at) * 1.1));
   return { from: at - ahead * 0.4, to: at + ahead };
 }
 

@@ -4,7 +4,7 @@ import { useMemo } from "preact/hooks";
 import type uPlot from "uplot";
 import type { FrameStrip } from "../../api/types";
 import { moneyOnAxis } from "../../ui/format";
-import { axes, Plot } from "../../ui/plot";
+import { frameAxes, Plot } from "../../ui/plot";
 import { colour } from "../../ui/theme";
 import { type Quantity, written } from "./frames";
 import { MARGINS } from "./strip-layout";
@@ -34,10 +34,9 @@ export function Band(props: {
     },
     legend: { show: false },
     cursor: { y: false, drag: { x: true, y: false }, points: { size: 7 } },
-    axes: axes(
+    axes: frameAxes(
       (value, step) => (quantity === "cost" ? moneyOnAxis(value, step) : written(quantity, value)),
-      false,
-      (at) => (Number.isInteger(at) ? String(numbers[at] ?? "") : ""),
+      (at) => String(numbers[at] ?? ""),
     ),
     bands: [
       { series: [1, 2] as [number, number], fill: colour("p95") },

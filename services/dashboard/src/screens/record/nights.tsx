@@ -2,20 +2,13 @@
 
 import { get, post } from "../../api/client";
 import type { BudgetForecast } from "../../api/types";
-import { dayName, money, percent, timeZone } from "../../ui/format";
+import { dayName, money, nightOf, percent, timeZone } from "../../ui/format";
 import { Money, Prose, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { Bar } from "../tonight/spend";
 
 const BEFORE = 6;
 const AHEAD = 4;
-
-/** The date of the night that holds an instant: nights begin at noon. */
-export function nightOf(at: number): string {
-  const noon = new Date(at - 12 * 3_600_000);
-  const two = (value: number) => String(value).padStart(2, "0");
-  return `${noon.getFullYear()}-${two(noon.getMonth() + 1)}-${two(noon.getDate())}`;
-}
 
 export function Nights() {
   const answer = useResource<BudgetForecast>(

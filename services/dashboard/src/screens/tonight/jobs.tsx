@@ -14,11 +14,11 @@ import { RescueDialog } from "./rescue";
 /** The ends of a job, as far as they are known. */
 export function spreadOf(job: DashboardJob): Spread {
   const finish = job.finish;
-  return {
-    p50: maybeInstant(finish?.p50 ?? job.eta),
-    p80: maybeInstant(finish?.p80),
-    p95: maybeInstant(finish?.p95),
-  };
+  const p95 = maybeInstant(finish?.p95);
+  // A plan that breaks a promise is newer than the scenarios, if they do not show that.
+  const broken = job.promise && !job.promise.kept ? maybeInstant(job.promise.finish) : null;
+  if (broken !== null && (p95 === null || broken > p95)) return { p50: broken, p80: broken, p95: broken };
+  return { p50: maybeInstant(finish?.p50 ?? job.eta), p80: maybeInstant(finish?.p80), p95 };
 }
 
 /** `risk`: a plan kept the deadline and the newest one does not. `late`, `impossible`: no plan ever did. */

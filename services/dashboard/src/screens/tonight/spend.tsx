@@ -2,14 +2,23 @@
 
 import { post } from "../../api/client";
 import type { BudgetForecast, MoneyForecast } from "../../api/types";
-import { clean, dayName, money, percent, timeZone } from "../../ui/format";
+import { clean, dayName, money, nightOf, percent, timeZone } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Money, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 
+const DAY = 86_400_000;
+const NAMES = ["Last night", "Tonight"];
+
 export function Spend(props: { version: number }) {
   const forecast = useResource(
-    (signal) => post("/v1/budget-forecasts", { body: { days: 4, zone: timeZone }, signal }),
+    (signal) =>
+      // From last night on: the service keeps the forecast that it makes for the first night, and the forecast
+      // of tonight, with which the record compares, must stay what it was in the evening.
+      post("/v1/budget-forecasts", {
+        body: { date: nightOf(Date.now() - DAY), days: 5, zone: timeZone },
+        signal,
+      }),
     [props.version],
   );
   return (
@@ -27,16 +36,17 @@ export function Spend(props: { version: number }) {
 
 function Nights(props: { forecast: BudgetForecast }) {
   const { forecast } = props;
+  const budgets = forecast.budgets.filter((budget) => Date.parse(budget.until) > Date.now());
   const most = Math.max(1, ...forecast.nights.map((night) => night.cost.p95));
   return (
     <>
       <ul class="nights">
         {forecast.nights.map((night, at) => (
           <li key={night.date}>
-            <span class="night-name">{at === 0 ? "Tonight" : dayName(Date.parse(night.from))}</span>
+            <span class="night-name">{NAMES[at] ?? dayName(Date.parse(night.from))}</span>
             <Bar spent={night.spent} cost={night.cost} limit={null} most={most} />
-            <span class="number right">{money(night.cost.p50)}</span>
-            <span class="number right muted">to {money(night.cost.p95)}</span>
+            <span class="number right">{money(at === 0 ? night.spent : night.cost.p50)}</span>
+            <span class="number right muted">{at === 0 ? "spent" : `to ${money(night.cost.p95)}`}</span>
           </li>
         ))}
       </ul>
@@ -45,13 +55,13 @@ function Nights(props: { forecast: BudgetForecast }) {
         {forecast.unknown.length > 0 &&
           ` Without jobs that have no quote yet: ${forecast.unknown.map(clean).join(", ")}.`}
       </p>
-      {forecast.budgets.length === 0 ? (
+      {budgets.length === 0 ? (
         <p class="note">
           No budget is set. <code>forelight budget set film 250 --per night</code> sets one.
         </p>
       ) : (
         <ul class="budgets">
-          {forecast.budgets.map((budget) => (
+          {budgets.map((budget) => (
             <li key={`${budget.project}-${budget.period}-${budget.from}`}>
               <span>
                 {clean(budget.project)}, per {budget.period === "total" ? "project" : budget.period}

@@ -1,0 +1,100 @@
+// Chromium with the page, rules of accessibility, and screenshots.
+
+import assert from "node:assert/strict";
+import fs from "node:fs";
+import path from "node:path";
+import { createRequire } from "node:module";
+import { chromium } from "playwright-core";
+import { root } from "./farm.mjs";
+
+const axe = fs.readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const shots = path.join(root, "target/dashboard-screenshots");
+fs.rmSync(shots, { recursive: true, force: true });
+fs.mkdirSync(shots, { recursive: true });
+
+export function launch() {
+  return chromium.launch({ executablePath: process.env.CHROMIUM, args: ["--no-sandbox", "--disable-gpu"] });
+}
+
+/** A browser profile of its own, whose scripts' errors and refusals by the page's policy fail the test. */
+export async function visitor(browser) {
+  const context = await browser.newContext({
+    viewport: { width: 1440, height: 900 },
+    timezoneId: "Europe/Berlin",
+    locale: "en-GB",
+  });
+  const page = await context.newPage();
+  page.setDefaultTimeout(30_000);
+  page.faults = [];
+  page.on("pageerror", (error) => page.faults.push(error.stack ?? String(error)));
+  page.on(
+    "console",
+    (message) => /Content Security Policy/.test(message.text()) && page.faults.push(message.text()),
+  );
+  return page;
+}
+
+export function noFaults(page) {
+  assert.deepEqual(page.faults, []);
+}
+
+/** The screens of the page by name, for a farm with these jobs. */
+export function screens(job) {
+  return {
+    tonight: ["#/tonight", ".tonight .summary"],
+    farm: ["#/farm", ".gantt, .farm code"],
+    nodes: ["#/farm?view=list", ".node-table, .farm code"],
+    record: ["#/record", ".record .nights"],
+    submit: ["#/submit", ".drop"],
+    ...(job && {
+      job: [`#/jobs/${job}`, ".strip"],
+      "job-why": [`#/jobs/${job}?tab=why`, ".sentences"],
+      "job-accuracy": [`#/jobs/${job}?tab=ladders`, "[aria-label^=Rungs]"],
+      "job-estimate": [`#/jobs/${job}?tab=estimate`, "[aria-label^='Expected CPU time']"],
+      "job-logs": [`#/jobs/${job}?tab=logs`, ".log"],
+    }),
+  };
+}
+
+/** Shows a screen of the signed-in page, and waits until its content is there. */
+export async function show(page, address, [hash, content]) {
+  await page.goto(`${address}/${hash}`);
+  await page.locator(content).first().waitFor();
+  await page
+    .waitForFunction(() => document.querySelectorAll("main .waiting").length === 0)
+    .catch(() => undefined);
+}
+
+/** Checks the present view with axe in both themes, and keeps what it looks like. */
+export async function inspect(page, name, { phone = false } = {}) {
+  for (const theme of ["light", "dark"]) {
+    await page.emulateMedia({ colorScheme: theme });
+    await page.evaluate(
+      () => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))),
+    );
+    if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(axe);
+    const { violations } = await page.evaluate(() => window.axe.run({ resultTypes: ["violations"] }));
+    const told = violations.map(
+      (one) => `${one.id}: ${one.nodes.map((node) => node.target.join(" ")).join(", ")}`,
+    );
+    assert.deepEqual(told, [], `axe, ${name}, ${theme}`);
+    await page.screenshot({ path: path.join(shots, `${name}-${theme}.png`), fullPage: true });
+    if (phone) {
+      await page.setViewportSize({ width: 390, height: 844 });
+      await page.waitForTimeout(150);
+      const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+      assert.ok(over <= 0, `${name} is ${over} pixels wider than a phone`);
+      await page.screenshot({ path: path.join(shots, `${name}-${theme}-phone.png`), fullPage: true });
+      await page.setViewportSize({ width: 1440, height: 900 });
+    }
+  }
+  await page.emulateMedia({ colorScheme: "light" });
+}
+
+/** Shows and inspects screens by name. Those that a phone is for are also seen on one. */
+export async function inspectAll(page, address, list, state) {
+  for (const [name, screen] of Object.entries(list)) {
+    await show(page, address, screen);
+    await inspect(page, `${state}-${name}`, { phone: !name.includes("-") });
+  }
+}

@@ -1,0 +1,102 @@
+// Parts of the page that are plain functions.
+
+import assert from "node:assert/strict";
+import fs from "node:fs";
+import path from "node:path";
+import { createRequire } from "node:module";
+import test from "node:test";
+import { root } from "./farm.mjs";
+
+const sources = path.join(root, "services/dashboard/src");
+const { transform } = createRequire(path.join(root, "services/dashboard/package.json"))("esbuild");
+
+/** A module of the page that imports nothing at run time. */
+async function load(file) {
+  const { code } = await transform(fs.readFileSync(path.join(sources, file), "utf8"), {
+    loader: "ts",
+    format: "esm",
+  });
+  return import(`data:text/javascript;base64,${Buffer.from(code).toString("base64")}`);
+}
+
+test("sets of frames are read and written as the API writes them", async () => {
+  const { parseFrames, formatFrames } = await load("ui/frames.ts");
+  for (const text of ["0", "0-47", "0,5,9-12", "3-4,9"]) assert.equal(formatFrames(parseFrames(text)), text);
+  assert.equal(formatFrames([7, 2, 3, 2]), "2-3,7");
+  for (const text of ["", "5-1", "a", "1,,2", "-3", "1-99999999"])
+    assert.equal(parseFrames(text), null, text);
+});
+
+test("amounts keep the digits that tell them apart, and are read back exactly", async () => {
+  const { money, parseMoney, moneyOnAxis } = await load("ui/format.ts");
+  const written = [
+    [0, "0.00"],
+    [12_500_000, "12.50"],
+    [1_900, "0.0019"],
+    [7, "0.000007"],
+    [-1_900, "-0.0019"],
+  ];
+  for (const [micros, text] of written) assert.equal(money(micros), text);
+  assert.deepEqual(["12.50", "12,5", "0.000001", "1e3", "-1", ""].map(parseMoney), [
+    12_500_000,
+    12_500_000,
+    1,
+    null,
+    null,
+    null,
+  ]);
+  assert.notEqual(moneyOnAxis(171_000, 2_000), moneyOnAxis(173_000, 2_000));
+});
+
+test("a probability that is not certain is never written as 0 % or 100 %", async () => {
+  const { percent } = await load("ui/format.ts");
+  assert.deepEqual(
+    [0, 0.004, 0.5, 0.996, 1].map((share) => percent(share)),
+    ["0 %", "< 1 %", "50 %", "> 99 %", "100 %"],
+  );
+});
+
+test("texts of the service lose control characters and marks of direction, and names keep their letters", async () => {
+  const { clean, sentence } = await load("ui/format.ts");
+  assert.equal(clean("a\u0000b\nc\u202ed"), "a␣b␣cd");
+  assert.equal(sentence("no plan can be in time"), "No plan can be in time.");
+  assert.equal(sentence("wall_right, paint: 3 %"), "wall_right, paint: 3 %.");
+});
+
+test("every frame has a cell of its own, within the strip, and is found again under its middle", async () => {
+  const { layOut, cellAt } = await load("screens/job/strip-layout.ts");
+  for (const count of [1, 2, 48, 300, 2_000, 10_000]) {
+    for (const width of [320, 700, 1400]) {
+      const layout = layOut(count, width);
+      assert.ok(
+        layout.perRow * layout.rows >= count && layout.left + layout.perRow * layout.cell[0] <= width + 1e-9,
+        `${count} in ${width}`,
+      );
+      for (const index of [0, count >> 1, count - 1]) {
+        const x = layout.left + ((index % layout.perRow) + 0.5) * layout.cell[0];
+        const y = (Math.floor(index / layout.perRow) + 0.5) * layout.cell[1];
+        assert.equal(cellAt(layout, x, y), index, `${index} of ${count} in ${width}`);
+      }
+    }
+  }
+});
+
+test("coverage counts what was at or below each quantile", async () => {
+  const { batches, groups, wilson } = await load("screens/record/statistics.ts");
+  const quantiles = { mean: 10, p50: 10, p80: 12, p95: 14 };
+  const rows = [9, 11, 13, 15].map((actual, at) => ({
+    cpu_actual: actual,
+    cpu_forecast: quantiles,
+    work_actual: 5,
+    work_forecast: quantiles,
+    finished: `2026-11-25T00:00:0${at}Z`,
+    frame: at,
+    job_id: "a",
+  }));
+  assert.deepEqual(batches(rows, "cpu", 4)[0].shares, [0.25, 0.5, 0.75]);
+  const [group] = groups(rows, "work", () => "film");
+  assert.deepEqual([group.frames, group.shares, group.bias], [4, [1, 1, 1], 1]);
+  const [low, high] = wilson(8, 10);
+  // Wilson's interval of 8 in 10, to three digits.
+  assert.deepEqual([low.toFixed(3), high.toFixed(3)], ["0.490", "0.943"]);
+});
