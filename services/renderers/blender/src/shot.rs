@@ -6,7 +6,7 @@ use crate::installation::Cycles;
 use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_renderer::door::{
     Artefact, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
-    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot,
+    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot, TakenOver,
 };
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -274,6 +274,7 @@ impl Shot for BlenderShot {
             fixed,
             strata,
             blocks,
+            taken_over: TakenOver::default(),
         })
     }
 }

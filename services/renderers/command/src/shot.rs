@@ -7,7 +7,7 @@ use crate::template::Values;
 use forelight_renderer::door::{
     Artefact, Capabilities, Common, Cost, Description, FixedCosts, FrameCounts, Limits, Measured, Part,
     PieceCost, PixelCount, Region, Rendered, Renderer as _, RendererError, Run, Settings, SettingsError,
-    Shot,
+    Shot, TakenOver,
 };
 use forelight_renderer::process::{Program, run};
 use serde_json::Value;
@@ -298,6 +298,7 @@ impl Shot for CommandShot {
             fixed: FixedCosts::new(),
             strata: Vec::new(),
             blocks: None,
+            taken_over: TakenOver::default(),
         })
     }
 }
