@@ -2,9 +2,10 @@
 
 use anyhow::{Context, Result};
 use forelight_renderer::door::{Cost, FixedCosts, Rendered, RendererId, Run, Settings};
+use forelight_renderer_own::png;
 use forelight_terminal::atomic_file::{self, write_bytes, write_with};
 use forelight_terminal::failure::BadInput;
-use forelight_terminal::foreign::{Foreign, OwnSetting};
+use forelight_terminal::foreign::{Foreign, OwnSetting, is_radiance};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
@@ -37,15 +38,33 @@ struct Stats<'a> {
     fixed_nanos: &'a FixedCosts,
 }
 
+/// Refuses an image file of a kind that the renderer does not write.
+fn check_out(scene: &Path, out: &Path) -> Result<()> {
+    let is = |kinds: &[&str]| {
+        out.extension().is_some_and(|end| kinds.iter().any(|kind| end.eq_ignore_ascii_case(kind)))
+    };
+    if is_radiance(scene) {
+        if is(&["exr", "hdr", "png"]) {
+            return Ok(());
+        }
+        let reason =
+            format!("--out {}: the image of this scene is an .exr, .hdr or .png file", out.display());
+        return Err(BadInput::new(reason).hint("name a file that ends in .exr, .hdr or .png").into());
+    }
+    if is(&["exr"]) {
+        return Ok(());
+    }
+    let reason = format!("--out {}: the image of a .blend file is a multi-layer .exr file", out.display());
+    Err(BadInput::new(reason).hint("name a file that ends in .exr").into())
+}
+
+fn is_same_kind(one: &Path, other: &Path) -> bool {
+    one.extension().zip(other.extension()).is_some_and(|(one, other)| one.eq_ignore_ascii_case(other))
+}
+
 /// Renders the frame, and writes its image and cost.
 pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
-    if let Some(out) =
-        asked.out.filter(|out| !out.extension().is_some_and(|end| end.eq_ignore_ascii_case("exr")))
-    {
-        let reason =
-            format!("--out {}: the image of a .blend file is a multi-layer .exr file", out.display());
-        return Err(BadInput::new(reason).hint("name a file that ends in .exr").into());
-    }
+    asked.out.map_or(Ok(()), |out| check_out(asked.scene, out))?;
     atomic_file::check([asked.out, asked.stats])?;
     let bars = Bars::new(asked.json);
     let foreign = Foreign::open(asked.scene, asked.machine, &bars, interrupt)?;
@@ -56,9 +75,16 @@ pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     let run = Run { progress: &progress, ..foreign.run(interrupt) };
     let rendered = foreign.shot.render(frame, &settings, &[], &run);
     bar.finish_and_clear();
-    let Rendered { files, cost, fixed, .. } = rendered?;
-    if let (Some(out), Some(image)) = (asked.out, files.first()) {
-        write_with(out, |to| std::fs::copy(image, to).map(drop).context("cannot copy the image"))?;
+    let Rendered { files, picture, cost, fixed, .. } = rendered?;
+    if let Some(out) = asked.out {
+        let same_kind = files.iter().find(|file| is_same_kind(file, out));
+        match (same_kind.or(files.first()), picture) {
+            (_, Some(picture)) if same_kind.is_none() => write_bytes(out, &png(&picture)?)?,
+            (Some(image), _) => {
+                write_with(out, |to| std::fs::copy(image, to).map(drop).context("cannot copy the image"))?
+            }
+            (None, _) => {}
+        }
     }
     let Cost { cpu_nanos, wall_nanos, peak_memory_bytes, .. } = cost;
     let stats = Stats {
