@@ -44,15 +44,15 @@ pub trait PixelProfiler {
     /// What every pixel shows, in rows from the top.
     fn shown(&self) -> &[Shown];
 
-    /// Renders pixels (indices in rows from the top, each once over all steps), and returns their costs in the
-    /// same order.
+    /// Renders pixels (indices in rows from the top, each once over all steps), and returns their costs in
+    /// the same order.
     ///
     /// # Errors
     /// If the renderer fails or the run is stopped.
     fn measure(&mut self, pixels: &[u32]) -> Result<Vec<PixelCost>, RendererError>;
 
-    /// Renders runs of neighbouring pixels, each in one go, as a render does. So many of the first pixels of a
-    /// run only bring the scene's data into the processor's caches; the costs are sums over the
+    /// Renders runs of neighbouring pixels, each in one go, as a render does. So many of the first pixels of
+    /// a run only bring the scene's data into the processor's caches; the costs are sums over the
     /// others. Pixels are not among those of [`measure`](Self::measure).
     ///
     /// # Errors

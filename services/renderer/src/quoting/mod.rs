@@ -34,9 +34,9 @@ pub struct Measurement {
     pub artefacts: Vec<Artefact>,
 }
 
-/// Measures parts of a frame, by what the renderer can do: a few samples, or smaller images, or regions. If it
-/// can do none of these, the whole frame is measured. `turn` is the number of frames that are measured before
-/// this one.
+/// Measures parts of a frame, by what the renderer can do: a few samples, or smaller images, or regions. If
+/// it can do none of these, the whole frame is measured. `turn` is the number of frames that are measured
+/// before this one.
 ///
 /// # Errors
 /// If the renderer fails or the run is stopped.

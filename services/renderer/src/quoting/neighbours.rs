@@ -1,8 +1,8 @@
 //! Neighbours of profiled pixels, whose time is that of pixels in a render.
 //!
-//! A scattered pixel finds the scene's data outside of the processor's caches. In a render, its neighbours have
-//! just used the same data. So a few blocks of neighbours are traced in one run each. The first pixels of a block
-//! warm the caches, and the rest show the time.
+//! A scattered pixel finds the scene's data outside of the processor's caches. In a render, its neighbours
+//! have just used the same data. So a few blocks of neighbours are traced in one run each. The first pixels
+//! of a block warm the caches, and the rest show the time.
 
 use std::collections::BTreeSet;
 

@@ -106,10 +106,10 @@ fn observe(profiler: &mut dyn PixelProfiler, picks: &[Pick]) -> Result<Vec<Pixel
     Ok(costs)
 }
 
-/// Measures blocks of neighbours of some picks, and brings the CPU times of all picks to those of a render. Each
-/// block's time per ray is compared with that of the pick amid it. Blocks are drawn in proportion to the time that
-/// their pick represents, so the mean of these ratios is that of all pixels. `counts` are the frame's pixels by
-/// the picks' strata.
+/// Measures blocks of neighbours of some picks, and brings the CPU times of all picks to those of a render.
+/// Each block's time per ray is compared with that of the pick amid it. Blocks are drawn in proportion to the
+/// time that their pick represents, so the mean of these ratios is that of all pixels. `counts` are the
+/// frame's pixels by the picks' strata.
 fn measure_neighbours(
     profiler: &mut dyn PixelProfiler,
     settings: &Settings,

@@ -64,8 +64,8 @@ pub(crate) fn as_spent(cpu_nanos: u64) -> Spent {
 /// Numbers of object and material of a pixel, as the wire has them. `None`: the background.
 type Key = fn(Option<u32>, Option<u32>) -> Option<(u32, u32)>;
 
-/// How pixels are numbered. Those without object and material are the background if the renderer knows objects
-/// or materials. Otherwise nobody knows what they are, and they are a stratum like any other.
+/// How pixels are numbered. Those without object and material are the background if the renderer knows
+/// objects or materials. Otherwise nobody knows what they are, and they are a stratum like any other.
 fn key(description: &Description) -> Key {
     if description.objects.is_some() || description.materials.is_some() {
         stratum_key
