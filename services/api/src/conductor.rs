@@ -39,7 +39,7 @@ use forelight_quote::{
     Limit, Measured, MeasuredProfile, Most, Quote, QuoteBasis, QuoteError, QuoteKind, SharedCacheToBuild,
     Spreads, frames_to_profile, is_shared_cache_worth_planning, quote, quote_sampled,
 };
-use forelight_store::{PlannedCache, Store, StoreError};
+use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 
 use self::job_profile::JobProfile;
 use crate::clock::Clock;
@@ -137,19 +137,38 @@ impl Conductor {
     async fn forecast_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
         match &job.settings {
             JobSettings::Own(settings) => self.forecast_pixels_and_book(job, settings).await,
-            JobSettings::Shot(_) => self.forecast_samples_and_book(job).await,
+            JobSettings::Shot(_) => self.forecast_shot_and_book(job).await,
         }
     }
 
-    /// Books a job of another renderer, which was measured as a few frames at few samples.
-    async fn forecast_samples_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
-        let Some(profiles) = self.store.sampled_profiles(job.id).await? else { return Ok(()) };
+    /// Books a job of another renderer, which was measured as a few frames at few samples, or by a few pixels
+    /// of a few frames.
+    async fn forecast_shot_and_book(&self, job: &Job) -> Result<(), AdvanceError> {
+        let Some(profiles) = self.store.shot_profiles(job.id).await? else { return Ok(()) };
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
-        let kind = profiles.first().map(|profile| QuoteKind::of_renderer(&profile.result.renderer));
+        let kind = match &profiles {
+            ShotProfiles::Samples(profiles) => {
+                profiles.first().map(|profile| QuoteKind::of_renderer(&profile.result.renderer))
+            }
+            ShotProfiles::Pixels(profiles) => profiles
+                .first()
+                .and_then(|(result, _)| result.renderer.as_ref())
+                .map(|renderer| QuoteKind::of_pixels(renderer)),
+        };
         let experience = self.experience(kind.as_ref()).await?;
+        let spp = job.settings.samples().unwrap_or(1);
         let quote = compute(move || {
             let corrections = experience.corrections();
-            Ok(quote_sampled(&preview, &profiles, corrections.as_ref())?)
+            Ok(match profiles {
+                ShotProfiles::Samples(profiles) => quote_sampled(&preview, &profiles, corrections.as_ref())?,
+                ShotProfiles::Pixels(profiles) => {
+                    let profiles = profiles.into_iter();
+                    let profiles: Vec<MeasuredProfile> = profiles
+                        .map(|(result, speed)| MeasuredProfile::of_renderer(result, speed, spp))
+                        .collect();
+                    Measured::new(&preview, &profiles).quote(corrections.as_ref())?
+                }
+            })
         })
         .await?;
         let basis = kind.map(|kind| quote.basis(kind));

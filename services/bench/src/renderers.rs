@@ -9,7 +9,7 @@ use crate::statistics::{mean_absolute, median, relative_error};
 use anyhow::{Context, Result};
 use forelight_protocol::{FrameSet, Quantiles};
 use forelight_renderer::door::{Cost, Rendered, RendererId, Settings};
-use forelight_renderer::{ShotQuote, quote_shot};
+use forelight_renderer::{ShotQuote, Wanted, quote_shot};
 use forelight_terminal::atomic_file;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::foreign::{Foreign, OwnSetting, own_setting};
@@ -28,11 +28,12 @@ use std::path::{Path, PathBuf};
 Examples:
   forelight bench renderers kitchen.blend --frames 0 --samples 64,256 --seeds 5
   forelight bench renderers hall.blend --frames 0-47 --samples 32 --seeds 1
+  forelight bench renderers hall.rif --frames 1 --pixels 256 --seeds 30 --set ambient_accuracy=0
   forelight bench renderers hall.blend --frames 0 --samples 64 --set adaptive_sampling=true --set noise_threshold=0.1
 
 Costs are CPU time, so nothing else should run on the machine. Every frame is rendered once for each seed.")]
 pub struct Args {
-    /// Scenes of other renderers, such as .blend files
+    /// Scenes of other renderers, such as .blend and .rif files
     #[arg(required = true)]
     scenes: Vec<PathBuf>,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
@@ -47,6 +48,9 @@ pub struct Args {
     /// Largest number of frames to measure [default: 5]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u32).range(1..=1000))]
     profile_frames: Option<u32>,
+    /// Pixels to profile in each measured frame, if the renderer measures single pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pixels: u32,
     /// Change a setting of the scene, such as adaptive_sampling=false. May be repeated
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
     own: Vec<OwnSetting>,
@@ -140,8 +144,9 @@ fn measure(
         let mut settings = settings.clone();
         settings.common.seed = settings.common.seed.wrapping_add(seed);
         let shot = (foreign.renderer.id(), &*foreign.shot);
-        let most = args.profile_frames.map(|most| most as usize);
-        let quote = quote_shot(shot, (&name, digest), &frames, &settings, most, &|_| {}, &run)?;
+        let frames_at_most = args.profile_frames.map(|most| most as usize);
+        let wanted = Wanted { frames: frames_at_most, samples: args.pixels, seed: u64::from(seed) };
+        let quote = quote_shot(shot, (&name, digest), &frames, &settings, wanted, &|_| {}, &run)?;
         bar.inc(1);
         let mut rendered = Vec::with_capacity(frames.len());
         for &frame in &frames {
@@ -163,7 +168,8 @@ fn measure(
 
 fn trial(seed: u32, quote: &ShotQuote, rendered: Vec<f64>) -> Trial {
     let shares = quote.measured.iter().flat_map(|frame| &frame.result.shares);
-    for artefact in quote.measured.iter().flat_map(|frame| &frame.artefacts) {
+    let of_pixels = quote.profiled.iter().map(|profile| &profile.artefact);
+    for artefact in quote.measured.iter().flat_map(|frame| &frame.artefacts).chain(of_pixels) {
         // It is not used here, and a file that cannot be removed only takes space.
         let _ = std::fs::remove_file(&artefact.path);
     }
@@ -174,7 +180,10 @@ fn trial(seed: u32, quote: &ShotQuote, rendered: Vec<f64>) -> Trial {
         measured: quote.document.profiled.frames.clone(),
         frames: quote.document.frames.iter().map(|frame| frame.cpu_seconds.mean).collect(),
         spent_cpu_seconds: quote.document.spent.cpu_seconds,
-        taken_over_cpu_seconds: shares.map(|share| share.cpu_nanos as f64 * 1e-9).sum(),
+        taken_over_cpu_seconds: (shares.map(|share| share.cpu_nanos).sum::<u64>()
+            + quote.profiled.iter().map(|profile| profile.taken_over_nanos).sum::<u64>())
+            as f64
+            * 1e-9,
         rendered,
     }
 }

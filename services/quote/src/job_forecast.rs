@@ -105,6 +105,11 @@ impl QuoteKind {
         Self { renderer: renderer.to_string(), feature_class: "samples".to_owned() }
     }
 
+    /// The kind of a quote from profiled pixels of another renderer.
+    pub fn of_pixels(renderer: &str) -> Self {
+        Self { renderer: renderer.to_owned(), feature_class: "pixels".to_owned() }
+    }
+
     /// The kind of a quote from these profiles. `None` if they name no renderer, or several.
     pub fn of(profiles: &[MeasuredProfile], settings: &RenderSettings) -> Option<Self> {
         let mut renderers = profiles.iter().map(|profile| profile.result.renderer.as_ref());

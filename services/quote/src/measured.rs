@@ -1,7 +1,7 @@
 //! Input of a quote: what workers measured of a shot.
 
 use forelight_forecast::{Expansion, Strategy};
-use forelight_protocol::{CachePlanResult, PreviewResult, ProfileResult};
+use forelight_protocol::{CachePlanResult, PreviewResult, ProfileResult, Spent, at_speed_one};
 
 /// The profile of a frame, and what is needed to read its costs.
 #[derive(Clone, PartialEq, Debug)]
@@ -21,6 +21,18 @@ impl MeasuredProfile {
     /// A profile whose pixels were chosen by [`Strategy::Snapshot`], as always on a farm.
     pub fn new(result: ProfileResult, node_speed: f64, spp: u32) -> Self {
         Self { result, node_speed, spp, expansion: Expansion::Groups }
+    }
+}
+
+impl MeasuredProfile {
+    /// A profile by a renderer that counts no work. Its work is CPU time in microseconds, on a node of speed 1.
+    pub fn of_renderer(mut result: ProfileResult, node_speed: f64, spp: u32) -> Self {
+        let work = |cpu_nanos: u64| at_speed_one(cpu_nanos, node_speed) / 1000;
+        result.samples.iter_mut().for_each(|sample| sample.work = work(sample.cpu_nanos));
+        let spent = |Spent { cpu_nanos, .. }: Spent| Spent { work: work(cpu_nanos), cpu_nanos };
+        result.fixed.build = spent(result.fixed.build);
+        result.spent = spent(result.spent);
+        Self::new(result, node_speed, spp)
     }
 }
 

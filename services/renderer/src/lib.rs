@@ -25,6 +25,8 @@ pub use files::{Files, artifact_name};
 pub use memory::{peak_rss_bytes, resident_bytes};
 pub use open_shots::OpenShots;
 pub use quoting::{
-    Measurement, QuotingError, QuotingStep, ShotQuote, measure_frame, preview_result, quote_shot,
+    Measurement, PixelChoice, PixelProfile, QuotingError, QuotingStep, ShotQuote, WARMING_SHARE, Wanted,
+    free_neighbours, measure_frame, middle_mean, preview_result, profile_pixels, proportional_sites,
+    quote_shot, sites,
 };
 pub use tasks::{Renderers, scene_digest, scene_name};

@@ -1,13 +1,18 @@
 //! Tasks of the farm for a renderer behind the door: previews, profiles and renders.
 
 use crate::door::{
-    Artefact, BlockCosts, Cost, Limits, Part, Rendered, Renderer, RendererError, RendererId, Run, Settings,
-    Shot,
+    Artefact, BlockCosts, Capability, Cost, Limits, Part, Rendered, Renderer, RendererError, RendererId, Run,
+    Settings, Shot, TakenOver,
 };
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::files::Files;
 use crate::open_shots::OpenShots;
-use crate::quoting::{Measurement, as_spent, measure_frame, own_number, preview_result};
+use crate::quoting::{
+    Measurement, PixelChoice, PixelProfile, as_spent, measure_frame, own_number, preview_result,
+    profile_pixels,
+};
+use bytes::Bytes;
+use forelight_forecast::Strategy;
 use forelight_pictures::{cost_map, tone_map};
 use forelight_protocol::{
     LogLevel, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderResult, RenderSpec, RenderStats,
@@ -129,6 +134,9 @@ impl Task<'_> {
     }
 
     fn measure(&self, spec: &ProfileSpec) -> Result<Outcome, RendererError> {
+        if self.open.shot.capabilities(&self.settings).contains(&Capability::MeasurePixels) {
+            return self.profile(spec);
+        }
         let frame = (spec.frame, u32::try_from(spec.phase_seed).unwrap_or(0));
         let measured = measure_frame(self.renderer, &*self.open.shot, frame, &self.settings, &self.run)?;
         let Measurement { mut result, artefacts } = measured;
@@ -139,11 +147,24 @@ impl Task<'_> {
         Ok(Outcome { result: TaskResult::Measured(result), artifacts: files.contents })
     }
 
+    /// Profiles single pixels.
+    fn profile(&self, spec: &ProfileSpec) -> Result<Outcome, RendererError> {
+        let ProfileSpec { frame, samples, phase_seed: seed, .. } = *spec;
+        let choice = PixelChoice { samples, seed, strategy: Strategy::Snapshot };
+        let shot = &*self.open.shot;
+        let profiled = profile_pixels(self.renderer, shot, frame, &self.settings, choice, &self.run)?;
+        let PixelProfile { mut result, artefact, ids, .. } = profiled;
+        let mut files = Files::default();
+        result.artifacts.profile = files.add(read(&artefact.path)?);
+        result.artifacts.preview_png = ids.map(|ids| png(&ids).map(|bytes| files.add(bytes))).transpose()?;
+        Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
+    }
+
     fn render(&self, spec: &RenderSpec) -> Result<Outcome, RendererError> {
         let number = own_number(spec.frame)?;
         let taken_over = self.taken_over(spec, number)?;
         let rendered = self.open.shot.render(number, &self.settings, &taken_over, &self.run)?;
-        let Rendered { files, picture, ids, cost, blocks, .. } = rendered;
+        let Rendered { files, picture, ids, cost, blocks, taken_over, .. } = rendered;
         let image =
             files.first().ok_or_else(|| RendererError::Answer("the render has no file".to_owned()))?;
         let mut kept = Files::default();
@@ -153,30 +174,30 @@ impl Task<'_> {
             cost_map_png: kept.add(png(&self.cost_map(blocks.as_ref()))?),
             preview_png: ids.as_ref().map(|ids| png(ids).map(|bytes| kept.add(bytes))).transpose()?,
         };
-        let stats = self.stats(spec, &cost);
+        let stats = self.stats(spec, &cost, taken_over);
         Ok(Outcome {
             result: TaskResult::Render(RenderResult { stats, artifacts }),
             artifacts: kept.contents,
         })
     }
 
-    /// The shares that the task names, as files.
+    /// The shares and pixels that the task names, as files.
     fn taken_over(&self, spec: &RenderSpec, frame: i32) -> Result<Vec<Artefact>, RendererError> {
-        let shares = spec.shares.iter().zip(&self.assignment.shares);
-        shares
-            .map(|(share, bytes)| {
-                let path = self.run.scratch.join(format!("taken-over-{}.exr", share.offset));
-                fs::write(&path, bytes).map_err(RendererError::io(&path))?;
-                let part = Part::Samples { offset: share.offset, count: share.count };
-                Ok(Artefact {
-                    renderer: self.renderer.clone(),
-                    frame,
-                    settings: self.settings.clone(),
-                    part,
-                    path,
-                })
-            })
-            .collect()
+        let artefact = |name: String, bytes: &Bytes, part: Part| {
+            let path = self.run.scratch.join(name);
+            fs::write(&path, bytes).map_err(RendererError::io(&path))?;
+            let (renderer, settings) = (self.renderer.clone(), self.settings.clone());
+            Ok(Artefact { renderer, frame, settings, part, path })
+        };
+        let shares = spec.shares.iter().zip(&self.assignment.shares).map(|(share, bytes)| {
+            let part = Part::Samples { offset: share.offset, count: share.count };
+            artefact(format!("taken-over-{}.exr", share.offset), bytes, part)
+        });
+        let pixels = self.assignment.profile.iter();
+        // The file says which pixels it holds.
+        let pixels =
+            pixels.map(|bytes| artefact("taken-over-pixels".to_owned(), bytes, Part::Pixels(Vec::new())));
+        shares.chain(pixels).collect()
     }
 
     /// The cost of each pixel as a colour, block by block. One colour if the renderer does not know.
@@ -193,8 +214,9 @@ impl Task<'_> {
     }
 
     /// The cost of the whole frame: of this render, and of what it took over.
-    fn stats(&self, spec: &RenderSpec, cost: &Cost) -> RenderStats {
-        let reused = as_spent(spec.shares.iter().map(|share| share.cpu_nanos).sum());
+    fn stats(&self, spec: &RenderSpec, cost: &Cost, taken_over: TakenOver) -> RenderStats {
+        let of_shares: u64 = spec.shares.iter().map(|share| share.cpu_nanos).sum();
+        let reused = as_spent(of_shares + taken_over.cpu_nanos);
         let whole = as_spent(cost.cpu_nanos).plus(reused);
         RenderStats {
             frame: spec.frame,
@@ -214,7 +236,7 @@ impl Task<'_> {
             once: None,
             wall_seconds: cost.wall_nanos as f64 * 1e-9,
             peak_rss_bytes: cost.peak_memory_bytes,
-            reused_pixels: 0,
+            reused_pixels: taken_over.pixels,
             reused_rays: 0,
             reused_work: reused.work,
             reused_cpu_seconds: reused.cpu_nanos as f64 * 1e-9,

@@ -6,7 +6,7 @@ use forelight_renderer::door::{
     Artefact, Capabilities, Capability, Common, Cost, Description, FixedCosts, FrameCounts, Frames, Limits,
     Measured, Part, PieceCost, PixelCount, Region, Rendered, RendererError, Run, Settings, Shot,
 };
-use forelight_renderer::{ShotQuote, quote_shot};
+use forelight_renderer::{ShotQuote, Wanted, quote_shot};
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
@@ -68,7 +68,8 @@ impl Known {
         let frames: Vec<u32> = (0..24).collect();
         let id = RendererId { name: "known".to_owned(), version: "1".to_owned() };
         let (of, settings) = (("shot", SceneDigest([0; 32])), &self.description.settings);
-        quote_shot((&id, self), of, &frames, settings, Some(5), &|_| {}, &run).unwrap()
+        let wanted = Wanted { frames: Some(5), ..Wanted::default() };
+        quote_shot((&id, self), of, &frames, settings, wanted, &|_| {}, &run).unwrap()
     }
 }
 

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use forelight_protocol::{
     ArtifactHash, Described, Event, EventKind, FrameCost, JobId, JobState, LeaseId, MeasuredShare, Node,
-    PreviewResult, ProfileSpec, RenderResult, RendererRequest, TaskId, TaskKind, TaskResult, TaskSpec,
-    Timestamp,
+    PreviewResult, ProfileResult, ProfileSpec, RenderResult, RendererRequest, TaskId, TaskKind, TaskResult,
+    TaskSpec, Timestamp,
 };
 use forelight_quote::{MeasuredProfile, SampledProfile};
 use sqlx::FromRow;
@@ -22,6 +22,15 @@ use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::tasks::Finished;
 use crate::writing::{ask, later};
+
+/// Profiles of a job of another renderer, by frame.
+#[derive(Clone, PartialEq, Debug)]
+pub enum ShotProfiles {
+    /// Frames at few samples, or parts of frames.
+    Samples(Vec<SampledProfile>),
+    /// Single pixels: each result, and the speed of the node that measured it.
+    Pixels(Vec<(ProfileResult, f64)>),
+}
 
 /// The outcome of committing a result.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -163,7 +172,7 @@ impl Store {
     }
 
     /// The job's profiles by another renderer, by frame; `None` while any is missing.
-    pub async fn sampled_profiles(&self, job: JobId) -> Result<Option<Vec<SampledProfile>>> {
+    pub async fn shot_profiles(&self, job: JobId) -> Result<Option<ShotProfiles>> {
         let rows = sqlx::query!(
             r#"SELECT r.body AS "body?: Json<TaskResult>", l.node_speed AS "node_speed?"
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id LEFT JOIN leases l ON l.id = r.lease_id
@@ -172,11 +181,14 @@ impl Store {
         )
         .fetch_all(self.readers())
         .await?;
-        let mut profiles = Vec::with_capacity(rows.len());
+        let (mut samples, mut pixels) = (Vec::new(), Vec::new());
         for row in rows {
             match (row.body, row.node_speed) {
                 (Some(Json(TaskResult::Measured(result))), Some(node_speed)) => {
-                    profiles.push(SampledProfile { result, node_speed })
+                    samples.push(SampledProfile { result, node_speed })
+                }
+                (Some(Json(TaskResult::Profile(result))), Some(node_speed)) => {
+                    pixels.push((result, node_speed))
                 }
                 (Some(_), _) => {
                     return Err(corrupt("body", "a profile by another renderer has another result"));
@@ -184,7 +196,11 @@ impl Store {
                 (None, _) => return Ok(None),
             }
         }
-        Ok(Some(profiles))
+        match (samples.is_empty(), pixels.is_empty()) {
+            (_, true) => Ok(Some(ShotProfiles::Samples(samples))),
+            (true, false) => Ok(Some(ShotProfiles::Pixels(pixels))),
+            (false, false) => Err(corrupt("body", "some frames have profiled pixels and others samples")),
+        }
     }
 
     /// What the profiles of a job have finished of their frames, by frame.

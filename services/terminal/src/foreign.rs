@@ -1,5 +1,5 @@
-//! Scenes of other renderers on this machine: `.blend` files, rendered by Blender Cycles, and scenes of programs that a
-//! `.command.toml` file describes.
+//! Scenes of other renderers on this machine: `.blend` files, rendered by Blender Cycles, `.rif` files and
+//! octrees, rendered by Radiance, and scenes of programs that a `.command.toml` file describes.
 
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
@@ -13,6 +13,7 @@ use forelight_renderer::door::{Description, Limits, Renderer, RendererError, Run
 use forelight_renderer::{scene_digest, scene_name};
 use forelight_renderer_blender::Cycles;
 use forelight_renderer_command::{EXTENSION, open_command};
+use forelight_renderer_radiance::Radiance;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -35,6 +36,10 @@ pub fn installed(commands: &[PathBuf]) -> Result<Installed> {
         Ok(cycles) => found.renderers.push(Box::new(cycles)),
         Err(reason) => found.missing.push(reason),
     }
+    match Radiance::find() {
+        Ok(radiance) => found.renderers.push(Box::new(radiance)),
+        Err(reason) => found.missing.push(reason),
+    }
     for path in commands {
         let command = open_command(path).map_err(|error| BadInput::new(error.to_string()))?;
         if found.renderers.iter().any(|other| other.id().name == command.id().name) {
@@ -52,6 +57,9 @@ fn renderer_of(scene: &Path) -> Result<Box<dyn Renderer>> {
     if is_command_file(scene) {
         let command = open_command(scene).map_err(|error| BadInput::new(error.to_string()))?;
         return Ok(Box::new(command));
+    }
+    if is_radiance(scene) {
+        return Ok(Box::new(Radiance::find()?));
     }
     Ok(Box::new(Cycles::find()?))
 }
@@ -76,7 +84,12 @@ pub fn own_setting() -> impl TypedValueParser<Value = OwnSetting> {
 
 /// Whether another renderer opens this scene.
 pub fn is_foreign(scene: &Path) -> bool {
-    is_blend(scene) || is_command_file(scene)
+    is_blend(scene) || is_radiance(scene) || is_command_file(scene)
+}
+
+/// Whether the scene is one of Radiance: a file of `rad`, or an octree.
+pub fn is_radiance(scene: &Path) -> bool {
+    scene.extension().is_some_and(|end| ["rif", "oct"].iter().any(|known| end.eq_ignore_ascii_case(known)))
 }
 
 /// Whether the scene is a Blender file.

@@ -177,6 +177,78 @@ async fn a_result_of_another_renderer_that_does_not_fit_is_refused_with_the_plac
     farm.finish(&profile).await;
 }
 
+/// All 64 pixels of a frame: 48 of a surface, and 16 of the background. `work` is what the renderer states for each;
+/// it is ignored.
+async fn profiled_pixels(farm: &Farm, profile: &Lease, work: u64) -> Value {
+    let frame = u64::from(profile.spec.frame().unwrap());
+    let sample = |pixel: u64| {
+        let nanos = if pixel < 48 { 1_000_000 + 10_000 * frame } else { 10_000 };
+        let stratum = u64::from(pixel >= 48);
+        json!({"pixel": pixel, "stratum": stratum, "work": work, "cpu_nanos": nanos, "rays": [1, 2, 0, 0, 0, 0, 0]})
+    };
+    let file = farm.artifact(format!("pixels of {frame}").as_bytes()).await;
+    let none = json!({"work": 0, "cpu_nanos": 0});
+    json!({"profile": {
+        "frame": frame,
+        "strata": [{"name": {"object": "quad", "material": "paint"}, "object": 0, "material": 0, "prior_cost": 1.0}],
+        "samples": (0..64).map(sample).collect::<Vec<_>>(),
+        "renderer": another_renderer().to_string(),
+        "fixed": {"load": none, "build": {"work": work, "cpu_nanos": 5_000_000}, "plan": none,
+            "plan_rays": [0, 0, 0, 0, 0, 0, 0], "write": none},
+        "spent": {"work": work, "cpu_nanos": 60_000_000},
+        "artifacts": {"profile": file},
+    }})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_renderer_that_measures_single_pixels_is_quoted_by_them_and_takes_them_over() {
+    let farm = Farm::new().await;
+    let job = submitted(&farm).await;
+    let node = with_renderer(&farm, "node").await;
+    farm.finish(&farm.next_task(&node).await).await;
+    let mut profiled = Vec::new();
+    for _ in 0..3 {
+        let profile = farm.next_task(&node).await;
+        let good = profiled_pixels(&farm, &profile, 7).await;
+        for (pointer, value) in [
+            ("/profile/renderer", json!("cycles 4.5")),
+            ("/profile/renderer", Value::Null),
+            ("/profile/samples/3/pixel", json!(64)),
+            ("/profile/samples", json!([])),
+            ("/profile/effects", json!(["ambient"])),
+        ] {
+            refused_or_added(&farm, &profile, &good, pointer, value).await;
+        }
+        profiled.push(profile.spec.frame().unwrap());
+        let result = serde_json::from_value(good).unwrap();
+        assert_eq!(farm.report(&profile, result).await.status(), StatusCode::OK);
+    }
+    let first = farm.next_task(&node).await;
+    let TaskSpec::Render(render) = &first.spec else { panic!("{first:?}") };
+    assert_eq!(render.profile.is_some(), profiled.contains(&render.frame));
+    let quote: ForecastDoc =
+        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    for FrameForecast { frame, cpu_seconds, work, rays, .. } in &quote.frames {
+        let truth = 0.005 + 48.0 * (0.001 + 0.000_01 * f64::from(*frame)) + 16.0 * 0.000_01;
+        assert!((cpu_seconds.mean / truth - 1.0).abs() < 0.01, "frame {frame}: {cpu_seconds:?}, {truth}");
+        assert!((work.mean / cpu_seconds.mean / 1e6 - 1.0).abs() < 1e-3, "{work:?} {cpu_seconds:?}");
+        assert!((rays.shadow.mean - 128.0).abs() < 1e-6, "{rays:?}");
+    }
+    farm.finish(&first).await;
+    assert_eq!(farm.work_off(&node, &job).await.state, JobState::Done);
+}
+
+/// As [`refused`], also for a field that is absent.
+async fn refused_or_added(farm: &Farm, lease: &Lease, good: &Value, pointer: &str, value: Value) {
+    let mut with = good.clone();
+    let (parent, name) = pointer.rsplit_once('/').unwrap();
+    let parent = with.pointer_mut(parent).unwrap();
+    if parent.is_object() {
+        parent.as_object_mut().unwrap().entry(name).or_insert(Value::Null);
+    }
+    refused(farm, lease, &with, pointer, value).await;
+}
+
 /// Asserts that a result with this change is refused, and that the error names the place.
 async fn refused(farm: &Farm, lease: &Lease, good: &Value, pointer: &str, value: Value) {
     let mut wrong = good.clone();

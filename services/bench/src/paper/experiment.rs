@@ -13,7 +13,20 @@ use forelight_terminal::output::Bars;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Measures and forecasts the frame, and adds its figures, below `folder`, to `files`.
+/// What is forecast, and how often.
+pub struct Asked<'a> {
+    pub name: String,
+    /// Renderer of the frame. `None`: our own.
+    pub renderer: Option<String>,
+    pub frame: u32,
+    pub size: u32,
+    pub gather_rays: u32,
+    pub samples: u32,
+    pub seeds: u32,
+    pub pool: &'a rayon::ThreadPool,
+}
+
+/// Measures and forecasts the frame with our own renderer, and adds its figures, below `folder`, to `files`.
 pub fn study(
     task: Task<'_>,
     folder: &str,
@@ -28,8 +41,22 @@ pub fn study(
             .check()
             .map_err(|wrong| BadInput::new(format!("--size or --gather-rays: {}", wrong.reason)))?;
     }
-    let (seen, truths) = task.measure(bars, interrupt)?;
-    let trials = Trials { task, seen: &seen, interrupt };
+    let measured = task.measure(bars, interrupt)?;
+    let (name, pool) = (local.shot.info().summary.name.clone(), &local.pool);
+    let asked = Asked { name, renderer: None, frame, size, gather_rays, samples, seeds, pool };
+    forecasts(asked, measured, folder, files, bars, interrupt)
+}
+
+/// Forecasts a frame whose costs are known, and adds its figures, below `folder`, to `files`.
+pub fn forecasts(
+    asked: Asked<'_>,
+    (seen, truths): (Seen, Vec<Truth>),
+    folder: &str,
+    files: &mut Vec<File>,
+    bars: &Bars,
+    interrupt: &Interrupt,
+) -> Result<Study> {
+    let trials = Trials { asked: &asked, seen: &seen, interrupt };
     let steps = 2 * truths.len();
     let bar = bars.bar("forecasts", (steps * Strategy::ALL.len()) as u64);
     let done = || bar.inc(1);
@@ -45,12 +72,14 @@ pub fn study(
         }
     }
     bar.finish_and_clear();
-    files.extend(figures::of(Path::new(folder), &seen, &truths, &curves, size, samples)?);
+    files.extend(figures::of(Path::new(folder), &seen, &truths, &curves, asked.size, asked.samples)?);
     let mut shown = seen.ids.clone();
     shown.sort_unstable();
     shown.dedup();
+    let Asked { name, renderer, frame, size, gather_rays, samples, seeds, .. } = asked;
     Ok(Study {
-        bundle: local.shot.info().summary.name.clone(),
+        bundle: name,
+        renderer,
         frame,
         size,
         samples,
@@ -63,7 +92,7 @@ pub fn study(
 }
 
 struct Trials<'a> {
-    task: Task<'a>,
+    asked: &'a Asked<'a>,
     seen: &'a Seen,
     interrupt: &'a Interrupt,
 }
@@ -81,27 +110,27 @@ impl Trials<'_> {
             if self.interrupt.is_set() {
                 return Err(Interrupted.into());
             }
-            trial::forecast(strategy, records, (self.seen, truth), self.task.size, samples, seed.into())
+            trial::forecast(strategy, records, (self.seen, truth), self.asked.size, samples, seed.into())
         };
-        self.task.local.pool.install(|| (0..self.task.seeds).into_par_iter().map(one).collect())
+        self.asked.pool.install(|| (0..self.asked.seeds).into_par_iter().map(one).collect())
     }
 
     fn at(&self, truth: &Truth, done: &dyn Fn()) -> Result<LevelStudy> {
         let actual = Columns::of(&truth.total());
         let outcome = |strategy, records| -> Result<Outcome> {
-            let forecasts = self.all(strategy, records, truth, self.task.samples)?;
+            let forecasts = self.all(strategy, records, truth, self.asked.samples)?;
             Ok(Outcome::new(strategy, records, &forecasts, actual))
         };
         let mut outcomes = Vec::with_capacity(Strategy::ALL.len());
         let mut planned = Vec::new();
         for strategy in Strategy::ALL {
             outcomes.push(outcome(strategy, Records::of(strategy))?);
-            if truth.level.is_cached() {
+            if truth.level.is_cached() && truth.has_plan() {
                 planned.push(outcome(strategy, Records::Planned)?);
             }
             done();
         }
-        let Task { size, samples, .. } = self.task;
+        let Asked { size, samples, .. } = *self.asked;
         let noise_floor = noise::floor(&self.seen.ids, size, &truth.pixels, samples, actual.work);
         Ok(LevelStudy {
             level: truth.level,

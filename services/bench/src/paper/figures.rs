@@ -107,7 +107,7 @@ pub fn of(
         let one_record = mean_record(&truth.sampled(samples)[..truth.sampled(samples).len().min(1)]);
         for &strategy in mapped(truth.level) {
             // Our strategy knows the planned records and reads them. The others meet an empty cache.
-            let ours = Records::of(strategy) == Records::Planned;
+            let ours = Records::of(strategy) == Records::Planned && truth.has_plan();
             let costs = if ours { &truth.pixels } else { &truth.cold };
             let design = strategy.design(&seen.strata, &seen.ids, size, samples, 0, 0)?;
             let (picks, observations) = design.profile(|pixel| costs[pixel as usize])?;

@@ -16,14 +16,14 @@ use forelight_terminal::output::{Bars, RenderBar};
 use forelight_tracer::{Cache, CacheTotals};
 use glam::Vec3;
 use image::RgbImage;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Numbers of profiled pixels to compare errors at.
 pub const LADDER: [u32; 5] = [16, 64, 256, 1024, 4096];
 
 /// How indirect light is simulated (section 5 of the paper).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Level {
     NoAmbient,
@@ -63,7 +63,8 @@ impl Level {
         matches!(self, Level::OneBounceCached | Level::TwoBouncesCached)
     }
 
-    fn bounces(self) -> u32 {
+    /// Diffuse bounces.
+    pub const fn bounces(self) -> u32 {
         match self {
             Level::NoAmbient => 0,
             Level::OneBounce | Level::OneBounceCached => 1,
@@ -120,6 +121,11 @@ pub struct Truth {
 }
 
 impl Truth {
+    /// Whether the records of its cache can be planned before a profile.
+    pub fn has_plan(&self) -> bool {
+        !self.level.is_cached() || !self.records.is_empty()
+    }
+
     /// By seed, the records gathered by a forecast with so many profiled pixels.
     pub fn sampled(&self, samples: u32) -> &[Vec<(u32, Cost)>] {
         self.sampled_records.get(&samples).map_or(&[], Vec::as_slice)
@@ -168,7 +174,12 @@ fn seen_records(ready: &OwnFrame<'_>, positions: &[Vec3]) -> Result<Vec<(u32, Co
 /// is cheap once filled. So the cost of the gather is scaled by the cost of first-level records at two
 /// bounces over that at one. The cost of starting the second level is left out, in favour of the paper's
 /// strategies.
-fn cold(level: Level, before: &[Truth], samples: u32, own_records: &[Vec<(u32, Cost)>]) -> Option<Vec<Cost>> {
+pub fn cold(
+    level: Level,
+    before: &[Truth],
+    samples: u32,
+    own_records: &[Vec<(u32, Cost)>],
+) -> Option<Vec<Cost>> {
     let at = |level| before.iter().find(|truth| truth.level == level);
     let (none, one) = (at(Level::NoAmbient)?, at(Level::OneBounce)?);
     if level != Level::TwoBouncesCached {

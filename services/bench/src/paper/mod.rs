@@ -3,10 +3,12 @@
 mod chart;
 mod experiment;
 mod figures;
+mod foreign;
 mod level;
 mod noise;
 mod picture;
 mod predicted;
+mod printed;
 mod report;
 mod study;
 mod trial;
@@ -14,15 +16,18 @@ mod trial;
 use crate::conventions::{PAPER_SIZE, slug};
 use crate::report::Report;
 use anyhow::{Context, Result};
-use experiment::study;
+use experiment::{Asked, forecasts, study};
 use figures::File;
+use foreign::Measurement;
 use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::foreign::Foreign;
 use forelight_terminal::interrupt::Interrupt;
-use forelight_terminal::local::Local;
+use forelight_terminal::local::{Local, thread_pool};
 use forelight_terminal::options::MachineOptions;
 use forelight_terminal::output::{self, Bars};
 use level::Task;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use study::Study;
 
 /// Repeat the paper's experiment: nine ways to forecast a frame, at four ambient levels, with many seeds
@@ -32,13 +37,14 @@ Examples:
   forelight bench paper kitchen/ corridor/
   forelight bench paper kitchen/ --size 128 --seeds 100 --out kitchen-report/
   forelight bench paper kitchen/ --out report/ --json > paper.json
+  forelight bench paper --renderer radiance kitchen.rif --frame 1 --gather-rays 48 --costs costs/
 
 The frame is rendered once at each level, with one camera ray per pixel. Every strategy forecasts it from \
 the costs of its pixels, once with each seed. The folder gets report.md, with tables like 1 to 5 of the \
 paper and further ones, the pictures of its figures 1 to 9, and the error against the number of profiled \
 pixels as SVG.")]
 pub struct Args {
-    /// Scene bundles: folders or zip files
+    /// Scene bundles: folders or zip files. With --renderer radiance, .rif files or octrees
     #[arg(required = true, value_name = "BUNDLE")]
     bundles: Vec<PathBuf>,
     /// Frame number
@@ -59,6 +65,14 @@ pub struct Args {
     /// Rays of a gather, with a cache and without one: 48, 192, 432, 768, ...
     #[arg(long, value_name = "RAYS", default_value_t = 192, value_parser = clap::value_parser!(u32).range(48..=65_536))]
     gather_rays: u32,
+    /// Renderer to repeat the experiment with: our own, or radiance, the paper's, whose tables have the
+    /// paper's errors beside ours. All pixels are measured once
+    #[arg(long, value_name = "NAME", value_parser = ["own", "radiance"], default_value = "own")]
+    renderer: String,
+    /// Keep the costs of all pixels in this folder, and use those that were kept before. Needs --renderer
+    /// radiance
+    #[arg(long, value_name = "DIR")]
+    costs: Option<PathBuf>,
     /// Folder for the report
     #[arg(long, value_name = "DIR", default_value = "report")]
     out: PathBuf,
@@ -73,7 +87,16 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     let bars = Bars::new(args.json);
     let mut studies = Vec::with_capacity(args.bundles.len());
     let mut files = Vec::new();
+    let is_own = args.renderer == "own";
+    if is_own && args.costs.is_some() {
+        return Err(BadInput::new("--costs: needs --renderer radiance").into());
+    }
     for (place, bundle) in args.bundles.iter().enumerate() {
+        if !is_own {
+            let study = other(args, (place, bundle), &mut files, &bars, interrupt);
+            studies.push(study.with_context(|| format!("scene {}", bundle.display()))?);
+            continue;
+        }
         let local = Local::open(bundle, &args.machine, &bars)?;
         let folder = slug(place, &local.shot.info().summary.name);
         let study = study(task(args, &local), &folder, &mut files, &bars, interrupt);
@@ -90,6 +113,28 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
         output::line(format!("\nWrote the report to {}.", args.out.join("report.md").display()))?;
     }
     Ok(report)
+}
+
+/// The experiment with another renderer. Returns the folder of its pictures, too.
+fn other(
+    args: &Args,
+    (place, scene): (usize, &Path),
+    files: &mut Vec<File>,
+    bars: &Bars,
+    interrupt: &Interrupt,
+) -> Result<(String, Study)> {
+    let foreign = Foreign::open(scene, &args.machine, bars, interrupt)?;
+    let &Args { frame, size, samples, seeds, gather_rays, .. } = args;
+    let (name, _) = foreign.scene(scene)?;
+    let folder = slug(place, &name);
+    let known = args.costs.as_ref().map(|costs| costs.join(format!("{name}.json")));
+    let measurement = Measurement { foreign: &foreign, frame, size, gather_rays, known };
+    let measured = measurement.measure(bars, interrupt)?;
+    let renderer = Some(foreign.renderer.id().to_string());
+    let pool = &thread_pool(args.machine.threads)?;
+    let asked = Asked { name, renderer, frame, size, gather_rays, samples, seeds, pool };
+    let study = forecasts(asked, measured, &folder, files, bars, interrupt)?;
+    Ok((folder, study))
 }
 
 fn task<'a>(args: &Args, local: &'a Local) -> Task<'a> {

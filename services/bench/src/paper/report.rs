@@ -1,7 +1,7 @@
 //! Writes the report in Markdown, and its summary for a terminal.
 
 use super::figures::{Shown, map_file, mapped, positions_file};
-use super::level::Level;
+use super::printed;
 use super::study::{LevelStudy, Study};
 use super::trial::{Columns, Outcome, Score};
 use crate::report::Report;
@@ -109,8 +109,9 @@ fn scene(text: &mut String, folder: &str, study: &Study) {
     // Writing to a string cannot fail.
     let _ = write!(
         text,
-        "\n## {bundle}\n\nFrame {frame}, {size} × {size} pixels, of which {samples} are profiled ({}); {strata_seen} visible pairs of \
+        "\n## {bundle}\n\n{}Frame {frame}, {size} × {size} pixels, of which {samples} are profiled ({}); {strata_seen} visible pairs of \
          object and material; {seeds} seeds; {gather_rays} rays per gather.\n\n",
+        study.renderer.as_ref().map_or_else(String::new, |renderer| format!("Rendered by {renderer}. ")),
         share(profiled)
     );
     pictures(
@@ -131,7 +132,7 @@ fn scene(text: &mut String, folder: &str, study: &Study) {
          ### Where pixels are profiled\n\nWith seed 0, over the darkened preview.\n\n"
     );
     pictures(text, folder, Strategy::ALL.map(|strategy| (strategy.title(), positions_file(strategy))));
-    for level in Level::ALL {
+    for level in study.levels.iter().map(|level| level.level) {
         let _ = write!(text, "\n### Maps: {}\n\n", level.title());
         text.push_str(if level.is_cached() {
             "The truth shows each record of the first level at the pixel that shows it, and so does our prediction with planned records. "
@@ -179,7 +180,7 @@ fn tables(text: &mut String, study: &Study, level: &LevelStudy) {
         count(work),
         seconds(cpu_seconds)
     );
-    text.push_str(&one_run(level, &level.outcomes).markdown());
+    text.push_str(&one_run(study, level).markdown());
     let _ = write!(
         text,
         "\nOver {} seeds: mean absolute error, standard deviation, bias; *σ* is the standard deviation that a strategy estimates, \
@@ -205,18 +206,26 @@ fn capital(title: &str) -> String {
     letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// One run with seed 0, in the form of tables 1 to 5 of the paper.
-fn one_run(level: &LevelStudy, outcomes: &[Outcome]) -> Table {
+/// One run with seed 0, in the form of tables 1 to 5 of the paper. In the paper's own renderer, the errors
+/// that the paper prints are beside.
+fn one_run(study: &Study, level: &LevelStudy) -> Table {
+    let printed = study.renderer.as_ref().and_then(|_| printed::table(&study.bundle, level.level));
     let mut head = vec![("method", Align::Left)];
     for (predicted, actual) in [("rays pred", "act"), ("work pred", "act"), ("CPU pred", "act")] {
         head.extend([(predicted, Align::Right), (actual, Align::Right), ("%", Align::Right)]);
     }
+    let titles = printed.map(|table| ["rays", "cost"].map(|what| format!("paper's table {table}: {what} %")));
+    head.extend(titles.iter().flatten().map(|title| (title.as_str(), Align::Right)));
     let mut table = Table::new(&head);
     let off =
         |predicted: f64, actual: f64| format!("{:.0}", (relative_error(predicted, actual) * 100.0).abs());
-    for outcome in outcomes {
+    for outcome in &level.outcomes {
         let (found, actual) = (outcome.one_run, level.actual);
-        table.row([
+        let row = printed.and_then(|table| printed::row(table, outcome.strategy));
+        let (rays, cost) = row.unzip();
+        let percent = |value: Option<u32>| value.map_or("-".into(), |value| value.to_string());
+        let beside = printed.map(|_| [percent(rays), percent(cost)]);
+        let own = [
             outcome.strategy.title().into(),
             count(found.rays),
             count(actual.rays),
@@ -227,7 +236,8 @@ fn one_run(level: &LevelStudy, outcomes: &[Outcome]) -> Table {
             seconds(found.cpu_seconds),
             seconds(actual.cpu_seconds),
             off(found.cpu_seconds, actual.cpu_seconds),
-        ]);
+        ];
+        table.row(own.into_iter().chain(beside.into_iter().flatten()));
     }
     table
 }

@@ -7,6 +7,9 @@ use serde::Serialize;
 #[derive(Debug, Serialize)]
 pub struct Study {
     pub bundle: String,
+    /// Renderer of the frame. Absent for our own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<String>,
     pub frame: u32,
     pub size: u32,
     pub samples: u32,

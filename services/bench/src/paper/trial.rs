@@ -81,7 +81,7 @@ pub fn forecast(
     seed: u64,
 ) -> Result<Forecast> {
     let design = strategy.design(&seen.strata, &seen.ids, width, samples, seed, 0)?;
-    let planned = records == Records::Planned;
+    let planned = records == Records::Planned && truth.has_plan();
     let costs = if planned { &truth.pixels } else { &truth.cold };
     let (picks, mut observations) = design.profile(|pixel| costs[pixel as usize])?;
     let mut strata = design.strata().to_vec();

@@ -44,7 +44,8 @@ Examples:
 The image has the same bits for any number of threads, with or without a profile. An .exr file holds linear colour, \
 object and material ids, and the cost and rays of every pixel. A .png file is for viewing.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders
+    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders, or a .rif file
+    /// or octree, which Radiance renders
     bundle: PathBuf,
     /// Frame number [default: the first frame]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
@@ -68,7 +69,7 @@ pub struct Args {
     /// Code to trace with: only the effects that the frame needs, or all of them. The image has the same bits
     #[arg(long, value_name = "WHICH", default_value = "called-for")]
     effects: EffectsSwitch,
-    /// Change a setting of a .blend file, such as adaptive_sampling=false. May be repeated
+    /// Change a setting of another renderer, such as adaptive_sampling=false. May be repeated
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
     own: Vec<OwnSetting>,
     /// Print the cost as JSON to standard output

@@ -16,9 +16,11 @@ Examples:
   forelight renderers
   forelight renderers --command povray.command.toml --json > renderers.json
   forelight forecast shot.blend --set denoise=false --set max_bounces=4
+  forelight forecast hall.rif --set ambient_bounces=1 --set ambient_accuracy=0
 
 A worker on this machine takes tasks of these renderers. Blender is the program `blender`, or a Python with the module \
-bpy: the one that FORELIGHT_BPY_PYTHON names, or python3. --set changes a setting; the JSON has their schemas.")]
+bpy: the one that FORELIGHT_BPY_PYTHON names, or python3. Radiance is the program `rtrace` with its others, in PATH or in \
+the folder that FORELIGHT_RADIANCE names. --set changes a setting; the JSON has their schemas.")]
 pub struct Args {
     /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated
     #[arg(long, value_name = "FILE")]

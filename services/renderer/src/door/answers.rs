@@ -40,9 +40,10 @@ pub type FixedCosts = BTreeMap<String, u64>;
 /// Number of pixels that show one pair of object and material.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct PixelCount {
-    /// Index among the description's objects. `None` for the background.
+    /// Number of the object: by default its index in the description, see
+    /// [`Shot::names`](super::Shot::names). `None` for the background.
     pub object: Option<u32>,
-    /// Index among the description's materials. `None` without material.
+    /// Number of the material, likewise. `None` without material.
     pub material: Option<u32>,
     /// Number of pixels.
     pub pixels: u64,
@@ -109,6 +110,15 @@ pub struct Measured {
     pub artefact: Option<Artefact>,
 }
 
+/// What a render took over of single pixels.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TakenOver {
+    /// Number of pixels.
+    pub pixels: u64,
+    /// CPU time that they took when they were measured, nanoseconds.
+    pub cpu_nanos: u64,
+}
+
 /// A rendered frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rendered {
@@ -127,4 +137,6 @@ pub struct Rendered {
     pub strata: Vec<StratumCost>,
     /// Costs by place of the whole frame, with what was taken over.
     pub blocks: Option<BlockCosts>,
+    /// Pixels that were taken over. Shares of the samples are not in it: the task states their cost.
+    pub taken_over: TakenOver,
 }

@@ -7,6 +7,8 @@
 //! | measure | [`Shot::measure`]: the cost of a part of a frame, and what a render may take over of it |
 //! | render | [`Shot::render`]: the files of a frame, and their cost |
 //!
+//! A renderer that measures single pixels is asked for them in several steps: [`Shot::profile_pixels`].
+//!
 //! A [`Capability`] is what not every renderer can do. A renderer with none of them can still be asked for
 //! whole frames, and be forecast from these. Any renderer measures a whole frame: all of its samples.
 
@@ -14,16 +16,19 @@ mod answers;
 mod artefact;
 mod description;
 mod error;
+mod pixels;
 mod run;
 mod settings;
 
 pub use answers::{
     BlockCosts, Cost, FixedCosts, FrameCounts, Measured, PieceCost, PixelCount, Rendered, StratumCost,
+    TakenOver,
 };
 pub use artefact::Artefact;
 pub use description::{Asset, AssetState, Camera, Description, Frames, Object};
 pub use error::{Ending, RendererError};
 pub use forelight_protocol::RendererId;
+pub use pixels::{PixelCost, PixelProfiler, ProfiledPixels, Shown};
 pub use run::{Limits, Run};
 pub use settings::{Common, Region, Settings, SettingsError};
 
@@ -111,9 +116,17 @@ pub trait Shot: Send + Sync {
     /// What the renderer can do with this scene at these settings.
     fn capabilities(&self, settings: &Settings) -> Capabilities;
 
-    /// How names of its images end, without the dot.
-    fn image_extension(&self, _settings: &Settings) -> String {
-        "exr".to_owned()
+    /// How names of its images end, without the dot: of the files that it writes, and `png` if it has a picture.
+    fn image_extensions(&self, _settings: &Settings) -> Vec<String> {
+        ["exr", "png"].map(str::to_owned).to_vec()
+    }
+
+    /// Names of an object and a material that a preview counted. `None` where there is no such name.
+    fn names(&self, shown: Shown) -> (Option<String>, Option<String>) {
+        let found = self.description();
+        let object = shown.object.and_then(|o| Some(found.objects.as_ref()?.get(o as usize)?.name.clone()));
+        let material = shown.material.and_then(|m| found.materials.as_ref()?.get(m as usize).cloned());
+        (object, material)
     }
 
     /// What every pixel of these frames shows, as counts, in the order of `frames`.
@@ -138,6 +151,20 @@ pub trait Shot: Send + Sync {
         part: &Part,
         run: &Run<'_>,
     ) -> Result<Measured, RendererError>;
+
+    /// Begins to measure single pixels of a frame: [`Capability::MeasurePixels`].
+    ///
+    /// # Errors
+    /// If the renderer cannot measure single pixels, cannot begin, or the run is stopped.
+    fn profile_pixels<'a>(
+        &'a self,
+        frame: i32,
+        settings: &'a Settings,
+        run: &'a Run<'a>,
+    ) -> Result<Box<dyn PixelProfiler + 'a>, RendererError> {
+        let _ = (frame, settings, run);
+        Err(RendererError::Unsupported("the renderer cannot measure single pixels".to_owned()))
+    }
 
     /// Renders a frame, less what it takes over. The files are in the run's scratch folder.
     ///

@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `program` | what is started |
 //! | `session` | a running program: lines in and out, orders |
+//! | `exchange` | a running program that answers bytes |
 //! | `supervisor` | the thread that starts, measures, limits, ends and reaps it |
 //! | `group` | the processes of a run, by `/proc` |
 //! | `lines` | output as lines of bounded length |
@@ -16,6 +17,7 @@
 //! A foreign program runs with the rights of this process: it can read and write what this process can. A
 //! process that leaves the group *and* clears its environment is not found.
 
+mod exchange;
 mod group;
 mod lines;
 mod messages;
@@ -23,8 +25,9 @@ mod program;
 mod session;
 mod supervisor;
 
+pub use exchange::{Exchange, MOST_BYTES};
 pub use lines::{LONGEST_LINE, Line, Stream};
 pub use messages::{COMMON_MESSAGES, Meaning, Message};
 pub use program::Program;
-pub use session::{Finished, Session, run};
+pub use session::{Finished, Session, run, run_on_files};
 pub use supervisor::Usage;

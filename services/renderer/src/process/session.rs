@@ -3,9 +3,11 @@
 use super::lines::{Line, Stream, WAITING_LINES, read_lines};
 use super::messages::{Message, meaning};
 use super::program::Program;
-use super::supervisor::{Ended, Orders, Stop, Usage, start};
+use super::supervisor::{Ended, Ends, Input, Orders, Stop, Usage, start};
 use crate::door::{Ending, RendererError, Run};
+use rustix::process::Pid;
 use std::collections::VecDeque;
+use std::fs::File;
 use std::io::Write;
 use std::os::unix::process::ExitStatusExt;
 use std::process::ChildStdin;
@@ -35,6 +37,7 @@ pub struct Finished {
 #[derive(Debug)]
 pub struct Session {
     name: String,
+    pid: Pid,
     stdin: Option<ChildStdin>,
     lines: Receiver<Line>,
     last_lines: VecDeque<String>,
@@ -50,26 +53,33 @@ impl Session {
     /// # Errors
     /// If the program cannot be started.
     pub fn start(program: &Program, known: &'static [Message], run: &Run<'_>) -> Result<Self, RendererError> {
-        Self::launch(program, known, run, true)
+        Self::launch(program, known, run, Ends { input: Input::Lines, output: None })
     }
 
-    fn launch(
+    pub(super) fn launch(
         program: &Program,
         known: &'static [Message],
         run: &Run<'_>,
-        interactive: bool,
+        ends: Ends,
     ) -> Result<Self, RendererError> {
         let orders = Orders::default();
         orders.limit(run);
-        let (streams, supervisor) = start(program, run.limits.grace, interactive, &orders)?;
+        let (streams, supervisor) = start(program, run.limits.grace, ends, &orders)?;
         let (sender, lines) = sync_channel(WAITING_LINES);
         let errors = sender.clone();
         let (stdout, stderr) = (streams.stdout, streams.stderr);
-        std::thread::spawn(move || read_lines(stdout, Stream::Out, &sender));
+        if let Some(stdout) = stdout {
+            std::thread::spawn(move || read_lines(stdout, Stream::Out, &sender));
+        }
         std::thread::spawn(move || read_lines(stderr, Stream::Error, &errors));
         let supervisor = Some(supervisor);
-        let (stdin, name) = (streams.stdin, program.name());
-        Ok(Self { name, stdin, lines, last_lines: VecDeque::new(), orders, supervisor, known })
+        let (pid, stdin, name) = (streams.pid, streams.stdin, program.name());
+        Ok(Self { name, pid, stdin, lines, last_lines: VecDeque::new(), orders, supervisor, known })
+    }
+
+    /// The number of the program's process. `None` once it has ended.
+    pub(super) fn pid(&self) -> Option<Pid> {
+        self.supervisor.as_ref().filter(|thread| !thread.is_finished()).map(|_| self.pid)
     }
 
     /// Holds the program to the memory limit of this run from now on.
@@ -95,18 +105,10 @@ impl Session {
     pub fn next(&mut self, since: Instant, run: &Run<'_>) -> Result<Option<Line>, RendererError> {
         let mut ended: Option<Instant> = None;
         loop {
-            if run.is_cancelled() {
-                return Err(self.stop(Stop::Cancelled));
-            }
-            if let Some(limit) = run.limits.time.filter(|&limit| since.elapsed() > limit) {
-                return Err(self.stop(Stop::TimeLimit(limit)));
-            }
+            self.obey(since, run)?;
             match self.lines.recv_timeout(LOOK) {
                 Ok(line) => {
-                    if self.last_lines.len() == LAST_LINES {
-                        self.last_lines.pop_front();
-                    }
-                    self.last_lines.push_back(line.text.clone());
+                    self.keep(&line);
                     return Ok(Some(line));
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(None),
@@ -118,6 +120,60 @@ impl Session {
                 return Ok(None);
             }
         }
+    }
+
+    /// Lines that have come, without waiting. They go to the run's log.
+    ///
+    /// # Errors
+    /// As [`next`](Self::next).
+    pub(super) fn look(&mut self, since: Instant, run: &Run<'_>) -> Result<(), RendererError> {
+        while let Ok(line) = self.lines.try_recv() {
+            self.keep(&line);
+            (run.log)(&line.text);
+        }
+        self.obey(since, run)
+    }
+
+    /// Ends the program if the run is cancelled or not over in time.
+    fn obey(&mut self, since: Instant, run: &Run<'_>) -> Result<(), RendererError> {
+        if run.is_cancelled() {
+            return Err(self.stop(Stop::Cancelled));
+        }
+        match run.limits.time.filter(|&limit| since.elapsed() > limit) {
+            Some(limit) => Err(self.stop(Stop::TimeLimit(limit))),
+            None => Ok(()),
+        }
+    }
+
+    fn keep(&mut self, line: &Line) {
+        if self.last_lines.len() == LAST_LINES {
+            self.last_lines.pop_front();
+        }
+        self.last_lines.push_back(line.text.clone());
+    }
+
+    /// Waits until the program ends by itself. Its lines go to the run's log and to `on_line`.
+    ///
+    /// # Errors
+    /// As [`run`].
+    pub(super) fn finish(
+        mut self,
+        since: Instant,
+        run: &Run<'_>,
+        on_line: &mut dyn FnMut(&Line),
+    ) -> Result<Finished, RendererError> {
+        while let Some(line) = self.next(since, run)? {
+            (run.log)(&line.text);
+            on_line(&line);
+        }
+        // Its output has ended, but it may go on, and is still held to its limits.
+        while self.supervisor.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            self.obey(since, run)?;
+            std::thread::sleep(LOOK);
+        }
+        let ended = self.join().ok_or_else(|| self.ended(Ending::Code(-1)))?;
+        self.verdict(&ended)?;
+        Ok(Finished { usage: ended.usage, last_lines: self.last_lines.iter().cloned().collect() })
     }
 
     /// Ends the program and says what it used.
@@ -219,22 +275,22 @@ pub fn run(
     on_line: &mut dyn FnMut(&Line),
 ) -> Result<Finished, RendererError> {
     let since = Instant::now();
-    let mut session = Session::launch(program, known, run, false)?;
-    while let Some(line) = session.next(since, run)? {
-        (run.log)(&line.text);
-        on_line(&line);
-    }
-    // Its output has ended, but it may go on, and is still held to its limits.
-    while session.supervisor.as_ref().is_some_and(|thread| !thread.is_finished()) {
-        if run.is_cancelled() {
-            return Err(session.stop(Stop::Cancelled));
-        }
-        if let Some(limit) = run.limits.time.filter(|&limit| since.elapsed() > limit) {
-            return Err(session.stop(Stop::TimeLimit(limit)));
-        }
-        std::thread::sleep(LOOK);
-    }
-    let ended = session.join().ok_or_else(|| session.ended(Ending::Code(-1)))?;
-    session.verdict(&ended)?;
-    Ok(Finished { usage: ended.usage, last_lines: session.last_lines.iter().cloned().collect() })
+    Session::launch(program, known, run, Ends::default())?.finish(since, run, on_line)
+}
+
+/// Runs a program that reads one file and writes another. What it prints on standard error goes to the run's
+/// log.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_on_files(
+    program: &Program,
+    known: &'static [Message],
+    run: &Run<'_>,
+    from: File,
+    to: File,
+) -> Result<Finished, RendererError> {
+    let since = Instant::now();
+    let ends = Ends { input: Input::From(from.into()), output: Some(to.into()) };
+    Session::launch(program, known, run, ends)?.finish(since, run, &mut |_| {})
 }

@@ -62,9 +62,33 @@ pub(super) struct Ended {
 
 /// The ends of a program's streams.
 pub(super) struct Streams {
+    /// The program, which is not reaped while its supervisor runs.
+    pub pid: Pid,
+    /// `None` unless the program reads lines.
     pub stdin: Option<ChildStdin>,
-    pub stdout: ChildStdout,
+    /// `None` if it writes elsewhere.
+    pub stdout: Option<ChildStdout>,
     pub stderr: ChildStderr,
+}
+
+/// What a program reads.
+#[derive(Debug, Default)]
+pub(super) enum Input {
+    /// Nothing.
+    #[default]
+    Empty,
+    /// Lines that are sent to it.
+    Lines,
+    /// A file or pipe.
+    From(OwnedFd),
+}
+
+/// Where a program reads and writes.
+#[derive(Debug, Default)]
+pub(super) struct Ends {
+    pub input: Input,
+    /// A file or pipe for its standard output. `None`: its lines are read.
+    pub output: Option<OwnedFd>,
 }
 
 /// Orders to the supervisor.
@@ -88,7 +112,7 @@ impl Orders {
 pub(super) fn start(
     program: &Program,
     grace: Duration,
-    interactive: bool,
+    ends: Ends,
     orders: &Orders,
 ) -> Result<(Streams, JoinHandle<io::Result<Ended>>), RendererError> {
     let (program, orders) = (program.clone(), orders.clone());
@@ -96,7 +120,7 @@ pub(super) fn start(
     let path = program.path().to_owned();
     let thread = std::thread::Builder::new()
         .name("supervisor".to_owned())
-        .spawn(move || supervise(&program, grace, interactive, &orders, &started))
+        .spawn(move || supervise(&program, grace, ends, &orders, &started))
         .map_err(RendererError::io(&path))?;
     match starting.recv() {
         Ok(Ok(streams)) => Ok((streams, thread)),
@@ -108,12 +132,12 @@ pub(super) fn start(
 fn supervise(
     program: &Program,
     grace: Duration,
-    interactive: bool,
+    ends: Ends,
     orders: &Orders,
     started: &SyncSender<io::Result<Streams>>,
 ) -> io::Result<Ended> {
     let mark = mark();
-    let (mut child, pidfd) = match spawn(program, interactive, &mark) {
+    let (mut child, pidfd) = match spawn(program, ends, &mark) {
         Ok(spawned) => spawned,
         Err(error) => {
             let kind = error.kind();
@@ -123,9 +147,10 @@ fn supervise(
         }
     };
     let group = Pid::from_child(&child);
-    if let (Some(stdout), Some(stderr)) = (child.stdout.take(), child.stderr.take()) {
+    if let Some(stderr) = child.stderr.take() {
+        let (stdin, stdout) = (child.stdin.take(), child.stdout.take());
         // The receiver waits for exactly this.
-        let _ = started.send(Ok(Streams { stdin: child.stdin.take(), stdout, stderr }));
+        let _ = started.send(Ok(Streams { pid: group, stdin, stdout, stderr }));
     }
     let peak = watch(&pidfd, group, grace, orders);
 
@@ -164,13 +189,19 @@ fn mark() -> String {
     format!("{}-{}{:09}-{number}", std::process::id(), since_boot.tv_sec, since_boot.tv_nsec)
 }
 
-fn spawn(program: &Program, interactive: bool, mark: &str) -> io::Result<(Child, OwnedFd)> {
+fn spawn(program: &Program, ends: Ends, mark: &str) -> io::Result<(Child, OwnedFd)> {
     let parent = rustix::process::getpid();
+    // Holds this process's copies of the ends, and drops them when the program is started.
     let mut command = program.command();
+    let stdin = match ends.input {
+        Input::Empty => Stdio::null(),
+        Input::Lines => Stdio::piped(),
+        Input::From(end) => end.into(),
+    };
     command
         .env(MARK, mark)
-        .stdin(if interactive { Stdio::piped() } else { Stdio::null() })
-        .stdout(Stdio::piped())
+        .stdin(stdin)
+        .stdout(ends.output.map_or_else(Stdio::piped, Stdio::from))
         .stderr(Stdio::piped())
         .process_group(0);
     let in_child = move || {

@@ -4,13 +4,19 @@
 //! | --- | --- |
 //! | `previews` | what frames show, as the wire has it |
 //! | `probes` | which parts of a frame are measured, by what the renderer can do |
+//! | `pixels` | profiles of single pixels, if the renderer can measure them |
+//! | `neighbours` | blocks of neighbours, whose time is that of a render |
 //! | `offline` | a quote on this machine alone |
 
+mod neighbours;
 mod offline;
+mod pixels;
 mod previews;
 mod probes;
 
-pub use offline::{QuotingError, QuotingStep, ShotQuote, quote_shot};
+pub use neighbours::{WARMING_SHARE, free_neighbours, middle_mean, proportional_sites, sites};
+pub use offline::{QuotingError, QuotingStep, ShotQuote, Wanted, quote_shot};
+pub use pixels::{PixelChoice, PixelProfile, profile_pixels};
 pub use previews::preview_result;
 pub(crate) use previews::{as_spent, own_number};
 
@@ -28,9 +34,9 @@ pub struct Measurement {
     pub artefacts: Vec<Artefact>,
 }
 
-/// Measures parts of a frame, by what the renderer can do: a few samples, or smaller images, or regions. If it
-/// can do none of these, the whole frame is measured. `turn` is the number of frames that are measured before
-/// this one.
+/// Measures parts of a frame, by what the renderer can do: a few samples, or smaller images, or regions. If
+/// it can do none of these, the whole frame is measured. `turn` is the number of frames that are measured
+/// before this one.
 ///
 /// # Errors
 /// If the renderer fails or the run is stopped.

@@ -1,10 +1,12 @@
 //! A quote on this machine alone: the steps of a farm, one after the other.
 
-use super::{Measurement, measure_frame, preview_result};
-use crate::door::{RendererError, RendererId, Run, Settings, Shot};
+use super::{Measurement, PixelChoice, PixelProfile, measure_frame, preview_result, profile_pixels};
+use crate::door::{Capability, RendererError, RendererId, Run, Settings, Shot};
 use forelight_forecast::Strategy;
 use forelight_protocol::{ForecastDoc, PreviewResult, QuotedShot, SceneDigest};
-use forelight_quote::{QuoteError, SampledProfile, frames_to_profile, quote_sampled};
+use forelight_quote::{
+    Measured, MeasuredProfile, Quote, QuoteError, SampledProfile, frames_to_profile, quote_sampled,
+};
 
 /// Why a shot cannot be quoted.
 #[derive(Debug, thiserror::Error)]
@@ -41,11 +43,31 @@ pub struct ShotQuote {
     pub document: ForecastDoc,
     /// What every frame shows.
     pub preview: PreviewResult,
-    /// The measured frames, ascending.
+    /// The measured frames, ascending, if parts of frames were measured.
     pub measured: Vec<Measurement>,
+    /// The profiled frames, ascending, if single pixels were measured.
+    pub profiled: Vec<PixelProfile>,
 }
 
-/// Quotes frames of a shot (ascending). At most `most` frames are measured.
+/// What is measured for a quote.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wanted {
+    /// Most frames to measure. `None`: the usual number.
+    pub frames: Option<usize>,
+    /// Pixels to profile in each of them, if the renderer measures single pixels.
+    pub samples: u32,
+    /// Seed of the choice of pixels.
+    pub seed: u64,
+}
+
+impl Default for Wanted {
+    /// 256 pixels, as in the paper.
+    fn default() -> Self {
+        Self { frames: None, samples: 256, seed: 0 }
+    }
+}
+
+/// Quotes frames of a shot (ascending).
 ///
 /// # Errors
 /// If the renderer fails or the run is stopped.
@@ -54,24 +76,46 @@ pub fn quote_shot(
     of: (&str, SceneDigest),
     frames: &[u32],
     settings: &Settings,
-    most: Option<usize>,
+    wanted: Wanted,
     observe: &(dyn Fn(QuotingStep) + Sync),
     run: &Run<'_>,
 ) -> Result<ShotQuote, QuotingError> {
     let previewing = |share| observe(QuotingStep::Previewing(share));
     let preview =
         preview_result(renderer, shot, of, frames, settings, &Run { progress: &previewing, ..*run })?;
-    let chosen = frames_to_profile(&preview, Strategy::Snapshot, most)?;
-    let mut measured = Vec::with_capacity(chosen.len());
+    let chosen = frames_to_profile(&preview, Strategy::Snapshot, wanted.frames)?;
+    let by_pixel = shot.capabilities(settings).contains(&Capability::MeasurePixels);
+    let (mut measured, mut profiled) = (Vec::new(), Vec::new());
     for (turn, &frame) in (0..).zip(&chosen) {
-        let done = measured.len();
-        observe(QuotingStep::Measuring { frame, done, all: chosen.len() });
-        measured.push(measure_frame(renderer, shot, (frame, turn), settings, run)?);
+        observe(QuotingStep::Measuring { frame, done: turn as usize, all: chosen.len() });
+        if by_pixel {
+            let Wanted { samples, seed, .. } = wanted;
+            let choice = PixelChoice { samples, seed, strategy: Strategy::Snapshot };
+            profiled.push(profile_pixels(renderer, shot, frame, settings, choice, run)?);
+        } else {
+            measured.push(measure_frame(renderer, shot, (frame, turn), settings, run)?);
+        }
     }
-    let profile = |found: &Measurement| SampledProfile { result: found.result.clone(), node_speed: 1.0 };
-    let profiles: Vec<SampledProfile> = measured.iter().map(profile).collect();
-    let quote = quote_sampled(&preview, &profiles, None)?;
+    let quote = if by_pixel {
+        quote_pixels(&preview, &profiled, settings)?
+    } else {
+        let profile = |found: &Measurement| SampledProfile { result: found.result.clone(), node_speed: 1.0 };
+        let profiles: Vec<SampledProfile> = measured.iter().map(profile).collect();
+        quote_sampled(&preview, &profiles, None)?
+    };
     let settings = settings.complete().into();
     let shot = QuotedShot { scene: of.1, renderer: Some(renderer.into()), settings };
-    Ok(ShotQuote { document: quote.job.document(shot, quote.frames), preview, measured })
+    Ok(ShotQuote { document: quote.job.document(shot, quote.frames), preview, measured, profiled })
+}
+
+fn quote_pixels(
+    preview: &PreviewResult,
+    profiled: &[PixelProfile],
+    settings: &Settings,
+) -> Result<Quote, QuoteError> {
+    let profile = |found: &PixelProfile| {
+        MeasuredProfile::of_renderer(found.result.clone(), 1.0, settings.common.samples)
+    };
+    let profiles: Vec<MeasuredProfile> = profiled.iter().map(profile).collect();
+    Measured::new(preview, &profiles).quote(None)
 }

@@ -1,7 +1,7 @@
 //! What frames show, as the wire has it.
 
 use crate::door::{
-    Cost, Description, FrameCounts, PixelCount, RendererError, RendererId, Run, Settings, Shot,
+    Cost, Description, FrameCounts, PixelCount, RendererError, RendererId, Run, Settings, Shot, Shown,
 };
 use forelight_protocol::{
     Described, FrameStrata, PreviewBackend, PreviewResult, SceneDigest, SceneSummary, Spent, Stratum,
@@ -11,7 +11,7 @@ use forelight_quote::stratum_key;
 use std::collections::BTreeMap;
 
 /// Expected cost of a pixel of the background, relative to one that shows an object.
-const BACKGROUND_COST: f64 = 0.1;
+pub(super) const BACKGROUND_COST: f64 = 0.1;
 
 /// Most notes about a scene.
 const MOST_NOTES: usize = 100;
@@ -34,7 +34,7 @@ pub fn preview_result(
     previews.iter().for_each(|preview| spent += &preview.cost);
     let description = shot.description();
     let key = key(description);
-    let strata = strata(description, &previews, key);
+    let strata = strata(shot, &previews, key);
     let places: BTreeMap<(u32, u32), usize> = strata.iter().map(Stratum::identity).zip(0..).collect();
     let of_frame = |(&frame, preview): (&u32, &FrameCounts)| {
         frame_strata(frame, preview, key, &places, settings.pixels())
@@ -64,8 +64,8 @@ pub(crate) fn as_spent(cpu_nanos: u64) -> Spent {
 /// Numbers of object and material of a pixel, as the wire has them. `None`: the background.
 type Key = fn(Option<u32>, Option<u32>) -> Option<(u32, u32)>;
 
-/// How pixels are numbered. Those without object and material are the background if the renderer knows objects
-/// or materials. Otherwise nobody knows what they are, and they are a stratum like any other.
+/// How pixels are numbered. Those without object and material are the background if the renderer knows
+/// objects or materials. Otherwise nobody knows what they are, and they are a stratum like any other.
 fn key(description: &Description) -> Key {
     if description.objects.is_some() || description.materials.is_some() {
         stratum_key
@@ -75,23 +75,22 @@ fn key(description: &Description) -> Key {
 }
 
 /// Everything that any frame shows, without the background.
-fn strata(description: &Description, previews: &[FrameCounts], key: Key) -> Vec<Stratum> {
+fn strata(shot: &dyn Shot, previews: &[FrameCounts], key: Key) -> Vec<Stratum> {
     let shown = previews.iter().flat_map(|preview| &preview.counts);
     let shown: BTreeMap<(u32, u32), &PixelCount> =
         shown.filter_map(|count| Some((key(count.object, count.material)?, count))).collect();
-    let object = |index: u32| Some(description.objects.as_ref()?.get(index as usize)?.name.clone());
-    let material = |index: u32| description.materials.as_ref()?.get(index as usize).cloned();
-    let named = |name: Option<String>| name.unwrap_or_else(|| "none".to_owned());
-    let stratum = |((key_object, key_material), count): ((u32, u32), &PixelCount)| Stratum {
-        name: StratumName {
-            object: named(count.object.and_then(object)),
-            material: named(count.material.and_then(material)),
-        },
-        object: key_object,
-        material: key_material,
-        prior_cost: 1.0,
+    let stratum = |((key_object, key_material), count): ((u32, u32), &PixelCount)| {
+        let shown = Shown { object: count.object, material: count.material };
+        Stratum { name: name_of(shot, shown), object: key_object, material: key_material, prior_cost: 1.0 }
     };
     shown.into_iter().map(stratum).collect()
+}
+
+/// Names of what pixels show.
+pub(super) fn name_of(shot: &dyn Shot, shown: Shown) -> StratumName {
+    let named = |name: Option<String>| name.unwrap_or_else(|| "none".to_owned());
+    let (object, material) = shot.names(shown);
+    StratumName { object: named(object), material: named(material) }
 }
 
 /// Pixels of one frame by stratum. They add up to those of the image: a small preview's counts are rounded,

@@ -6,7 +6,7 @@ use crate::installation::Cycles;
 use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_renderer::door::{
     Artefact, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
-    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot, StratumCost,
+    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot, StratumCost, TakenOver,
 };
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -286,6 +286,7 @@ impl Shot for BlenderShot {
             fixed,
             strata,
             blocks,
+            taken_over: TakenOver::default(),
         })
     }
 }

@@ -7,7 +7,7 @@ use crate::template::Values;
 use forelight_renderer::door::{
     Artefact, Capabilities, Common, Cost, Description, FixedCosts, FrameCounts, Limits, Measured, Part,
     PieceCost, PixelCount, Region, Rendered, Renderer as _, RendererError, Run, Settings, SettingsError,
-    Shot,
+    Shot, TakenOver,
 };
 use forelight_renderer::process::{Program, run};
 use serde_json::Value;
@@ -208,10 +208,10 @@ impl Shot for CommandShot {
         self.renderer.capabilities()
     }
 
-    fn image_extension(&self, settings: &Settings) -> String {
+    fn image_extensions(&self, settings: &Settings) -> Vec<String> {
         let piece = Piece { frame: 0, settings, samples: settings.common.samples, region: None };
         let name = self.output(&piece, Path::new(""));
-        name.extension().map(|end| end.to_string_lossy().into_owned()).unwrap_or_default()
+        name.extension().map(|end| end.to_string_lossy().into_owned()).into_iter().collect()
     }
 
     /// The command does not say what a pixel shows, so all of the image is of one unknown stratum.
@@ -304,6 +304,7 @@ impl Shot for CommandShot {
             fixed: FixedCosts::new(),
             strata: Vec::new(),
             blocks: None,
+            taken_over: TakenOver::default(),
         })
     }
 }

@@ -6,21 +6,22 @@ mod shot;
 
 use forelight_protocol::{
     AllottedStats, CacheFillResult, CacheFillSpec, CacheMergeResult, CachePlanResult, CachePlanSpec,
-    JobSettings, PreviewResult, PreviewSpec, RenderResult, RenderSettings, RenderSpec, TaskResult, TaskSpec,
+    JobSettings, PreviewResult, PreviewSpec, RenderResult, RenderSpec, TaskResult, TaskSpec,
 };
 
 use self::fields::{
     cache_bytes, effects, frame, frame_count, image_error, left_out, once, prior_cost, record_levels, spent,
     storable, strata, wrong,
 };
-use crate::error::{ApiError, ApiResult};
+use crate::error::ApiResult;
 
 pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
     match (spec, result) {
         (TaskSpec::Preview(spec), TaskResult::Preview(result)) => preview(spec, result),
-        (TaskSpec::Profile(spec), TaskResult::Profile(result)) => {
-            profile::check(spec, own_settings(&spec.settings)?, result)
-        }
+        (TaskSpec::Profile(spec), TaskResult::Profile(result)) => match &spec.settings {
+            JobSettings::Own(settings) => profile::check(spec, settings, result),
+            JobSettings::Shot(settings) => profile::check_shot(spec, settings, result),
+        },
         (TaskSpec::Profile(spec), TaskResult::Measured(result)) => shot::measured(spec, result),
         (TaskSpec::CachePlan(spec), TaskResult::CachePlan(result)) => cache_plan(spec, result),
         (TaskSpec::CacheFill(spec), TaskResult::CacheFill(result)) => cache_fill(spec, result),
@@ -64,17 +65,6 @@ fn preview(spec: &PreviewSpec, result: &PreviewResult) -> ApiResult<()> {
         job_record_levels(&format!("{at}/cache_records"), &spec.settings, seen.cache_records.len())?;
     }
     spent(&format!("{AT}/spent"), result.spent)
-}
-
-/// The settings of a task of our own renderer.
-fn own_settings(settings: &JobSettings) -> ApiResult<&RenderSettings> {
-    match settings {
-        JobSettings::Own(settings) => Ok(settings),
-        JobSettings::Shot(_) => {
-            let reason = "this is a result of forelight's own renderer; the task is for another one";
-            Err(ApiError::invalid("/result", reason))
-        }
-    }
 }
 
 fn job_record_levels(pointer: &str, settings: &JobSettings, found: usize) -> ApiResult<()> {

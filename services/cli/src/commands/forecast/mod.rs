@@ -53,7 +53,8 @@ reports which one costs less.
 
 Work is a count of operations, and is the same in every run. CPU time is that of this machine.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders
+    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders, or a .rif file
+    /// or octree, which Radiance renders
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
@@ -97,7 +98,7 @@ pub struct Args {
     /// cache
     #[arg(long, conflicts_with = "cache_sharing")]
     explain: bool,
-    /// Change a setting of a .blend file, such as adaptive_sampling=false. May be repeated
+    /// Change a setting of another renderer, such as adaptive_sampling=false. May be repeated
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
     own: Vec<OwnSetting>,
     /// Print the quote as JSON to standard output
@@ -188,6 +189,8 @@ fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         scene: &args.bundle,
         frames: args.frames.as_ref(),
         measured_frames: args.profile_frames,
+        samples: args.samples,
+        seed: args.phase_seed,
         quality: &args.quality,
         own: &args.own,
         machine: &args.machine,

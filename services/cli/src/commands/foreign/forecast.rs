@@ -3,7 +3,7 @@
 use anyhow::Result;
 use forelight_protocol::{ForecastDoc, FrameSet, Quantiles};
 use forelight_renderer::door::{Common, RendererId, Settings};
-use forelight_renderer::{QuotingStep, ShotQuote, quote_shot};
+use forelight_renderer::{QuotingStep, ShotQuote, Wanted, quote_shot};
 use forelight_terminal::foreign::{Foreign, OwnSetting};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
@@ -17,6 +17,10 @@ pub struct Asked<'a> {
     pub scene: &'a Path,
     pub frames: Option<&'a FrameSet>,
     pub measured_frames: Option<u32>,
+    /// Pixels to profile in each of them, if the renderer measures single pixels.
+    pub samples: u32,
+    /// Seed of their choice.
+    pub seed: u64,
     pub quality: &'a QualityOptions,
     pub own: &'a [OwnSetting],
     pub machine: &'a MachineOptions,
@@ -30,7 +34,8 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     let settings = foreign.settings(asked.quality, asked.own)?;
     let frames = foreign.frames(asked.frames)?;
     let (name, digest) = foreign.scene(asked.scene)?;
-    let most = asked.measured_frames.map(|count| count as usize);
+    let frames_at_most = asked.measured_frames.map(|count| count as usize);
+    let wanted = Wanted { frames: frames_at_most, samples: asked.samples, seed: asked.seed };
     let bar = bars.bar("previewing", 1000);
     let observe = |step: QuotingStep| match step {
         QuotingStep::Previewing(share) => bar.set_position((share * 1000.0) as u64),
@@ -41,18 +46,31 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     };
     let shot = (foreign.renderer.id(), &*foreign.shot);
     let run = foreign.run(interrupt);
-    let quote = quote_shot(shot, (&name, digest), &frames, &settings, most, &observe, &run);
+    let quote = quote_shot(shot, (&name, digest), &frames, &settings, wanted, &observe, &run);
     bar.finish_and_clear();
-    let ShotQuote { document, measured, .. } = quote?;
+    let ShotQuote { document, measured, profiled, .. } = quote?;
     if asked.json {
         return output::json(&document);
     }
     let samples =
         measured.first().map_or(0, |frame| frame.result.shares.iter().map(|share| share.count).sum());
-    output::print(&report(&document, foreign.renderer.id(), &settings, samples))
+    let pixels = profiled.first().map(|profile| profile.result.samples.len());
+    let measured = measured_text(document.profiled.frames.len(), samples, pixels);
+    output::print(&report(&document, foreign.renderer.id(), &settings, &measured))
 }
 
-fn report(quote: &ForecastDoc, renderer: &RendererId, settings: &Settings, samples: u32) -> String {
+/// What was measured: samples of frames, or pixels.
+fn measured_text(frames: usize, samples: u32, pixels: Option<usize>) -> String {
+    let plural = if frames == 1 { "" } else { "s" };
+    match (pixels, samples) {
+        (Some(pixels), _) => format!("profiled {pixels} pixels of {frames} frame{plural}"),
+        (None, 0) => format!("measured parts of {frames} frame{plural}"),
+        (None, 1) => format!("measured 1 sample of {frames} frame{plural}"),
+        (None, _) => format!("measured {samples} samples of {frames} frame{plural}"),
+    }
+}
+
+fn report(quote: &ForecastDoc, renderer: &RendererId, settings: &Settings, measured: &str) -> String {
     let mut table = Table::new(&[
         ("frame", Align::Right),
         ("CPU time P50", Align::Right),
@@ -71,13 +89,6 @@ fn report(quote: &ForecastDoc, renderer: &RendererId, settings: &Settings, sampl
     table.footer();
     table.row(row("all".to_owned(), &quote.total.cpu_seconds, ""));
     let Common { width, height, samples: all, .. } = settings.common;
-    let frames = quote.profiled.frames.len();
-    let plural = if frames == 1 { "" } else { "s" };
-    let measured = match samples {
-        0 => format!("measured parts of {frames} frame{plural}"),
-        1 => format!("measured 1 sample of {frames} frame{plural}"),
-        _ => format!("measured {samples} samples of {frames} frame{plural}"),
-    };
     format!(
         "{}\n{renderer}, {width} × {height}, {all} samples per pixel; {measured}.\n\
          The quote took {} of CPU time, {:.1} % of the forecast. Its quantiles are not calibrated on past jobs.\n",

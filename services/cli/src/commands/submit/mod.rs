@@ -17,7 +17,7 @@ use forelight_protocol::{
 use forelight_renderer::scene_name;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{
-    OwnSetting, is_blend, is_foreign, own_setting, refuse_own_settings, shot_request,
+    OwnSetting, is_blend, is_foreign, is_radiance, own_setting, refuse_own_settings, shot_request,
 };
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
@@ -37,6 +37,7 @@ Examples:
   forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
   forelight submit /mnt/shots/kitchen.blend --shared --frames 1-250 --spp 256 --set denoise=false
   forelight submit kitchen/ --frames 0-47 --deadline 2h --hold --follow --data farm-data
+  forelight submit /mnt/shots/hall.rif --shared --frames 1-12 --set ambient_bounces=1
   forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
 
 Without --follow and --out, the command prints the job's id and ends. A folder is packed and uploaded, unless the farm \
@@ -46,7 +47,8 @@ already has this bundle. Files that a .blend file refers to are not uploaded: pa
 With --hold, the job waits with its complete quote, and nothing is booked. `forelight accept` books it; `forelight \
 cancel` drops it.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file. Or a .blend file, which nodes with Blender render
+    /// Scene bundle: a folder or a zip file. Or a .blend file, which nodes with Blender render, or a .rif
+    /// file or octree, which nodes with Radiance render
     #[arg(required_unless_present = "job")]
     bundle: Option<PathBuf>,
     /// Follow this earlier job, instead of submitting a bundle
@@ -106,8 +108,9 @@ pub struct Args {
     /// Share one irradiance cache between frames. Needs --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
     cache_sharing: CacheSharing,
-    /// Renderer other than forelight's own, with its version or the beginning of it, such as "cycles 5.0" [default:
-    /// any version of cycles, for a .blend file]. The version that previews the job also renders it
+    /// Renderer other than forelight's own, with its version or the beginning of it, such as "cycles 5.0"
+    /// [default: any version of cycles for a .blend file, and of radiance for a .rif file or octree]. The
+    /// version that previews the job also renders it
     #[arg(long, value_name = "NAME[ VERSION]", value_parser = renderer)]
     renderer: Option<RendererRequest>,
     /// Change a setting of another renderer, such as adaptive_sampling=false. May be repeated
@@ -231,7 +234,13 @@ async fn foreign_request(
     bars: &Bars,
 ) -> Result<JobRequest> {
     let settings = shot_request(&args.quality, &args.own)?;
-    let stays = args.shared && args.renderer.is_some();
+    let known = if is_radiance(scene) { "radiance" } else { "cycles" };
+    if is_radiance(scene) && !args.shared {
+        let reason = format!("{}: a scene of Radiance needs --shared", scene.display());
+        let hint = "it has several files, which stay on storage that all workers share";
+        return Err(BadInput::new(reason).hint(hint).into());
+    }
+    let stays = args.shared && (args.renderer.is_some() || is_radiance(scene));
     if !is_blend(scene) && !stays {
         let reason = format!("{}: this scene needs --shared and --renderer", scene.display());
         let hint = "--shared leaves it on storage that all workers share; --renderer names the renderer, which a \
@@ -242,8 +251,7 @@ async fn foreign_request(
         let reason = "--frames: only its renderer knows the frames of this scene";
         return Err(BadInput::new(reason).hint("give them, such as --frames 1-250").into());
     };
-    let renderer =
-        args.renderer.clone().unwrap_or(RendererRequest { name: "cycles".to_owned(), version: None });
+    let renderer = args.renderer.clone().unwrap_or(RendererRequest { name: known.to_owned(), version: None });
     let name = scene_name(scene);
     let reference = if args.shared {
         on_shared_storage(scene)?

@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    AccuracyDoc, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles, RenderSettings,
+    AccuracyDoc, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles, RenderSettings, RendererId,
+    ShotSettings,
 };
 
 use super::fields::{effects, frame, image_error, left_out, levels, once, spent, storable, strata, wrong};
@@ -14,7 +15,7 @@ const AT: &str = "/result/profile";
 pub(super) fn check(spec: &ProfileSpec, settings: &RenderSettings, result: &ProfileResult) -> ApiResult<()> {
     frame(&format!("{AT}/frame"), result.frame, spec.frame)?;
     strata(&format!("{AT}/strata"), &result.strata)?;
-    samples(settings, result)?;
+    samples(settings.pixels(), result)?;
     shared_samples(spec, result)?;
     cache_samples(settings, result)?;
     noise(&format!("{AT}/noise"), settings, &result.noise)?;
@@ -37,16 +38,52 @@ pub(super) fn check(spec: &ProfileSpec, settings: &RenderSettings, result: &Prof
     spent(&format!("{AT}/spent"), result.spent)
 }
 
+/// The same for pixels of another renderer, whose profiles have nothing else.
+pub(super) fn check_shot(
+    spec: &ProfileSpec,
+    settings: &ShotSettings,
+    result: &ProfileResult,
+) -> ApiResult<()> {
+    let Some(asked) = &spec.renderer else { return wrong(AT, "the task names no renderer") };
+    frame(&format!("{AT}/frame"), result.frame, spec.frame)?;
+    strata(&format!("{AT}/strata"), &result.strata)?;
+    samples(settings.pixels().unwrap_or(0), result)?;
+    let found = result.renderer.as_deref().unwrap_or_default();
+    let (name, version) = found.split_once(' ').unwrap_or((found, ""));
+    let id = RendererId { name: name.to_owned(), version: version.to_owned() };
+    if id.check().is_err() || !asked.allows(&id) {
+        return wrong(format!("{AT}/renderer"), format!("this is `{found}`; the task is for {asked}"));
+    }
+    for (name, is_there) in [
+        ("uncovered", result.uncovered.is_some()),
+        ("shared_samples", !result.shared_samples.is_empty()),
+        ("cache_samples", !result.cache_samples.is_empty()),
+        ("shared_cache_samples", !result.shared_cache_samples.is_empty()),
+        ("noise", !result.noise.is_empty()),
+        ("effects", !result.effects.is_empty()),
+        ("left_out", !result.left_out.is_empty()),
+        ("work_by_class", result.work_by_class.is_some()),
+        ("once", result.once.is_some()),
+        ("ladders", result.ladders.is_some()),
+    ] {
+        if is_there {
+            return wrong(format!("{AT}/{name}"), "only forelight's own renderer has this; leave it out");
+        }
+    }
+    spent(&format!("{AT}/fixed/build"), result.fixed.build)?;
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
 /// Checks the profiled pixels: each lies in the image, appears once, and has numbers that can be stored.
-fn samples(settings: &RenderSettings, result: &ProfileResult) -> ApiResult<()> {
+fn samples(pixels: u64, result: &ProfileResult) -> ApiResult<()> {
     if result.samples.is_empty() {
         return wrong(format!("{AT}/samples"), "a profile has 1 pixel or more");
     }
     let mut seen = BTreeSet::new();
     for (i, sample) in result.samples.iter().enumerate() {
         let at = format!("{AT}/samples/{i}");
-        if u64::from(sample.pixel) >= settings.pixels() {
-            let reason = format!("there is no pixel {}; the image has {}", sample.pixel, settings.pixels());
+        if u64::from(sample.pixel) >= pixels {
+            let reason = format!("there is no pixel {}; the image has {pixels}", sample.pixel);
             return wrong(at + "/pixel", reason);
         }
         if !seen.insert(sample.pixel) {

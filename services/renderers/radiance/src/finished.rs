@@ -1,0 +1,96 @@
+//! Files of finished pixels, which a render takes over.
+
+use crate::tracer::Colour;
+use forelight_renderer::door::{Artefact, RendererError};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+/// What begins such a file.
+const MAGIC: &[u8; 24] = b"forelight radiance px 1\n";
+
+/// Bytes of a pixel: its index, three floats, and nanoseconds, all little endian.
+const BYTES: usize = 24;
+
+/// A finished pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Pixel {
+    pub colour: Colour,
+    /// CPU time that it took, nanoseconds.
+    pub cpu_nanos: u64,
+}
+
+/// Finished pixels by index, in rows from the top.
+pub(crate) type Finished = BTreeMap<u32, Pixel>;
+
+/// Writes finished pixels.
+pub(crate) fn write(path: &Path, pixels: &Finished) -> Result<(), RendererError> {
+    let mut bytes = MAGIC.to_vec();
+    for (index, pixel) in pixels {
+        bytes.extend(index.to_le_bytes());
+        bytes.extend(pixel.colour.iter().flat_map(|channel| channel.to_le_bytes()));
+        bytes.extend(pixel.cpu_nanos.to_le_bytes());
+    }
+    fs::write(path, bytes).map_err(RendererError::io(path))
+}
+
+/// Reads finished pixels of an image with so many.
+pub(crate) fn read(artefact: &Artefact, pixels: u64) -> Result<Finished, RendererError> {
+    let bytes = fs::read(&artefact.path).map_err(RendererError::io(&artefact.path))?;
+    let Some(body) = bytes.strip_prefix(MAGIC).filter(|body| body.len().is_multiple_of(BYTES)) else {
+        return Err(artefact.unusable("it is not a file of finished pixels, or not whole"));
+    };
+    let (records, _) = body.as_chunks::<BYTES>();
+    let mut all = Finished::new();
+    for record in records {
+        let (words, _) = record.as_chunks::<4>();
+        let index = u32::from_le_bytes(words[0]);
+        if u64::from(index) >= pixels {
+            return Err(artefact.unusable(format!("it has pixel {index}; the image has {pixels}")));
+        }
+        let colour = [1, 2, 3].map(|channel| f32::from_le_bytes(words[channel]));
+        let [low, high] = [4, 5].map(|half| u64::from(u32::from_le_bytes(words[half])));
+        let pixel = Pixel { colour, cpu_nanos: high << 32 | low };
+        if all.insert(index, pixel).is_some() {
+            return Err(artefact.unusable(format!("it has pixel {index} twice")));
+        }
+    }
+    Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_renderer::door::{Common, Part, RendererId, Settings};
+
+    fn artefact(path: &Path) -> Artefact {
+        let common = Common { width: 4, height: 4, samples: 1, seed: 0 };
+        Artefact {
+            renderer: RendererId { name: "radiance".to_owned(), version: "6".to_owned() },
+            frame: 1,
+            settings: Settings { common, own: Default::default() },
+            part: Part::Pixels(Vec::new()),
+            path: path.to_owned(),
+        }
+    }
+
+    #[test]
+    fn pixels_are_read_as_they_were_written_and_other_files_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pixels");
+        let pixel = |colour, cpu_nanos| Pixel { colour, cpu_nanos };
+        let pixels =
+            Finished::from([(3, pixel([0.1, 0.2, 0.3], 41_000)), (15, pixel([1e30, 0.0, 5e-40], 7 << 33))]);
+        write(&path, &pixels).unwrap();
+        assert_eq!(read(&artefact(&path), 16).unwrap(), pixels);
+        let error = |bytes: &[u8], pixels| {
+            fs::write(&path, bytes).unwrap();
+            read(&artefact(&path), pixels).unwrap_err().to_string()
+        };
+        let whole = fs::read(&path).unwrap();
+        assert!(error(&whole, 15).contains("pixel 15; the image has 15"));
+        assert!(error(&whole[..whole.len() - 1], 16).contains("not whole"));
+        assert!(error(b"GIF89a", 16).contains("not a file"));
+        assert!(error(&[&whole[..], &whole[24..48]].concat(), 16).contains("pixel 3 twice"));
+    }
+}

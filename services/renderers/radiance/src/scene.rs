@@ -1,0 +1,306 @@
+//! A scene: octrees and views of its frames, options and files.
+
+use crate::assets::{asset, assets_of};
+use crate::installation::{MESSAGES, Radiance};
+use crate::rif::Plan;
+use crate::settings::Arguments;
+use crate::views::{View, views_of};
+use forelight_renderer::door::{Asset, Cost, RendererError, Run};
+use forelight_renderer::process::{Program, run, run_on_files};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use tempfile::TempDir;
+
+/// Width and height of an image at most, where the scene does not say.
+const SIDE: u32 = 512;
+
+/// A frame: the octree that holds its scene, and its view.
+#[derive(Debug, Clone)]
+pub(crate) struct SceneFrame {
+    pub number: i32,
+    pub octree: PathBuf,
+    pub view: View,
+}
+
+/// A scene that is open.
+#[derive(Debug)]
+pub(crate) struct Scene {
+    /// Folder from which the scene names its files.
+    pub folder: PathBuf,
+    /// Home of our processes, with the octree if it was built here. Removed with this.
+    pub home: TempDir,
+    pub frames: Vec<SceneFrame>,
+    pub arguments: Arguments,
+    /// Width and height at most.
+    pub size: (u32, u32),
+    /// Samples of a pixel.
+    pub samples: u32,
+    pub assets: Vec<Asset>,
+    pub notes: Vec<String>,
+    /// Cost of opening it.
+    pub cost: Cost,
+}
+
+/// Reads a scene.
+struct Reader<'a> {
+    radiance: &'a Radiance,
+    scene: &'a Path,
+    folder: PathBuf,
+    home: TempDir,
+    run: &'a Run<'a>,
+    cost: Cost,
+}
+
+impl Scene {
+    /// Opens a `.rif` file, which builds its octree, or an octree with a view file beside it.
+    pub fn open(radiance: &Radiance, scene: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
+        if !scene.is_file() {
+            return Err(RendererError::MissingFile(scene.display().to_string()));
+        }
+        let scene = std::path::absolute(scene).map_err(RendererError::io(scene))?;
+        let folder = scene.parent().unwrap_or(Path::new("/")).to_owned();
+        let home = tempfile::Builder::new().prefix("forelight-radiance-").tempdir();
+        let home = home.map_err(RendererError::io(std::env::temp_dir()))?;
+        let reader = Reader { radiance, scene: &scene, folder, home, run, cost: Cost::default() };
+        if scene.extension().is_some_and(|end| end.eq_ignore_ascii_case("rif")) {
+            reader.of_rif()
+        } else {
+            reader.of_octree()
+        }
+    }
+
+    /// The frame of this number.
+    pub fn frame(&self, number: i32) -> Result<&SceneFrame, RendererError> {
+        self.frames.iter().find(|frame| frame.number == number).ok_or_else(|| {
+            let (first, last) = match self.frames.as_slice() {
+                [] => (0, 0),
+                [first, .., last] => (first.number, last.number),
+                [only] => (only.number, only.number),
+            };
+            RendererError::Unsupported(format!("there is no frame {number}; the scene has {first} to {last}"))
+        })
+    }
+}
+
+impl Reader<'_> {
+    fn wrong(&self, reason: String) -> RendererError {
+        RendererError::Scene { scene: self.scene.to_owned(), reason }
+    }
+
+    fn program(&self, name: &str) -> Program {
+        self.radiance.program(name, &self.folder, self.home.path())
+    }
+
+    fn of_rif(mut self) -> Result<Scene, RendererError> {
+        // A picture and an octree that do not exist: rad prints all that it would do for them.
+        let nowhere = self.home.path().join("none");
+        let octree = self.home.path().join("scene.oct");
+        let mut printed = Vec::new();
+        let rad = |own_octree: bool| {
+            let program = self.program("rad").args(["-n", "-e"]).arg(self.scene);
+            let program = program.arg(format!("PICTURE={}", nowhere.join("picture").display()));
+            if own_octree { program.arg(format!("OCTREE={}", octree.display())) } else { program }
+        };
+        let names_scene = fs::read_to_string(self.scene)
+            .map_err(RendererError::io(self.scene))?
+            .lines()
+            .any(|line| line.trim_start().to_lowercase().starts_with("scene"));
+        let since = Instant::now();
+        let finished =
+            run(&rad(names_scene), MESSAGES, self.run, &mut |line| printed.push(line.text.clone()))?;
+        self.add(finished.usage.cpu_nanos, since);
+        let plan = Plan::read(&printed).map_err(|reason| self.wrong(reason))?;
+        let folders = self.folders();
+        let mut assets: Vec<Asset> =
+            plan.files.iter().map(|(kind, name)| asset(kind, name, &folders[..1])).collect();
+        let octree = if plan.oconv.is_empty() {
+            let named = plan.octree.as_deref().ok_or_else(|| self.wrong("it names no scene".to_owned()))?;
+            self.folder.join(named)
+        } else {
+            self.build(&plan.oconv, &octree)?;
+            if self.radiance.knows_folders() {
+                assets.extend(self.assets(&plan.read, &folders)?);
+            }
+            octree
+        };
+        if !octree.is_file() {
+            return Err(RendererError::MissingFile(octree.display().to_string()));
+        }
+        let mut notes = Vec::new();
+        if runs_commands(&plan.read, &self.folder) {
+            notes.push(
+                "the scene runs commands (lines that begin with !) when its octree is built".to_owned(),
+            );
+        }
+        if plan.arguments.ambient_file.is_some() {
+            notes.push("AMBFILE is not used: it would be shared with other renders of the scene".to_owned());
+        }
+        let frame =
+            |(view, number): (&View, i32)| SceneFrame { number, octree: octree.clone(), view: view.clone() };
+        let frames = plan.views.iter().zip(1..).map(frame).collect();
+        let samples = plan.oversampling * plan.oversampling;
+        Ok(self.into_scene(frames, plan.arguments, plan.size, samples, assets, notes))
+    }
+
+    fn of_octree(self) -> Result<Scene, RendererError> {
+        let octrees = numbered(self.scene);
+        let views = self.views(&octrees)?;
+        let frame = |number: i32, octree: &Path, view: &View| SceneFrame {
+            number,
+            octree: octree.to_owned(),
+            view: view.clone(),
+        };
+        let frames: Vec<SceneFrame> = match octrees.as_slice() {
+            [] => views.iter().zip(1..).map(|(view, number)| frame(number, self.scene, view)).collect(),
+            octrees => {
+                if views.len() != 1 && views.len() != octrees.len() {
+                    return Err(self.wrong(format!(
+                        "there are {} octrees and {} views; give one view, or one for each octree",
+                        octrees.len(),
+                        views.len()
+                    )));
+                }
+                let of = views.iter().cycle();
+                octrees.iter().zip(of).map(|((number, octree), view)| frame(*number, octree, view)).collect()
+            }
+        };
+        let assets = octrees.iter().map(|(_, path)| self.present("octree", path)).collect();
+        Ok(self.into_scene(frames, Arguments::default(), (SIDE, SIDE), 1, assets, Vec::new()))
+    }
+
+    /// Views of octrees: of the files of the same names, or of one file for all of them.
+    fn views(&self, octrees: &[(i32, PathBuf)]) -> Result<Vec<View>, RendererError> {
+        let read = |path: &Path| {
+            let scene = path.to_owned();
+            views_of(path).map_err(|reason| RendererError::Scene { scene, reason })
+        };
+        let each: Vec<PathBuf> = octrees.iter().map(|(_, octree)| octree.with_extension("vf")).collect();
+        if each.len() > 1 && each.iter().all(|path| path.is_file()) {
+            let last = |path: &PathBuf| read(path).map(|mut views| views.pop());
+            return Ok(each.iter().map(last).collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect());
+        }
+        let own = self.scene.with_extension("vf");
+        let name = stem(self.scene);
+        let (prefix, _) = split_number(&name);
+        let common = self.folder.join(format!("{}.vf", prefix.trim_end_matches(['.', '-', '_'])));
+        match [&own, &common].into_iter().find(|path| path.is_file()) {
+            Some(path) => read(path),
+            None => Err(RendererError::MissingFile(format!("{}: the views of the octree", own.display()))),
+        }
+    }
+
+    fn folders(&self) -> Vec<PathBuf> {
+        std::iter::once(self.folder.clone()).chain(self.radiance.folders_of_files()).collect()
+    }
+
+    fn add(&mut self, cpu_nanos: u64, since: Instant) {
+        self.cost.cpu_nanos += cpu_nanos;
+        self.cost.wall_nanos += u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
+    }
+
+    fn on_files(&mut self, program: &Program, to: &Path) -> Result<(), RendererError> {
+        let since = Instant::now();
+        let from = File::open("/dev/null").map_err(RendererError::io("/dev/null"))?;
+        let out = File::create(to).map_err(RendererError::io(to))?;
+        let finished = run_on_files(program, MESSAGES, self.run, from, out)?;
+        self.add(finished.usage.cpu_nanos, since);
+        Ok(())
+    }
+
+    fn build(&mut self, arguments: &[String], octree: &Path) -> Result<(), RendererError> {
+        let oconv = self.program("oconv").args(arguments);
+        self.on_files(&oconv, octree)
+    }
+
+    /// Files that the scene's own files name.
+    fn assets(&mut self, files: &[String], folders: &[PathBuf]) -> Result<Vec<Asset>, RendererError> {
+        let flat = self.home.path().join("flat.rad");
+        let xform = self.program("xform").arg("-e").args(files);
+        self.on_files(&xform, &flat)?;
+        let text = fs::read(&flat).map_err(RendererError::io(&flat))?;
+        fs::remove_file(&flat).map_err(RendererError::io(&flat))?;
+        Ok(assets_of(&String::from_utf8_lossy(&text), folders))
+    }
+
+    fn present(&self, kind: &str, path: &Path) -> Asset {
+        asset(kind, &path.display().to_string(), std::slice::from_ref(&self.folder))
+    }
+
+    fn into_scene(
+        self,
+        frames: Vec<SceneFrame>,
+        arguments: Arguments,
+        size: (u32, u32),
+        samples: u32,
+        assets: Vec<Asset>,
+        notes: Vec<String>,
+    ) -> Scene {
+        let Self { folder, home, cost, .. } = self;
+        Scene { folder, home, frames, arguments, size, samples, assets, notes, cost }
+    }
+}
+
+/// Whether one of the files has a line that is a command.
+fn runs_commands(files: &[String], folder: &Path) -> bool {
+    files.iter().any(|file| {
+        let text = fs::read(folder.join(file)).unwrap_or_default();
+        String::from_utf8_lossy(&text).lines().any(|line| line.trim_start().starts_with('!'))
+    })
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// `hall-` and `0012` of `hall-0012`.
+fn split_number(stem: &str) -> (&str, &str) {
+    let prefix = stem.trim_end_matches(|c: char| c.is_ascii_digit());
+    stem.split_at(prefix.len())
+}
+
+/// Octrees whose names differ from this one's only in their number, ascending. Empty if it has no number.
+fn numbered(octree: &Path) -> Vec<(i32, PathBuf)> {
+    let own = stem(octree);
+    let (prefix, number) = split_number(&own);
+    if number.is_empty() {
+        return Vec::new();
+    }
+    let entries = octree.parent().and_then(|folder| fs::read_dir(folder).ok());
+    let mut all: Vec<(i32, PathBuf)> = entries
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| path.extension() == octree.extension())
+        .filter_map(|path| {
+            let name = stem(&path);
+            let (others, number) = split_number(&name);
+            let number = number.parse().ok().filter(|_| others == prefix)?;
+            Some((number, path))
+        })
+        .collect();
+    all.sort();
+    all.dedup_by_key(|(number, _)| *number);
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn octrees_that_differ_in_their_number_are_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["walk-002.oct", "walk-010.oct", "walk-9.oct", "talk-003.oct", "walk.oct", "walk-004.vf"]
+        {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let numbers = |name: &str| -> Vec<i32> {
+            numbered(&folder.path().join(name)).into_iter().map(|(number, _)| number).collect()
+        };
+        assert_eq!(numbers("walk-010.oct"), [2, 9, 10]);
+        assert_eq!(numbers("talk-003.oct"), [3]);
+        assert!(numbers("walk.oct").is_empty());
+    }
+}

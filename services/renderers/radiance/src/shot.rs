@@ -1,0 +1,315 @@
+//! The four questions of the door, to one scene of Radiance.
+
+use crate::blocks::{Blocks, SIDE, pixels_of};
+use crate::finished::{self, Finished, Pixel};
+use crate::ids::{self, Kept, Names};
+use crate::image::{Traced, trace};
+use crate::installation::Radiance;
+use crate::pictures;
+use crate::profile::RadianceProfiler;
+use crate::scene::Scene;
+use crate::settings::{ALLOW_MISSING, SCHEMA, allows_missing, shares_values};
+use crate::tracer::Colour;
+use forelight_renderer::door::{
+    Artefact, BlockCosts, Camera, Capabilities, Capability, Common, Description, FrameCounts, Frames,
+    Measured, Part, PieceCost, PixelProfiler, Region, Rendered, Renderer as _, RendererError, Run, Settings,
+    Shot, Shown, TakenOver,
+};
+use forelight_renderer::process::run as run_program;
+use std::path::Path;
+
+/// Most pixels of a preview. Counts are scaled to the image.
+const PREVIEW_PIXELS: u64 = 256 * 256;
+
+/// Most pixels of an image.
+const MOST_PIXELS: u64 = 1 << 28;
+
+/// A scene of Radiance.
+pub(crate) struct RadianceShot {
+    pub radiance: Radiance,
+    pub scene: Scene,
+    pub names: Names,
+    pub kept: Kept,
+    description: Description,
+}
+
+impl RadianceShot {
+    pub fn open(radiance: Radiance, path: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
+        let scene = Scene::open(&radiance, path, run)?;
+        let (width, height) = size(&radiance, &scene, run)?;
+        let common = Common { width, height, samples: scene.samples, seed: 0 };
+        let mut own = radiance.defaults().clone();
+        own.extend(scene.arguments.settings.clone());
+        own.insert(ALLOW_MISSING.to_owned(), false.into());
+        let description = Description {
+            frames: frames(&scene),
+            frames_per_second: 24.0,
+            cameras: cameras(&scene),
+            layers: Vec::new(),
+            // Known by name only where a preview shows them.
+            objects: Some(Vec::new()),
+            materials: Some(Vec::new()),
+            settings: Settings { common, own },
+            assets: scene.assets.clone(),
+            notes: scene.notes.clone(),
+            opening: scene.cost.clone(),
+        };
+        Ok(Self { radiance, scene, names: Names::default(), kept: Kept::default(), description })
+    }
+
+    /// Arguments of rtrace: those of the settings, and those of the scene that no setting stands for.
+    pub fn arguments(&self, of_settings: Vec<String>) -> Vec<String> {
+        of_settings.into_iter().chain(self.scene.arguments.kept.iter().cloned()).collect()
+    }
+
+    fn check(&self, settings: &Settings) -> Result<(), RendererError> {
+        settings.check(&SCHEMA)?;
+        if settings.pixels() > MOST_PIXELS {
+            let reason = format!("an image of {} pixels; the most are {MOST_PIXELS}", settings.pixels());
+            return Err(RendererError::Unsupported(reason));
+        }
+        if allows_missing(settings) { Ok(()) } else { self.description.require_assets() }
+    }
+
+    fn groups(&self, settings: &Settings, part: &Part) -> Result<Vec<Vec<u32>>, RendererError> {
+        let Common { width, height, .. } = settings.common;
+        let unsupported = |reason: String| Err(RendererError::Unsupported(reason));
+        match part {
+            Part::Samples { .. } => {
+                let blocks = Blocks::new(&settings.common);
+                Ok((0..blocks.count()).map(|block| blocks.pixels(block)).collect())
+            }
+            Part::Regions(regions) => {
+                let inside = |start: u32, length: u32, all: u32| {
+                    length > 0 && start.checked_add(length).is_some_and(|end| end <= all)
+                };
+                let fits = |r: &&Region| !inside(r.x, r.width, width) || !inside(r.y, r.height, height);
+                match regions.iter().find(fits) {
+                    Some(r) => unsupported(format!(
+                        "region {} × {} at ({}, {}) of an image of {width} × {height}",
+                        r.width, r.height, r.x, r.y
+                    )),
+                    None => Ok(regions.iter().map(|region| pixels_of(region, width)).collect()),
+                }
+            }
+            Part::Pixels(pixels) => match pixels.iter().find(|&&pixel| pixel >= width * height) {
+                Some(pixel) => unsupported(format!("pixel {pixel} of an image of {width} × {height}")),
+                None => Ok(pixels.iter().map(|&pixel| vec![pixel]).collect()),
+            },
+        }
+    }
+
+    /// Pixels that artefacts hold.
+    fn taken_over(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        from: &[Artefact],
+    ) -> Result<Finished, RendererError> {
+        let mut all = Finished::new();
+        for artefact in from {
+            artefact.check(self.radiance.id(), frame, settings)?;
+            if !matches!(artefact.part, Part::Pixels(_)) {
+                return Err(artefact.unusable("it is not of single pixels"));
+            }
+            all.extend(finished::read(artefact, settings.pixels())?);
+        }
+        Ok(all)
+    }
+}
+
+fn frames(scene: &Scene) -> Frames {
+    let numbers: Vec<i32> = scene.frames.iter().map(|frame| frame.number).collect();
+    let steps = numbers.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
+    let step = steps.reduce(greatest_common_divisor).unwrap_or(1);
+    Frames {
+        first: numbers.first().copied().unwrap_or(1),
+        last: numbers.last().copied().unwrap_or(0),
+        step: step.max(1),
+    }
+}
+
+fn greatest_common_divisor(a: u32, b: u32) -> u32 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
+}
+
+fn cameras(scene: &Scene) -> Vec<Camera> {
+    let named = scene.frames.iter().filter(|frame| !frame.view.name.is_empty());
+    let mut names: Vec<&str> = named.map(|frame| frame.view.name.as_str()).collect();
+    names.dedup();
+    names.into_iter().map(|name| Camera { name: name.to_owned(), active: true }).collect()
+}
+
+/// Width and height of the image: within the scene's, and in the shape of the first view.
+fn size(radiance: &Radiance, scene: &Scene, run: &Run<'_>) -> Result<(u32, u32), RendererError> {
+    let (width, height) = scene.size;
+    let Some(first) = scene.frames.first() else { return Ok((width, height)) };
+    let program = radiance
+        .program("vwrays", &scene.folder, scene.home.path())
+        .args(["-d".to_owned(), "-x".to_owned(), width.to_string(), "-y".to_owned(), height.to_string()])
+        .args(first.view.arguments.iter().cloned());
+    let mut printed = String::new();
+    run_program(&program, crate::installation::MESSAGES, run, &mut |line| printed.push_str(&line.text))?;
+    let words: Vec<&str> = printed.split_whitespace().collect();
+    let number = |option: &str| {
+        let at = words.iter().position(|&word| word == option)?;
+        words.get(at + 1)?.parse::<u32>().ok().filter(|&size| size > 0)
+    };
+    number("-x")
+        .zip(number("-y"))
+        .ok_or_else(|| RendererError::Answer(format!("vwrays -d printed `{printed}`, which is no size")))
+}
+
+/// The size of a preview: smaller, if the image is large.
+fn preview_size(settings: &Settings) -> Common {
+    let mut small = settings.common;
+    let scale = (PREVIEW_PIXELS as f64 / settings.pixels() as f64).sqrt().min(1.0);
+    for side in [&mut small.width, &mut small.height] {
+        *side = ((f64::from(*side) * scale).round() as u32).max(1);
+    }
+    small
+}
+
+impl Shot for RadianceShot {
+    fn description(&self) -> &Description {
+        &self.description
+    }
+
+    fn image_extensions(&self, _settings: &Settings) -> Vec<String> {
+        ["exr", "hdr", "png"].map(str::to_owned).to_vec()
+    }
+
+    fn capabilities(&self, settings: &Settings) -> Capabilities {
+        let mut all = self.radiance.capabilities();
+        if shares_values(settings) {
+            // A pixel's cost depends on those before it. A smaller image covers the same scene.
+            all.remove(&Capability::MeasurePixels);
+            all.remove(&Capability::MeasureSamples);
+            all.remove(&Capability::MeasureRegions);
+            all.remove(&Capability::MeasureManyRegions);
+            all.remove(&Capability::TakeOverPixels);
+            all.insert(Capability::Resize);
+        }
+        all
+    }
+
+    fn names(&self, shown: Shown) -> (Option<String>, Option<String>) {
+        let name = |number: Option<u32>| self.names.name(number?);
+        (name(shown.object), name(shown.material))
+    }
+
+    fn preview(
+        &self,
+        frames: &[i32],
+        settings: &Settings,
+        run: &Run<'_>,
+    ) -> Result<Vec<FrameCounts>, RendererError> {
+        self.check(settings)?;
+        let small = preview_size(settings);
+        let sampled_pixels = u64::from(small.width) * u64::from(small.height);
+        let mut all = Vec::with_capacity(frames.len());
+        for (done, &number) in frames.iter().enumerate() {
+            let progress = |share: f64| (run.progress)((done as f64 + share) / frames.len() as f64);
+            let frame = self.scene.frame(number)?;
+            let (seen, cost) = self.kept.see(self, frame, &small, &Run { progress: &progress, ..*run })?;
+            let counts = ids::counts(&seen.shown, settings.pixels());
+            all.push(FrameCounts { frame: number, counts, sampled_pixels, cost });
+        }
+        Ok(all)
+    }
+
+    fn measure(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        part: &Part,
+        run: &Run<'_>,
+    ) -> Result<Measured, RendererError> {
+        self.check(settings)?;
+        let all = settings.common.samples;
+        let samples = match *part {
+            Part::Samples { offset, count } => offset..offset.saturating_add(count),
+            Part::Regions(_) | Part::Pixels(_) => 0..all,
+        };
+        if samples.is_empty() || samples.end > all {
+            let reason = format!("samples {} to {} of a frame of {all}", samples.start, samples.end);
+            return Err(RendererError::Unsupported(reason));
+        }
+        let groups = self.groups(settings, part)?;
+        let traced = trace(self, self.scene.frame(frame)?, settings, &groups, samples, run)?;
+        let fixed = traced.fixed();
+        let region = |pixels: &Vec<u32>| Region {
+            x: pixels[0] % settings.common.width,
+            y: pixels[0] / settings.common.width,
+            width: 1,
+            height: 1,
+        };
+        let (pieces, blocks) = match part {
+            Part::Samples { .. } => (Vec::new(), Some(block_costs(settings, &traced.nanos))),
+            Part::Regions(regions) => (pieces(regions.iter().copied(), &traced), None),
+            Part::Pixels(_) => (pieces(groups.iter().map(region), &traced), None),
+        };
+        Ok(Measured { cost: traced.cost, fixed, pieces, strata: Vec::new(), blocks, artefact: None })
+    }
+
+    fn profile_pixels<'a>(
+        &'a self,
+        frame: i32,
+        settings: &'a Settings,
+        run: &'a Run<'a>,
+    ) -> Result<Box<dyn PixelProfiler + 'a>, RendererError> {
+        self.check(settings)?;
+        Ok(Box::new(RadianceProfiler::start(self, self.scene.frame(frame)?, settings, run)?))
+    }
+
+    fn render(
+        &self,
+        frame: i32,
+        settings: &Settings,
+        taken_over: &[Artefact],
+        run: &Run<'_>,
+    ) -> Result<Rendered, RendererError> {
+        self.check(settings)?;
+        let shown = self.scene.frame(frame)?;
+        let mut finished = self.taken_over(frame, settings, taken_over)?;
+        let over = TakenOver {
+            pixels: finished.len() as u64,
+            cpu_nanos: finished.values().map(|pixel| pixel.cpu_nanos).sum(),
+        };
+        let blocks = Blocks::new(&settings.common);
+        let rest = |block: u32| -> Vec<u32> {
+            let mut pixels = blocks.pixels(block);
+            pixels.retain(|pixel| !finished.contains_key(pixel));
+            pixels
+        };
+        let groups: Vec<Vec<u32>> = (0..blocks.count()).map(rest).collect();
+        let traced = trace(self, shown, settings, &groups, 0..settings.common.samples, run)?;
+        let fixed = traced.fixed();
+        let Traced { pixels, nanos, cost, .. } = traced;
+        finished.extend(pixels.into_iter().map(|(index, colour)| (index, Pixel { colour, cpu_nanos: 0 })));
+        let pixels: Vec<Colour> = finished.into_values().map(|pixel| pixel.colour).collect();
+        let (exr, hdr) = (format!("frame-{frame:04}.exr"), format!("frame-{frame:04}.hdr"));
+        let files = vec![run.scratch.join(exr), run.scratch.join(hdr)];
+        pictures::write_exr(&files[0], &pixels, &settings.common)?;
+        pictures::write_hdr(&files[1], &pixels, &settings.common, shown)?;
+        Ok(Rendered {
+            files,
+            picture: Some(pictures::picture(&pixels, &settings.common)),
+            ids: None,
+            cost,
+            fixed,
+            strata: Vec::new(),
+            blocks: Some(block_costs(settings, &nanos)),
+            taken_over: over,
+        })
+    }
+}
+
+fn block_costs(settings: &Settings, nanos: &[u64]) -> BlockCosts {
+    let columns = Blocks::new(&settings.common).columns();
+    BlockCosts { side: SIDE, columns, nanos: nanos.to_vec() }
+}
+
+fn pieces(regions: impl Iterator<Item = Region>, traced: &Traced) -> Vec<PieceCost> {
+    regions.zip(&traced.nanos).map(|(region, &cpu_nanos)| PieceCost { region, cpu_nanos }).collect()
+}
