@@ -1,4 +1,5 @@
-//! Background work of the service. One task advances jobs and plans the farm; one takes back expired leases.
+//! Background work of the service. One task advances jobs and plans the farm; one takes back expired leases;
+//! one tells webhooks of events.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use tokio::time::Instant;
 use crate::clock::SteadyClock;
 use crate::conductor::Conductor;
 use crate::state::App;
+use crate::webhooks::tell_webhooks;
 
 /// Pause before a loop restarts after a panic.
 const AFTER_PANIC: Duration = Duration::from_secs(1);
@@ -36,6 +38,10 @@ pub(crate) async fn run_conductor(app: App, mut jobs: mpsc::UnboundedReceiver<Jo
 
 pub(crate) async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
     while again_after_panic("the sweep", sweep(&app, &clock)).await {}
+}
+
+pub(crate) async fn run_webhooks(app: App) {
+    while again_after_panic("telling webhooks", tell_webhooks(&app)).await {}
 }
 
 /// Shortest time between plans that no request waits for, or four times the last plan's duration if longer.

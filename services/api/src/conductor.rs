@@ -21,6 +21,7 @@ pub(crate) mod farm;
 pub(crate) mod job_profile;
 mod qualities;
 mod replan;
+mod risks;
 pub(crate) mod settle;
 pub(crate) mod what_if;
 

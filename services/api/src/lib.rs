@@ -30,6 +30,7 @@ mod service;
 mod shared;
 mod sign_in;
 mod state;
+mod webhooks;
 
 pub use budget_forecast::{BudgetForecastError, budget_forecast};
 pub use clock::{Clock, ManualClock, SystemClock};

@@ -1,5 +1,6 @@
 //! The OpenAPI document without its operations, which `router` adds.
 
+use forelight_protocol::{WebhookData, WebhookMessage};
 use utoipa::openapi::security::{ApiKey, ApiKeyValue, Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, SecurityRequirement};
 use utoipa::{PartialSchema, ToSchema};
@@ -9,7 +10,7 @@ pub(crate) fn frame() -> OpenApi {
     info.description = Some(
         "A render farm that forecasts what a frame will cost before it is rendered. Times are RFC 3339 with \
          microseconds, money is micro-units, errors are problem details (RFC 9457). Every POST that creates \
-         something takes an `Idempotency-Key`, except for one-time tokens, which are not stored. Default \
+         something takes an `Idempotency-Key`, except those that answer with a secret. Default \
          limits: bundles 256 MiB, artefacts 1 GiB, JSON 1 MiB (results 64 MiB), 10,000 frames a job, 2^26 pixels \
          an image, 50 million triangles and 4 GiB a scene."
             .to_owned(),
@@ -23,6 +24,8 @@ pub(crate) fn frame() -> OpenApi {
         .security_scheme("bearer", bearer)
         .security_scheme("session", SecurityScheme::ApiKey(cookie))
         .schema(forelight_protocol::Problem::name(), forelight_protocol::Problem::schema())
+        .schema(WebhookMessage::name(), WebhookMessage::schema())
+        .schema(WebhookData::name(), WebhookData::schema())
         .build();
     OpenApiBuilder::new()
         .info(info)

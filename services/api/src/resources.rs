@@ -21,3 +21,4 @@ pub(crate) mod sessions;
 pub(crate) mod strip;
 pub(crate) mod tasks;
 pub(crate) mod timeline;
+pub(crate) mod webhooks;

@@ -24,7 +24,7 @@ use crate::openapi::frame;
 use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
-    page, plans, projects, sessions, strip, tasks, timeline,
+    page, plans, projects, sessions, strip, tasks, timeline, webhooks,
 };
 use crate::state::App;
 
@@ -88,6 +88,10 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(budgets::list, budgets::set))
         .routes(routes!(budgets::forecast))
         .routes(routes!(projects::list, projects::set))
+        .routes(routes!(webhooks::add, webhooks::list))
+        .routes(routes!(webhooks::remove))
+        .routes(routes!(webhooks::test))
+        .routes(routes!(webhooks::deliveries))
         .routes(routes!(dashboard::get))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
@@ -103,7 +107,8 @@ pub fn openapi_yaml() -> String {
     document.to_yaml().unwrap_or_default()
 }
 
-/// The axum router. Layers from the outside in: log line, counter, compression, form of errors, panics, bodies.
+/// The axum router. Layers from the outside in: log line, counter, compression, form of errors, panics,
+/// bodies.
 pub(crate) fn router(app: App) -> axum::Router {
     let (routes, _) = routes();
     routes

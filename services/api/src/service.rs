@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{run_conductor, run_sweep};
+use crate::background::{run_conductor, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::serve;
@@ -98,6 +98,7 @@ impl Service {
             session_lifetime,
             sign_ins: Arc::default(),
             sessions_ended: Arc::new(watch::Sender::new(0)),
+            webhooks_changed: Arc::new(watch::Sender::new(0)),
             bundle_roots: roots,
             checks: Arc::new(Semaphore::new(limits.checks_at_once.max(1))),
             limits: Arc::new(limits),
@@ -115,6 +116,7 @@ impl Service {
         let tasks = vec![
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
+            tokio::spawn(run_webhooks(app.clone())),
             tokio::spawn(serve(listener, router(app), stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })

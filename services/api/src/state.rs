@@ -30,6 +30,8 @@ pub(crate) struct App {
     pub sign_ins: Arc<SignIns>,
     /// Changes whenever a session ends before its time.
     pub sessions_ended: Arc<watch::Sender<u64>>,
+    /// Changes whenever a webhook is to be told something besides events.
+    pub webhooks_changed: Arc<watch::Sender<u64>>,
     /// Canonical paths of the bundle roots.
     pub bundle_roots: Arc<[PathBuf]>,
     pub limits: Arc<Limits>,

@@ -263,7 +263,8 @@ pub struct Dashboard {
     /// Projects that have a budget or spent something tonight, by name.
     #[serde(default)]
     pub spending: Vec<ProjectSpending>,
-    /// The nodes: those that need somebody first, then those at work, by name. At most 200; `/v1/nodes` has all.
+    /// The nodes: those that need somebody first, then those at work, by name. At most 200; `/v1/nodes` has
+    /// all.
     pub nodes: Vec<DashboardNode>,
     /// The next open bookings by start, at most 100. `/v1/timeline` has all.
     pub bookings: Vec<Booking>,

@@ -130,6 +130,9 @@ pub struct Event {
     /// The state of the node, as far as it does not depend on the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_state: Option<NodeState>,
+    /// The project, of an event about a budget.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub project: Option<String>,
     /// Number of the job's finished frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames_done: Option<u32>,

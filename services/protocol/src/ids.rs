@@ -77,5 +77,14 @@ id!(
     SessionId
 );
 
+id!(
+    /// Id of a webhook: an address that is told of events.
+    WebhookId
+);
+id!(
+    /// Id of a delivery: an event that a webhook is told of.
+    DeliveryId
+);
+
 /// Position of an event in the farm's order of events. Later events have greater numbers, with possible gaps.
 pub type EventId = i64;

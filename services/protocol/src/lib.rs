@@ -54,6 +54,7 @@ mod task;
 mod time;
 mod timeline;
 mod track_record;
+mod webhook;
 
 pub use accuracy::{
     AccuracyDoc, AccuracyRung, ImageError, LadderKind, Ladders, MeasuredRung, MissingLadder, NextRung,
@@ -92,7 +93,9 @@ pub use forecast::{
 };
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
-pub use ids::{BookingId, BundleId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId};
+pub use ids::{
+    BookingId, BundleId, DeliveryId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, WebhookId,
+};
 pub use job::{
     AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, FramesRequest,
     Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
@@ -140,4 +143,8 @@ pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, T
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,
     TrackRecordKind, TrackRecordRow,
+};
+pub use webhook::{
+    Delivery, DeliveryPage, DeliveryState, Webhook, WebhookData, WebhookKind, WebhookList, WebhookMessage,
+    WebhookRequest,
 };

@@ -161,7 +161,8 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32> {
             budget.period.name()
         );
         let message = policy::message(budget, *action);
-        append(write, Event { message: Some(message), ..event(EventKind::Budget, now) });
+        let of_budget = Event { project: Some(budget.project.clone()), ..event(EventKind::Budget, now) };
+        append(write, Event { message: Some(message), ..of_budget });
     }
     // A budget that was just set again has no action, but may have had one.
     let kept = kept(write.connection().await?).await?;

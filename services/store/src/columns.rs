@@ -4,8 +4,8 @@
 use std::marker::PhantomData;
 
 use forelight_protocol::{
-    ArtifactHash, BookingId, BudgetForecast, BundleId, JobId, JobState, LeaseId, LogLevel, NodeId, PlanId,
-    SceneSummary, SessionId, TaskId, TaskKind, TaskSpec, Timestamp,
+    ArtifactHash, BookingId, BudgetForecast, BundleId, DeliveryId, JobId, JobState, LeaseId, LogLevel,
+    NodeId, PlanId, SceneSummary, SessionId, TaskId, TaskKind, TaskSpec, Timestamp, WebhookId,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -113,7 +113,7 @@ macro_rules! from_id {
         })*
     };
 }
-from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId);
+from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, DeliveryId, WebhookId);
 
 macro_rules! from_column {
     ($($column:ident<$name:ty>),* $(,)?) => {

@@ -24,6 +24,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
         frame: None,
         node_id: None,
         node_state: None,
+        project: None,
         frames_done: None,
         cost: None,
         plan_id: None,
@@ -74,8 +75,8 @@ pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Re
 }
 
 pub(crate) struct EventRow {
-    id: EventId,
-    body: Json<Event>,
+    pub id: EventId,
+    pub body: Json<Event>,
 }
 
 impl From<EventRow> for Event {

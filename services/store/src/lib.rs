@@ -42,6 +42,7 @@ mod slurm;
 mod tasks;
 mod timeline;
 pub mod tokens;
+mod webhooks;
 mod writing;
 
 pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
@@ -79,6 +80,8 @@ pub use shared_cache::parts::NewPartBooking;
 pub use shared_cache::{NewSharedCache, PlannedCache};
 pub use slurm::{BookedTime, Holding, NewArray, OpenArray, OpenElement, SeenNode, Waiting};
 pub use timeline::Spans;
+
+pub use webhooks::{Attempt, DueDelivery, NewDelivery, Receiver};
 
 #[cfg(test)]
 mod tests;

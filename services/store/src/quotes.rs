@@ -72,7 +72,8 @@ async fn frames(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Fra
     Ok(frames.into_iter().map(|frame| frame.0).collect())
 }
 
-/// Stores a job's quote inside a write. Without a `basis`, nothing is learnt from it when the job is finished.
+/// Stores a job's quote inside a write. Without a `basis`, nothing is learnt from it when the job is
+/// finished.
 pub(crate) async fn keep(
     write: &mut Write,
     job: JobId,

@@ -20,13 +20,10 @@ use forelight_store::{FinishSpread, HALF_LIFE, JobOutlook, NewBooking, NewJobPla
 use super::AdvanceError;
 use super::effects::duration;
 use super::farm::{Asked, Farm, with_spent};
+use super::risks::risks;
 
 /// With more waiting frames than this, whole plans are made the quick way.
 const LARGE: usize = 5_000;
-const SCENARIOS: usize = 400;
-const MOST_DRAWS: usize = 1_000_000;
-/// Seed of the random numbers. It is constant, so probabilities differ only if the farm does.
-const SEED: u64 = 0x0070_726f_6d69_7365;
 /// A frame has moved if its start shifts by more than this (one minute, in microseconds) and a quarter of its
 /// length.
 pub(crate) const STILL: i64 = 60_000_000;
@@ -310,38 +307,6 @@ fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> S
         }
         _ => format!("what is booked already stands in the way: {}", names.join(", ")),
     }
-}
-
-/// What happens to a job in the scenarios.
-#[derive(Clone, Copy, Debug)]
-struct Risk {
-    /// Share of scenarios in which it meets its deadline.
-    in_time: f64,
-    finish: Option<FinishSpread>,
-}
-
-/// The quantiles of an end, less the planned end. `None` if some scenario has no end.
-fn spread(quantiles: [Option<i64>; 3], planned: Option<i64>) -> Option<FinishSpread> {
-    let planned = planned?;
-    let [p50, p80, p95] = quantiles.map(|end| Some(end?.saturating_sub(planned)));
-    Some(FinishSpread { p50: p50?, p80: p80?, p95: p95? })
-}
-
-/// By job, what happens to it in the scenarios; and how the end of all bookings varies.
-fn risks(farm: &Farm, plan: &planner::Plan) -> Result<(Vec<Risk>, Option<FinishSpread>), AdvanceError> {
-    let count = (MOST_DRAWS / plan.bookings.len().max(1)).clamp(50, SCENARIOS) as u32;
-    let simulation = planner::simulate(&farm.input, plan, count, SEED)?;
-    let of_job = |(job, asked): (usize, &Asked)| {
-        let deadline = asked.job.deadline.map(Timestamp::micros);
-        let late_by_fact = asked.under_way.zip(deadline).is_some_and(|(end, deadline)| end > deadline);
-        let risk = simulation.jobs.iter().find(|risk| risk.job == job as u64);
-        let in_time = if late_by_fact { 0.0 } else { 1.0 - risk.map_or(0.0, |risk| risk.probability(count)) };
-        let planned = plan.job(job as u64).and_then(|entry| entry.verdict.finish());
-        Risk { in_time, finish: risk.and_then(|risk| spread(risk.finish, planned)) }
-    };
-    let last = plan.bookings.iter().map(|booking| booking.end).max();
-    let jobs = farm.jobs.iter().enumerate().map(of_job).collect();
-    Ok((jobs, spread(simulation.finish, last)))
 }
 
 /// State of a job's promise. `None` if its deadline was never promised and is not kept.

@@ -20,4 +20,5 @@ mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
 mod uploads;
+mod webhooks;
 mod workers;

@@ -197,7 +197,7 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
     let nothing = "0197a8a5-0000-7000-8000-000000000000";
     // All bodies are empty objects. Forbidden callers are refused before the body is read; others learn that
     // it is invalid.
-    let table: [(Method, String, &str); 38] = [
+    let table: [(Method, String, &str); 43] = [
         (Method::POST, "/v1/sessions/codes".into(), "s-ov"),
         (Method::GET, "/v1/sessions/current".into(), "s-ov"),
         (Method::DELETE, "/v1/sessions/current".into(), "s-ov"),
@@ -221,6 +221,11 @@ async fn every_role_may_do_what_it_is_for_and_nothing_else() {
         (Method::GET, format!("/v1/plans/{nothing}"), "s-ov"),
         (Method::GET, "/v1/bookings".into(), "s-ov"),
         (Method::GET, "/v1/forecasts/track-record".into(), "s-ov"),
+        (Method::POST, "/v1/webhooks".into(), "--o-"),
+        (Method::GET, "/v1/webhooks".into(), "--o-"),
+        (Method::DELETE, format!("/v1/webhooks/{nothing}"), "--o-"),
+        (Method::POST, format!("/v1/webhooks/{nothing}/test"), "--o-"),
+        (Method::GET, format!("/v1/webhooks/{nothing}/deliveries"), "--o-"),
         (Method::GET, "/v1/dashboard".into(), "s-ov"),
         (Method::GET, "/v1/timeline".into(), "s-ov"),
         (Method::GET, format!("/v1/jobs/{id}/strip"), "s-ov"),

@@ -13,7 +13,8 @@ use crate::writing::run;
 
 impl Store {
     /// Accepts the quote of a job on hold, under these terms. It is booked after that. Repeating this without
-    /// a change does nothing. A [`StoreError::Conflict`] if the job has no complete quote, or was not on hold.
+    /// a change does nothing. A [`StoreError::Conflict`] if the job has no complete quote, or was not on
+    /// hold.
     pub async fn accept_job(&self, job: JobId, change: &JobChange, now: Timestamp) -> Result<Job> {
         let mut write = self.write().await?;
         let current = read(write.connection().await?, job).await?;

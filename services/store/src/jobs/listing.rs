@@ -77,8 +77,8 @@ fn is_at_risk(job: &Job) -> bool {
     misses || said.is_some_and(|verdict| verdict != forelight_protocol::Verdict::OnTime)
 }
 
-/// Ids of a page of jobs: `?1` to `?4` are the filter, `?5` to `?8` the place after which it begins, `?9` is the
-/// number of rows. Only ids are sorted: the rows of jobs are long.
+/// Ids of a page of jobs: `?1` to `?4` are the filter, `?5` to `?8` the place after which it begins, `?9` is
+/// the number of rows. Only ids are sorted: the rows of jobs are long.
 macro_rules! ids {
     (($connection:expr, $filter:expr, $after:expr, $limit:expr), $from:literal, $order:literal) => {
         sqlx::query_scalar!(

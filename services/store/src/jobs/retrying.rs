@@ -30,8 +30,8 @@ struct Row {
 }
 
 impl Store {
-    /// Renders these frames of a job again, finished ones too, and forgives their failures. A job that is done
-    /// goes on. A job that failed goes on with all frames that it had left.
+    /// Renders these frames of a job again, finished ones too, and forgives their failures. A job that is
+    /// done goes on. A job that failed goes on with all frames that it had left.
     ///
     /// A [`StoreError::Conflict`] if the job was cancelled, or has no frames to render yet.
     pub async fn retry_frames(&self, job: JobId, frames: &FrameSet, now: Timestamp) -> Result<Job> {
@@ -72,8 +72,8 @@ impl Store {
         Ok(going_on)
     }
 
-    /// Takes these frames out of a job. Finished frames stay. The job is done once the others are; without any
-    /// others, it is done, or cancelled if no frame is finished.
+    /// Takes these frames out of a job. Finished frames stay. The job is done once the others are; without
+    /// any others, it is done, or cancelled if no frame is finished.
     ///
     /// A [`StoreError::Conflict`] if the job is over, or has no frames to render yet.
     pub async fn drop_frames(&self, job: JobId, frames: &FrameSet, now: Timestamp) -> Result<Job> {

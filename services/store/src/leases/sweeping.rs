@@ -15,6 +15,7 @@ use crate::living;
 use crate::nodes::changing::stop_after_windows;
 use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
 use crate::sessions::forget_ended_sessions;
+use crate::webhooks::forget_old_deliveries;
 use crate::writing::run;
 
 /// The result of a sweep.
@@ -38,6 +39,7 @@ impl Store {
         forget_old_progress(&mut write, now).await?;
         forget_old_logs(&mut write, now).await?;
         forget_ended_sessions(&mut write, now).await?;
+        forget_old_deliveries(&mut write, now).await?;
         self.commit(write).await?;
         self.forget_checkpoints().await?;
         Ok(swept)

@@ -181,8 +181,8 @@ pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) ->
     projection
 }
 
-/// An expected instant, rounded up: to the second if it is within ten minutes, else to the minute. What waits for
-/// a node that is not there is expected later with each look, and most of that is no news.
+/// An expected instant, rounded up: to the second if it is within ten minutes, else to the minute. What waits
+/// for a node that is not there is expected later with each look, and most of that is no news.
 pub(crate) fn rounded_up(at: Timestamp, now: Timestamp) -> Timestamp {
     const SECOND: i64 = 1_000_000;
     let step = if at.micros_since(now) <= 600 * SECOND { SECOND } else { 60 * SECOND };
