@@ -5,7 +5,16 @@ import fs from "node:fs";
 import os from "node:os";
 import path from "node:path";
 import test from "node:test";
-import { inspect, inspectAll, launch, noFaults, screens, show, visitor } from "./browser.mjs";
+import {
+  clearScreenshots,
+  inspect,
+  inspectAll,
+  launch,
+  noFaults,
+  screens,
+  show,
+  visitor,
+} from "./browser.mjs";
 import { Farm, root, until } from "./farm.mjs";
 
 const WORKERS = ["--workers", "2", "--threads", "1", "--preview", "cpu", "--price", "0.40"];
@@ -13,6 +22,7 @@ const WORKERS = ["--workers", "2", "--threads", "1", "--preview", "cpu", "--pric
 test("the page", { timeout: 240_000 }, async (t) => {
   const folder = fs.mkdtempSync(path.join(os.tmpdir(), "forelight-dashboard-"));
   const farm = new Farm(path.join(folder, "farm"));
+  clearScreenshots();
   const browser = await launch();
   t.after(async () => {
     await browser.close();

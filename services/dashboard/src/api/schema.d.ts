@@ -1049,6 +1049,81 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/webhooks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** All webhooks, without their secrets. */
+        get: operations["webhook_list"];
+        put?: never;
+        /**
+         * Adds a webhook. The answer has the secret that signs what is sent; it is shown only once.
+         * @description Messages are signed as Standard Webhooks describe: `webhook-id`, `webhook-timestamp` and
+         *     `webhook-signature`. Each is sent until the receiver answers with 2xx within ten seconds, or for a day,
+         *     with growing pauses of at most five minutes. Messages about one job come in order. Repeating the request
+         *     adds another webhook.
+         */
+        post: operations["webhook_add"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/webhooks/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /** Removes a webhook and the list of its deliveries. */
+        delete: operations["webhook_remove"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/webhooks/{id}/deliveries": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What a webhook was and is to be told, newest first. Kept for thirty days. */
+        get: operations["webhook_deliveries"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/webhooks/{id}/test": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Sends a test message. `/v1/webhooks/{id}/deliveries` shows what became of it. */
+        post: operations["webhook_test"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
 }
 export type webhooks = Record<string, never>;
 export interface components {
@@ -1850,7 +1925,8 @@ export interface components {
             last_event_id: number;
             /** @description Number of nodes by state. */
             node_counts?: components["schemas"]["NodeCounts"];
-            /** @description The nodes: those that need somebody first, then those at work, by name. At most 200; `/v1/nodes` has all. */
+            /** @description The nodes: those that need somebody first, then those at work, by name. At most 200; `/v1/nodes` has
+             *     all. */
             nodes: components["schemas"]["DashboardNode"][];
             /** @description Projects that have a budget or spent something tonight, by name. */
             spending?: components["schemas"]["ProjectSpending"][];
@@ -1959,6 +2035,49 @@ export interface components {
             /** @description Its state. */
             state: components["schemas"]["NodeState"];
         };
+        /** @description What a webhook is or was told. */
+        Delivery: {
+            /**
+             * Format: int32
+             * @description Number of attempts so far.
+             */
+            attempts: number;
+            /** @description When the event was seen. */
+            created_at: components["schemas"]["Timestamp"];
+            ended_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Why the last attempt failed. Absent if it did not. */
+            error?: string | null;
+            event_id?: components["schemas"]["i64"] | null;
+            /** @description Its id. It is sent as `webhook-id`, the same with each attempt. */
+            id: components["schemas"]["DeliveryId"];
+            job_id?: components["schemas"]["JobId"] | null;
+            /** @description What it is about. */
+            kind: components["schemas"]["WebhookKind"];
+            next_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Its state. */
+            state: components["schemas"]["DeliveryState"];
+            /**
+             * Format: int32
+             * @description HTTP status of the last attempt. Absent if there was no answer.
+             */
+            status?: number | null;
+        };
+        /**
+         * Format: uuid
+         * @description Id of a delivery: an event that a webhook is told of.
+         */
+        DeliveryId: string;
+        /** @description One page of deliveries, newest first. */
+        DeliveryPage: {
+            /** @description The deliveries. */
+            items: components["schemas"]["Delivery"][];
+            next_page_token?: components["schemas"]["PageToken"] | null;
+        };
+        /**
+         * @description State of a delivery.
+         * @enum {string}
+         */
+        DeliveryState: "pending" | "delivered" | "given_up";
         /** @description What a renderer found in a scene. */
         Described: {
             /** @description What a user should know, such as scripts that are not run. At most 100. */
@@ -2002,6 +2121,8 @@ export interface components {
              * @description Progress of the task, 0 to 1.
              */
             progress?: number | null;
+            /** @description The project, of an event about a budget. */
+            project?: string | null;
             promise?: components["schemas"]["Promise"] | null;
             task_id?: components["schemas"]["TaskId"] | null;
             task_kind?: components["schemas"]["TaskKind"] | null;
@@ -4923,6 +5044,77 @@ export interface components {
             kind: components["schemas"]["WaitKind"];
             share?: components["schemas"]["ProjectShare"] | null;
             until?: components["schemas"]["Timestamp"] | null;
+        };
+        /** @description A webhook. */
+        Webhook: {
+            /** @description When it was added. */
+            created_at: components["schemas"]["Timestamp"];
+            /** @description Its id. */
+            id: components["schemas"]["WebhookId"];
+            /** @description What it is told of. */
+            kinds: components["schemas"]["WebhookKind"][];
+            /**
+             * Format: int64
+             * @description Number of deliveries that are not done.
+             */
+            pending: number;
+            /** @description Only jobs and budgets of this project. Absent if all. */
+            project?: string | null;
+            /** @description The secret that signs what is sent (Standard Webhooks). Shown only when the webhook is added. */
+            secret?: string | null;
+            /** @description The body that it gets. Absent if it is a `WebhookMessage`. */
+            template?: unknown;
+            /** @description Address of the receiver. */
+            url: string;
+        };
+        /** @description What happened. */
+        WebhookData: {
+            event?: components["schemas"]["Event"] | null;
+            /** @description Name of the job. */
+            job?: string | null;
+            job_id?: components["schemas"]["JobId"] | null;
+            /** @description The project. */
+            project?: string | null;
+            /** @description It as one line of text. */
+            text: string;
+            /** @description Address of the page about it. Absent if the service does not know its own address. */
+            url?: string | null;
+        };
+        /**
+         * Format: uuid
+         * @description Id of a webhook: an address that is told of events.
+         */
+        WebhookId: string;
+        /**
+         * @description What a webhook is told of.
+         * @enum {string}
+         */
+        WebhookKind: "promise_at_risk" | "promise_safe" | "job_done" | "job_failed" | "budget" | "node_set_aside" | "test";
+        /** @description All webhooks, oldest first. */
+        WebhookList: {
+            /** @description The webhooks. */
+            items: components["schemas"]["Webhook"][];
+        };
+        /** @description The body of a delivery to a webhook without a template. */
+        WebhookMessage: {
+            /** @description What happened. */
+            data: components["schemas"]["WebhookData"];
+            /** @description When it happened. */
+            timestamp: components["schemas"]["Timestamp"];
+            /** @description What it is about. */
+            type: components["schemas"]["WebhookKind"];
+        };
+        /** @description Adds a webhook. It is told of events from now on, each until it answers with 2xx, or for a day. */
+        WebhookRequest: {
+            /** @description What it is told of. If absent, everything. */
+            kinds?: components["schemas"]["WebhookKind"][] | null;
+            /** @description Only jobs and budgets of this project. If absent, all, and nodes. */
+            project?: string | null;
+            /** @description The body that it gets, as JSON. In its strings, `{text}`, `{kind}`, `{job}`, `{project}` and `{url}`
+             *     are replaced. For most chat services, `{"text": "{text}"}`. If absent, the body is a `WebhookMessage`. */
+            template?: unknown;
+            /** @description Address of the receiver: http or https, at most 2000 characters. */
+            url: string;
         };
         /** @description What a change would do to the plan. */
         WhatIf: {
@@ -7915,6 +8107,207 @@ export interface operations {
             };
             /** @description It is still that of `If-None-Match` */
             304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    webhook_list: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The webhooks */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WebhookList"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    webhook_add: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["WebhookRequest"];
+            };
+        };
+        responses: {
+            /** @description The webhook */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Webhook"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    webhook_remove: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["WebhookId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is removed */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    webhook_deliveries: {
+        parameters: {
+            query?: {
+                /** @description `next_page_token` of the previous page. */
+                page_token?: string;
+                /** @description Number of items on a page: 1 to 200, default 50. */
+                page_size?: number;
+            };
+            header?: never;
+            path: {
+                id: components["schemas"]["WebhookId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A page of deliveries */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["DeliveryPage"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    webhook_test: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["WebhookId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It will be sent */
+            202: {
                 headers: {
                     [name: string]: unknown;
                 };

@@ -65,49 +65,51 @@ export function Price(props: { job: Job; answers: Resource<AnswersDoc> }) {
 export function Outlook(props: { doc: AnswersDoc }) {
   const { doc } = props;
   return (
-    <table class="numbers body outlook">
-      <caption class="unseen">When it is ready and what it costs, at three confidences</caption>
-      <thead>
-        <tr>
-          <th scope="col">Confidence</th>
-          <th scope="col">Ready by</th>
-          <th scope="col" class="right">
-            Cost
-          </th>
-          <th scope="col" class="right">
-            At least
-          </th>
-          <th scope="col">
-            <span class="unseen">In time</span>
-          </th>
-        </tr>
-      </thead>
-      <tbody>
-        {doc.outlook.map((line) => (
-          <tr key={line.confidence}>
-            <td>{line.confidence.toUpperCase()}</td>
-            <td>
-              <Time at={line.finish} none="never" />
-            </td>
-            <td class="right">
-              <Money of={line.cost} />
-            </td>
-            <td class="right">
-              <Money of={line.cost_at_least} />
-            </td>
-            <td>
-              {line.in_time == null ? (
-                ""
-              ) : line.in_time ? (
-                <Mark of="on_time" word="in time" />
-              ) : (
-                <Mark of="late" />
-              )}
-            </td>
+    <div class="scroll-x" tabIndex={0} role="region" aria-label="Ends and costs by confidence">
+      <table class="numbers body outlook">
+        <caption class="unseen">When it is ready and what it costs, at three confidences</caption>
+        <thead>
+          <tr>
+            <th scope="col">Confidence</th>
+            <th scope="col">Ready by</th>
+            <th scope="col" class="right">
+              Cost
+            </th>
+            <th scope="col" class="right">
+              At least
+            </th>
+            <th scope="col">
+              <span class="unseen">In time</span>
+            </th>
           </tr>
-        ))}
-      </tbody>
-    </table>
+        </thead>
+        <tbody>
+          {doc.outlook.map((line) => (
+            <tr key={line.confidence}>
+              <td>{line.confidence.toUpperCase()}</td>
+              <td>
+                <Time at={line.finish} none="never" />
+              </td>
+              <td class="right">
+                <Money of={line.cost} />
+              </td>
+              <td class="right">
+                <Money of={line.cost_at_least} />
+              </td>
+              <td>
+                {line.in_time == null ? (
+                  ""
+                ) : line.in_time ? (
+                  <Mark of="on_time" word="in time" />
+                ) : (
+                  <Mark of="late" />
+                )}
+              </td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
   );
 }
 

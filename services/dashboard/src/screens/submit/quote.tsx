@@ -203,42 +203,44 @@ function Numbers(props: { quote: ForecastDoc }) {
     ]);
   return (
     <Section title="What all frames cost">
-      <table class="numbers body outlook">
-        <thead>
-          <tr>
-            <th scope="col">
-              <span class="unseen">Quantity</span>
-            </th>
-            {["Expected", "P50", "P80", "P95"].map((name) => (
-              <th scope="col" class="right" key={name}>
-                {name}
-              </th>
-            ))}
-          </tr>
-        </thead>
-        <tbody>
-          {quote.cost && (
+      <div class="scroll-x" tabIndex={0} role="region" aria-label="Cost of all frames">
+        <table class="numbers body outlook">
+          <thead>
             <tr>
-              <th scope="row">Money</th>
-              {[quote.cost.mean, quote.cost.p50, quote.cost.p80, quote.cost.p95].map((amount, at) => (
-                <td class="right" key={at}>
-                  <Money of={amount} />
-                </td>
+              <th scope="col">
+                <span class="unseen">Quantity</span>
+              </th>
+              {["Expected", "P50", "P80", "P95"].map((name) => (
+                <th scope="col" class="right" key={name}>
+                  {name}
+                </th>
               ))}
             </tr>
-          )}
-          {rows.map(([name, ...values]) => (
-            <tr key={name}>
-              <th scope="row">{name}</th>
-              {values.map((value, at) => (
-                <td class="right" key={at}>
-                  {value}
-                </td>
-              ))}
-            </tr>
-          ))}
-        </tbody>
-      </table>
+          </thead>
+          <tbody>
+            {quote.cost && (
+              <tr>
+                <th scope="row">Money</th>
+                {[quote.cost.mean, quote.cost.p50, quote.cost.p80, quote.cost.p95].map((amount, at) => (
+                  <td class="right" key={at}>
+                    <Money of={amount} />
+                  </td>
+                ))}
+              </tr>
+            )}
+            {rows.map(([name, ...values]) => (
+              <tr key={name}>
+                <th scope="row">{name}</th>
+                {values.map((value, at) => (
+                  <td class="right" key={at}>
+                    {value}
+                  </td>
+                ))}
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      </div>
       <p class="note">
         It rests on {counted(quote.profiled.pixels, "pixel")} of{" "}
         {counted(quote.profiled.frames.length, "frame")}, and making it cost{" "}
