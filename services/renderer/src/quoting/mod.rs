@@ -5,9 +5,11 @@
 //! | `previews` | what frames show, as the wire has it |
 //! | `probes` | which parts of a frame are measured, by what the renderer can do |
 //! | `pixels` | profiles of single pixels, if the renderer can measure them |
+//! | `coverage` | what pixels cost that share values of indirect light |
 //! | `neighbours` | blocks of neighbours, whose time is that of a render |
 //! | `offline` | a quote on this machine alone |
 
+mod coverage;
 mod neighbours;
 mod offline;
 mod pixels;

@@ -1,9 +1,11 @@
 //! Profiles of single pixels, for renderers that can measure them.
 
+use super::coverage::{grids, ratio};
 use super::neighbours::{WARMING_SHARE, free_neighbours, middle_mean, proportional_sites, sites};
 use super::previews::{BACKGROUND_COST, as_spent, name_of, own_number};
 use crate::door::{
-    Artefact, PixelCost, PixelProfiler, ProfiledPixels, RendererError, RendererId, Run, Settings, Shot, Shown,
+    Artefact, Capability, PixelCost, PixelProfiler, ProfiledPixels, RendererError, RendererId, Run, Settings,
+    Shot, Shown,
 };
 use crate::files::artifact_name;
 use forelight_forecast::{Cost, ForecastError, Observation, Pick, Strategy, Stratum};
@@ -52,25 +54,16 @@ pub fn profile_pixels(
     let number = own_number(frame)?;
     let mut profiler = shot.profile_pixels(number, settings, run)?;
     let strata = Strata::of(profiler.shown());
-    let PixelChoice { samples, seed, strategy } = choice;
-    let refused = |error: ForecastError| RendererError::Failed(error.to_string());
-    let width = settings.common.width;
-    let design = strategy
-        .design(&strata.known, &strata.of_pixels, width, samples, seed, i64::from(frame))
-        .map_err(refused)?;
-    let first = design.first_phase();
-    let mut costs = observe(&mut *profiler, &first)?;
-    (run.progress)(0.5);
-    let observations: Vec<Observation> = first.iter().zip(&costs).map(observation).collect();
-    let second = design.second_phase(&observations).map_err(refused)?;
-    costs.extend(observe(&mut *profiler, &second)?);
-    let picks: Vec<Pick> = first.into_iter().chain(second).collect();
-    measure_neighbours(&mut *profiler, settings, (&picks, design.counts()), &mut costs)?;
+    let (pixels, costs) = if shot.capabilities(settings).contains(&Capability::ShareCache) {
+        cover(&mut *profiler, settings, choice.samples, run)?
+    } else {
+        choose(&mut *profiler, &strata, (settings, frame), choice, run)?
+    };
     let ProfiledPixels { cost, fixed, artefact, finished_nanos, ids } = profiler.finish()?;
     let artefact = artefact
         .ok_or_else(|| RendererError::Answer("the renderer kept none of the profiled pixels".to_owned()))?;
     let bytes = fs::read(&artefact.path).map_err(RendererError::io(&artefact.path))?;
-    let (shown, samples) = strata.samples(&picks, &costs);
+    let (shown, samples) = strata.samples(&pixels, &costs);
     let result = ProfileResult {
         frame,
         strata: shown.into_iter().map(|shown| wire_stratum(shot, shown)).collect(),
@@ -91,6 +84,49 @@ pub fn profile_pixels(
         artifacts: ProfileArtifacts { profile: artifact_name(&bytes), preview_png: None },
     };
     Ok(PixelProfile { result, artefact, taken_over_nanos: finished_nanos, ids })
+}
+
+/// Measures pixels by strata, in two phases. Returns pixels and their costs.
+fn choose(
+    profiler: &mut dyn PixelProfiler,
+    strata: &Strata,
+    (settings, frame): (&Settings, u32),
+    choice: PixelChoice,
+    run: &Run<'_>,
+) -> Result<(Vec<u32>, Vec<PixelCost>), RendererError> {
+    let PixelChoice { samples, seed, strategy } = choice;
+    let refused = |error: ForecastError| RendererError::Failed(error.to_string());
+    let width = settings.common.width;
+    let design = strategy
+        .design(&strata.known, &strata.of_pixels, width, samples, seed, i64::from(frame))
+        .map_err(refused)?;
+    let first = design.first_phase();
+    let mut costs = observe(profiler, &first)?;
+    (run.progress)(0.5);
+    let observations: Vec<Observation> = first.iter().zip(&costs).map(observation).collect();
+    let second = design.second_phase(&observations).map_err(refused)?;
+    costs.extend(observe(profiler, &second)?);
+    let picks: Vec<Pick> = first.into_iter().chain(second).collect();
+    measure_neighbours(profiler, settings, (&picks, design.counts()), &mut costs)?;
+    Ok((picks.iter().map(|pick| pick.pixel).collect(), costs))
+}
+
+/// Measures pixels from a coarse grid to finer ones. Returns pixels, and the costs that they stand for.
+fn cover(
+    profiler: &mut dyn PixelProfiler,
+    settings: &Settings,
+    samples: u32,
+    run: &Run<'_>,
+) -> Result<(Vec<u32>, Vec<PixelCost>), RendererError> {
+    let grids = grids(settings, samples);
+    let mut measured = Vec::with_capacity(grids.len());
+    for (done, pixels) in grids.iter().enumerate() {
+        (run.progress)(done as f64 / grids.len() as f64);
+        measured.push(profiler.measure(pixels)?);
+    }
+    let ratio = ratio(&measured, settings.pixels());
+    let costs = measured.iter().flatten().map(|cost| ratio.of(cost)).collect();
+    Ok((grids.concat(), costs))
 }
 
 fn observe(profiler: &mut dyn PixelProfiler, picks: &[Pick]) -> Result<Vec<PixelCost>, RendererError> {
@@ -181,22 +217,22 @@ impl Strata {
         Self { of_pixels: pixels.iter().map(place).collect(), shown: by_key.into_values().collect(), known }
     }
 
-    /// What the picks show, each once, and the picks with the index of that. The background comes after the
+    /// What the pixels show, each once, and the pixels with the index of that. The background comes after the
     /// last.
-    fn samples(&self, picks: &[Pick], costs: &[PixelCost]) -> (Vec<Shown>, Vec<ProfileSample>) {
-        let of = |pick: &Pick| self.of_pixels[pick.pixel as usize] as usize;
-        let seen: BTreeSet<usize> = picks.iter().map(of).filter(|&at| at < self.shown.len()).collect();
+    fn samples(&self, pixels: &[u32], costs: &[PixelCost]) -> (Vec<Shown>, Vec<ProfileSample>) {
+        let of = |&pixel: &u32| self.of_pixels[pixel as usize] as usize;
+        let seen: BTreeSet<usize> = pixels.iter().map(of).filter(|&at| at < self.shown.len()).collect();
         let seen: Vec<usize> = seen.into_iter().collect();
-        let sample = |(pick, cost): (&Pick, &PixelCost)| ProfileSample {
-            pixel: pick.pixel,
-            stratum: u32::try_from(seen.binary_search(&of(pick)).unwrap_or(seen.len())).unwrap_or(u32::MAX),
+        let sample = |(pixel, cost): (&u32, &PixelCost)| ProfileSample {
+            pixel: *pixel,
+            stratum: u32::try_from(seen.binary_search(&of(pixel)).unwrap_or(seen.len())).unwrap_or(u32::MAX),
             work: as_spent(cost.cpu_nanos).work,
             extra_work: 0,
             work_by_ray: [0; 7],
             cpu_nanos: cost.cpu_nanos,
             rays: cost.rays,
         };
-        let samples = picks.iter().zip(costs).map(sample).collect();
+        let samples = pixels.iter().zip(costs).map(sample).collect();
         (seen.iter().map(|&at| self.shown[at]).collect(), samples)
     }
 }

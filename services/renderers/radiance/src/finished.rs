@@ -1,4 +1,4 @@
-//! Files of finished pixels, which a render takes over.
+//! Files of finished pixels and of values of indirect light, which a render takes over.
 
 use crate::tracer::Colour;
 use forelight_renderer::door::{Artefact, RendererError};
@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 /// What begins such a file.
-const MAGIC: &[u8; 24] = b"forelight radiance px 1\n";
+const MAGIC: &[u8; 24] = b"forelight radiance px 2\n";
 
 /// Bytes of a pixel: its index, three floats, and nanoseconds, all little endian.
 const BYTES: usize = 24;
@@ -23,24 +23,39 @@ pub(crate) struct Pixel {
 /// Finished pixels by index, in rows from the top.
 pub(crate) type Finished = BTreeMap<u32, Pixel>;
 
-/// Writes finished pixels.
-pub(crate) fn write(path: &Path, pixels: &Finished) -> Result<(), RendererError> {
+/// What a file holds.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Content {
+    pub pixels: Finished,
+    /// Radiance's own file of ambient values. Empty if pixels share none.
+    pub ambient: Vec<u8>,
+}
+
+/// Writes finished pixels and ambient values.
+pub(crate) fn write(path: &Path, pixels: &Finished, ambient: &[u8]) -> Result<(), RendererError> {
     let mut bytes = MAGIC.to_vec();
+    bytes.extend((pixels.len() as u64).to_le_bytes());
     for (index, pixel) in pixels {
         bytes.extend(index.to_le_bytes());
         bytes.extend(pixel.colour.iter().flat_map(|channel| channel.to_le_bytes()));
         bytes.extend(pixel.cpu_nanos.to_le_bytes());
     }
+    bytes.extend_from_slice(ambient);
     fs::write(path, bytes).map_err(RendererError::io(path))
 }
 
-/// Reads finished pixels of an image with so many.
-pub(crate) fn read(artefact: &Artefact, pixels: u64) -> Result<Finished, RendererError> {
+/// Reads the file of an image with so many pixels.
+pub(crate) fn read(artefact: &Artefact, pixels: u64) -> Result<Content, RendererError> {
     let bytes = fs::read(&artefact.path).map_err(RendererError::io(&artefact.path))?;
-    let Some(body) = bytes.strip_prefix(MAGIC).filter(|body| body.len().is_multiple_of(BYTES)) else {
+    let body = bytes.strip_prefix(MAGIC).and_then(|body| body.split_first_chunk::<8>());
+    let of_pixels = body.and_then(|(count, body)| {
+        let length = usize::try_from(u64::from_le_bytes(*count)).ok()?.checked_mul(BYTES)?;
+        body.split_at_checked(length)
+    });
+    let Some((of_pixels, ambient)) = of_pixels else {
         return Err(artefact.unusable("it is not a file of finished pixels, or not whole"));
     };
-    let (records, _) = body.as_chunks::<BYTES>();
+    let (records, _) = of_pixels.as_chunks::<BYTES>();
     let mut all = Finished::new();
     for record in records {
         let (words, _) = record.as_chunks::<4>();
@@ -55,7 +70,7 @@ pub(crate) fn read(artefact: &Artefact, pixels: u64) -> Result<Finished, Rendere
             return Err(artefact.unusable(format!("it has pixel {index} twice")));
         }
     }
-    Ok(all)
+    Ok(Content { pixels: all, ambient: ambient.to_vec() })
 }
 
 #[cfg(test)]
@@ -81,16 +96,19 @@ mod tests {
         let pixel = |colour, cpu_nanos| Pixel { colour, cpu_nanos };
         let pixels =
             Finished::from([(3, pixel([0.1, 0.2, 0.3], 41_000)), (15, pixel([1e30, 0.0, 5e-40], 7 << 33))]);
-        write(&path, &pixels).unwrap();
-        assert_eq!(read(&artefact(&path), 16).unwrap(), pixels);
+        write(&path, &pixels, b"values").unwrap();
+        let ambient = b"values".to_vec();
+        assert_eq!(read(&artefact(&path), 16).unwrap(), Content { pixels: pixels.clone(), ambient });
+        write(&path, &pixels, &[]).unwrap();
         let error = |bytes: &[u8], pixels| {
             fs::write(&path, bytes).unwrap();
             read(&artefact(&path), pixels).unwrap_err().to_string()
         };
         let whole = fs::read(&path).unwrap();
+        let twice = [&whole[..56], &whole[32..56]].concat();
         assert!(error(&whole, 15).contains("pixel 15; the image has 15"));
         assert!(error(&whole[..whole.len() - 1], 16).contains("not whole"));
         assert!(error(b"GIF89a", 16).contains("not a file"));
-        assert!(error(&[&whole[..], &whole[24..48]].concat(), 16).contains("pixel 3 twice"));
+        assert!(error(&twice, 16).contains("pixel 3 twice"));
     }
 }

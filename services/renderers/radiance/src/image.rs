@@ -1,5 +1,6 @@
 //! Renders groups of a frame's pixels, on as many processes as there are threads.
 
+use crate::ambient::Ambient;
 use crate::rays::{Rays, rays_of};
 use crate::scene::SceneFrame;
 use crate::settings::arguments;
@@ -52,12 +53,12 @@ pub(crate) fn trace(
     settings: &Settings,
     groups: &[Vec<u32>],
     samples: Range<u32>,
-    run: &Run<'_>,
+    (ambient, run): (Option<&Ambient>, &Run<'_>),
 ) -> Result<Traced, RendererError> {
     let since = Instant::now();
     let processes = (run.limits.threads.max(1) as usize).min(groups.len().max(1));
     let done = AtomicUsize::new(0);
-    let one = Process { shot, frame, settings, samples, run, done: &done, all: groups.len() };
+    let one = Process { shot, frame, settings, samples, ambient, run, done: &done, all: groups.len() };
     let mut traced = Traced::default();
     std::thread::scope(|scope| {
         let shares: Vec<_> = groups
@@ -85,6 +86,8 @@ struct Process<'a> {
     frame: &'a SceneFrame,
     settings: &'a Settings,
     samples: Range<u32>,
+    /// Values of indirect light that all processes share.
+    ambient: Option<&'a Ambient>,
     run: &'a Run<'a>,
     /// Groups that are done, over all processes, of `all`.
     done: &'a AtomicUsize,
@@ -94,7 +97,8 @@ struct Process<'a> {
 impl Process<'_> {
     fn trace(&self, groups: &[Vec<u32>]) -> Result<Traced, RendererError> {
         let (shot, run) = (self.shot, self.run);
-        let arguments = shot.arguments(arguments(self.settings));
+        let mut arguments = shot.arguments(arguments(self.settings));
+        arguments.extend(self.ambient.iter().flat_map(|ambient| ambient.arguments()));
         let mut tracer = Tracer::of_values(&shot.radiance, &shot.scene, &self.frame.octree, &arguments, run)?;
         let mut traced = Traced { prepare: tracer.warm(run)?.unwrap_or(0), ..Traced::default() };
         let mut before = traced.prepare;

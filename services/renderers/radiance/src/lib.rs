@@ -19,7 +19,8 @@
 //! | `blocks` | the order of a frame's pixels |
 //! | `image` | renders parts of a frame |
 //! | `profile` | measures single pixels |
-//! | `finished` | files of finished pixels |
+//! | `ambient` | values of indirect light that pixels share |
+//! | `finished` | files of finished pixels and ambient values |
 //! | `pictures` | image files |
 //! | `shot` | the four questions of the door |
 //!
@@ -34,6 +35,7 @@
 //! pixels that were taken over has the bits of one that was rendered at once. With them, its pixels have
 //! other noise, of the same distribution.
 
+mod ambient;
 mod assets;
 mod blocks;
 mod finished;

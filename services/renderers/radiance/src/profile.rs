@@ -8,6 +8,7 @@
 //! of pixels that show the same and are close to each other are measured together, and divided by the rays of
 //! each.
 
+use crate::ambient::Ambient;
 use crate::blocks::SIDE;
 use crate::finished::{self, Finished, Pixel};
 use crate::ids::{self, Seen};
@@ -38,6 +39,8 @@ pub(crate) struct RadianceProfiler<'a> {
     settings: &'a Settings,
     run: &'a Run<'a>,
     seen: Arc<Seen>,
+    /// Values of indirect light that the pixels share.
+    ambient: Option<Ambient>,
     /// Cost of finding what pixels show.
     seeing: Cost,
     values: Tracer,
@@ -64,7 +67,10 @@ impl<'a> RadianceProfiler<'a> {
         let quiet = Run { progress: &|_| {}, ..*run };
         let (seen, seeing) = shot.kept.see(shot, frame, &settings.common, &quiet)?;
         let arguments = shot.arguments(arguments(settings));
-        let mut values = Tracer::of_values(&shot.radiance, &shot.scene, &frame.octree, &arguments, run)?;
+        let ambient = shares_values(settings).then(|| Ambient::new(run.scratch)).transpose()?;
+        let with_file: Vec<String> =
+            arguments.iter().cloned().chain(ambient.iter().flat_map(Ambient::arguments)).collect();
+        let mut values = Tracer::of_values(&shot.radiance, &shot.scene, &frame.octree, &with_file, run)?;
         let trees = Tracer::of_trees(&shot.radiance, &shot.scene, &frame.octree, &arguments, run)?;
         let unknown = || RendererError::Failed("/proc does not say what a process used".to_owned());
         let prepare = values.warm(run)?.ok_or_else(unknown)?;
@@ -87,6 +93,7 @@ impl<'a> RadianceProfiler<'a> {
             run,
             seen,
             seeing,
+            ambient,
             values,
             trees,
             counter,
@@ -191,6 +198,7 @@ impl PixelProfiler for RadianceProfiler<'_> {
             run,
             seen,
             seeing,
+            ambient,
             values,
             trees,
             prepare,
@@ -200,7 +208,6 @@ impl PixelProfiler for RadianceProfiler<'_> {
             ..
         } = *self;
         let path = run.scratch.join(format!("frame-{:04}-pixels", frame.number));
-        finished::write(&path, &finished)?;
         let mut cost = seeing;
         cost.cpu_nanos += views;
         for tracer in [values, trees] {
@@ -208,6 +215,9 @@ impl PixelProfiler for RadianceProfiler<'_> {
             cost.cpu_nanos += used.cpu_nanos;
             cost.peak_memory_bytes = cost.peak_memory_bytes.max(used.peak_memory_bytes);
         }
+        // rtrace has written all of its values at its end.
+        let ambient = ambient.map(|ambient| ambient.read()).transpose()?.unwrap_or_default();
+        finished::write(&path, &finished, &ambient)?;
         cost.wall_nanos = u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
         let artefact = Artefact {
             renderer: shot.radiance.id().clone(),

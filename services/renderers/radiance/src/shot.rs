@@ -1,7 +1,8 @@
 //! The four questions of the door, to one scene of Radiance.
 
+use crate::ambient::Ambient;
 use crate::blocks::{Blocks, SIDE, pixels_of};
-use crate::finished::{self, Finished, Pixel};
+use crate::finished::{self, Content, Pixel};
 use crate::ids::{self, Kept, Names};
 use crate::image::{Traced, trace};
 use crate::installation::Radiance;
@@ -62,6 +63,21 @@ impl RadianceShot {
         of_settings.into_iter().chain(self.scene.arguments.kept.iter().cloned()).collect()
     }
 
+    /// The file of ambient values of a render: with those that were taken over, or else an empty one if several
+    /// processes share it.
+    fn ambient(
+        &self,
+        settings: &Settings,
+        values: &[u8],
+        run: &Run<'_>,
+    ) -> Result<Option<Ambient>, RendererError> {
+        match (shares_values(settings), values) {
+            (true, []) if run.limits.threads > 1 => Ambient::new(run.scratch).map(Some),
+            (true, values) if !values.is_empty() => Ambient::with(run.scratch, values).map(Some),
+            _ => Ok(None),
+        }
+    }
+
     fn check(&self, settings: &Settings) -> Result<(), RendererError> {
         settings.check(&SCHEMA)?;
         if settings.pixels() > MOST_PIXELS {
@@ -99,20 +115,25 @@ impl RadianceShot {
         }
     }
 
-    /// Pixels that artefacts hold.
+    /// Pixels and ambient values that artefacts hold.
     fn taken_over(
         &self,
         frame: i32,
         settings: &Settings,
         from: &[Artefact],
-    ) -> Result<Finished, RendererError> {
-        let mut all = Finished::new();
+    ) -> Result<Content, RendererError> {
+        let mut all = Content::default();
         for artefact in from {
             artefact.check(self.radiance.id(), frame, settings)?;
             if !matches!(artefact.part, Part::Pixels(_)) {
                 return Err(artefact.unusable("it is not of single pixels"));
             }
-            all.extend(finished::read(artefact, settings.pixels())?);
+            let Content { pixels, ambient } = finished::read(artefact, settings.pixels())?;
+            all.pixels.extend(pixels);
+            // Several files of values cannot be joined by bytes; a render takes over one profile.
+            if !ambient.is_empty() {
+                all.ambient = ambient;
+            }
         }
         Ok(all)
     }
@@ -182,13 +203,11 @@ impl Shot for RadianceShot {
     fn capabilities(&self, settings: &Settings) -> Capabilities {
         let mut all = self.radiance.capabilities();
         if shares_values(settings) {
-            // A pixel's cost depends on those before it. A smaller image covers the same scene.
-            all.remove(&Capability::MeasurePixels);
+            // A pixel's cost depends on those before it: a part by itself costs more than within the frame.
             all.remove(&Capability::MeasureSamples);
             all.remove(&Capability::MeasureRegions);
             all.remove(&Capability::MeasureManyRegions);
-            all.remove(&Capability::TakeOverPixels);
-            all.insert(Capability::Resize);
+            all.insert(Capability::ShareCache);
         }
         all
     }
@@ -236,7 +255,9 @@ impl Shot for RadianceShot {
             return Err(RendererError::Unsupported(reason));
         }
         let groups = self.groups(settings, part)?;
-        let traced = trace(self, self.scene.frame(frame)?, settings, &groups, samples, run)?;
+        let ambient = self.ambient(settings, &[], run)?;
+        let shared = (ambient.as_ref(), run);
+        let traced = trace(self, self.scene.frame(frame)?, settings, &groups, samples, shared)?;
         let fixed = traced.fixed();
         let region = |pixels: &Vec<u32>| Region {
             x: pixels[0] % settings.common.width,
@@ -271,7 +292,8 @@ impl Shot for RadianceShot {
     ) -> Result<Rendered, RendererError> {
         self.check(settings)?;
         let shown = self.scene.frame(frame)?;
-        let mut finished = self.taken_over(frame, settings, taken_over)?;
+        let Content { pixels: mut finished, ambient } = self.taken_over(frame, settings, taken_over)?;
+        let ambient = self.ambient(settings, &ambient, run)?;
         let over = TakenOver {
             pixels: finished.len() as u64,
             cpu_nanos: finished.values().map(|pixel| pixel.cpu_nanos).sum(),
@@ -283,7 +305,8 @@ impl Shot for RadianceShot {
             pixels
         };
         let groups: Vec<Vec<u32>> = (0..blocks.count()).map(rest).collect();
-        let traced = trace(self, shown, settings, &groups, 0..settings.common.samples, run)?;
+        let shared = (ambient.as_ref(), run);
+        let traced = trace(self, shown, settings, &groups, 0..settings.common.samples, shared)?;
         let fixed = traced.fixed();
         let Traced { pixels, nanos, cost, .. } = traced;
         finished.extend(pixels.into_iter().map(|(index, colour)| (index, Pixel { colour, cpu_nanos: 0 })));

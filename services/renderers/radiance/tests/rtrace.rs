@@ -97,6 +97,14 @@ fn gathered(shot: &dyn Shot) -> Settings {
     )
 }
 
+/// One bounce whose values pixels share.
+fn interpolated(shot: &dyn Shot) -> Settings {
+    changed(
+        shot,
+        json!({"ambient_bounces": 1, "ambient_accuracy": 0.2, "ambient_divisions": 64, "ambient_super_samples": 0}),
+    )
+}
+
 fn pixels_of(rendered: &Rendered) -> Vec<[f32; 3]> {
     let image = image::open(&rendered.files[0]).unwrap().to_rgb32f();
     image.pixels().map(|pixel| pixel.0).collect()
@@ -313,7 +321,7 @@ fn with_random_numbers_pixels_that_are_taken_over_are_kept_and_the_others_have_t
     let kept = fs::read(&artefact.path).unwrap();
     let merged = pixels_of(&world.run(|run| shot.render(1, &settings, &[artefact], run)).unwrap());
     for (at, pixel) in pixels.iter().enumerate() {
-        let own = &kept[24 + 24 * at..][4..16];
+        let own = &kept[32 + 24 * at..][4..16];
         let colour = merged[*pixel as usize].map(f32::to_le_bytes).concat();
         assert_eq!(own, colour, "pixel {pixel}");
     }
@@ -324,6 +332,45 @@ fn with_random_numbers_pixels_that_are_taken_over_are_kept_and_the_others_have_t
     };
     let error = mean(&merged) / mean(&whole) - 1.0;
     assert!(error.abs() < 0.01, "{error}");
+}
+
+#[test]
+#[ignore = "tests/peers/radiance_renderer.sh installs Radiance"]
+fn values_that_a_profile_gathered_are_those_that_the_render_begins_with() {
+    let world = World::new();
+    let shot = world.shot();
+    let settings = interpolated(&*shot);
+    let grid =
+        |step: usize| (0..47).step_by(step).flat_map(move |y| (0..64).step_by(step).map(move |x| y * 64 + x));
+    let coarse: Vec<u32> = grid(8).collect();
+    let finer: Vec<u32> = grid(2).filter(|pixel| !coarse.contains(pixel)).collect();
+    let size = |artefact: &Artefact| fs::metadata(&artefact.path).unwrap().len();
+    let gather =
+        |rays: &[[u64; 7]]| rays.iter().filter(|rays| rays[5] > 0).count() as f64 / rays.len() as f64;
+    let (rays, _, few) = profile(&world, &*shot, &settings, &coarse);
+    let (of_few, first) = (size(&few), gather(&rays));
+    assert!(of_few > 32 + 24 * 48, "the file has values");
+    let (rays, _, more) = profile(&world, &*shot, &settings, &[coarse, finer].concat());
+    let later = gather(&rays[48..]);
+    assert!(
+        size(&more) > of_few && later < first,
+        "{later} of the later pixels gather, {first} of the first"
+    );
+    let mean = |pixels: &[[f32; 3]]| {
+        pixels.iter().flatten().map(|&v| f64::from(v)).sum::<f64>() / pixels.len() as f64
+    };
+    let image = |threads, over: &[Artefact]| {
+        with(world.folder.path(), threads, |run| {
+            mean(&pixels_of(&shot.render(1, &settings, over, run).unwrap()))
+        })
+    };
+    let alone = image(1, &[]);
+    for (threads, over) in [(1, std::slice::from_ref(&more)), (4, &[]), (4, std::slice::from_ref(&more))] {
+        let error = image(threads, over) / alone - 1.0;
+        assert!(error.abs() < 0.03, "{threads} threads: {error}");
+    }
+    let left = fs::read_dir(world.folder.path()).unwrap().flatten();
+    assert!(left.into_iter().all(|entry| !entry.file_name().to_string_lossy().starts_with("ambient-")));
 }
 
 #[test]
@@ -379,8 +426,10 @@ fn parts_are_measured_on_any_number_of_threads() {
         let error = ask(&part).unwrap_err().to_string();
         assert!(error.contains(reason), "{error}");
     }
-    let interpolated = changed(&*shot, json!({"ambient_bounces": 1, "ambient_accuracy": 0.2}));
-    assert!(!shot.capabilities(&interpolated).contains(&Capability::MeasurePixels));
+    let interpolated = shot.capabilities(&interpolated(&*shot));
+    assert!(
+        interpolated.contains(&Capability::ShareCache) && !interpolated.contains(&Capability::MeasureRegions)
+    );
 }
 
 #[test]
