@@ -6,7 +6,7 @@ import zipfile
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import httpx
 from httpx_sse import ServerSentEvent
@@ -78,12 +78,13 @@ def checked(response: httpx.Response) -> httpx.Response:
     return response
 
 
-def answer(response: Response[T | Problem], kind: type[T]) -> T:
+def answer(response: Response[Any], kind: type[T]) -> T:
     """The parsed answer, unless it is a refusal."""
-    if isinstance(response.parsed, Problem):
-        raise Refused(response.parsed)
-    assert isinstance(response.parsed, kind)
-    return response.parsed
+    parsed: object = response.parsed
+    if isinstance(parsed, Problem):
+        raise Refused(parsed)
+    assert isinstance(parsed, kind)
+    return parsed
 
 
 def event(message: ServerSentEvent) -> Event:
