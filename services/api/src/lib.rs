@@ -18,6 +18,7 @@ mod cookies;
 mod disk_space;
 mod error;
 mod extract;
+mod feed;
 mod metrics;
 mod openapi;
 mod page;

@@ -16,6 +16,7 @@ use crate::background::{run_conductor, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::serve;
+use crate::feed::Feed;
 use crate::metrics::Metrics;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
@@ -107,6 +108,7 @@ impl Service {
             conductor,
             in_flight: InFlight::default(),
             answers: Arc::default(),
+            feed: Arc::new(Feed::new(store.clone())),
             dashboard: Arc::default(),
             projected: Arc::default(),
             last_change: Arc::new(Mutex::new(Instant::now())),

@@ -14,6 +14,7 @@ use crate::answer_cache::AnswerCache;
 use crate::clock::Clock;
 use crate::config::Limits;
 use crate::error::{ApiError, ApiResult};
+use crate::feed::Feed;
 use crate::metrics::Metrics;
 use crate::shared::Shared;
 use crate::sign_in::SignIns;
@@ -44,6 +45,7 @@ pub(crate) struct App {
     pub conductor: mpsc::UnboundedSender<JobId>,
     pub in_flight: InFlight,
     pub answers: Arc<AnswerCache>,
+    pub feed: Arc<Feed>,
     pub dashboard: Arc<Shared<Dashboard>>,
     /// Expected course of the open bookings.
     pub projected: Arc<Shared<Projection>>,

@@ -5,13 +5,16 @@
 #[path = "support/mod.rs"]
 mod support;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use forelight_protocol::{Dashboard, FrameStrip, JobPage, NodePage, TimelinePage};
+use futures::future::join_all;
+use futures::{StreamExt, stream};
 use reqwest::{Method, StatusCode};
 use rusqlite::Connection;
 use serde_json::json;
 
+use support::events::Events;
 use support::{Farm, start};
 
 /// Most bytes of a compressed document.
@@ -20,6 +23,9 @@ const MOST_BYTES: usize = 60 << 10;
 const NODES: u32 = 5_000;
 const JOBS: u32 = 2_000;
 const FRAMES: u32 = 10_000;
+
+/// Pages that are open.
+const PAGES: usize = 200;
 
 /// Copies rows of a table once for each row of `each`, with other values in some columns.
 fn copy(database: &Connection, table: &str, which: &str, each: &str, other: &[(&str, &str)]) {
@@ -189,6 +195,34 @@ async fn document(farm: &Farm, path: &str) -> Vec<u8> {
     plain.to_vec()
 }
 
+/// Workers tell that they are done with all pixels, 16 at a time. Each makes an event. Returns how long it took
+/// for the slowest hundredth.
+async fn heartbeats(farm: &Farm, leases: &[String]) -> Duration {
+    let beat = async |lease: &String| {
+        let begun = Instant::now();
+        let patch = farm.worker.request(Method::PATCH, &format!("/v1/leases/{lease}"));
+        let answer = patch.json(&json!({"fence": 1, "progress": 1.0})).send().await.unwrap();
+        assert_eq!(answer.status(), StatusCode::OK, "{:?}", answer.text().await);
+        begun.elapsed()
+    };
+    let mut took: Vec<Duration> = stream::iter(leases).map(beat).buffer_unordered(16).collect().await;
+    took.sort_unstable();
+    took[took.len() * 99 / 100]
+}
+
+/// Workers are answered while two hundred people look, and all of these are told everything.
+async fn pages_and_workers(farm: &Farm, leases: &[String]) {
+    let (before, during) = leases.split_at(leases.len() / 2);
+    let alone = heartbeats(farm, before).await;
+    let open = (0..PAGES).map(|_| Events::open(&farm.viewer, "/v1/events", None));
+    let mut pages: Vec<Events> = join_all(open).await.into_iter().flatten().collect();
+    assert_eq!(pages.len(), PAGES);
+    let told = join_all(pages.iter_mut().map(|page| page.take(during.len(), Duration::from_secs(60))));
+    let (watched, told) = tokio::join!(heartbeats(farm, during), told);
+    println!("99 of 100 heartbeats: {alone:?} alone, {watched:?} with {PAGES} pages open");
+    assert!(told.iter().all(|events| *events == told[0]));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn documents_of_a_large_farm_are_short() {
     let farm = Farm::new().await;
@@ -203,6 +237,12 @@ async fn documents_of_a_large_farm_are_short() {
     service.shutdown().await;
     let database = Connection::open(folder.path().join("data/forelight.sqlite")).unwrap();
     fill(&database, forelight_protocol::Timestamp::now().micros());
+    let leases = "SELECT lower(hex(l.id)) FROM leases l JOIN tasks t ON t.id = l.task_id
+        WHERE l.state = 'active' AND t.state = 'leased' AND t.progress < 1";
+    let leases: Vec<String> = {
+        let mut found = database.prepare(leases).unwrap();
+        found.query_map([], |row| row.get(0)).unwrap().map(Result::unwrap).collect()
+    };
     drop(database);
     let service = start(&support::config(folder.path())).await;
     let address = support::address(&service);
@@ -229,4 +269,5 @@ async fn documents_of_a_large_farm_are_short() {
         let strip: FrameStrip = serde_json::from_slice(&document(&farm, &path).await).unwrap();
         assert_eq!((strip.states.len(), strip.p95.len()), (FRAMES as usize, FRAMES as usize));
     }
+    pages_and_workers(&farm, &leases).await;
 }

@@ -9,7 +9,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use forelight_protocol::{Event, EventId, EventKind, JobId, ProblemKind, SessionId};
+use forelight_protocol::{EventId, EventKind, JobId, ProblemKind, SessionId};
 use forelight_store::tokens::Principal;
 use forelight_store::{Store, StoreError};
 use futures::{Stream, stream};
@@ -22,9 +22,8 @@ use utoipa::{IntoParams, ToSchema};
 use crate::clock::Clock;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
+use crate::feed::{Batch, Feed, Told};
 use crate::state::App;
-
-const BATCH: u32 = 200;
 
 /// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
@@ -108,9 +107,11 @@ fn respond(events: impl Stream<Item = Result<ServerEvent, Infallible>> + Send + 
 
 struct Cursor {
     store: Store,
+    feed: Arc<Feed>,
     job: Option<JobId>,
+    /// The last event that was read.
     after: EventId,
-    batch: std::vec::IntoIter<Event>,
+    batch: std::vec::IntoIter<Told>,
     changes: watch::Receiver<u64>,
     /// The session of the caller, if there is one. The stream ends with it.
     session: Option<SessionId>,
@@ -133,6 +134,7 @@ fn follow(
 ) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
     let cursor = Cursor {
         store: app.store.clone(),
+        feed: app.feed.clone(),
         job,
         after,
         batch: Vec::new().into_iter(),
@@ -164,11 +166,10 @@ impl Cursor {
     }
 
     /// The next event. `None` when the job or the session is over, the service stops, or the database fails.
-    async fn next(&mut self) -> Option<Event> {
+    async fn next(&mut self) -> Option<Told> {
         loop {
             if let Some(event) = self.batch.next() {
-                self.after = event.id;
-                self.over |= self.job.is_some() && event.job_state.is_some_and(|state| state.is_final());
+                self.over |= self.job.is_some() && event.is_last;
                 return Some(event);
             }
             if !self.goes_on().await {
@@ -177,7 +178,10 @@ impl Cursor {
             // Marked as seen before reading, so that anything written after the read wakes this stream again.
             self.changes.borrow_and_update();
             self.batch = match self.read().await {
-                Ok(batch) => batch.into_iter(),
+                Ok(Batch { events, until }) => {
+                    self.after = until;
+                    events.into_iter()
+                }
                 Err(error) => {
                     tracing::warn!(%error, "an event stream ends");
                     return None;
@@ -198,12 +202,15 @@ impl Cursor {
         }
     }
 
-    async fn read(&self) -> Result<Vec<Event>, StoreError> {
-        self.store.events_after(self.job, self.after, BATCH).await
+    async fn read(&self) -> Result<Batch, StoreError> {
+        // Nothing wakes the stream of a job that is over. So it takes also what nobody was told of yet.
+        if self.over {
+            return self.feed.stored_after(self.job, self.after).await;
+        }
+        self.feed.after(self.job, self.after).await
     }
 }
 
-fn to_server_event(event: &Event) -> ServerEvent {
-    let named = ServerEvent::default().id(event.id.to_string()).event(event.kind.name());
-    named.data(serde_json::to_string(event).unwrap_or_default())
+fn to_server_event(event: &Told) -> ServerEvent {
+    ServerEvent::default().id(event.id.to_string()).event(event.kind.name()).data(&*event.json)
 }

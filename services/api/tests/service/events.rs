@@ -81,3 +81,33 @@ async fn the_farms_stream_begins_now_and_brings_what_happens() {
     let events = stream.take(1, PATIENCE).await;
     assert_eq!((events[0].kind, events[0].job_id), (EventKind::JobCreated, Some(job.id)));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn streams_that_begin_anywhere_and_are_told_together_miss_nothing_and_see_nothing_twice() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let first = farm.submit("0").await;
+    farm.until_booked(&node, &first).await;
+    let job = farm.submit("0-1").await;
+    let path = format!("/v1/jobs/{}/events", job.id);
+    // Some begin before the service has read any event for a stream, some at events that were long ago.
+    let now = open(&farm.viewer, "/v1/events?last_event_id=0", None).await.take(1, PATIENCE).await[0].id;
+    let mut of_farm = Vec::new();
+    for after in [now, now + 1, now, now + 3] {
+        of_farm.push((after, open(&farm.viewer, "/v1/events", Some(after)).await));
+    }
+    let of_job = [open(&farm.viewer, &path, None).await, open(&farm.viewer, &path, None).await];
+    farm.work_off(&node, &job).await;
+    let late = open(&farm.viewer, &path, Some(now)).await.rest(PATIENCE).await;
+    for stream in of_job {
+        assert_eq!(stream.rest(PATIENCE).await, late);
+    }
+    let last = late.last().unwrap().id;
+    for (after, stream) in &mut of_farm {
+        let mut ids = Vec::new();
+        while ids.last().is_none_or(|id| *id < last) {
+            ids.push(stream.take(1, PATIENCE).await[0].id);
+        }
+        assert_eq!(ids, (*after + 1..=last).collect::<Vec<_>>());
+    }
+}
