@@ -14,6 +14,7 @@ const KEYS: [keys: string[], does: string][] = [
   [["↑", "↓"], "on a frame strip: a row up, a row down"],
   [["Home", "End"], "on a frame strip: first frame, last frame"],
   [["Enter"], "on a frame strip: show this frame's images"],
+  [[",", "."], "on a job: images of the frame before, of the next frame"],
   [["Escape"], "clear the selection; close a question"],
   [["+", "−"], "on the farm's chart and on images: zoom"],
   [["←", "→"], "on the farm's chart: earlier, later"],

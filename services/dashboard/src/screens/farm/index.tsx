@@ -1,20 +1,21 @@
 // The farm: nodes and time, as a chart and as a list.
 
+import type { ComponentChildren } from "preact";
 import { useCallback, useEffect, useMemo, useState } from "preact/hooks";
 import type { NodeState } from "../../api/types";
 import { farm, farmError, now } from "../../state/farm";
 import { href, param, setQuery } from "../../state/route";
 import { mayOperate } from "../../state/session";
 import { titled } from "../../state/tab";
-import { grouped } from "../../ui/format";
+import { clean, grouped } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Choice, Trouble, Waiting } from "../../ui/parts";
+import { Choice, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { AddNode } from "./add";
 import { Chart, zoomed } from "./chart";
 import { NodeList } from "./list";
 import { NodeDialog } from "./node";
 import { Plans, type Playing } from "./plans";
-import { type Stretch, useTimeline } from "./timeline";
+import { type Rows, type Stretch, useTimeline } from "./timeline";
 import "../../styles/farm.css";
 
 const HOUR = 3_600_000;
@@ -213,6 +214,38 @@ function ChartView(props: { state: NodeState | ""; search: string; total: number
         moves={playing.moves}
         played={playing.played}
       />
+      <TableBehind
+        label="The chart, as a table"
+        head={["Node", "Does", "Job", "Frames", "From", "To", "P80"]}
+        rows={() => spanRows(rows, view)}
+        note={`What is in the chart's time, of the ${rows.rows.length} nodes that are loaded; at most ${MOST_ROWS} lines.`}
+      />
     </>
   );
+}
+
+const MOST_ROWS = 500;
+
+function spanRows(rows: Rows, view: Stretch): ComponentChildren[][] {
+  const out: ComponentChildren[][] = [];
+  for (const row of rows.rows) {
+    for (const span of row.spans) {
+      if (Date.parse(span.end) < view.from || Date.parse(span.start) > view.to) continue;
+      if (out.length === MOST_ROWS) return out;
+      out.push([
+        clean(row.name),
+        span.kind,
+        span.job_id ? (
+          <a href={href(["jobs", span.job_id])}>{clean(rows.jobs.get(span.job_id) ?? "a job")}</a>
+        ) : (
+          "–"
+        ),
+        span.frames ?? "–",
+        <Time at={span.start} exact />,
+        <Time at={span.end} exact />,
+        <Time at={span.end_p80} exact />,
+      ]);
+    }
+  }
+  return out;
 }

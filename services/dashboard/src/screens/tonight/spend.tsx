@@ -36,7 +36,10 @@ export function Spend(props: { version: number }) {
 
 function Nights(props: { forecast: BudgetForecast }) {
   const { forecast } = props;
-  const budgets = forecast.budgets.filter((budget) => Date.parse(budget.until) > Date.now());
+  // Of the periods to come, only those that need somebody.
+  const budgets = forecast.budgets.filter(
+    (budget) => isPresent(budget) || (budget.threatened && Date.parse(budget.from) > Date.now()),
+  );
   const most = Math.max(1, ...forecast.nights.map((night) => night.cost.p95));
   return (
     <>
@@ -53,7 +56,7 @@ function Nights(props: { forecast: BudgetForecast }) {
       <p class="note">
         A night is the 24 hours from noon, in {forecast.zone}. P50 to P95; the dark part is spent.
         {forecast.unknown.length > 0 &&
-          ` Without jobs that have no quote yet: ${forecast.unknown.map(clean).join(", ")}.`}
+          ` Without jobs that are not booked yet: ${forecast.unknown.map(clean).join(", ")}.`}
       </p>
       {budgets.length === 0 ? (
         <p class="note">
@@ -65,6 +68,7 @@ function Nights(props: { forecast: BudgetForecast }) {
             <li key={`${budget.project}-${budget.period}-${budget.from}`}>
               <span>
                 {clean(budget.project)}, per {budget.period === "total" ? "project" : budget.period}
+                {!isPresent(budget) && `, ${dayName(Date.parse(budget.from))}`}
               </span>
               <Bar
                 spent={budget.spent}
@@ -128,4 +132,9 @@ export function Bar(props: { spent: number; cost: MoneyForecast; limit: number |
       {limit !== null && <line class="limit" x1={x(limit)} x2={x(limit)} y1="0" y2="16" />}
     </svg>
   );
+}
+
+/** Whether now lies in the period of a budget. */
+function isPresent(budget: BudgetForecast["budgets"][number]): boolean {
+  return Date.parse(budget.from) <= Date.now() && Date.now() < Date.parse(budget.until);
 }
