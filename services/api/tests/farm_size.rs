@@ -195,8 +195,8 @@ async fn document(farm: &Farm, path: &str) -> Vec<u8> {
     plain.to_vec()
 }
 
-/// Workers tell that they are done with all pixels, 16 at a time. Each makes an event. Returns how long it took
-/// for the slowest hundredth.
+/// Workers tell that they are done with all pixels, 16 at a time. Each makes an event. Returns how long it
+/// took for the slowest hundredth.
 async fn heartbeats(farm: &Farm, leases: &[String]) -> Duration {
     let beat = async |lease: &String| {
         let begun = Instant::now();

@@ -1,8 +1,8 @@
 //! `forelight bench renderers`: quotes shots of other renderers with several seeds, and compares them with the
 //! full renders.
 //!
-//! Quotes and renders alternate, so that a machine that slows down slows both. The true cost of a frame is the
-//! median of its renders.
+//! Quotes and renders alternate, so that a machine that slows down slows both. The true cost of a frame is
+//! the median of its renders.
 
 use crate::report::Report;
 use crate::statistics::{mean_absolute, median, relative_error};
@@ -231,7 +231,8 @@ fn case(
     }
 }
 
-/// Cost of all frames from the first, the middle and the last one, interpolated over time: what practice does.
+/// Cost of all frames from the first, the middle and the last one, interpolated over time: what practice
+/// does.
 fn three_frames(costs: &[f64]) -> Option<f64> {
     let (first, last) = (0, costs.len().checked_sub(1).filter(|&last| last >= 3)?);
     let middle = last / 2;

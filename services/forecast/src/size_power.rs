@@ -1,7 +1,7 @@
 //! The cost of one frame as a power of its size: cost = fixed + slope · pixelsᵖ.
 //!
-//! A smaller image of a frame is not cheaper in proportion where a renderer adapts to what it sees. Edges grow
-//! with the side of an image and not with its area, so a renderer that adds samples at edges has a power
+//! A smaller image of a frame is not cheaper in proportion where a renderer adapts to what it sees. Edges
+//! grow with the side of an image and not with its area, so a renderer that adds samples at edges has a power
 //! below one. Three sizes of a frame determine the power. Other frames of the shot share it.
 
 use crate::sample_line::SampleCost;
@@ -13,8 +13,8 @@ const MOST: f64 = 1.25;
 /// Halvings of the interval of powers. They leave 10⁻⁹ of it.
 const HALVINGS: usize = 30;
 
-/// The power of the pixels in which costs are lines: the mean over the frames that were measured at three sizes
-/// at least. One if no frame tells it.
+/// The power of the pixels in which costs are lines: the mean over the frames that were measured at three
+/// sizes at least. One if no frame tells it.
 pub fn size_power(frames: &[&[SampleCost]]) -> f64 {
     let powers: Vec<f64> = frames.iter().filter_map(|costs| power(costs)).collect();
     if powers.is_empty() { 1.0 } else { crate::moments::sum(powers.iter().copied()) / powers.len() as f64 }

@@ -91,7 +91,8 @@ impl Capabilities {
     /// Most characters of a name.
     const LONGEST_NAME: usize = 200;
 
-    /// Turns the name of a processor or an adapter into one line of 1 to 200 characters. `None` if nothing is left.
+    /// Turns the name of a processor or an adapter into one line of 1 to 200 characters. `None` if nothing is
+    /// left.
     pub fn name(text: &str) -> Option<String> {
         let line = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let short: String = line.chars().filter(|c| !c.is_control()).take(Self::LONGEST_NAME).collect();

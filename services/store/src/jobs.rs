@@ -85,8 +85,8 @@ impl Store {
         read(&mut *self.read().await?, job).await
     }
 
-    /// The jobs that the service itself may have to move on, oldest first: those before `booked`, except those
-    /// that wait to be accepted.
+    /// The jobs that the service itself may have to move on, oldest first: those before `booked`, except
+    /// those that wait to be accepted.
     pub async fn jobs_to_advance(&self) -> Result<Vec<JobId>> {
         let ids =
             sqlx::query_scalar!(

@@ -96,8 +96,8 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     Ok(Settled { plan, jobs, outlooks, finish })
 }
 
-/// Bookings that stay unless needed: normally all. A job with new terms is placed anew. If a new job without a deadline is due before others, then
-/// all such jobs of its priority or lower take turns anew.
+/// Bookings that stay unless needed: normally all. A job with new terms is placed anew. If a new job without
+/// a deadline is due before others, then all such jobs of its priority or lower take turns anew.
 fn what_stays(farm: &Farm, fresh: Option<usize>) -> Vec<Booking> {
     let stays = |booking: &&Booking| !farm.jobs[booking.job as usize].has_new_terms;
     let standing: Vec<Booking> = farm.standing.iter().filter(stays).copied().collect();

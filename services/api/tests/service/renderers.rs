@@ -177,8 +177,8 @@ async fn a_result_of_another_renderer_that_does_not_fit_is_refused_with_the_plac
     farm.finish(&profile).await;
 }
 
-/// All 64 pixels of a frame: 48 of a surface, and 16 of the background. `work` is what the renderer states for each;
-/// it is ignored.
+/// All 64 pixels of a frame: 48 of a surface, and 16 of the background. `work` is what the renderer states
+/// for each; it is ignored.
 async fn profiled_pixels(farm: &Farm, profile: &Lease, work: u64) -> Value {
     let frame = u64::from(profile.spec.frame().unwrap());
     let sample = |pixel: u64| {

@@ -40,8 +40,8 @@ pub struct Args {
     /// Price of an hour of each worker, in the farm's currency, such as 0.50
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     price: i64,
-    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender and
-    /// Radiance are found without one
+    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender
+    /// and Radiance are found without one
     #[arg(long, value_name = "FILE")]
     command: Vec<PathBuf>,
     /// Device that renders ID previews

@@ -55,8 +55,8 @@ pub struct ServiceOptions {
     /// Time until a lease expires without renewal, such as 30s
     #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = duration)]
     pub lease_ttl: Duration,
-    /// Address at which people reach the service, if it is another one, such as `https://farm.example.org` behind
-    /// a TLS proxy. Links begin with it. With https, browsers send sessions over TLS only
+    /// Address at which people reach the service, if it is another one, such as `https://farm.example.org`
+    /// behind a TLS proxy. Links begin with it. With https, browsers send sessions over TLS only
     #[arg(long, value_name = "URL", value_parser = origin)]
     pub public_url: Option<String>,
     /// Folder on shared storage below which jobs may name bundles by path. May be repeated

@@ -62,8 +62,8 @@ pub struct Args {
     /// The exit code is 0 if the task is done already
     #[arg(long, value_name = "ID")]
     task: Option<TaskId>,
-    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender and
-    /// Radiance are found without one
+    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender
+    /// and Radiance are found without one
     #[arg(long, value_name = "FILE")]
     command: Vec<PathBuf>,
     /// Memory limit of a task, such as 8GiB. A task that exceeds it is ended [default: no limit]

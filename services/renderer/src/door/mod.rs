@@ -116,7 +116,8 @@ pub trait Shot: Send + Sync {
     /// What the renderer can do with this scene at these settings.
     fn capabilities(&self, settings: &Settings) -> Capabilities;
 
-    /// How names of its images end, without the dot: of the files that it writes, and `png` if it has a picture.
+    /// How names of its images end, without the dot: of the files that it writes, and `png` if it has a
+    /// picture.
     fn image_extensions(&self, _settings: &Settings) -> Vec<String> {
         ["exr", "png"].map(str::to_owned).to_vec()
     }

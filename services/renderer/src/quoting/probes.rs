@@ -6,12 +6,13 @@ use forelight_protocol::{SampleCost, Varied};
 /// Share of a frame's samples that are measured, as a divisor. More make the quote surer, and cost more.
 const SHARE: u32 = 50;
 
-/// Shares of the samples that are measured in addition, one after the other, where fixed costs hide the cost of
-/// samples.
+/// Shares of the samples that are measured in addition, one after the other, where fixed costs hide the cost
+/// of samples.
 const LARGER_SHARES: [u32; 2] = [16, 4];
 
 /// Divisors of width and height of the smaller images that are measured. The last one tells by which power of
-/// the pixels costs grow. It is measured in every fourth frame, and where fixed costs hide the cost of pixels.
+/// the pixels costs grow. It is measured in every fourth frame, and where fixed costs hide the cost of
+/// pixels.
 const SIZES: [u32; 3] = [8, 4, 2];
 const EVERY: u32 = 4;
 
@@ -19,8 +20,8 @@ const EVERY: u32 = 4;
 /// small one. The last are measured only where fixed costs hide the cost of pixels.
 const REGIONS: [(u32, usize); 3] = [(32, 1), (8, 8), (4, 4)];
 
-/// Side of the regions of a renderer that measures many at once, in pixels, where the image is small. Of a large
-/// image, this divisor of its width and height.
+/// Side of the regions of a renderer that measures many at once, in pixels, where the image is small. Of a
+/// large image, this divisor of its width and height.
 const SMALL_REGION: u32 = 8;
 const MOST_DIVISOR: u32 = 64;
 

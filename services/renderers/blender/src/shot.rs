@@ -95,8 +95,8 @@ impl BlenderShot {
         let Costs { cost, fixed, .. } = self.samples(frame, settings, Some((offset, count)), &path, run)?;
         let image = Image::read(&path)?;
         let strata = image.stratum_costs();
-        // Nobody knows how long denoising and compositing take. Both are part of every share, like all that is
-        // fixed, so that a line through two shares knows.
+        // Nobody knows how long denoising and compositing take. Both are part of every share, like all that
+        // is fixed, so that a line through two shares knows.
         let is_processed = is_on(settings, "denoise") || is_on(settings, "compositing");
         let fixed = if is_processed { FixedCosts::new() } else { with_images(fixed, &cost, &strata) };
         let artefact = if why_indivisible(settings).is_none() {
@@ -173,8 +173,8 @@ fn question(name: &str, frame: i32, settings: &Settings, out: &Path, run: &Run<'
 }
 
 /// Fixed costs with what images cost beside the light in their pixels: buffers, passes. Of a single sample
-/// that is one to two per cent. Pixels tell their time by the clock. It exceeds the CPU time on a busy machine,
-/// and nothing is known about the images then.
+/// that is one to two per cent. Pixels tell their time by the clock. It exceeds the CPU time on a busy
+/// machine, and nothing is known about the images then.
 fn with_images(mut fixed: FixedCosts, cost: &Cost, pixels: &[StratumCost]) -> FixedCosts {
     let in_pixels: u64 = pixels.iter().map(|stratum| stratum.nanos).sum();
     let known = in_pixels + fixed.values().sum::<u64>();

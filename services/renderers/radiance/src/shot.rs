@@ -63,8 +63,8 @@ impl RadianceShot {
         of_settings.into_iter().chain(self.scene.arguments.kept.iter().cloned()).collect()
     }
 
-    /// The file of ambient values of a render: with those that were taken over, or else an empty one if several
-    /// processes share it.
+    /// The file of ambient values of a render: with those that were taken over, or else an empty one if
+    /// several processes share it.
     fn ambient(
         &self,
         settings: &Settings,

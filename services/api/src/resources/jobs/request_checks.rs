@@ -96,7 +96,8 @@ pub(super) fn check_terms(app: &App, deadline: Option<Timestamp>, budget: Option
     }
 }
 
-/// Checks a job of a renderer other than our own. Its scene is not opened here: the job's first task does that.
+/// Checks a job of a renderer other than our own. Its scene is not opened here: the job's first task does
+/// that.
 async fn other_renderer(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
     let settings = request.settings.of_shot().map_err(bad_setting)?;
     if let Some(pixels) = settings.pixels().filter(|&pixels| pixels > app.limits.pixels) {

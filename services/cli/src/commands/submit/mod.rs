@@ -129,7 +129,8 @@ pub struct Args {
     /// Wait with the complete quote until `forelight accept`. Book nothing before
     #[arg(long, conflicts_with_all = ["job", "out"])]
     hold: bool,
-    /// Wait until the job ends, and print forecast and true cost of each frame. With --hold, wait for the quote
+    /// Wait until the job ends, and print forecast and true cost of each frame. With --hold, wait for the
+    /// quote
     #[arg(long)]
     follow: bool,
     /// Follow the job, and write images, cost maps and a contact sheet into this folder
