@@ -1,7 +1,7 @@
 //! Answers: pixel counts, costs and files.
 
 use super::artefact::Artefact;
-use super::settings::Region;
+use super::part::Region;
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

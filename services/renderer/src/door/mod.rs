@@ -16,6 +16,7 @@ mod answers;
 mod artefact;
 mod description;
 mod error;
+mod part;
 mod pixels;
 mod run;
 mod settings;
@@ -28,9 +29,10 @@ pub use artefact::Artefact;
 pub use description::{Asset, AssetState, Camera, Description, Frames, Object};
 pub use error::{Ending, RendererError};
 pub use forelight_protocol::RendererId;
+pub use part::{Part, Region};
 pub use pixels::{PixelCost, PixelProfiler, ProfiledPixels, Shown};
 pub use run::{Limits, Run};
-pub use settings::{Common, Region, Settings, SettingsError};
+pub use settings::{Common, Settings, SettingsError};
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -71,23 +73,6 @@ pub enum Capability {
 
 /// All that a renderer can do.
 pub type Capabilities = BTreeSet<Capability>;
-
-/// A part of a frame, to be measured.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Part {
-    /// `count` of the samples of every pixel, from the sample `offset` on.
-    Samples {
-        /// Number of samples before these.
-        offset: u32,
-        /// Number of samples.
-        count: u32,
-    },
-    /// Rectangles, with all samples.
-    Regions(Vec<Region>),
-    /// Pixels by index, in rows from the top, with all samples.
-    Pixels(Vec<u32>),
-}
 
 /// A renderer on this machine.
 pub trait Renderer: Send + Sync {

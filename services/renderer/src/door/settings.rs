@@ -17,6 +17,23 @@ pub struct Common {
     pub seed: u32,
 }
 
+impl Common {
+    /// Number of pixels.
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
+    }
+
+    /// The same image with at most about this number of pixels, and at most `scale` times as wide and high.
+    #[must_use]
+    pub fn smaller(mut self, pixels: u64, scale: f64) -> Self {
+        let scale = (pixels as f64 / self.pixels() as f64).sqrt().min(scale);
+        for side in [&mut self.width, &mut self.height] {
+            *side = ((f64::from(*side) * scale).round() as u32).max(1);
+        }
+        self
+    }
+}
+
 /// How a frame is rendered.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Settings {
@@ -26,19 +43,6 @@ pub struct Settings {
     /// The renderer's own settings, as its schema says.
     #[serde(default)]
     pub own: Map<String, Value>,
-}
-
-/// A rectangle of the image, pixels from the top left corner.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Region {
-    /// First column.
-    pub x: u32,
-    /// First row.
-    pub y: u32,
-    /// Number of columns.
-    pub width: u32,
-    /// Number of rows.
-    pub height: u32,
 }
 
 /// A setting is out of its range, or unknown.
@@ -120,7 +124,7 @@ impl Settings {
 
     /// Number of pixels.
     pub fn pixels(&self) -> u64 {
-        u64::from(self.common.width) * u64::from(self.common.height)
+        self.common.pixels()
     }
 }
 

@@ -84,13 +84,6 @@ impl BlenderShot {
         (offset, count): (u32, u32),
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
-        let all = settings.common.samples;
-        if count == 0 || offset.checked_add(count).is_none_or(|end| end > all) {
-            return Err(RendererError::Unsupported(format!(
-                "samples {offset} to {} of a frame of {all}",
-                u64::from(offset) + u64::from(count)
-            )));
-        }
         let path = run.scratch.join(format!("frame-{frame:04}-samples-{offset}-{count}.exr"));
         let Costs { cost, fixed, .. } = self.samples(frame, settings, Some((offset, count)), &path, run)?;
         let image = Image::read(&path)?;
@@ -117,18 +110,6 @@ impl BlenderShot {
         regions: &[Region],
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
-        let inside = |start: u32, length: u32, all: u32| {
-            length > 0 && start.checked_add(length).is_some_and(|end| end <= all)
-        };
-        let (width, height) = (settings.common.width, settings.common.height);
-        if let Some(r) =
-            regions.iter().find(|r| !inside(r.x, r.width, width) || !inside(r.y, r.height, height))
-        {
-            return Err(RendererError::Unsupported(format!(
-                "region {} × {} at ({}, {}) of an image of {width} × {height}",
-                r.width, r.height, r.x, r.y
-            )));
-        }
         let mut question = question("regions", frame, settings, run.scratch, run);
         question["regions"] = json!(regions);
         let Costs { cost, fixed, pieces } = self.ask(&question, run)?;
@@ -186,12 +167,7 @@ fn with_images(mut fixed: FixedCosts, cost: &Cost, pixels: &[StratumCost]) -> Fi
 
 /// The settings of a preview: at most half as wide and high as the image.
 fn preview_settings(settings: &Settings) -> Settings {
-    let mut small = settings.clone();
-    let scale = (PREVIEW_PIXELS as f64 / settings.pixels() as f64).sqrt().min(0.5);
-    for side in [&mut small.common.width, &mut small.common.height] {
-        *side = ((f64::from(*side) * scale).round() as u32).max(1);
-    }
-    small
+    Settings { common: settings.common.smaller(PREVIEW_PIXELS, 0.5), own: settings.own.clone() }
 }
 
 impl Shot for BlenderShot {
@@ -242,6 +218,7 @@ impl Shot for BlenderShot {
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
         self.check(settings)?;
+        part.check(&settings.common)?;
         match part {
             &Part::Samples { offset, count } => self.measure_samples(frame, settings, (offset, count), run),
             Part::Regions(regions) => self.measure_regions(frame, settings, regions, run),

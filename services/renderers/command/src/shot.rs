@@ -192,13 +192,6 @@ fn nanos(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-fn is_inside(region: &Region, common: &Common) -> bool {
-    let inside = |start: u32, length: u32, all: u32| {
-        length > 0 && start.checked_add(length).is_some_and(|end| end <= all)
-    };
-    inside(region.x, region.width, common.width) && inside(region.y, region.height, common.height)
-}
-
 impl Shot for CommandShot {
     fn description(&self) -> &Description {
         &self.description
@@ -240,16 +233,11 @@ impl Shot for CommandShot {
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
         self.check(settings)?;
+        part.check(&settings.common)?;
         let all = settings.common.samples;
         let piece = |samples, region| Piece { frame, settings, samples, region };
         let (pieces, regions) = match part {
-            &Part::Samples { offset, count } => {
-                if count == 0 || offset.checked_add(count).is_none_or(|end| end > all) {
-                    return self.unsupported(&format!(
-                        "cannot measure samples {offset} to {} of {all}",
-                        u64::from(offset) + u64::from(count)
-                    ));
-                }
+            &Part::Samples { count, .. } => {
                 if count != all && !self.can(Can::Samples) {
                     return self.unsupported("cannot render fewer samples");
                 }
@@ -257,13 +245,6 @@ impl Shot for CommandShot {
             }
             Part::Regions(_) if !self.can(Can::Crop) => return self.unsupported("cannot render regions"),
             Part::Regions(regions) => {
-                if let Some(r) = regions.iter().find(|region| !is_inside(region, &settings.common)) {
-                    let Common { width, height, .. } = settings.common;
-                    return self.unsupported(&format!(
-                        "cannot measure the region {} × {} at ({}, {}) of an image of {width} × {height}",
-                        r.width, r.height, r.x, r.y
-                    ));
-                }
                 (regions.iter().map(|&region| piece(all, Some(region))).collect(), &regions[..])
             }
             Part::Pixels(_) => return self.unsupported("cannot measure single pixels"),

@@ -87,34 +87,6 @@ impl RadianceShot {
         if allows_missing(settings) { Ok(()) } else { self.description.require_assets() }
     }
 
-    fn groups(&self, settings: &Settings, part: &Part) -> Result<Vec<Vec<u32>>, RendererError> {
-        let Common { width, height, .. } = settings.common;
-        let unsupported = |reason: String| Err(RendererError::Unsupported(reason));
-        match part {
-            Part::Samples { .. } => {
-                let blocks = Blocks::new(&settings.common);
-                Ok((0..blocks.count()).map(|block| blocks.pixels(block)).collect())
-            }
-            Part::Regions(regions) => {
-                let inside = |start: u32, length: u32, all: u32| {
-                    length > 0 && start.checked_add(length).is_some_and(|end| end <= all)
-                };
-                let fits = |r: &&Region| !inside(r.x, r.width, width) || !inside(r.y, r.height, height);
-                match regions.iter().find(fits) {
-                    Some(r) => unsupported(format!(
-                        "region {} × {} at ({}, {}) of an image of {width} × {height}",
-                        r.width, r.height, r.x, r.y
-                    )),
-                    None => Ok(regions.iter().map(|region| pixels_of(region, width)).collect()),
-                }
-            }
-            Part::Pixels(pixels) => match pixels.iter().find(|&&pixel| pixel >= width * height) {
-                Some(pixel) => unsupported(format!("pixel {pixel} of an image of {width} × {height}")),
-                None => Ok(pixels.iter().map(|&pixel| vec![pixel]).collect()),
-            },
-        }
-    }
-
     /// Pixels and ambient values that artefacts hold.
     fn taken_over(
         &self,
@@ -181,14 +153,16 @@ fn size(radiance: &Radiance, scene: &Scene, run: &Run<'_>) -> Result<(u32, u32),
         .ok_or_else(|| RendererError::Answer(format!("vwrays -d printed `{printed}`, which is no size")))
 }
 
-/// The size of a preview: smaller, if the image is large.
-fn preview_size(settings: &Settings) -> Common {
-    let mut small = settings.common;
-    let scale = (PREVIEW_PIXELS as f64 / settings.pixels() as f64).sqrt().min(1.0);
-    for side in [&mut small.width, &mut small.height] {
-        *side = ((f64::from(*side) * scale).round() as u32).max(1);
+/// Pixels of the pieces that are timed.
+fn groups(image: &Common, part: &Part) -> Vec<Vec<u32>> {
+    match part {
+        Part::Samples { .. } => {
+            let blocks = Blocks::new(image);
+            (0..blocks.count()).map(|block| blocks.pixels(block)).collect()
+        }
+        Part::Regions(regions) => regions.iter().map(|region| pixels_of(region, image.width)).collect(),
+        Part::Pixels(pixels) => pixels.iter().map(|&pixel| vec![pixel]).collect(),
     }
-    small
 }
 
 impl Shot for RadianceShot {
@@ -224,8 +198,8 @@ impl Shot for RadianceShot {
         run: &Run<'_>,
     ) -> Result<Vec<FrameCounts>, RendererError> {
         self.check(settings)?;
-        let small = preview_size(settings);
-        let sampled_pixels = u64::from(small.width) * u64::from(small.height);
+        let small = settings.common.smaller(PREVIEW_PIXELS, 1.0);
+        let sampled_pixels = small.pixels();
         let mut all = Vec::with_capacity(frames.len());
         for (done, &number) in frames.iter().enumerate() {
             let progress = |share: f64| (run.progress)((done as f64 + share) / frames.len() as f64);
@@ -245,16 +219,13 @@ impl Shot for RadianceShot {
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
         self.check(settings)?;
+        part.check(&settings.common)?;
         let all = settings.common.samples;
         let samples = match *part {
-            Part::Samples { offset, count } => offset..offset.saturating_add(count),
+            Part::Samples { offset, count } => offset..offset + count,
             Part::Regions(_) | Part::Pixels(_) => 0..all,
         };
-        if samples.is_empty() || samples.end > all {
-            let reason = format!("samples {} to {} of a frame of {all}", samples.start, samples.end);
-            return Err(RendererError::Unsupported(reason));
-        }
-        let groups = self.groups(settings, part)?;
+        let groups = groups(&settings.common, part);
         let ambient = self.ambient(settings, &[], run)?;
         let shared = (ambient.as_ref(), run);
         let traced = trace(self, self.scene.frame(frame)?, settings, &groups, samples, shared)?;

@@ -419,7 +419,7 @@ fn parts_are_measured_on_any_number_of_threads() {
     assert!(measured.pieces.iter().map(|piece| piece.region).eq(regions));
     assert!(measured.pieces.iter().all(|piece| piece.cpu_nanos > 0));
     for (part, reason) in [
-        (Part::Samples { offset: 3, count: 2 }, "samples 3 to 5 of a frame of 4"),
+        (Part::Samples { offset: 3, count: 2 }, "samples 3 to 5 of 4"),
         (Part::Regions(vec![Region { x: 60, y: 0, width: 8, height: 8 }]), "(60, 0)"),
         (Part::Pixels(vec![64 * 47]), "pixel 3008"),
     ] {
