@@ -35,13 +35,7 @@ fi
 : >"$work/farm" # read below, perhaps before the farm has opened it
 "$FORELIGHT_BIN" farm --data "$work/data" --workers 1 --price 3600 --preview cpu --listen 127.0.0.1:0 >"$work/farm" 2>&1 &
 farm=$!
-address=
-for _ in $(seq 300); do
-  address=$(sed -n 's/^listening on //p' "$work/farm")
-  [ -n "$address" ] && break
-  kill -0 "$farm" 2>/dev/null || { cat "$work/farm"; fail 'the farm did not start'; }
-  sleep 0.1
-done
+address=$(farm_address "$work/farm" "$farm")
 mkdir "$work/etc" "$work/units-state" "$work/cron-state"
 "$FORELIGHT_BIN" token --role viewer --name budget --data "$work/data" --out "$work/etc/viewer.token" >/dev/null
 

@@ -22,12 +22,7 @@ trap stop EXIT
 : >"$work/farm"
 "$FORELIGHT_BIN" farm --data "$work/data" --workers 1 --preview cpu --listen 127.0.0.1:0 >"$work/farm" 2>&1 &
 farm=$!
-for _ in $(seq 300); do
-  FORELIGHT_SERVER=$(sed -n 's/^listening on //p' "$work/farm")
-  [ -n "$FORELIGHT_SERVER" ] && break
-  kill -0 "$farm" 2>/dev/null || { cat "$work/farm"; echo 'error: the farm did not start' >&2; exit 1; }
-  sleep 0.1
-done
+FORELIGHT_SERVER=$(farm_address "$work/farm" "$farm")
 "$FORELIGHT_BIN" token --role submitter --name python --data "$work/data" --out "$work/token" >/dev/null
 FORELIGHT_TOKEN=$(cat "$work/token")
 export FORELIGHT_SERVER FORELIGHT_TOKEN

@@ -32,15 +32,9 @@ trap cleanup EXIT
 
 : >"$work/printed" # read below, perhaps before the farm has opened it
 "$FORELIGHT_BIN" farm --data "$work/data" --listen 127.0.0.1:0 --workers 1 --threads 1 --preview cpu \
-  >"$work/printed" 2>"$work/log" &
+  >"$work/printed" 2>&1 &
 farm=$!
-for _ in $(seq 150); do
-  url=$(sed -n 's/^listening on //p' "$work/printed")
-  [ -n "$url" ] && break
-  kill -0 "$farm" 2>/dev/null || { cat "$work/log"; exit 1; }
-  sleep 0.2
-done
-[ -n "$url" ] || { echo 'failed: the farm did not print its address'; exit 1; }
+url=$(farm_address "$work/printed" "$farm")
 
 # A finished job to query. No request may leave this machine.
 export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1

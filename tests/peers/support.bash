@@ -104,6 +104,21 @@ wait_for() {
   done
 }
 
+# farm_address FILE PROCESS: prints the address that a farm prints into the file. Fails with the content of the
+# file if the process ends before, or prints none within a minute.
+farm_address() {
+  local address
+  for _ in $(seq 600); do
+    address=$(sed -n 's/^listening on //p' "$1")
+    [ -n "$address" ] && { echo "$address"; return; }
+    kill -0 "$2" 2>/dev/null || break
+    sleep 0.1
+  done
+  cat "$1" >&2
+  echo 'failed: the farm did not start' >&2
+  return 1
+}
+
 # ask QUERY: prints one value from the database of the farm in $work/data. `is` and `at_least` compare it.
 ask() {
   "$environment/bin/python" - "$work/data/forelight.sqlite" "$1" <<'PYTHON'
