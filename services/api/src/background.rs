@@ -1,5 +1,5 @@
 //! Background work of the service. One task advances jobs and plans the farm; one takes back expired leases;
-//! one tells webhooks of events.
+//! one tells webhooks of events; one deletes every night what is past its time.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -42,6 +42,46 @@ pub(crate) async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
 
 pub(crate) async fn run_webhooks(app: App) {
     while again_after_panic("telling webhooks", tell_webhooks(&app)).await {}
+}
+
+pub(crate) async fn run_retention(app: App) {
+    while again_after_panic("the nightly deletion", delete_nightly(&app)).await {}
+}
+
+/// Time between two deletions: a day, in microseconds.
+const A_DAY: i64 = 86_400_000_000;
+
+/// How often the time since the last deletion is looked at.
+const LOOK: Duration = Duration::from_secs(600);
+
+/// Deletes once a day what is past its time.
+async fn delete_nightly(app: &App) {
+    let mut ticks = tokio::time::interval(LOOK);
+    loop {
+        tokio::select! {
+            () = app.stopping.cancelled() => return,
+            _ = ticks.tick() => {}
+        }
+        if let Err(error) = delete_if_due(app).await {
+            tracing::warn!(%error, "what is past its time was not deleted; trying again soon");
+        }
+    }
+}
+
+async fn delete_if_due(app: &App) -> Result<(), StoreError> {
+    let now = app.now();
+    if app.store.last_prune().await?.is_some_and(|last| now.micros_since(last) < A_DAY) {
+        return Ok(());
+    }
+    let Ok(_alone) = app.pruning.try_lock() else { return Ok(()) };
+    let pruned = app.store.prune(false, now).await?;
+    for item in pruned.items.iter().filter(|item| item.number > 0) {
+        tracing::info!(kind = item.kind.name(), number = item.number, "past their time and deleted");
+    }
+    if pruned.deleted.number > 0 {
+        tracing::info!(files = pruned.deleted.number, bytes = pruned.deleted.bytes, "unused files deleted");
+    }
+    Ok(())
 }
 
 /// Shortest time between plans that no request waits for, or four times the last plan's duration if longer.

@@ -17,6 +17,7 @@ pub(crate) mod page;
 pub(crate) mod plans;
 pub(crate) mod projects;
 mod responses;
+pub(crate) mod retention;
 pub(crate) mod sessions;
 pub(crate) mod strip;
 pub(crate) mod tasks;

@@ -24,7 +24,7 @@ use crate::openapi::frame;
 use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
-    page, plans, projects, sessions, strip, tasks, timeline, webhooks,
+    page, plans, projects, retention, sessions, strip, tasks, timeline, webhooks,
 };
 use crate::state::App;
 
@@ -44,7 +44,7 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(bundles::get))
         .routes(routes!(jobs::submit, jobs::list))
         .routes(routes!(jobs::check))
-        .routes(routes!(jobs::get, changes::change))
+        .routes(routes!(jobs::get, changes::change, retention::delete_job))
         .routes(routes!(changes::accept))
         .routes(routes!(changes::retry_frames))
         .routes(routes!(changes::cancel_frames))
@@ -88,6 +88,8 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(budgets::list, budgets::set))
         .routes(routes!(budgets::forecast))
         .routes(routes!(projects::list, projects::set))
+        .routes(routes!(retention::get, retention::set))
+        .routes(routes!(retention::prune))
         .routes(routes!(webhooks::add, webhooks::list))
         .routes(routes!(webhooks::remove))
         .routes(routes!(webhooks::test))

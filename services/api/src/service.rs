@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{run_conductor, run_sweep, run_webhooks};
+use crate::background::{run_conductor, run_retention, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::serve;
@@ -107,6 +107,7 @@ impl Service {
             stopping: stopping.clone(),
             conductor,
             in_flight: InFlight::default(),
+            pruning: Arc::default(),
             answers: Arc::default(),
             feed: Arc::new(Feed::new(store.clone())),
             dashboard: Arc::default(),
@@ -119,6 +120,7 @@ impl Service {
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
             tokio::spawn(run_webhooks(app.clone())),
+            tokio::spawn(run_retention(app.clone())),
             tokio::spawn(serve(listener, router(app), stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })

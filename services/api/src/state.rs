@@ -44,6 +44,8 @@ pub(crate) struct App {
     /// Jobs for which the conductor may have something to do.
     pub conductor: mpsc::UnboundedSender<JobId>,
     pub in_flight: InFlight,
+    /// Held while the farm deletes what is past its time.
+    pub pruning: Arc<tokio::sync::Mutex<()>>,
     pub answers: Arc<AnswerCache>,
     pub feed: Arc<Feed>,
     pub dashboard: Arc<Shared<Dashboard>>,

@@ -14,6 +14,7 @@ use reqwest::{Method, StatusCode};
 use rusqlite::Connection;
 use serde_json::json;
 
+use support::copies::copy;
 use support::events::Events;
 use support::{Farm, start};
 
@@ -26,23 +27,6 @@ const FRAMES: u32 = 10_000;
 
 /// Pages that are open.
 const PAGES: usize = 200;
-
-/// Copies rows of a table once for each row of `each`, with other values in some columns.
-fn copy(database: &Connection, table: &str, which: &str, each: &str, other: &[(&str, &str)]) {
-    let mut columns = database
-        .prepare(&format!("SELECT name FROM pragma_table_xinfo('{table}') WHERE hidden = 0"))
-        .unwrap();
-    let columns: Vec<String> = columns.query_map([], |row| row.get(0)).unwrap().map(Result::unwrap).collect();
-    let value = |name: &String| {
-        let changed = other.iter().find(|(other, _)| other == name);
-        changed.map_or(format!("t.{name}"), |(_, value)| (*value).to_owned())
-    };
-    let values: Vec<String> = columns.iter().map(value).collect();
-    let (columns, values) = (columns.join(", "), values.join(", "));
-    let statement =
-        format!("INSERT INTO {table} ({columns}) SELECT {values} FROM {table} t, {each} WHERE {which}");
-    database.execute(&statement, []).unwrap_or_else(|error| panic!("{statement}: {error}"));
-}
 
 /// Fills the database. It has one booked job of frames 0 to 3, one finished frame, and one node.
 fn fill(database: &Connection, now: i64) {

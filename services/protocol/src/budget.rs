@@ -359,11 +359,9 @@ pub struct BudgetForecast {
 pub struct LedgerLine {
     /// The project.
     pub project: String,
-    /// The job.
-    pub job_id: JobId,
-    /// The node.
-    pub node_id: NodeId,
-    /// Price per hour at the start.
+    /// The job and the node. `None` for all that deleted jobs cost in a quarter of an hour.
+    pub of: Option<(JobId, NodeId)>,
+    /// Price per hour at the start. For deleted jobs, four times what the quarter cost.
     pub price_per_hour: Money,
     /// First instant.
     pub from: Timestamp,
@@ -372,8 +370,13 @@ pub struct LedgerLine {
 }
 
 impl LedgerLine {
-    /// Cost of the part between two instants. A running line counts until the later one.
+    /// Cost of the part between two instants. A running line counts until the later one. A quarter of an hour
+    /// of deleted jobs counts as a whole, at its beginning.
     pub fn cost_within(&self, from: Timestamp, until: Timestamp) -> Money {
+        if self.of.is_none() {
+            let begins_within = (from..until).contains(&self.from);
+            return if begins_within { Money(self.price_per_hour.0 / 4) } else { Money(0) };
+        }
         let end = self.until.unwrap_or(until).min(until);
         let start = self.from.max(from);
         self.price_per_hour.for_micros_at_hourly_rate(end.micros_since(start).max(0))
@@ -411,8 +414,7 @@ mod tests {
     fn a_ledger_line_costs_in_each_night_what_lies_in_it() {
         let line = LedgerLine {
             project: "film".into(),
-            job_id: JobId::new(),
-            node_id: NodeId::new(),
+            of: Some((JobId::new(), NodeId::new())),
             price_per_hour: Money(3_600_000_000),
             from: at("2026-03-01T11:59:50Z"),
             until: None,

@@ -44,6 +44,7 @@ mod profile;
 mod quantiles;
 mod renderer;
 mod result;
+mod retention;
 mod role;
 mod session;
 mod settings;
@@ -131,6 +132,7 @@ pub use result::{
     Described, FrameStrata, MeasuredFrame, MeasuredShare, PreviewBackend, PreviewResult, RenderArtifacts,
     RenderResult, SampleCost, StratumTime, TaskResult, Varied,
 };
+pub use retention::{Files, PruneRequest, Pruned, PrunedKind, Retention, RetentionKind, RetentionRule};
 pub use role::{Role, UnknownRole};
 pub use session::{Session, SessionCode, SessionPage, SessionRequest};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};

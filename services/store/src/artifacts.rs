@@ -5,11 +5,13 @@
 //! whole and has the announced hash. It is then renamed into place in the data folder, or sent to a bucket as
 //! one object ([`ArtifactPlace`]). In both cases the row is written after the file is durable.
 
+mod collecting;
 mod place;
 mod reader;
 mod remote;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, ArtifactStored, Timestamp};
@@ -19,9 +21,10 @@ use object_store::{ObjectStoreExt as _, WriteMultipart};
 use sqlx::SqlitePool;
 use uuid::Uuid;
 
+use self::collecting::Locks;
 use self::remote::Remote;
 use crate::error::{Result, StoreError};
-use crate::writing::{Writer, ask};
+use crate::writing::{Writer, ask, later, run};
 
 pub use self::place::{ArtifactPlace, BadPlace};
 pub use self::reader::ArtifactReader;
@@ -40,6 +43,8 @@ pub struct Artifacts {
     remote: Option<Remote>,
     writer: Writer,
     readers: SqlitePool,
+    /// Held while a file is written or deleted.
+    locks: Arc<Locks>,
 }
 
 /// Bytes that were received whole and hashed, but are not kept yet. Dropping them deletes them: a request
@@ -87,12 +92,12 @@ impl Artifacts {
                 Some(Remote::new(place::open_s3(bucket)?, prefix.as_str().into(), at.to_string()))
             }
         };
-        Ok(Self { files, remote, writer, readers })
+        Ok(Self { files, remote, writer, readers, locks: Arc::default() })
     }
 
     /// The same artefacts, kept in another object store.
     #[cfg(test)]
-    pub(crate) fn resting_in(&self, objects: std::sync::Arc<dyn object_store::ObjectStore>) -> Self {
+    pub(crate) fn resting_in(&self, objects: Arc<dyn object_store::ObjectStore>) -> Self {
         let remote = Remote::new(objects, "shots/2026".into(), "a test".to_owned());
         Self { remote: Some(remote), ..self.clone() }
     }
@@ -149,6 +154,8 @@ impl Artifacts {
     /// Keeps staged bytes. On return, the file is durable where artefacts are kept, and its row is on disk.
     pub async fn keep(&self, mut staged: Staged, now: Timestamp) -> Result<ArtifactStored> {
         let (hash, size) = (staged.hash, staged.size);
+        let locks = self.locks.clone();
+        let _written = locks.of(hash).read().await;
         // The file first, then the row. A row without a file would promise missing bytes. A file without a
         // row is only waste, and the same bytes overwrite it later.
         let Some(remote) = &self.remote else {
@@ -163,6 +170,8 @@ impl Artifacts {
         // In a task of its own, so that a client that disconnects leaves no parts of half an upload behind.
         let (own, remote) = (self.clone(), remote.clone());
         let kept = tokio::spawn(async move {
+            let locks = own.locks.clone();
+            let _written = locks.of(hash).read().await;
             remote.upload(&staged.path, &place_of(hash)).await?;
             own.remember(hash, size, now).await
         });
@@ -171,6 +180,11 @@ impl Artifacts {
 
     async fn remember(&self, hash: ArtifactHash, size: u64, now: Timestamp) -> Result<ArtifactStored> {
         let mut write = self.writer.write().await?;
+        later!(
+            write,
+            "UPDATE artifacts SET unused_since = NULL WHERE hash = ? AND unused_since IS NOT NULL",
+            &hash.0[..]
+        );
         let inserted: Option<(i64,)> = ask!(
             write,
             "INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING \
@@ -206,6 +220,22 @@ impl Artifacts {
             .fetch_optional(&self.readers)
             .await?
             .ok_or(StoreError::NotFound("artefact"))
+    }
+
+    /// The artefact's length in bytes, for a caller that is about to name it: it is not deleted soon.
+    pub async fn announce(&self, hash: ArtifactHash) -> Result<u64> {
+        let row = sqlx::query!("SELECT size, unused_since FROM artifacts WHERE hash = ?", &hash.0[..])
+            .fetch_optional(&self.readers)
+            .await?
+            .ok_or(StoreError::NotFound("artefact"))?;
+        if row.unused_since.is_some() {
+            let mut write = self.writer.write().await?;
+            run!(write, "UPDATE artifacts SET unused_since = NULL WHERE hash = ?", &hash.0[..]);
+            self.writer.commit(write).await?;
+            // It may have been deleted meanwhile.
+            return self.size(hash).await;
+        }
+        Ok(row.size)
     }
 
     /// The artefact's content.
@@ -248,8 +278,11 @@ impl Artifacts {
     }
 }
 
+/// Folder of all artefacts.
+const FOLDER: &str = "blake3";
+
 /// `blake3/ab/abcd…`: with 256 folders, each stays small.
 fn place_of(hash: ArtifactHash) -> object_store::path::Path {
     let name = hash.to_string();
-    object_store::path::Path::from(format!("blake3/{}/{name}", &name[..2]))
+    object_store::path::Path::from(format!("{FOLDER}/{}/{name}", &name[..2]))
 }

@@ -9,6 +9,7 @@
 
 pub(crate) mod ledger;
 pub(crate) mod nights;
+pub(crate) mod past;
 
 use std::collections::BTreeSet;
 

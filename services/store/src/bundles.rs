@@ -54,7 +54,7 @@ impl Store {
 async fn read(connection: &mut SqliteConnection, bundle: BundleId) -> Result<Bundle> {
     let bundle = sqlx::query_as!(
         Bundle,
-        "SELECT b.id, b.hash, b.scene, b.created_at, a.size FROM bundles b \
+        "SELECT b.id, a.hash, b.scene, b.created_at, a.size FROM bundles b \
          JOIN artifacts a ON a.hash = b.hash WHERE b.id = ?",
         bundle.0
     )

@@ -10,7 +10,7 @@ use forelight_protocol::{
 };
 use sqlx::SqliteConnection;
 
-use crate::budgets;
+use crate::budgets::{self, past};
 use crate::columns::{Json, Word};
 use crate::database::Store;
 use crate::error::Result;
@@ -277,7 +277,13 @@ async fn spent_since(
         from.micros(),
         now.micros()
     )
-    .fetch_all(connection)
+    .fetch_all(&mut *connection)
     .await?;
-    Ok(rows.into_iter().map(|row| (row.project, Money(row.cost.round() as i64))).collect())
+    let mut spent: BTreeMap<String, Money> =
+        rows.into_iter().map(|row| (row.project, Money(row.cost.round() as i64))).collect();
+    for line in past::payments(connection, from, now).await? {
+        let sum = spent.entry(line.project.clone()).or_default();
+        *sum = Money(sum.0.saturating_add(line.cost_within(from, now).0));
+    }
+    Ok(spent)
 }

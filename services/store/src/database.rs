@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use forelight_protocol::Timestamp;
 use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
-    SqliteSynchronous,
+    SqliteAutoVacuum, SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool,
+    SqlitePoolOptions, SqliteSynchronous,
 };
 use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
@@ -88,7 +88,11 @@ impl Store {
             .foreign_keys(true)
             .journal_mode(SqliteJournalMode::Wal)
             .busy_timeout(LOCK_WAIT);
-        let writable = options.clone().create_if_missing(true).synchronous(SqliteSynchronous::Full);
+        let writable = options
+            .clone()
+            .create_if_missing(true)
+            .auto_vacuum(SqliteAutoVacuum::Incremental)
+            .synchronous(SqliteSynchronous::Full);
         let mut connection = writable.connect().await?;
         restrict_to_owner(&path)?;
         if lock.is_some() {

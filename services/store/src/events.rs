@@ -8,7 +8,7 @@ use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::writing::{later, run};
 
-/// How long progress events are kept: an hour, in microseconds. All other events are kept permanently.
+/// How long progress events are kept: an hour, in microseconds. For all others see `retention`.
 const PROGRESS_KEPT: i64 = 3_600_000_000;
 
 /// An event with only its kind and time.

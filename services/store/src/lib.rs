@@ -36,6 +36,7 @@ mod policy;
 mod projects;
 mod quotes;
 mod results;
+mod retention;
 mod sessions;
 mod shared_cache;
 mod slurm;

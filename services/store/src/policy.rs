@@ -22,6 +22,7 @@ pub(crate) mod nodes;
 pub(crate) mod projection;
 pub(crate) mod rebooking;
 pub(crate) mod replans;
+pub(crate) mod retention;
 pub(crate) mod retries;
 pub(crate) mod shared_cache;
 pub(crate) mod unattended;

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use forelight_protocol::{ProjectRequest, Timestamp};
 use sqlx::SqliteConnection;
 
+use crate::budgets::past;
 use crate::database::Store;
 use crate::error::Result;
 use crate::plans::replans;
@@ -74,13 +75,17 @@ pub(crate) async fn read(connection: &mut SqliteConnection, now: Timestamp) -> R
         now.plus_micros(-REMEMBERED * HALF_LIFE).micros(),
         HOUR
     )
-    .fetch_all(connection)
+    .fetch_all(&mut *connection)
     .await?;
-    for row in rows {
-        let hour = Timestamp::from_micros(row.hour.saturating_mul(HOUR)).min(now);
-        let entry = found.entry(row.project);
+    let past = past::used(connection, now.plus_micros(-REMEMBERED * HALF_LIFE), HOUR).await?;
+    let of_leases = rows.into_iter().map(|row| {
+        let hour = Timestamp::from_micros(row.hour.saturating_mul(HOUR));
+        (row.project, hour, row.used)
+    });
+    for (project, hour, used) in of_leases.chain(past) {
+        let entry = found.entry(project);
         let name = entry.key().clone();
-        entry.or_insert(ProjectUse { name, share: 1, used: Vec::new() }).used.push((hour, row.used));
+        entry.or_insert(ProjectUse { name, share: 1, used: Vec::new() }).used.push((hour.min(now), used));
     }
     Ok(found.into_values().collect())
 }

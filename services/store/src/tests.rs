@@ -29,6 +29,7 @@ mod opening;
 mod orders;
 mod plans;
 mod records;
+mod retention;
 mod shared_cache;
 mod statements;
 mod unattended;

@@ -143,6 +143,15 @@ pub fn count(value: f64) -> String {
     }
 }
 
+/// Formats a size: `987 B`, `12.3 MiB`.
+pub fn bytes(size: u64) -> String {
+    let unit = [("TiB", 40), ("GiB", 30), ("MiB", 20), ("KiB", 10)];
+    match unit.into_iter().find(|(_, power)| size >> power > 0) {
+        Some((name, power)) => format!("{:.1} {name}", size as f64 / (1u64 << power) as f64),
+        None => format!("{size} B"),
+    }
+}
+
 /// Formats a time of today, or a date and time, in the local time zone, to the second.
 pub fn clock(at: forelight_protocol::Timestamp, now: forelight_protocol::Timestamp) -> String {
     let instant =

@@ -28,9 +28,10 @@ impl Sums {
     pub(super) fn new(basis: &Basis, scenarios: usize) -> Self {
         let nodes: BTreeMap<NodeId, &Node> = basis.nodes.iter().map(|node| (node.id, node)).collect();
         let of_line = |line: &LedgerLine| {
-            let class =
-                nodes.get(&line.node_id).map_or_else(|| "nodes that are gone".to_owned(), |node| class(node));
-            [Group::Farm, Group::Project(line.project.clone()), Group::Job(line.job_id), Group::Class(class)]
+            let node = line.of.and_then(|(_, node)| nodes.get(&node));
+            let class = node.map_or_else(|| "nodes that are gone".to_owned(), |node| class(node));
+            let groups = [Group::Farm, Group::Project(line.project.clone()), Group::Class(class)];
+            groups.into_iter().chain(line.of.map(|(job, _)| Group::Job(job)))
         };
         let mut groups: Vec<Group> = vec![Group::Farm];
         groups.extend(

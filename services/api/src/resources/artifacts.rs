@@ -59,7 +59,7 @@ pub(crate) async fn head(
     _: Anyone,
     Segment(hash): Segment<ArtifactHash>,
 ) -> ApiResult<Response> {
-    let size = app.store.artifacts().size(hash).await?;
+    let size = app.store.artifacts().announce(hash).await?;
     let mut headers = headers_of(hash);
     headers.insert(CONTENT_LENGTH, HeaderValue::from(size));
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));

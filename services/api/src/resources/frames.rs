@@ -88,7 +88,11 @@ async fn picture(
 ) -> ApiResult<Response> {
     let row = app.store.frame(job, frame).await?;
     let Some(hash) = choose(&row.artifacts) else {
-        return Err(ApiError::new(ProblemKind::NotFound, "the frame does not have this picture yet"));
+        let reason = match row.actual {
+            Some(_) => "the frame has no such picture, or it was deleted: images are kept for a limited time",
+            None => "the frame does not have this picture yet",
+        };
+        return Err(ApiError::new(ProblemKind::NotFound, reason));
     };
     // A better preview can replace a picture at the same address, so caches have to revalidate.
     let etag = HeaderValue::from_str(&format!("\"{hash}\""))

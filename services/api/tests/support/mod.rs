@@ -16,6 +16,7 @@ use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
+pub mod copies;
 #[path = "../../../../tests/support/events.rs"]
 pub mod events;
 #[path = "../../../../tests/support/http.rs"]

@@ -58,21 +58,37 @@ pub(super) async fn find(client: &Client, wanted: &str) -> Result<JobId> {
     only_one(wanted, &named).map_err(Into::into)
 }
 
+/// The id of the job with this id, or of the only job with this name, open or not.
+pub(super) async fn find_any(client: &Client, wanted: &str) -> Result<JobId> {
+    if let Ok(id) = wanted.parse() {
+        return Ok(id);
+    }
+    let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
+    the_one(wanted, &named.iter().collect::<Vec<_>>(), "").map_err(Into::into)
+}
+
 fn only_one(wanted: &str, named: &[Job]) -> Result<JobId, BadInput> {
     let open: Vec<&Job> = named.iter().filter(|job| !job.state.is_final()).collect();
-    match open.as_slice() {
+    if open.is_empty() && !named.is_empty() {
+        return Err(none(wanted, "all jobs with this name have ended"));
+    }
+    the_one(wanted, &open, "open ")
+}
+
+fn the_one(wanted: &str, jobs: &[&Job], kind: &str) -> Result<JobId, BadInput> {
+    match jobs {
         [job] => Ok(job.id),
-        [] => {
-            let which =
-                if named.is_empty() { "no job has this name" } else { "all jobs with this name have ended" };
-            Err(BadInput::new(format!("{wanted}: {which}")).hint("`forelight jobs` lists them"))
-        }
+        [] => Err(none(wanted, "no job has this name")),
         several => {
             let ids: Vec<String> = several.iter().map(|job| job.id.to_string()).collect();
-            Err(BadInput::new(format!("{wanted}: {} open jobs have this name", several.len()))
+            Err(BadInput::new(format!("{wanted}: {} {kind}jobs have this name", several.len()))
                 .hint(format!("name one by its id: {}", ids.join(" "))))
         }
     }
+}
+
+fn none(wanted: &str, reason: &str) -> BadInput {
+    BadInput::new(format!("{wanted}: {reason}")).hint("`forelight jobs` lists them")
 }
 
 #[cfg(test)]

@@ -23,6 +23,7 @@ mod plans;
 mod preview;
 mod render;
 mod renderers;
+mod retention;
 mod serve;
 mod share;
 mod simulate;
@@ -88,6 +89,9 @@ enum Command {
     #[command(visible_alias = "nodes")]
     Node(Box<node::Args>),
     Log(log::Args),
+    Retention(retention::Args),
+    Prune(retention::PruneArgs),
+    Delete(retention::DeleteArgs),
     Backup(backup::Args),
     Bench(forelight_bench::Args),
 }
@@ -116,6 +120,9 @@ impl Cli {
             Command::Plans(args) => plans::run(args).await,
             Command::Share(args) => share::run(args).await,
             Command::Log(args) => log::run(args).await,
+            Command::Retention(args) => retention::run(args).await,
+            Command::Prune(args) => retention::prune(args).await,
+            Command::Delete(args) => retention::delete(args).await,
             Command::Backup(args) => backup::run(args).await,
             Command::Budget(args) => budget::run(*args).await,
             // Tracing light would block the runtime, so it has a thread of its own.

@@ -5,9 +5,14 @@ use crate::error::ClientError;
 use crate::transport::Request;
 use forelight_protocol::{
     Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest, PlanDifference, PlanId,
-    PlanPage, PlanSummary, ProjectList, ProjectRequest, ProjectShare,
+    PlanPage, PlanSummary, ProjectList, ProjectRequest, ProjectShare, PruneRequest, Pruned, Retention,
+    RetentionRule,
 };
 use reqwest::Method;
+use std::time::Duration;
+
+/// Limit of one attempt to delete what is past its time. After years there is much of it.
+const PRUNING: Duration = Duration::from_secs(1800);
 
 impl Client {
     /// The newest plans.
@@ -39,6 +44,22 @@ impl Client {
     /// Sets a project's budget.
     pub async fn set_budget(&self, budget: &BudgetRequest) -> Result<Budget, ClientError> {
         self.transport.json(&Request::json(Method::POST, "/v1/budgets", budget)).await
+    }
+
+    /// How long things are kept.
+    pub async fn retention(&self) -> Result<Retention, ClientError> {
+        self.get("/v1/retention").await
+    }
+
+    /// Sets how long something is kept.
+    pub async fn set_retention(&self, rule: &RetentionRule) -> Result<Retention, ClientError> {
+        self.transport.json(&Request::json(Method::POST, "/v1/retention", rule)).await
+    }
+
+    /// Deletes what is past its time, or only asks what that is.
+    pub async fn prune(&self, request: &PruneRequest) -> Result<Pruned, ClientError> {
+        let request = Request::json(Method::POST, "/v1/prune", request).timeout(Some(PRUNING));
+        self.transport.json(&request).await
     }
 
     /// The forecast cost of tonight and the following nights.

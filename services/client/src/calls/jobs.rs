@@ -123,6 +123,11 @@ impl Client {
         self.bytes(&Request::get(format!("/v1/jobs/{id}/price-curve.svg")).timeout(Some(PLANNING))).await
     }
 
+    /// Deletes a job that has ended.
+    pub async fn delete_job(&self, id: JobId) -> Result<(), ClientError> {
+        self.transport.send(&Request::new(Method::DELETE, format!("/v1/jobs/{id}"))).await.map(drop)
+    }
+
     /// All frames of a job, ascending.
     pub async fn frames(&self, id: JobId) -> Result<Vec<FrameRow>, ClientError> {
         let parts = |page: FramePage| (page.items, page.next_page_token);

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use bytes::{Bytes, BytesMut};
+use futures::stream::BoxStream;
 use futures::{StreamExt as _, TryStreamExt as _};
 use object_store::path::Path;
-use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt as _, PutPayload};
+use object_store::{MultipartUpload, ObjectMeta, ObjectStore, ObjectStoreExt as _, PutPayload};
 use tokio::io::AsyncReadExt as _;
 
 use super::reader::ArtifactReader;
@@ -111,6 +112,19 @@ impl Remote {
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(StoreError::ArtifactsAway(error)),
         }
+    }
+
+    /// Deletes an object.
+    pub async fn delete(&self, name: &Path) -> Result<()> {
+        match self.objects.delete(&self.below(name)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(StoreError::ArtifactsAway(error)),
+        }
+    }
+
+    /// All objects in a folder.
+    pub fn list(&self, folder: &Path) -> BoxStream<'static, Result<ObjectMeta>> {
+        self.objects.list(Some(&self.below(folder))).map_err(StoreError::ArtifactsAway).boxed()
     }
 
     fn below(&self, name: &Path) -> Path {

@@ -4,6 +4,7 @@
 use forelight_protocol::{JobId, LedgerLine, Money, Timestamp};
 use sqlx::SqliteConnection;
 
+use crate::budgets::past;
 use crate::columns::Time;
 use crate::database::Store;
 use crate::error::Result;
@@ -31,8 +32,7 @@ macro_rules! line {
     ($row:expr) => {
         LedgerLine {
             project: $row.project,
-            job_id: $row.job_id.into(),
-            node_id: $row.node_id.into(),
+            of: Some(($row.job_id.into(), $row.node_id.into())),
             price_per_hour: Money($row.price_per_hour),
             from: $row.from_at.into(),
             until: $row.until_at.map(Into::into),
@@ -41,7 +41,7 @@ macro_rules! line {
 }
 
 impl Store {
-    /// Payments between two instants, in the order of leases.
+    /// Payments between two instants, in the order of leases; then those of deleted jobs, by project.
     pub async fn ledger(&self, from: Timestamp, until: Timestamp) -> Result<Vec<LedgerLine>> {
         let rows = rows!(
             "",
@@ -51,7 +51,9 @@ impl Store {
         )
         .fetch_all(self.readers())
         .await?;
-        Ok(rows.into_iter().map(|row| line!(row)).collect())
+        let mut lines: Vec<LedgerLine> = rows.into_iter().map(|row| line!(row)).collect();
+        lines.extend(past::payments(&mut *self.readers().acquire().await?, from, until).await?);
+        Ok(lines)
     }
 
     /// What a job's leases have cost so far; active leases count up to `now`.
@@ -91,9 +93,10 @@ pub(crate) async fn spent(
 ) -> Result<Money> {
     let rows =
         rows!("", "WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)", project, from.micros())
-            .fetch_all(connection)
+            .fetch_all(&mut *connection)
             .await?;
-    Ok(policy::cost_since(rows.into_iter().map(|row| line!(row)), from, now))
+    let open = policy::cost_since(rows.into_iter().map(|row| line!(row)), from, now);
+    Ok(Money(open.0.saturating_add(past::spent(connection, project, from).await?.0)))
 }
 
 /// The expected rest of the cost of a project's running frames, at the median of their forecasts.

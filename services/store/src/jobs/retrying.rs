@@ -40,6 +40,7 @@ impl Store {
         if current.state == JobState::Cancelled {
             return Err(StoreError::Conflict("the job was cancelled; submit it again".to_owned()));
         }
+        check_inputs(&mut write, job).await?;
         let rows = rows_of(&mut write, &current).await?;
         let held: Vec<LeaseId> =
             asked(&rows, frames).filter_map(|row| row.lease).map(LeaseId::from).collect();
@@ -115,6 +116,24 @@ impl Store {
     }
 }
 
+/// A [`StoreError::Conflict`] if the scene or the profiles of a job were deleted.
+async fn check_inputs(write: &mut Write, job: JobId) -> Result<()> {
+    let row = sqlx::query!(
+        r#"SELECT j.profiles_deleted_at IS NOT NULL AS "profiles!: bool",
+                  b.id IS NOT NULL AND b.hash IS NULL AS "scene!: bool"
+           FROM jobs j LEFT JOIN bundles b ON b.id = j.bundle_id WHERE j.id = ?"#,
+        job.0
+    )
+    .fetch_one(write.connection().await?)
+    .await?;
+    let what = match (row.scene, row.profiles) {
+        (true, _) => "its scene was",
+        (false, true) => "its profiles were",
+        (false, false) => return Ok(()),
+    };
+    Err(StoreError::Conflict(format!("{what} deleted, since the job ended long ago; submit it again")))
+}
+
 /// The frames of a job with their tasks. A [`StoreError::Conflict`] if it has none yet.
 async fn rows_of(write: &mut Write, job: &Job) -> Result<Vec<Row>> {
     let rows = sqlx::query_as!(
@@ -184,7 +203,8 @@ async fn go_on(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
     }
     run!(
         write,
-        "UPDATE jobs SET stage = 'rendering', error = NULL, finished_at = NULL WHERE id = ?",
+        "UPDATE jobs SET stage = 'rendering', error = NULL, finished_at = NULL, images_deleted_at = NULL \
+         WHERE id = ?",
         job.id.0
     );
     job_state(write, job.id, JobState::Rendering, None, now);

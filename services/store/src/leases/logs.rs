@@ -1,14 +1,11 @@
 //! Logs of tasks.
 
-use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine, Timestamp};
+use forelight_protocol::{LOG_LINES, LeaseId, LogLine, TaskId, TaskLog, TaskLogLine};
 
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::leases::{LeaseRow, LeaseState, read_in};
 use crate::writing::run;
-
-/// How long logs are kept: thirty days, in microseconds.
-const KEPT: i64 = 30 * 24 * 3_600_000_000;
 
 impl Store {
     /// Keeps the last log lines of a worker, before it reports how its task ended. If the worker does not
@@ -66,10 +63,5 @@ pub(crate) async fn keep(write: &mut Write, row: &LeaseRow, lines: &[LogLine]) -
             line.text
         );
     }
-    Ok(())
-}
-
-pub(crate) async fn forget_old_logs(write: &mut Write, now: Timestamp) -> Result<()> {
-    run!(write, "DELETE FROM task_logs WHERE at < ?", now.plus_micros(-KEPT).micros());
     Ok(())
 }

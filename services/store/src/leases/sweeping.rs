@@ -9,7 +9,6 @@ use crate::error::Result;
 use crate::events::{append, forget_old_progress};
 use crate::idempotency::forget_old;
 use crate::jobs::ending::fail_task_and_job;
-use crate::leases::logs::forget_old_logs;
 use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
 use crate::living;
 use crate::nodes::changing::stop_after_windows;
@@ -37,7 +36,6 @@ impl Store {
         living::catch_up(&mut write, now).await?;
         forget_old(&mut write, now).await?;
         forget_old_progress(&mut write, now).await?;
-        forget_old_logs(&mut write, now).await?;
         forget_ended_sessions(&mut write, now).await?;
         forget_old_deliveries(&mut write, now).await?;
         self.commit(write).await?;

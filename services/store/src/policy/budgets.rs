@@ -52,6 +52,26 @@ pub(crate) fn strongest(
     found
 }
 
+/// A quarter of an hour, in microseconds.
+pub(crate) const QUARTER: i64 = 900_000_000;
+
+/// An ended ledger line by quarters of an hour: where each begins, what it cost, and its node time in
+/// microseconds. The sums are those of the line.
+pub(crate) fn by_quarter(line: &LedgerLine) -> Vec<(Timestamp, Money, i64)> {
+    let Some(end) = line.until else { return Vec::new() };
+    let (mut quarters, mut from, mut before) = (Vec::new(), line.from, Money(0));
+    while from < end {
+        let begin = from.micros().div_euclid(QUARTER).saturating_mul(QUARTER);
+        let until = Timestamp::from_micros(begin.saturating_add(QUARTER)).min(end);
+        // Parts are rounded so that they add up to the whole.
+        let so_far = line.cost_within(line.from, until);
+        let cost = Money(so_far.0.saturating_sub(before.0));
+        quarters.push((Timestamp::from_micros(begin), cost, until.micros_since(from)));
+        (from, before) = (until, so_far);
+    }
+    quarters
+}
+
 /// What these ledger lines cost since an instant; lines that are still open, up to now.
 pub(crate) fn cost_since(
     lines: impl IntoIterator<Item = LedgerLine>,
@@ -119,8 +139,7 @@ mod tests {
     fn line(from: i64, until: Option<i64>) -> LedgerLine {
         LedgerLine {
             project: "film".to_owned(),
-            job_id: JobId::new(),
-            node_id: NodeId::new(),
+            of: Some((JobId::new(), NodeId::new())),
             price_per_hour: Money(100),
             from: at(from),
             until: until.map(at),
@@ -141,6 +160,19 @@ mod tests {
             action,
             updated_at: at(0),
         }
+    }
+
+    #[test]
+    fn quarters_of_a_line_add_up_to_it() {
+        let line = line(HOUR / 6, Some(HOUR + 7));
+        let quarters = by_quarter(&line);
+        let begins: Vec<i64> = quarters.iter().map(|(begin, ..)| begin.micros() / QUARTER).collect();
+        assert_eq!(begins, [0, 1, 2, 3, 4]);
+        let (cost, used) =
+            quarters.iter().fold((0, 0), |(cost, used), part| (cost + part.1.0, used + part.2));
+        assert_eq!(cost, line.cost_within(at(i64::MIN), at(i64::MAX)).0);
+        assert_eq!(used, HOUR - HOUR / 6 + 7);
+        assert_eq!(by_quarter(&self::line(0, None)), []);
     }
 
     #[test]

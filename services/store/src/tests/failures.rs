@@ -173,7 +173,7 @@ async fn the_log_of_a_task_is_kept_by_attempt_each_line_once_and_without_secrets
         log.lines.iter().map(|line| (line.attempt, line.number, line.text.as_str())).collect();
     assert_eq!(lines, [(1, 0, "begun"), (1, 1, "forelight_…"), (1, 2, "odd"), (2, 0, "begun again")]);
     assert!(matches!(farm.store.task_log(TaskId::new()).await, Err(crate::StoreError::NotFound("task"))));
-    farm.store.sweep(at(40 * 24 * 3600)).await.unwrap();
+    farm.store.prune(false, at(40 * 24 * 3600)).await.unwrap();
     assert!(farm.store.task_log(lease.task_id).await.unwrap().lines.is_empty(), "kept for ever");
 }
 
