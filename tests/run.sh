@@ -26,16 +26,17 @@ touch "$FORELIGHT_NOT_RUN"
 
 step() { printf '\n== %s (%d s)\n' "$1" "$SECONDS"; }
 
-# run_peer SCRIPT: runs a test against another program, and prints its output at the end.
-run_peer() {
+# run_logged SCRIPT: runs a script of tests. Says when it begins, and prints its output at the end.
+run_logged() {
   local name status=0 start=$SECONDS log
   name=$(basename "$1" .sh) log=$work/$name.log
+  printf '.. %s\n' "$name"
   "$1" >"$log" 2>&1 || status=$?
   flock "$work" bash -c 'printf "\n-- %s (%d s%s)\n" "$1" "$2" "$3"; cat "$4"' - "$name" \
     $((SECONDS - start)) "$([ $status = 0 ] || echo ', FAILED')" "$log"
   return $status
 }
-export -f run_peer
+export -f run_logged
 export work
 
 # Lists the tests that were not run, whether the others passed or failed.
@@ -68,22 +69,21 @@ cargo clippy --workspace --all-targets "${features[@]}" --quiet -- -D warnings
 RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --quiet
 services/store/prepare.sh --check
 
-step 'Tests'
+step 'Build'
 cargo build --workspace "${features[@]}" --quiet # the processes that tests start
-cargo test --workspace "${features[@]}" --quiet --no-fail-fast
-cargo test -p forelight-dashboard --quiet # what a program without the page shows
+cargo test --workspace "${features[@]}" --quiet --no-run
 
-step 'Property tests with a fresh seed'
-tests/properties.sh '' "${features[@]}"
+FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/debug/forelight
+export FORELIGHT_BIN FORELIGHT_FEATURES="${features[*]}"
+[ ${#features[@]} -eq 0 ] || export FORELIGHT_DASHBOARD_BIN=$FORELIGHT_BIN
+peers=()
+# The longest first.
+[ "${1:-}" = --quick ] || peers=(tests/peers/{gltf,blender_farm,command,slurm}.sh tests/peers/*.sh)
+step 'Tests, two programs at a time'
+# Where one fails, the others still run.
+printf '%s\n' tests/rust.sh "${peers[@]}" | awk '!seen[$0]++' | xargs -P 2 -I{} bash -c 'run_logged {}'
 
 if [ "${1:-}" != --quick ]; then
-  FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/debug/forelight
-  export FORELIGHT_BIN
-  [ ${#features[@]} -eq 0 ] || export FORELIGHT_DASHBOARD_BIN=$FORELIGHT_BIN
-  step 'Other programs, two at a time'
-  # The longest first. Where one fails, the others still run.
-  printf '%s\n' tests/peers/{slurm,gltf,blender_farm}.sh tests/peers/*.sh | awk '!seen[$0]++' |
-    xargs -P 2 -I{} bash -c 'run_peer {}'
   step 'The main job'
   FORELIGHT_DATA=$work/data DEMO_FRAMES=0-11 DEMO_SIZE=96x54 deploy/demo.sh --once
 fi
