@@ -16,6 +16,7 @@ mod plans;
 mod renderers;
 mod requests;
 mod results;
+mod retention;
 mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
