@@ -90,6 +90,11 @@ impl Artifacts {
         Ok(Self { files, remote, writer, readers })
     }
 
+    /// The same artefacts, looked up by other connections.
+    pub(crate) fn read_by(&self, readers: SqlitePool) -> Self {
+        Self { readers, ..self.clone() }
+    }
+
     /// The same artefacts, kept in another object store.
     #[cfg(test)]
     pub(crate) fn resting_in(&self, objects: std::sync::Arc<dyn object_store::ObjectStore>) -> Self {
@@ -107,11 +112,7 @@ impl Artifacts {
 
     /// Receives a stream of at most `limit` bytes and hashes it on the way. Nothing is left behind if the
     /// stream fails, is too long, or is dropped half-way.
-    pub async fn stage<E: std::fmt::Display>(
-        &self,
-        content: impl Stream<Item = Result<Bytes, E>>,
-        limit: u64,
-    ) -> Result<Staged> {
+    pub async fn stage(&self, content: impl Stream<Item = Result<Bytes>>, limit: u64) -> Result<Staged> {
         let location = object_store::path::Path::from(format!("staging/{}.zip", Uuid::now_v7().simple()));
         let upload = self.files.put_multipart(&location).await?;
         let mut writer = WriteMultipart::new_with_chunk_size(upload, CHUNK);
@@ -121,7 +122,7 @@ impl Artifacts {
         let outcome = loop {
             match content.next().await {
                 None => break Ok(()),
-                Some(Err(error)) => break Err(StoreError::BrokenOff(error.to_string())),
+                Some(Err(error)) => break Err(error),
                 Some(Ok(bytes)) => {
                     size += bytes.len() as u64;
                     if size > limit {
@@ -186,10 +187,10 @@ impl Artifacts {
     }
 
     /// Stages and keeps a stream that was announced under a hash. Other bytes are refused and deleted.
-    pub async fn put<E: std::fmt::Display>(
+    pub async fn put(
         &self,
         expected: ArtifactHash,
-        content: impl Stream<Item = Result<Bytes, E>>,
+        content: impl Stream<Item = Result<Bytes>>,
         limit: u64,
         now: Timestamp,
     ) -> Result<ArtifactStored> {

@@ -73,6 +73,7 @@ pub use policy::rebooking::NewBooking;
 pub use policy::retries::{FAILED_JOBS, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES};
 pub use policy::work_stealing::OVERDUE;
 pub use projects::{HALF_LIFE, ProjectUse};
+pub use quotes::profiling::ProfileVersion;
 pub use quotes::track_record::FinishedJob;
 pub use results::{Committed, ShotProfiles};
 pub use sessions::NewSession;

@@ -54,8 +54,8 @@ async fn other_bytes_than_announced_too_many_and_broken_off_ones_leave_nothing_b
     assert!(matches!(wrong, Err(StoreError::HashMismatch { .. })), "{wrong:?}");
     let long = artifacts.put(hash_of("abc"), stream(&["ab", "c"]), 2, at(0)).await;
     assert!(matches!(long, Err(StoreError::TooLarge { limit: 2 })), "{long:?}");
-    let broken =
-        futures::stream::iter([Ok(bytes::Bytes::from_static(b"a")), Err(std::io::Error::other("reset"))]);
+    let reset = StoreError::BrokenOff("reset".to_owned());
+    let broken = futures::stream::iter([Ok(bytes::Bytes::from_static(b"a")), Err(reset)]);
     let broken = artifacts.put(hash_of("ab"), broken, 100, at(0)).await;
     assert!(matches!(broken, Err(StoreError::BrokenOff(_))), "{broken:?}");
     assert!(matches!(artifacts.size(hash_of("a")).await, Err(StoreError::NotFound(_))));
