@@ -25,7 +25,7 @@ pub(crate) const NO_TOKEN: &str = "Bearer realm=\"forelight\"";
 pub(crate) const BAD_TOKEN: &str = "Bearer realm=\"forelight\", error=\"invalid_token\"";
 pub(crate) const WRONG_ROLE: &str = "Bearer realm=\"forelight\", error=\"insufficient_scope\"";
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct ApiError {
     problem: Box<Problem>,
     retry_after: Option<u32>,

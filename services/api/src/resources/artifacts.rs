@@ -30,7 +30,10 @@ pub(crate) async fn put(
 ) -> ApiResult<Response> {
     let limit = app.limits.artifact_bytes;
     let body = within_announced_length(&headers, body, limit).await?;
-    let stored = app.store.artifacts().put(hash, body.into_data_stream(), limit, app.now()).await?;
+    // A result of work that was done is taken as long as it fits.
+    let room = app.reserved.begin(&app.store, &headers, limit, 0)?;
+    let content = room.fill(body.into_data_stream());
+    let stored = app.store.artifacts().put(hash, content, limit, app.now()).await?;
     let status = if stored.existed { StatusCode::OK } else { StatusCode::CREATED };
     if !stored.existed {
         app.metrics.bytes_received.add(stored.size);

@@ -5,7 +5,7 @@ use axum::body::Body;
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH,
 };
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::ProblemKind;
 use forelight_store::{Answered, ArtifactReader, RecordedAnswer};
@@ -37,14 +37,12 @@ pub(crate) fn file(reader: ArtifactReader, media_type: &'static str, headers: He
     response
 }
 
-/// A picture that may hold names which people chose. Opened by itself, it runs nothing.
-pub(crate) fn svg(picture: String) -> Response {
-    let headers = [
+/// Headers of a picture that may hold names which people chose. Opened by itself, it runs nothing.
+pub(crate) fn svg_headers() -> [(HeaderName, &'static str); 2] {
+    [
         (CONTENT_TYPE, "image/svg+xml"),
-        (CACHE_CONTROL, "private, no-cache"),
         (CONTENT_SECURITY_POLICY, "default-src 'none'; style-src 'unsafe-inline'; sandbox"),
-    ];
-    (headers, picture).into_response()
+    ]
 }
 
 /// Whether the client has this version already, by `If-None-Match` (RFC 9110, section 13.1.2). Tags are

@@ -20,5 +20,6 @@ mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
 mod uploads;
+mod wear;
 mod webhooks;
 mod workers;

@@ -15,6 +15,7 @@ mod export;
 mod farm;
 mod forecast;
 mod foreign;
+mod inspect_bundle;
 mod jobs;
 mod log;
 mod node;
@@ -90,6 +91,8 @@ enum Command {
     Log(log::Args),
     Backup(backup::Args),
     Bench(forelight_bench::Args),
+    #[command(hide = true)]
+    InspectBundle(inspect_bundle::Args),
 }
 
 impl Cli {
@@ -129,6 +132,7 @@ impl Cli {
             Command::Export(args) => blocking(move || export::run(&args)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Simulate(args) => blocking(move || simulate::run(&args, &interrupt)).await,
+            Command::InspectBundle(args) => blocking(move || inspect_bundle::run(&args)).await,
             Command::Bench(args) => blocking(move || forelight_bench::run(&args, &interrupt)).await,
         }
     }

@@ -5863,6 +5863,13 @@ export interface operations {
                     "application/json": components["schemas"]["TrackRecord"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -5900,6 +5907,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6225,6 +6239,13 @@ export interface operations {
                     "application/json": components["schemas"]["AccuracyDoc"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6269,6 +6290,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["AnswersDoc"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6405,6 +6433,13 @@ export interface operations {
                     "application/json": components["schemas"]["Explanation"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6492,6 +6527,13 @@ export interface operations {
                     "application/json": components["schemas"]["ForecastHistory"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6531,6 +6573,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6944,6 +6993,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
