@@ -26,6 +26,8 @@ pub struct Config {
     /// Origin at which people reach the service, such as `https://farm.example.org`, without a path. With
     /// `https`, browsers send the cookies of sessions over TLS only. Default: none.
     pub public_origin: Option<String>,
+    /// Origins of other sites whose pages may ask this service, with a token. Default: none.
+    pub allowed_origins: Vec<String>,
     /// How long people stay signed in. Default 7 days.
     pub session_lifetime: Duration,
     /// Folders on shared storage under which jobs may name bundles by path. Default none.
@@ -48,6 +50,7 @@ impl Config {
             listen: SocketAddr::from(([127, 0, 0, 1], 7878)),
             lease_ttl: Duration::from_secs(30),
             public_origin: None,
+            allowed_origins: Vec::new(),
             session_lifetime: Duration::from_secs(7 * 86_400),
             bundle_roots: Vec::new(),
             inspection: Inspection::default(),

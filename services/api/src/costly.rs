@@ -23,8 +23,9 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use tokio::sync::{Semaphore, watch};
 
+use crate::delivery::is_known;
 use crate::error::{ApiError, ApiResult};
-use crate::resources::responses::{is_known, svg_headers};
+use crate::resources::responses::svg_headers;
 
 /// Bytes of all answers that are kept.
 const KEPT_BYTES: u64 = 16 << 20;

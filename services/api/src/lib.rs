@@ -15,6 +15,7 @@ mod config;
 mod connections;
 mod cookies;
 mod costly;
+mod delivery;
 mod disk_space;
 mod error;
 mod extract;

@@ -5,14 +5,18 @@ use std::time::Duration;
 
 use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
-use axum::http::{Extensions, HeaderMap, HeaderValue, Method, StatusCode, Version};
+use axum::http::header::{
+    AUTHORIZATION, CONTENT_RANGE, CONTENT_TYPE, ETAG, IF_NONE_MATCH, IF_RANGE, RANGE, RETRY_AFTER,
+    X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{Extensions, HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version};
 use axum::middleware::{Next, from_fn, from_fn_with_state, map_request};
 use axum::response::{IntoResponse, Response};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::classify::ServerErrorsFailureClass;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{Predicate as _, SizeAbove};
+use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use tower_http::trace::TraceLayer;
@@ -119,11 +123,11 @@ pub fn openapi_yaml() -> String {
 
 /// The axum router. Layers from the outside in: log line, counter, compression, form of errors, panics,
 /// bodies.
-pub(crate) fn router(app: App) -> axum::Router {
+pub(crate) fn router(app: App, allowed_origins: &[String]) -> axum::Router {
     let limits = app.limits.uploads;
     let (of_workers, _) = routes_of_workers().with_state(app.clone()).split_for_parts();
     let (of_people, _) = routes_of_people().with_state(app.for_people()).split_for_parts();
-    of_workers
+    let router = of_workers
         .merge(of_people)
         .fallback(page::serve)
         .method_not_allowed_fallback(async || StatusCode::METHOD_NOT_ALLOWED)
@@ -139,8 +143,36 @@ pub(crate) fn router(app: App) -> axum::Router {
             HeaderValue::from_static("nosniff"),
         ))
         .layer(from_fn_with_state(app, count))
-        .layer(TraceLayer::new_for_http().on_failure(tell_failure))
+        .layer(TraceLayer::new_for_http().on_failure(tell_failure));
+    match allowed_origins {
+        [] => router,
+        allowed => router.layer(other_sites(allowed)),
+    }
 }
+
+/// What pages of other sites may do (https://fetch.spec.whatwg.org/#http-cors-protocol). They need a token:
+/// cookies of sessions are for the service's own page.
+fn other_sites(allowed: &[String]) -> CorsLayer {
+    let origins = allowed.iter().filter_map(|origin| HeaderValue::from_str(origin).ok());
+    let named = HeaderName::from_static;
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::list(origins))
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::PATCH, Method::DELETE])
+        .allow_headers([
+            AUTHORIZATION,
+            CONTENT_TYPE,
+            IF_NONE_MATCH,
+            IF_RANGE,
+            RANGE,
+            named("idempotency-key"),
+            named("last-event-id"),
+        ])
+        .expose_headers([CONTENT_RANGE, ETAG, RETRY_AFTER, named("idempotency-replayed")])
+        .max_age(PREFLIGHT_KEPT)
+}
+
+/// How long a browser may keep the answer to whether it may ask.
+const PREFLIGHT_KEPT: Duration = Duration::from_secs(3600);
 
 /// Shorter answers are sent as they are: gzip has a header of its own.
 const WORTH_COMPRESSING: u64 = 1 << 10;

@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{run_conductor, run_sweep, run_webhooks};
+use crate::background::{run_conductor, run_scrub, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::serve;
@@ -70,6 +70,7 @@ impl Service {
             listen,
             lease_ttl,
             public_origin,
+            allowed_origins,
             session_lifetime,
             bundle_roots,
             inspection,
@@ -127,7 +128,8 @@ impl Service {
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
             tokio::spawn(run_webhooks(app.clone())),
-            tokio::spawn(serve(listener, router(app), connections, stopping.clone())),
+            tokio::spawn(run_scrub(app.clone())),
+            tokio::spawn(serve(listener, router(app, &allowed_origins), connections, stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })
     }

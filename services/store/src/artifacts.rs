@@ -8,23 +8,29 @@
 mod place;
 mod reader;
 mod remote;
+mod verifying;
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, ArtifactStored, Timestamp};
-use futures::{Stream, StreamExt as _, TryStreamExt as _};
+use futures::{Stream, StreamExt as _};
 use object_store::local::LocalFileSystem;
 use object_store::{ObjectStoreExt as _, WriteMultipart};
+use parking_lot::Mutex;
 use sqlx::SqlitePool;
 use uuid::Uuid;
 
 use self::remote::Remote;
+use self::verifying::Verified;
 use crate::error::{Result, StoreError};
-use crate::writing::{Writer, ask};
+use crate::writing::{Writer, ask, later};
 
 pub use self::place::{ArtifactPlace, BadPlace};
 pub use self::reader::ArtifactReader;
+pub use self::verifying::Scrubbed;
 
 const CHUNK: usize = 1 << 20;
 
@@ -40,6 +46,8 @@ pub struct Artifacts {
     remote: Option<Remote>,
     writer: Writer,
     readers: SqlitePool,
+    /// Files that were verified lately.
+    verified: Arc<Mutex<HashMap<ArtifactHash, Verified>>>,
 }
 
 /// Bytes that were received whole and hashed, but are not kept yet. Dropping them deletes them: a request
@@ -87,7 +95,7 @@ impl Artifacts {
                 Some(Remote::new(place::open_s3(bucket)?, prefix.as_str().into(), at.to_string()))
             }
         };
-        Ok(Self { files, remote, writer, readers })
+        Ok(Self { files, remote, writer, readers, verified: Arc::default() })
     }
 
     /// The same artefacts, looked up by other connections.
@@ -158,7 +166,7 @@ impl Artifacts {
             return self.remember(hash, size, now).await;
         };
         let known = matches!(self.size(hash).await, Ok(known) if known == size);
-        if known && remote.holds(&place_of(hash), size).await? {
+        if known && !self.is_damaged(hash).await? && remote.holds(&place_of(hash), size).await? {
             return self.remember(hash, size, now).await;
         }
         // In a task of its own, so that a client that disconnects leaves no parts of half an upload behind.
@@ -172,6 +180,8 @@ impl Artifacts {
 
     async fn remember(&self, hash: ArtifactHash, size: u64, now: Timestamp) -> Result<ArtifactStored> {
         let mut write = self.writer.write().await?;
+        // What was damaged is whole again.
+        later!(write, "DELETE FROM damaged_artifacts WHERE hash = ?", &hash.0[..]);
         let inserted: Option<(i64,)> = ask!(
             write,
             "INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING \
@@ -207,35 +217,6 @@ impl Artifacts {
             .fetch_optional(&self.readers)
             .await?
             .ok_or(StoreError::NotFound("artefact"))
-    }
-
-    /// The artefact's content.
-    pub async fn get(&self, hash: ArtifactHash) -> Result<ArtifactReader> {
-        let size = self.size(hash).await?;
-        let found = match &self.remote {
-            Some(remote) => remote.get(&place_of(hash)).await?,
-            None => self.get_local(hash).await?,
-        };
-        let reason = match found {
-            Some(reader) if reader.size == size => return Ok(reader),
-            Some(reader) => format!("its file has {} bytes instead of {size}", reader.size),
-            None => "its file is missing".to_owned(),
-        };
-        Err(StoreError::ArtifactLost { hash, reason })
-    }
-
-    async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>> {
-        match self.files.get(&place_of(hash)).await {
-            Ok(object) => {
-                let size = object.meta.size;
-                Ok(Some(ArtifactReader {
-                    size,
-                    stream: object.into_stream().map_err(StoreError::from).boxed(),
-                }))
-            }
-            Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(error.into()),
-        }
     }
 
     /// Deletes uploads that were unfinished when the last process died.

@@ -98,6 +98,22 @@ impl Store {
         Self::open_shared(data, None, &ArtifactPlace::DataFolder).await
     }
 
+    /// As [`Store::open_beside`], with artefacts where the farm keeps them.
+    pub async fn open_beside_with_artifacts(data: &Path) -> Result<Self> {
+        let beside = Self::open_beside(data).await?;
+        let place: Option<String> =
+            sqlx::query_scalar!("SELECT place FROM artifact_place").fetch_optional(beside.readers()).await?;
+        let place = place.as_deref().map(str::parse::<ArtifactPlace>).transpose();
+        let place = place.map_err(|error| StoreError::ArtifactPlace(error.to_string()))?;
+        match place {
+            None | Some(ArtifactPlace::DataFolder) => Ok(beside),
+            Some(place) => {
+                beside.close().await;
+                Self::open_shared(data, None, &place).await
+            }
+        }
+    }
+
     async fn open_shared(data: &Path, lock: Option<Lock>, at: &ArtifactPlace) -> Result<Self> {
         let path = data.join(DATABASE);
         let options = SqliteConnectOptions::from_str("sqlite:")?

@@ -45,7 +45,7 @@ pub mod tokens;
 mod webhooks;
 mod writing;
 
-pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
+pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Scrubbed, Staged};
 pub use backup::{Backup, backup};
 pub use budgets::nights::KeptNight;
 pub use bundles::NewBundle;

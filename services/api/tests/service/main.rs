@@ -5,6 +5,7 @@ mod budgets;
 mod calibration;
 mod changes;
 mod cost_limits;
+mod delivery;
 mod document;
 mod events;
 mod job_life;

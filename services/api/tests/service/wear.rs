@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::support::Farm;
+use crate::support::{self, Answer as _, Farm};
 use forelight_protocol::{Problem, ProblemKind};
 use reqwest::StatusCode;
 use serde_json::json;
@@ -170,4 +170,41 @@ async fn a_token_has_so_many_requests_under_way_and_workers_are_not_counted() {
     while farm.viewer.get("/v1/jobs").await.status() != StatusCode::OK {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
+}
+
+/// A service whose bundles are loaded by this shell script.
+async fn inspected_by(script: &str, change: impl FnOnce(&mut forelight_api::Inspection)) -> Farm {
+    use std::os::unix::fs::PermissionsExt as _;
+    Farm::with(|config| {
+        let program = config.data_dir.with_file_name("inspect");
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o700)).unwrap();
+        config.inspection.program = Some(program);
+        change(&mut config.inspection);
+    })
+    .await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_bundle_that_breaks_its_loader_harms_one_request() {
+    let reason = async |farm: &Farm| {
+        farm.submitter
+            .upload(support::scene_zip(), None)
+            .await
+            .problem(ProblemKind::InvalidBundle)
+            .await
+            .detail
+    };
+    let farm = inspected_by("exit 101", |_| {}).await;
+    assert!(reason(&farm).await.contains("bundle.zip: the scene loader failed on it"));
+    let farm = inspected_by("exec sleep 600", |limits| limits.time = Duration::from_millis(300)).await;
+    assert!(reason(&farm).await.contains("bundle.zip: it takes more than 0 s to load"));
+    let bomb = r#"exec tail /dev/zero"#;
+    let farm = inspected_by(bomb, |limits| limits.memory_bytes = 64 << 20).await;
+    assert!(reason(&farm).await.contains("bundle.zip: it takes more than 64 MiB of memory to load"));
+    // The next one is as good as ever.
+    let answer = r#"echo '{"Err":"'"$3"': no scene"}'"#;
+    let farm = inspected_by(answer, |_| {}).await;
+    assert_eq!(reason(&farm).await, "bundle.zip: no scene");
+    assert_eq!(farm.nobody.get("/readyz").await.status(), StatusCode::OK);
 }

@@ -24,6 +24,7 @@ mod plans;
 mod preview;
 mod render;
 mod renderers;
+mod scrub;
 mod serve;
 mod share;
 mod simulate;
@@ -90,6 +91,7 @@ enum Command {
     Node(Box<node::Args>),
     Log(log::Args),
     Backup(backup::Args),
+    Scrub(scrub::Args),
     Bench(forelight_bench::Args),
     #[command(hide = true)]
     InspectBundle(inspect_bundle::Args),
@@ -120,6 +122,7 @@ impl Cli {
             Command::Share(args) => share::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Backup(args) => backup::run(args).await,
+            Command::Scrub(args) => scrub::run(args, interrupt).await,
             Command::Budget(args) => budget::run(*args).await,
             // Tracing light would block the runtime, so it has a thread of its own.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,

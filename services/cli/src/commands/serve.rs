@@ -59,6 +59,10 @@ pub struct ServiceOptions {
     /// behind a TLS proxy. Links begin with it. With https, browsers send sessions over TLS only
     #[arg(long, value_name = "URL", value_parser = origin)]
     pub public_url: Option<String>,
+    /// Origin of another site whose pages may ask this service with a token, such as
+    /// `https://pipeline.example.org`. May be repeated
+    #[arg(long, value_name = "URL", value_parser = origin)]
+    pub allow_origin: Vec<String>,
     /// Folder on shared storage below which jobs may name bundles by path. May be repeated
     #[arg(long, value_name = "DIR")]
     pub bundle_root: Vec<PathBuf>,
@@ -103,6 +107,7 @@ impl ServiceOptions {
         config.listen = self.listen;
         config.lease_ttl = self.lease_ttl;
         config.public_origin.clone_from(&self.public_url);
+        config.allowed_origins.clone_from(&self.allow_origin);
         config.bundle_roots.clone_from(&self.bundle_root);
         config.limits.bundle_bytes = self.max_bundle << 20;
         config.limits.frames = self.max_frames;
