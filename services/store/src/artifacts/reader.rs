@@ -48,7 +48,9 @@ impl ArtifactReader {
                 let opened = async move {
                     let mut file = tokio::fs::File::from_std(file);
                     file.seek(SeekFrom::Start(start)).await.map_err(unreadable)?;
-                    Ok::<_, StoreError>(ReaderStream::with_capacity(file.take(length), CHUNK).map_err(unreadable))
+                    Ok::<_, StoreError>(
+                        ReaderStream::with_capacity(file.take(length), CHUNK).map_err(unreadable),
+                    )
                 };
                 stream::once(opened).try_flatten().boxed()
             }
