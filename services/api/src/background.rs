@@ -84,6 +84,41 @@ async fn delete_if_due(app: &App) -> Result<(), StoreError> {
     Ok(())
 }
 
+pub(crate) async fn run_scrub(app: App) {
+    while again_after_panic("the scrub", scrub(&app)).await {}
+}
+
+/// The scrub looks at so many bytes at a time, and then rests.
+const SCRUBBED_AT_ONCE: u64 = 16 << 20;
+const SCRUB_RESTS: Duration = Duration::from_secs(4);
+
+/// Rest after a round through all artefacts.
+const AFTER_ROUND: Duration = Duration::from_secs(86_400);
+
+/// Looks whether artefacts are still what they were, slowly and again and again: 4 MiB a second, or 300 GiB a
+/// day.
+async fn scrub(app: &App) {
+    let mut rest = SCRUB_RESTS;
+    loop {
+        tokio::select! {
+            () = app.stopping.cancelled() => return,
+            () = tokio::time::sleep(rest) => {}
+        }
+        rest = SCRUB_RESTS;
+        match app.store.artifacts().scrub_on(SCRUBBED_AT_ONCE, app.now()).await {
+            Ok(part) => {
+                for damaged in &part.damaged {
+                    tracing::error!(reason = damaged, "stored content is damaged");
+                }
+                if part.next.is_none() {
+                    rest = AFTER_ROUND;
+                }
+            }
+            Err(error) => tracing::warn!(%error, "the scrub failed; it goes on where it was"),
+        }
+    }
+}
+
 /// Shortest time between plans that no request waits for, or four times the last plan's duration if longer.
 const BREATH: Duration = Duration::from_millis(500);
 

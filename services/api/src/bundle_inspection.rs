@@ -4,28 +4,17 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use forelight_protocol::{ProblemKind, SceneDigest, SceneSummary};
-use forelight_scene::{Scene, SceneError};
+use forelight_scene::open_regular;
 
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
 /// Loads and describes a bundle. Errors call it `shown`, the client's name, instead of its path on the
-/// service's disk. Loading needs a core and memory, so it runs on its own thread, and only a few run at a
-/// time.
+/// service's disk.
 pub(crate) async fn inspect(app: &App, path: PathBuf, shown: &str) -> ApiResult<SceneSummary> {
-    let stopped = |_| ApiError::new(ProblemKind::Busy, "the service is stopping");
-    let _permit = app.checks.clone().acquire_owned().await.map_err(stopped)?;
-    let limits = app.limits.scene;
     let own_path = path.display().to_string();
     let own_name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let summary = tokio::task::spawn_blocking(move || summary(&path, &limits)).await.map_err(|error| {
-        tracing::error!(%error, bundle = own_path, "loading a bundle panicked");
-        ApiError::new(
-            ProblemKind::Internal,
-            "the bundle could not be inspected; the service's log has the cause",
-        )
-    })?;
-    match summary {
+    match app.inspector.inspect(path).await? {
         Ok(mut scene) => {
             // A scene without a name is named after its file. For an upload that is an internal name.
             if scene.name == own_name {
@@ -35,26 +24,8 @@ pub(crate) async fn inspect(app: &App, path: PathBuf, shown: &str) -> ApiResult<
             }
             Ok(scene)
         }
-        Err(error) => {
-            Err(ApiError::new(ProblemKind::InvalidBundle, error.to_string().replace(&own_path, shown)))
-        }
+        Err(reason) => Err(ApiError::new(ProblemKind::InvalidBundle, reason.replace(&own_path, shown))),
     }
-}
-
-fn summary(path: &Path, limits: &forelight_scene::Limits) -> Result<SceneSummary, SceneError> {
-    let scene = Scene::load(path, limits)?;
-    let first = scene.frame(0)?;
-    let strata = scene.strata();
-    Ok(SceneSummary {
-        name: scene.name().to_owned(),
-        digest: SceneDigest(scene.digest()),
-        frames: scene.frame_count(),
-        width: first.camera.width,
-        height: first.camera.height,
-        objects: strata.objects.len() as u64,
-        materials: strata.materials() as u64,
-        triangles: first.geometry.triangles.len() as u64,
-    })
 }
 
 /// Summary of a scene that only its renderer can open: name and hash of its file.
@@ -63,7 +34,7 @@ pub(crate) async fn unopened(path: PathBuf) -> ApiResult<SceneSummary> {
         path.file_stem().map_or_else(|| "scene".to_owned(), |stem| stem.to_string_lossy().into_owned());
     let hash = tokio::task::spawn_blocking(move || {
         let mut hasher = blake3::Hasher::new();
-        hasher.update_reader(std::fs::File::open(path)?)?;
+        hasher.update_reader(open_regular(&path)?)?;
         Ok::<_, std::io::Error>(*hasher.finalize().as_bytes())
     });
     let unreadable = |reason: String| ApiError::new(ProblemKind::InvalidBundle, reason);
@@ -76,7 +47,7 @@ pub(crate) async fn unopened(path: PathBuf) -> ApiResult<SceneSummary> {
 pub(crate) async fn blend(path: PathBuf, digest: SceneDigest) -> ApiResult<SceneSummary> {
     let first = tokio::task::spawn_blocking(move || {
         let mut first = Vec::new();
-        std::fs::File::open(path)?.take(BLENDER.len() as u64).read_to_end(&mut first).map(|_| first)
+        open_regular(&path)?.take(BLENDER.len() as u64).read_to_end(&mut first).map(|_| first)
     });
     let unreadable = |reason: String| ApiError::new(ProblemKind::InvalidBundle, reason);
     let first = first.await.map_err(|error| unreadable(error.to_string()))?;

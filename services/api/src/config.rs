@@ -8,6 +8,7 @@ use std::time::Duration;
 use forelight_store::ArtifactPlace;
 
 use crate::clock::{Clock, SystemClock};
+use crate::inspector::Inspection;
 
 /// Configuration of the service.
 #[derive(Clone)]
@@ -25,10 +26,14 @@ pub struct Config {
     /// Origin at which people reach the service, such as `https://farm.example.org`, without a path. With
     /// `https`, browsers send the cookies of sessions over TLS only. Default: none.
     pub public_origin: Option<String>,
+    /// Origins of other sites whose pages may ask this service, with a token. Default: none.
+    pub allowed_origins: Vec<String>,
     /// How long people stay signed in. Default 7 days.
     pub session_lifetime: Duration,
     /// Folders on shared storage under which jobs may name bundles by path. Default none.
     pub bundle_roots: Vec<PathBuf>,
+    /// How bundles are loaded.
+    pub inspection: Inspection,
     /// Limits on what clients send.
     pub limits: Limits,
     /// Source of the time. Default: the system clock.
@@ -45,8 +50,10 @@ impl Config {
             listen: SocketAddr::from(([127, 0, 0, 1], 7878)),
             lease_ttl: Duration::from_secs(30),
             public_origin: None,
+            allowed_origins: Vec::new(),
             session_lifetime: Duration::from_secs(7 * 86_400),
             bundle_roots: Vec::new(),
+            inspection: Inspection::default(),
             limits: Limits::default(),
             clock: Arc::new(SystemClock::default()),
         }
@@ -72,6 +79,16 @@ pub struct Limits {
     pub least_disk_space: u64,
     /// Bundles checked at the same time; others wait. Default: 2.
     pub checks_at_once: usize,
+    /// Limits on connections.
+    pub connections: ConnectionLimits,
+    /// Limits on uploads.
+    pub uploads: UploadLimits,
+    /// Requests that one token of a person may have under way. Default: 1,024.
+    pub requests_per_token: u64,
+    /// Answers that take long to compute: so many at the same time. Default: half of the cores, at least 1.
+    pub costly_at_once: usize,
+    /// Answers that take long to compute: so many may wait for their turn. Default: 16.
+    pub costly_waiting: usize,
     /// Limits of a scene.
     pub scene: forelight_scene::Limits,
 }
@@ -87,7 +104,55 @@ impl Default for Limits {
             pixels: 1 << 26,
             least_disk_space: 64 << 20,
             checks_at_once: 2,
+            connections: ConnectionLimits::default(),
+            uploads: UploadLimits::default(),
+            requests_per_token: 1024,
+            costly_at_once: std::thread::available_parallelism().map_or(1, |cores| (cores.get() / 2).max(1)),
+            costly_waiting: 16,
             scene: forelight_scene::Limits::default(),
+        }
+    }
+}
+
+/// Limits on connections.
+#[derive(Clone, Copy, Debug)]
+pub struct ConnectionLimits {
+    /// Connections at the same time, at least 4. Default: as many as the limit of open files allows, at most
+    /// 16,384.
+    pub at_once: Option<usize>,
+    /// Time in which the head of a request must arrive, counted from the connection's last answer. So a
+    /// connection is idle no longer than that. Default: 60 s.
+    pub head_time: Duration,
+    /// A client that reads nothing of an answer for so long is given up. Default: 60 s.
+    pub answer_silence: Duration,
+}
+
+impl Default for ConnectionLimits {
+    fn default() -> Self {
+        Self { at_once: None, head_time: Duration::from_secs(60), answer_silence: Duration::from_secs(60) }
+    }
+}
+
+/// Limits on uploads.
+#[derive(Clone, Copy, Debug)]
+pub struct UploadLimits {
+    /// Least bytes per second of a body, after a grace. Default: 16 KiB.
+    pub least_rate: u64,
+    /// A body may wait so long for its client besides what the least rate allows. Default: 30 s.
+    pub grace: Duration,
+    /// A body may wait so long for its client in all. Default: 1 h.
+    pub time: Duration,
+    /// Bytes that one token of a person may be uploading at the same time. Default: 1 GiB.
+    pub bytes_per_token: u64,
+}
+
+impl Default for UploadLimits {
+    fn default() -> Self {
+        Self {
+            least_rate: 16 << 10,
+            grace: Duration::from_secs(30),
+            time: Duration::from_secs(3600),
+            bytes_per_token: 1 << 30,
         }
     }
 }

@@ -2,21 +2,39 @@
 //!
 //! A farm has one connection per worker, nearly all idle, so the memory of an idle one counts. Therefore only
 //! HTTP/1.1 is served, and each connection lies in one box that is never moved.
+//!
+//! Hazards:
+//!
+//! - *Sockets that are held open.* A request's head must arrive within a time, also on a connection that had
+//!   other requests. See `admission` for who gives way when there are too many.
+//! - *No file is left.* Then a quiet connection is ended, and the next is accepted after a pause.
+//! - *A client that does not read.* An answer that cannot be written for a minute is given up.
 
+mod admission;
+mod held;
+
+use std::convert::Infallible;
 use std::time::Duration;
 
 use axum::Router;
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
-use hyper_util::rt::TokioIo;
+use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use rustix::process::{Resource, getrlimit};
 use tokio::net::{TcpListener, TcpStream};
+use tokio_io_timeout::TimeoutWriter;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
-use tower::ServiceExt as _;
+use tower::{ServiceExt as _, service_fn};
 
+use self::admission::{Admission, Guest};
+use crate::config::ConnectionLimits;
 use crate::extract::PeerAddress;
+
+pub(crate) use self::admission::Standing;
+pub(crate) use self::held::Holds;
 
 /// Most bytes of a request's head, and of read-ahead into a body.
 const BUFFER: usize = 64 << 10;
@@ -24,9 +42,30 @@ const BUFFER: usize = 64 << 10;
 /// Pause when the system is out of files or memory for a connection. Others have to end first.
 const NO_ROOM: Duration = Duration::from_millis(200);
 
+/// Files that the service itself may have open: database, artefacts, uploads. With a low limit, half of it.
+const OWN_FILES: u64 = 256;
+
+/// Most connections, whatever the system allows.
+const MOST_CONNECTIONS: u64 = 16_384;
+
+/// How many connections the system's limit of open files allows.
+fn allowed_by_files(limit: Option<u64>) -> usize {
+    let limit = limit.unwrap_or(u64::MAX);
+    let connections = limit.saturating_sub(OWN_FILES).max(limit / 2).min(MOST_CONNECTIONS);
+    usize::try_from(connections).unwrap_or(usize::MAX)
+}
+
 /// Serves until `stopping` is cancelled; returns once all running requests are answered.
-pub(crate) async fn serve(listener: TcpListener, router: Router, stopping: CancellationToken) {
+pub(crate) async fn serve(
+    listener: TcpListener,
+    router: Router,
+    limits: ConnectionLimits,
+    stopping: CancellationToken,
+) {
+    let most = limits.at_once.unwrap_or_else(|| allowed_by_files(getrlimit(Resource::Nofile).current));
+    let admission = Admission::new(most);
     let connections = TaskTracker::new();
+    let mut lacks_files = false;
     loop {
         let accepted = tokio::select! {
             () = stopping.cancelled() => break,
@@ -34,12 +73,20 @@ pub(crate) async fn serve(listener: TcpListener, router: Router, stopping: Cance
         };
         match accepted {
             Ok((stream, peer)) => {
-                let peer = PeerAddress(peer.ip());
-                drop(connections.spawn(Box::pin(answer(stream, peer, router.clone(), stopping.clone()))))
+                lacks_files = false;
+                // Without a seat, the connection is closed at once.
+                let Some(guest) = admission.admit(peer.ip()) else { continue };
+                let answered =
+                    answer(stream, guest, PeerAddress(peer.ip()), router.clone(), limits, stopping.clone());
+                drop(connections.spawn(Box::pin(answered)));
             }
             Err(error) if is_of_one_connection(&error) => {}
             Err(error) => {
-                tracing::error!(%error, "a connection could not be accepted");
+                // It goes on until somebody leaves, so it is told once.
+                if !std::mem::replace(&mut lacks_files, true) {
+                    tracing::error!(%error, "a connection could not be accepted; quiet ones are ended");
+                }
+                admission.make_room();
                 tokio::time::sleep(NO_ROOM).await;
             }
         }
@@ -49,22 +96,40 @@ pub(crate) async fn serve(listener: TcpListener, router: Router, stopping: Cance
     connections.wait().await;
 }
 
-async fn answer(stream: TcpStream, peer: PeerAddress, router: Router, stopping: CancellationToken) {
+async fn answer(
+    stream: TcpStream,
+    guest: Guest,
+    peer: PeerAddress,
+    router: Router,
+    limits: ConnectionLimits,
+    stopping: CancellationToken,
+) {
     // An answer is one write, so there is nothing to wait for.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%error, "TCP_NODELAY could not be set; answers may be a little late");
     }
-    let router = router.map_request(move |mut request: Request<Incoming>| {
+    let mut stream = TimeoutWriter::new(stream);
+    stream.set_timeout(Some(limits.answer_silence));
+    let router = service_fn(|mut request: Request<Incoming>| {
+        let holds = Holds::new(guest.request());
         request.extensions_mut().insert(peer);
-        request
+        request.extensions_mut().insert(holds.clone());
+        let router = router.clone();
+        async move {
+            let response = router.oneshot(request).await?;
+            Ok::<_, Infallible>(response.map(|body| holds.until_sent(body)))
+        }
     });
     let mut connection = std::pin::pin!(
         http1::Builder::new()
             .max_buf_size(BUFFER)
-            .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router))
+            .timer(TokioTimer::new())
+            .header_read_timeout(limits.head_time)
+            .serve_connection(TokioIo::new(Box::pin(stream)), TowerToHyperService::new(router))
     );
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
+        () = guest.gives_way.cancelled() => return,
         () = stopping.cancelled() => {
             connection.as_mut().graceful_shutdown();
             connection.await
@@ -79,4 +144,17 @@ async fn answer(stream: TcpStream, peer: PeerAddress, router: Router, stopping: 
 fn is_of_one_connection(error: &std::io::Error) -> bool {
     use std::io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn connections_leave_files_for_the_service_itself() {
+        assert_eq!(allowed_by_files(Some(400)), 200);
+        assert_eq!(allowed_by_files(Some(1024)), 768);
+        assert_eq!(allowed_by_files(Some(65_536)), 16_384);
+        assert_eq!(allowed_by_files(None), 16_384);
+    }
 }

@@ -25,7 +25,7 @@ pub(crate) const NO_TOKEN: &str = "Bearer realm=\"forelight\"";
 pub(crate) const BAD_TOKEN: &str = "Bearer realm=\"forelight\", error=\"invalid_token\"";
 pub(crate) const WRONG_ROLE: &str = "Bearer realm=\"forelight\", error=\"insufficient_scope\"";
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct ApiError {
     problem: Box<Problem>,
     retry_after: Option<u32>,
@@ -86,6 +86,7 @@ impl From<StoreError> for ApiError {
             StoreError::Busy | StoreError::ArtifactsAway(_) => ProblemKind::Busy,
             StoreError::Full => ProblemKind::StorageFull,
             StoreError::ArtifactLost { .. } => ProblemKind::ArtifactLost,
+            StoreError::ArtifactDamaged { .. } => ProblemKind::ArtifactDamaged,
             _ => ProblemKind::Internal,
         };
         match kind {
@@ -103,7 +104,7 @@ impl From<StoreError> for ApiError {
                 tracing::warn!(%error, "an artefact could not be moved");
                 Self::new(kind, "the artefact store cannot be used just now").retry_after(ARTIFACTS_AWAY)
             }
-            ProblemKind::ArtifactLost => {
+            ProblemKind::ArtifactLost | ProblemKind::ArtifactDamaged => {
                 tracing::error!(%error, "stored content is lost");
                 Self::new(kind, format!("{error}; bring it back from a backup, or submit what made it again"))
             }

@@ -8,7 +8,7 @@ mod path;
 mod query;
 
 pub(crate) use auth::{Anyone, OneTimeToken, Operator, Peer, PeerAddress, Reader, Submitter, WorkerToken};
-pub(crate) use body::{whole, within_announced_length};
+pub(crate) use body::{announced_length, whole, within_announced_length};
 pub(crate) use idempotency::KeyHeader;
 pub(crate) use json::{JsonBody, Large, media_type};
 pub(crate) use path::{Segment, Segments};

@@ -6,7 +6,6 @@
 //! and profile and decides what follows. All state that matters is in the store, so a restart continues where
 //! the process died.
 
-mod answer_cache;
 mod background;
 mod budget_forecast;
 mod bundle_inspection;
@@ -15,15 +14,20 @@ mod conductor;
 mod config;
 mod connections;
 mod cookies;
+mod costly;
+mod delivery;
 mod disk_space;
 mod error;
 mod extract;
 mod feed;
+mod inspector;
 mod metrics;
 mod openapi;
+mod paced_body;
 mod page;
 mod plan_difference;
 mod plot;
+mod quotas;
 mod resources;
 mod router;
 mod schema;
@@ -31,10 +35,12 @@ mod service;
 mod shared;
 mod sign_in;
 mod state;
+mod uploads;
 mod webhooks;
 
 pub use budget_forecast::{BudgetForecastError, budget_forecast};
 pub use clock::{Clock, ManualClock, SystemClock};
-pub use config::{Config, Limits};
+pub use config::{Config, ConnectionLimits, Limits, UploadLimits};
+pub use inspector::{Inspection, inspect_bundle};
 pub use router::openapi_yaml;
 pub use service::{Service, ServiceError};

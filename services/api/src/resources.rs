@@ -16,7 +16,7 @@ pub(crate) mod nodes;
 pub(crate) mod page;
 pub(crate) mod plans;
 pub(crate) mod projects;
-mod responses;
+pub(crate) mod responses;
 pub(crate) mod retention;
 pub(crate) mod sessions;
 pub(crate) mod strip;

@@ -1,26 +1,32 @@
 //! Maps addresses to handlers, and wraps every request in the common layers.
 
+use std::future::ready;
 use std::time::Duration;
 
+use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
-use axum::http::{Extensions, HeaderMap, HeaderValue, Method, StatusCode, Version};
-use axum::middleware::{Next, from_fn, from_fn_with_state};
+use axum::http::header::{
+    AUTHORIZATION, CONTENT_RANGE, CONTENT_TYPE, ETAG, IF_NONE_MATCH, IF_RANGE, RANGE, RETRY_AFTER,
+    X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{Extensions, HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version};
+use axum::middleware::{Next, from_fn, from_fn_with_state, map_request};
 use axum::response::{IntoResponse, Response};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::classify::ServerErrorsFailureClass;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{Predicate as _, SizeAbove};
+use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
 use tower_http::trace::TraceLayer;
 use tracing::Span;
-use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::error::render_problems;
 use crate::openapi::frame;
+use crate::paced_body::PacedBody;
 use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
@@ -34,8 +40,24 @@ const BODY_SILENCE: Duration = Duration::from_secs(60);
 /// What workers ask for all day. What they change is seen a little later on a large farm, see `shared`.
 const FOR_WORKERS: [&str; 2] = ["/v1/leases", "/v1/artifacts"];
 
-fn routes() -> (axum::Router<App>, OpenApi) {
-    OpenApiRouter::with_openapi(frame())
+/// What workers need, to take tasks and to bring results. What people ask for never stands in their way.
+fn routes_of_workers() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(nodes::register))
+        .routes(routes!(nodes::join))
+        .routes(routes!(leases::claim))
+        .routes(routes!(leases::renew))
+        .routes(routes!(leases::release))
+        .routes(routes!(leases::result))
+        .routes(routes!(leases::checkpoint::put, leases::checkpoint::get))
+        .routes(routes!(artifacts::put))
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+}
+
+/// All other routes.
+fn routes_of_people() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
         .routes(routes!(sessions::create_code))
         .routes(routes!(sessions::begin, sessions::list))
         .routes(routes!(sessions::current, sessions::end_current))
@@ -70,17 +92,11 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(plans::changed))
         .routes(routes!(plans::bookings))
         .routes(routes!(timeline::get))
-        .routes(routes!(nodes::register, nodes::list))
+        .routes(routes!(nodes::list))
         .routes(routes!(nodes::get, nodes::change))
-        .routes(routes!(nodes::join))
         .routes(routes!(nodes::join_token))
         .routes(routes!(tasks::log))
-        .routes(routes!(leases::claim))
-        .routes(routes!(leases::renew))
-        .routes(routes!(leases::release))
-        .routes(routes!(leases::result))
-        .routes(routes!(leases::checkpoint::put, leases::checkpoint::get))
-        .routes(routes!(artifacts::put, artifacts::get, artifacts::head))
+        .routes(routes!(artifacts::get, artifacts::head))
         .routes(routes!(forecasts::track_record))
         .routes(routes!(forecasts::track_record_svg))
         .routes(routes!(forecasts::calibration))
@@ -95,27 +111,31 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(webhooks::test))
         .routes(routes!(webhooks::deliveries))
         .routes(routes!(dashboard::get))
-        .routes(routes!(health::healthz))
-        .routes(routes!(health::readyz))
         .routes(routes!(health::metrics))
         .routes(routes!(health::openapi))
-        .split_for_parts()
 }
 
 /// The whole OpenAPI document as YAML, generated from the types and handlers.
 pub fn openapi_yaml() -> String {
-    let (_, document) = routes();
+    let of_workers = routes_of_workers().into_openapi();
+    let document = frame().merge_from(of_workers).merge_from(routes_of_people().into_openapi());
     // Strings, numbers, lists and maps with string keys always have a YAML form.
     document.to_yaml().unwrap_or_default()
 }
 
 /// The axum router. Layers from the outside in: log line, counter, compression, form of errors, panics,
 /// bodies.
-pub(crate) fn router(app: App) -> axum::Router {
-    let (routes, _) = routes();
-    routes
+pub(crate) fn router(app: App, allowed_origins: &[String]) -> axum::Router {
+    let limits = app.limits.uploads;
+    let (of_workers, _) = routes_of_workers().with_state(app.clone()).split_for_parts();
+    let (of_people, _) = routes_of_people().with_state(app.for_people()).split_for_parts();
+    let router = of_workers
+        .merge(of_people)
         .fallback(page::serve)
         .method_not_allowed_fallback(async || StatusCode::METHOD_NOT_ALLOWED)
+        .layer(map_request(move |request: Request| {
+            ready(request.map(|body| Body::new(PacedBody::new(body, limits))))
+        }))
         .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
         .layer(CatchPanicLayer::custom(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response()))
         .layer(from_fn(render_problems))
@@ -124,10 +144,37 @@ pub(crate) fn router(app: App) -> axum::Router {
             X_CONTENT_TYPE_OPTIONS,
             HeaderValue::from_static("nosniff"),
         ))
-        .layer(from_fn_with_state(app.clone(), count))
-        .layer(TraceLayer::new_for_http().on_failure(tell_failure))
-        .with_state(app)
+        .layer(from_fn_with_state(app, count))
+        .layer(TraceLayer::new_for_http().on_failure(tell_failure));
+    match allowed_origins {
+        [] => router,
+        allowed => router.layer(other_sites(allowed)),
+    }
 }
+
+/// What pages of other sites may do (https://fetch.spec.whatwg.org/#http-cors-protocol). They need a token:
+/// cookies of sessions are for the service's own page.
+fn other_sites(allowed: &[String]) -> CorsLayer {
+    let origins = allowed.iter().filter_map(|origin| HeaderValue::from_str(origin).ok());
+    let named = HeaderName::from_static;
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::list(origins))
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::PATCH, Method::DELETE])
+        .allow_headers([
+            AUTHORIZATION,
+            CONTENT_TYPE,
+            IF_NONE_MATCH,
+            IF_RANGE,
+            RANGE,
+            named("idempotency-key"),
+            named("last-event-id"),
+        ])
+        .expose_headers([CONTENT_RANGE, ETAG, RETRY_AFTER, named("idempotency-replayed")])
+        .max_age(PREFLIGHT_KEPT)
+}
+
+/// How long a browser may keep the answer to whether it may ask.
+const PREFLIGHT_KEPT: Duration = Duration::from_secs(3600);
 
 /// Shorter answers are sent as they are: gzip has a header of its own.
 const WORTH_COMPRESSING: u64 = 1 << 10;

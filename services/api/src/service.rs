@@ -7,19 +7,23 @@ use std::time::Duration;
 use forelight_store::{Store, StoreError};
 use parking_lot::Mutex;
 use tokio::net::TcpListener;
-use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{run_conductor, run_retention, run_sweep, run_webhooks};
+use crate::background::{run_conductor, run_retention, run_scrub, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::serve;
+use crate::costly::Costly;
 use crate::feed::Feed;
+use crate::inspector::Inspector;
 use crate::metrics::Metrics;
+use crate::quotas::Quotas;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
+use crate::uploads::Reserved;
 
 /// Time allowed for running requests when the service stops.
 const LAST_ANSWERS: Duration = Duration::from_secs(10);
@@ -66,8 +70,10 @@ impl Service {
             listen,
             lease_ttl,
             public_origin,
+            allowed_origins,
             session_lifetime,
             bundle_roots,
+            inspection,
             limits,
             clock,
         } = config;
@@ -90,6 +96,7 @@ impl Service {
         let address =
             listener.local_addr().map_err(|source| ServiceError::Listen { address: listen, source })?;
         let stopping = CancellationToken::new();
+        let connections = limits.connections;
         let (conductor, jobs) = mpsc::unbounded_channel();
         let app = App {
             store: store.clone(),
@@ -101,15 +108,17 @@ impl Service {
             sessions_ended: Arc::new(watch::Sender::new(0)),
             webhooks_changed: Arc::new(watch::Sender::new(0)),
             bundle_roots: roots,
-            checks: Arc::new(Semaphore::new(limits.checks_at_once.max(1))),
+            inspector: Arc::new(Inspector::new(inspection, limits.scene, limits.checks_at_once)),
+            costly: Costly::new(limits.costly_at_once, limits.costly_waiting),
+            quotas: Quotas::default(),
+            reserved: Reserved::default(),
             limits: Arc::new(limits),
             metrics: Arc::new(Metrics::default()),
             stopping: stopping.clone(),
             conductor,
             in_flight: InFlight::default(),
             pruning: Arc::default(),
-            answers: Arc::default(),
-            feed: Arc::new(Feed::new(store.clone())),
+            feed: Arc::new(Feed::new(store.for_people())),
             dashboard: Arc::default(),
             projected: Arc::default(),
             last_change: Arc::new(Mutex::new(Instant::now())),
@@ -121,7 +130,8 @@ impl Service {
             tokio::spawn(run_sweep(app.clone(), clock)),
             tokio::spawn(run_webhooks(app.clone())),
             tokio::spawn(run_retention(app.clone())),
-            tokio::spawn(serve(listener, router(app), stopping.clone())),
+            tokio::spawn(run_scrub(app.clone())),
+            tokio::spawn(serve(listener, router(app, &allowed_origins), connections, stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })
     }

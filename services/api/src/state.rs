@@ -6,18 +6,21 @@ use std::time::Duration;
 
 use forelight_protocol::{Dashboard, JobId, ProblemKind, Timestamp};
 use forelight_store::{IdempotencyKey, Projection, Store, project};
-use tokio::sync::{Semaphore, mpsc, watch};
+use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::answer_cache::AnswerCache;
 use crate::clock::Clock;
 use crate::config::Limits;
+use crate::costly::Costly;
 use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
+use crate::inspector::Inspector;
 use crate::metrics::Metrics;
+use crate::quotas::Quotas;
 use crate::shared::Shared;
 use crate::sign_in::SignIns;
+use crate::uploads::Reserved;
 
 /// State shared by all handlers. Cheap to clone.
 #[derive(Clone)]
@@ -39,14 +42,16 @@ pub(crate) struct App {
     pub metrics: Arc<Metrics>,
     /// Cancelled when the service stops. All waits then end.
     pub stopping: CancellationToken,
-    /// Limits how many bundles are loaded at once, since each needs a core and memory.
-    pub checks: Arc<Semaphore>,
+    pub inspector: Arc<Inspector>,
     /// Jobs for which the conductor may have something to do.
     pub conductor: mpsc::UnboundedSender<JobId>,
     pub in_flight: InFlight,
     /// Held while the farm deletes what is past its time.
     pub pruning: Arc<tokio::sync::Mutex<()>>,
-    pub answers: Arc<AnswerCache>,
+    pub costly: Arc<Costly>,
+    pub quotas: Quotas,
+    /// Disk space that uploads have reserved.
+    pub reserved: Reserved,
     pub feed: Arc<Feed>,
     pub dashboard: Arc<Shared<Dashboard>>,
     /// Expected course of the open bookings.
@@ -60,6 +65,11 @@ pub(crate) struct App {
 impl App {
     pub fn now(&self) -> Timestamp {
         self.clock.now()
+    }
+
+    /// The same, for what people ask: they share connections to the database that workers do not need.
+    pub fn for_people(&self) -> Self {
+        Self { store: self.store.for_people(), ..self.clone() }
     }
 
     /// When a person last changed something through this service.

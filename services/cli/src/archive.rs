@@ -4,8 +4,9 @@
 //! same hash on every machine, and the service stores it once.
 
 use anyhow::{Context, Result};
+use forelight_scene::open_regular;
 use forelight_terminal::failure::BadInput;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
@@ -24,7 +25,7 @@ pub fn pack<W: Write + Seek>(folder: &Path, target: W) -> Result<W> {
     files.sort();
     let mut zip = ZipWriter::new(target);
     for (name, path) in files {
-        let mut source = File::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        let mut source = open_regular(&path).with_context(|| format!("cannot read {}", path.display()))?;
         let large = source.metadata()?.len() >= ZIP64_FROM;
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Deflated)

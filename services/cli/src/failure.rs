@@ -13,6 +13,7 @@ use forelight_protocol::Problem;
 use forelight_renderer_own::RenderError;
 use forelight_store::StoreError;
 use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::foreign_text::shown;
 use std::fmt;
 
 /// A budget is threatened. Nothing failed. Ends the program with exit code 3.
@@ -56,10 +57,10 @@ pub fn describe(error: &anyhow::Error) -> String {
         }
         message.push_str(text.trim_end_matches(':'));
     }
-    let mut text = format!("error: {}", message.replace('\n', " "));
+    let mut text = format!("error: {}", shown(&message.replace('\n', " ")));
     if let Some(hint) = hint(error) {
         text.push_str("\nhint: ");
-        text.push_str(&hint);
+        text.push_str(&shown(&hint));
     }
     text
 }

@@ -9,8 +9,10 @@ mod failure;
 mod job_options;
 
 use clap::Parser;
+use forelight_terminal::foreign_text::log_fields;
 use std::io::{IsTerminal, Write as _};
 use std::process::ExitCode;
+use std::time::Duration;
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
@@ -24,7 +26,10 @@ fn main() -> ExitCode {
             return ExitCode::FAILURE;
         }
     };
-    match runtime.block_on(cli.run()) {
+    let outcome = runtime.block_on(cli.run());
+    // A thread that hangs, such as on a file server that is gone, must not hold the end of the program.
+    runtime.shutdown_timeout(LAST_THREADS);
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             say(&failure::describe(&error));
@@ -32,6 +37,9 @@ fn main() -> ExitCode {
         }
     }
 }
+
+/// Time for threads to end that still work when the command has ended.
+const LAST_THREADS: Duration = Duration::from_secs(5);
 
 fn say(words: &str) {
     // If this write fails, there is no other place to report it.
@@ -50,6 +58,7 @@ fn log(verbosity: u8) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
+        .fmt_fields(log_fields())
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         // A log line that cannot be written is dropped. A report on standard error would panic.

@@ -58,6 +58,8 @@ pub enum EventKind {
     JobPromiseAtRisk,
     /// A job whose promise was at risk will probably finish in time after all.
     JobPromiseSafe,
+    /// The content of an artefact is missing or has changed. `message` has its hash and what was found.
+    ArtifactDamaged,
 }
 
 impl EventKind {
@@ -87,6 +89,7 @@ impl EventKind {
             EventKind::EngineState => "engine_state",
             EventKind::JobPromiseAtRisk => "job_promise_at_risk",
             EventKind::JobPromiseSafe => "job_promise_safe",
+            EventKind::ArtifactDamaged => "artifact_damaged",
         }
     }
 }

@@ -32,6 +32,8 @@ pub enum ProblemKind {
     TooLarge,
     /// 415: the media type is not supported.
     UnsupportedMediaType,
+    /// 416: the file has no bytes in this range.
+    RangeNotSatisfiable,
     /// 422: well-formed, but a field has an invalid value.
     Invalid,
     /// 422: the bundle is not a valid scene. `detail` is the error of the scene loader.
@@ -46,6 +48,8 @@ pub enum ProblemKind {
     TooManyRequests,
     /// 500: an error in the service.
     Internal,
+    /// 500: the farm's disk or bucket returns other content than was stored.
+    ArtifactDamaged,
     /// 503: too busy. `Retry-After` says when to try again.
     Busy,
     /// 507: the disk is too full to store the content.
@@ -54,7 +58,7 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// All kinds.
-    pub const ALL: [ProblemKind; 21] = [
+    pub const ALL: [ProblemKind; 23] = [
         ProblemKind::Malformed,
         ProblemKind::Unauthenticated,
         ProblemKind::Forbidden,
@@ -67,6 +71,7 @@ impl ProblemKind {
         ProblemKind::ArtifactLost,
         ProblemKind::TooLarge,
         ProblemKind::UnsupportedMediaType,
+        ProblemKind::RangeNotSatisfiable,
         ProblemKind::Invalid,
         ProblemKind::InvalidBundle,
         ProblemKind::HashMismatch,
@@ -74,6 +79,7 @@ impl ProblemKind {
         ProblemKind::IdempotencyKeyReused,
         ProblemKind::TooManyRequests,
         ProblemKind::Internal,
+        ProblemKind::ArtifactDamaged,
         ProblemKind::Busy,
         ProblemKind::StorageFull,
     ];
@@ -117,6 +123,9 @@ impl ProblemKind {
             ProblemKind::UnsupportedMediaType => {
                 ("unsupported-media-type", 415, "The media type is not supported")
             }
+            ProblemKind::RangeNotSatisfiable => {
+                ("range-not-satisfiable", 416, "The file has no bytes in this range")
+            }
             ProblemKind::Invalid => ("invalid", 422, "A field has an invalid value"),
             ProblemKind::InvalidBundle => ("invalid-bundle", 422, "The bundle is not a valid scene"),
             ProblemKind::HashMismatch => {
@@ -129,6 +138,7 @@ impl ProblemKind {
                 ("idempotency-key-reused", 422, "The idempotency key was used for a different request")
             }
             ProblemKind::TooManyRequests => ("too-many-requests", 429, "There were too many requests"),
+            ProblemKind::ArtifactDamaged => ("artifact-damaged", 500, "The stored content is damaged"),
             ProblemKind::Internal => ("internal", 500, "The service failed"),
             ProblemKind::Busy => ("busy", 503, "The service is busy"),
             ProblemKind::StorageFull => ("storage-full", 507, "The storage is full"),

@@ -18,8 +18,9 @@ use forelight_protocol::{
     LogLevel, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderResult, RenderSpec, RenderStats,
     SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
 };
+use forelight_scene::open_regular;
 use image::{DynamicImage, Rgb, RgbImage};
-use std::fs::{self, File};
+use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -270,7 +271,7 @@ fn png(picture: &RgbImage) -> Result<Vec<u8>, RendererError> {
 /// # Errors
 /// If the file cannot be read.
 pub fn scene_digest(path: &Path) -> Result<SceneDigest, RendererError> {
-    let file = File::open(path).map_err(RendererError::io(path))?;
+    let file = open_regular(path).map_err(RendererError::io(path))?;
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(file).map_err(RendererError::io(path))?;
     Ok(SceneDigest(*hasher.finalize().as_bytes()))

@@ -5,6 +5,7 @@
 
 use crate::error::SceneError;
 use crate::limits::{Limits, RATIO_MATTERS_FROM};
+use crate::regular_file::open_regular;
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -50,7 +51,7 @@ impl Bundle {
         let store = if canonical.is_dir() {
             Store::Folder(canonical)
         } else {
-            let file = File::open(&canonical).map_err(io)?;
+            let file = open_regular(&canonical).map_err(io)?;
             open_archive(&shown, file, limits)?
         };
         Ok(Self { name, store, limits: *limits, usage: Mutex::default() })
@@ -141,16 +142,12 @@ impl Bundle {
         if !real.starts_with(root) {
             return Err(SceneError::file(path, "a symbolic link leads out of the bundle"));
         }
-        let metadata = real.metadata().map_err(io)?;
-        if !metadata.is_file() {
-            return Err(SceneError::file(path, "is not a regular file"));
-        }
-        self.check(path, "bytes", metadata.len(), self.limits.file_bytes)?;
-        let mut bytes = Vec::with_capacity(metadata.len() as usize);
+        let file = open_regular(&real).map_err(io)?;
+        let length = file.metadata().map_err(io)?.len();
+        self.check(path, "bytes", length, self.limits.file_bytes)?;
+        let mut bytes = Vec::with_capacity(length as usize);
         // The file may grow while it is read, so check the bytes that were read as well.
-        File::open(&real)
-            .and_then(|file| file.take(self.limits.file_bytes.saturating_add(1)).read_to_end(&mut bytes))
-            .map_err(io)?;
+        file.take(self.limits.file_bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(io)?;
         self.check(path, "bytes", bytes.len() as u64, self.limits.file_bytes)?;
         Ok(bytes)
     }

@@ -1,7 +1,9 @@
 //! Limits on the resources that a bundle may use.
 
+use serde::{Deserialize, Serialize};
+
 /// Limits on loading an untrusted bundle. Defaults suit a machine with 16 GiB of memory.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Limits {
     /// Number of entries of an archive, or of files read from a folder. Default 65,536.
     pub entries: usize,

@@ -5,6 +5,7 @@
 //! are triangulated, and a new model starts where attributes change.
 
 use crate::assembly::{Assembly, plain_material};
+use crate::bundle::resolve;
 use crate::error::{Place, SceneError};
 use crate::obj_text::{text, without_comment};
 use crate::polygon;
@@ -24,7 +25,7 @@ const MOST_CUTTING: u64 = 1_000_000_000;
 struct Checked {
     /// Text for `tobj`, with the material libraries first.
     text: Vec<u8>,
-    /// Material libraries, each with the line that names it.
+    /// Paths of the material libraries, each once, with the line that first names it.
     libraries: Vec<(String, usize)>,
     /// Materials in use, each with the line that first uses it.
     materials: BTreeMap<String, usize>,
@@ -40,7 +41,7 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     let options =
         tobj::LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
     let mut sources = Vec::new();
-    for (_, file, library) in &libraries {
+    for (file, library) in &libraries {
         sources.extend(library.0.iter().map(|material| (file.clone(), material.clone())));
     }
     let known: BTreeSet<&str> = sources.iter().map(|(_, material)| material.name.as_str()).collect();
@@ -54,8 +55,8 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
         }
     }
     let (models, _) = tobj::load_obj_buf(&mut checked.text.as_slice(), &options, |name| {
-        let found = libraries.iter().find(|(reference, ..)| name == std::path::Path::new(reference));
-        found.map_or(Err(tobj::LoadError::OpenFileFailed), |(_, _, library)| Ok(library.clone()))
+        let found = libraries.iter().find(|(file, _)| name == std::path::Path::new(file));
+        found.map_or(Err(tobj::LoadError::OpenFileFailed), |(_, library)| Ok(library.clone()))
     })
     .map_err(|e| SceneError::file(path, e.to_string()))?;
     if models.iter().all(|model| model.mesh.indices.is_empty()) {
@@ -71,8 +72,8 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     place(assembly, path, models, first_material)
 }
 
-/// A material library: its name in the OBJ file, its path in the bundle, and its content as read by `tobj`.
-type Library = (String, String, (Vec<tobj::Material>, LibraryIndex));
+/// A material library: its path in the bundle, and its content as read by `tobj`.
+type Library = (String, (Vec<tobj::Material>, LibraryIndex));
 /// The index from names to positions that `tobj` returns.
 type LibraryIndex = std::collections::HashMap<String, usize>;
 
@@ -82,19 +83,13 @@ fn load_libraries(
     named: &[(String, usize)],
 ) -> Result<Vec<Library>, SceneError> {
     let mut libraries: Vec<Library> = Vec::new();
-    for (reference, line) in named {
-        if libraries.iter().any(|(known, ..)| known == reference) {
-            continue;
-        }
-        let fail = |reason: String| SceneError::line(path, *line, format!("`mtllib`: {reason}"));
-        let file = crate::bundle::resolve(path, reference).map_err(&fail)?;
-        let bytes =
-            assembly.bundle.read(&file).map_err(|e| e.within(path, Place::Line(*line), "`mtllib`"))?;
-        let (canonical, ignored) = crate::mtl::check(&file, &bytes)?;
-        warn_ignored(assembly, &file, &ignored);
+    for (file, line) in named {
+        let bytes = assembly.bundle.read(file).map_err(|e| e.within(path, Place::Line(*line), "`mtllib`"))?;
+        let (canonical, ignored) = crate::mtl::check(file, &bytes)?;
+        warn_ignored(assembly, file, &ignored);
         let library = tobj::load_mtl_buf(&mut canonical.as_bytes())
-            .map_err(|e| SceneError::file(&file, e.to_string()))?;
-        libraries.push((reference.clone(), file, library));
+            .map_err(|e| SceneError::file(file, e.to_string()))?;
+        libraries.push((file.clone(), library));
     }
     Ok(libraries)
 }
@@ -169,6 +164,7 @@ fn warn_ignored(assembly: &mut Assembly<'_>, file: &str, ignored: &BTreeMap<Stri
 fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, SceneError> {
     let text = text(file, bytes)?;
     let mut check = Check {
+        file,
         out: Vec::with_capacity(text.len() + 1024),
         name: UNNAMED,
         format: None,
@@ -177,6 +173,7 @@ fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, Scene
         triangles: 0,
         cutting: 0,
         libraries: Vec::new(),
+        known_libraries: BTreeSet::new(),
         materials: BTreeMap::new(),
         ignored: BTreeMap::new(),
     };
@@ -198,6 +195,8 @@ fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, Scene
 }
 
 struct Check<'a> {
+    /// Path of the OBJ file.
+    file: &'a str,
     out: Vec<u8>,
     /// Name of the current object.
     name: &'a str,
@@ -211,6 +210,7 @@ struct Check<'a> {
     /// Sum of the squared corner counts of the non-convex faces so far.
     cutting: u64,
     libraries: Vec<(String, usize)>,
+    known_libraries: BTreeSet<String>,
     materials: BTreeMap<String, usize>,
     ignored: BTreeMap<String, usize>,
 }
@@ -244,7 +244,13 @@ impl<'a> Check<'a> {
                 self.materials.entry(rest.to_owned()).or_insert(number);
                 self.write(&["usemtl ", rest]);
             }
-            "mtllib" => self.libraries.push((rest.to_owned(), number)),
+            "mtllib" => {
+                // `tobj` would read a library as often as it is named, and count its materials each time.
+                let library = resolve(self.file, rest).map_err(|reason| format!("`mtllib`: {reason}"))?;
+                if self.known_libraries.insert(library.clone()) {
+                    self.libraries.push((library, number));
+                }
+            }
             _ if key.starts_with('#') => {}
             _ => *self.ignored.entry(key.to_owned()).or_insert(0) += 1,
         }

@@ -9,25 +9,30 @@ mod collecting;
 mod place;
 mod reader;
 mod remote;
+mod verifying;
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, ArtifactStored, Timestamp};
-use futures::{Stream, StreamExt as _, TryStreamExt as _};
+use futures::{Stream, StreamExt as _};
 use object_store::local::LocalFileSystem;
 use object_store::{ObjectStoreExt as _, WriteMultipart};
+use parking_lot::Mutex;
 use sqlx::SqlitePool;
 use uuid::Uuid;
 
 use self::collecting::Locks;
 use self::remote::Remote;
+use self::verifying::Verified;
 use crate::error::{Result, StoreError};
 use crate::writing::{Writer, ask, later, run};
 
 pub use self::place::{ArtifactPlace, BadPlace};
 pub use self::reader::ArtifactReader;
+pub use self::verifying::Scrubbed;
 
 const CHUNK: usize = 1 << 20;
 
@@ -45,6 +50,8 @@ pub struct Artifacts {
     readers: SqlitePool,
     /// Held while a file is written or deleted.
     locks: Arc<Locks>,
+    /// Files that were verified lately.
+    verified: Arc<Mutex<HashMap<ArtifactHash, Verified>>>,
 }
 
 /// Bytes that were received whole and hashed, but are not kept yet. Dropping them deletes them: a request
@@ -92,7 +99,12 @@ impl Artifacts {
                 Some(Remote::new(place::open_s3(bucket)?, prefix.as_str().into(), at.to_string()))
             }
         };
-        Ok(Self { files, remote, writer, readers, locks: Arc::default() })
+        Ok(Self { files, remote, writer, readers, locks: Arc::default(), verified: Arc::default() })
+    }
+
+    /// The same artefacts, looked up by other connections.
+    pub(crate) fn read_by(&self, readers: SqlitePool) -> Self {
+        Self { readers, ..self.clone() }
     }
 
     /// The same artefacts, kept in another object store.
@@ -112,11 +124,7 @@ impl Artifacts {
 
     /// Receives a stream of at most `limit` bytes and hashes it on the way. Nothing is left behind if the
     /// stream fails, is too long, or is dropped half-way.
-    pub async fn stage<E: std::fmt::Display>(
-        &self,
-        content: impl Stream<Item = Result<Bytes, E>>,
-        limit: u64,
-    ) -> Result<Staged> {
+    pub async fn stage(&self, content: impl Stream<Item = Result<Bytes>>, limit: u64) -> Result<Staged> {
         let location = object_store::path::Path::from(format!("staging/{}.zip", Uuid::now_v7().simple()));
         let upload = self.files.put_multipart(&location).await?;
         let mut writer = WriteMultipart::new_with_chunk_size(upload, CHUNK);
@@ -126,7 +134,7 @@ impl Artifacts {
         let outcome = loop {
             match content.next().await {
                 None => break Ok(()),
-                Some(Err(error)) => break Err(StoreError::BrokenOff(error.to_string())),
+                Some(Err(error)) => break Err(error),
                 Some(Ok(bytes)) => {
                     size += bytes.len() as u64;
                     if size > limit {
@@ -164,7 +172,7 @@ impl Artifacts {
             return self.remember(hash, size, now).await;
         };
         let known = matches!(self.size(hash).await, Ok(known) if known == size);
-        if known && remote.holds(&place_of(hash), size).await? {
+        if known && !self.is_damaged(hash).await? && remote.holds(&place_of(hash), size).await? {
             return self.remember(hash, size, now).await;
         }
         // In a task of its own, so that a client that disconnects leaves no parts of half an upload behind.
@@ -185,6 +193,8 @@ impl Artifacts {
             "UPDATE artifacts SET unused_since = NULL WHERE hash = ? AND unused_since IS NOT NULL",
             &hash.0[..]
         );
+        // What was damaged is whole again.
+        later!(write, "DELETE FROM damaged_artifacts WHERE hash = ?", &hash.0[..]);
         let inserted: Option<(i64,)> = ask!(
             write,
             "INSERT INTO artifacts (hash, size, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING \
@@ -200,10 +210,10 @@ impl Artifacts {
     }
 
     /// Stages and keeps a stream that was announced under a hash. Other bytes are refused and deleted.
-    pub async fn put<E: std::fmt::Display>(
+    pub async fn put(
         &self,
         expected: ArtifactHash,
-        content: impl Stream<Item = Result<Bytes, E>>,
+        content: impl Stream<Item = Result<Bytes>>,
         limit: u64,
         now: Timestamp,
     ) -> Result<ArtifactStored> {
@@ -236,35 +246,6 @@ impl Artifacts {
             return self.size(hash).await;
         }
         Ok(row.size)
-    }
-
-    /// The artefact's content.
-    pub async fn get(&self, hash: ArtifactHash) -> Result<ArtifactReader> {
-        let size = self.size(hash).await?;
-        let found = match &self.remote {
-            Some(remote) => remote.get(&place_of(hash)).await?,
-            None => self.get_local(hash).await?,
-        };
-        let reason = match found {
-            Some(reader) if reader.size == size => return Ok(reader),
-            Some(reader) => format!("its file has {} bytes instead of {size}", reader.size),
-            None => "its file is missing".to_owned(),
-        };
-        Err(StoreError::ArtifactLost { hash, reason })
-    }
-
-    async fn get_local(&self, hash: ArtifactHash) -> Result<Option<ArtifactReader>> {
-        match self.files.get(&place_of(hash)).await {
-            Ok(object) => {
-                let size = object.meta.size;
-                Ok(Some(ArtifactReader {
-                    size,
-                    stream: object.into_stream().map_err(StoreError::from).boxed(),
-                }))
-            }
-            Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(error.into()),
-        }
     }
 
     /// Deletes uploads that were unfinished when the last process died.

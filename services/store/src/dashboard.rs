@@ -270,10 +270,10 @@ async fn spent_since(
 ) -> Result<BTreeMap<String, Money>> {
     let rows = sqlx::query!(
         r#"SELECT d.project AS "project!",
-                  total((min(coalesce(d.until_at, l.paid_until, ?2), ?2) - max(d.from_at, ?1))
+                  total((coalesce(d.until_at, min(coalesce(l.paid_until, ?2), ?2)) - max(d.from_at, ?1))
                         * (d.price_per_hour / 3.6e9)) AS "cost!: f64"
            FROM ledger d JOIN leases l ON l.id = d.lease_id
-           WHERE d.from_at < ?2 AND (d.until_at IS NULL OR d.until_at > ?1) GROUP BY d.project"#,
+           WHERE d.until_at > ?1 OR (d.until_at IS NULL AND d.from_at < ?2) GROUP BY d.project"#,
         from.micros(),
         now.micros()
     )

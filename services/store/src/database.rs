@@ -23,7 +23,8 @@ pub(crate) use crate::writing::{Write, run};
 /// How long SQLite waits for a lock of another process, such as `forelight token` beside a running service.
 const LOCK_WAIT: Duration = Duration::from_secs(5);
 
-/// Read-only connections. With a write-ahead log, readers and the writer never wait for each other.
+/// Read-only connections of each lane. With a write-ahead log, readers and the writer never wait for each
+/// other.
 const READERS: u32 = 4;
 
 /// Name of the database in the data folder.
@@ -35,17 +36,32 @@ static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 #[derive(Clone)]
 pub struct Store {
     inner: Arc<Inner>,
+    asks: Asks,
+}
+
+/// Who asks. Each has connections of its own, so that what people look at never makes workers wait.
+#[derive(Clone, Copy)]
+enum Asks {
+    Farm,
+    People,
+}
+
+/// Connections for reading, and the artefacts that are looked up by them.
+struct Lane {
+    readers: SqlitePool,
+    artifacts: Artifacts,
 }
 
 struct Inner {
     writer: Writer,
-    readers: SqlitePool,
-    artifacts: Artifacts,
+    /// For workers, and for what the service does by itself.
+    farm: Lane,
+    people: Lane,
     /// Start of the service in microseconds.
     up_since: AtomicI64,
     data: PathBuf,
     /// Held while the store is open. The operating system releases it when the process dies.
-    _lock: Option<File>,
+    _lock: Option<Lock>,
 }
 
 impl Store {
@@ -60,6 +76,7 @@ impl Store {
     /// unless they `moved`: they were copied by hand.
     pub async fn open_with(data: &Path, artifacts: &ArtifactPlace, moved: bool) -> Result<Self> {
         std::fs::create_dir_all(data).map_err(|error| StoreError::file(data, error))?;
+        restrict(data, 0o700)?;
         let lock = lock(data)?;
         let opened = Self::open_shared(data, Some(lock), artifacts).await;
         let store = opened.map_err(|error| match error {
@@ -81,7 +98,23 @@ impl Store {
         Self::open_shared(data, None, &ArtifactPlace::DataFolder).await
     }
 
-    async fn open_shared(data: &Path, lock: Option<File>, at: &ArtifactPlace) -> Result<Self> {
+    /// As [`Store::open_beside`], with artefacts where the farm keeps them.
+    pub async fn open_beside_with_artifacts(data: &Path) -> Result<Self> {
+        let beside = Self::open_beside(data).await?;
+        let place: Option<String> =
+            sqlx::query_scalar!("SELECT place FROM artifact_place").fetch_optional(beside.readers()).await?;
+        let place = place.as_deref().map(str::parse::<ArtifactPlace>).transpose();
+        let place = place.map_err(|error| StoreError::ArtifactPlace(error.to_string()))?;
+        match place {
+            None | Some(ArtifactPlace::DataFolder) => Ok(beside),
+            Some(place) => {
+                beside.close().await;
+                Self::open_shared(data, None, &place).await
+            }
+        }
+    }
+
+    async fn open_shared(data: &Path, lock: Option<Lock>, at: &ArtifactPlace) -> Result<Self> {
         let path = data.join(DATABASE);
         let options = SqliteConnectOptions::from_str("sqlite:")?
             .filename(&path)
@@ -100,28 +133,46 @@ impl Store {
         }
         MIGRATIONS.run(&mut connection).await?;
         let writer = Writer::new(connection, writable.create_if_missing(false));
-        let readers = SqlitePoolOptions::new()
-            .max_connections(READERS)
-            .acquire_timeout(WRITE_TURN)
-            // The database is in this process, so a connection cannot be closed by a server.
-            .test_before_acquire(false)
-            .connect_with(options.read_only(true))
-            .await?;
-        let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone(), readers.clone())?;
+        let options = options.read_only(true);
+        let readers = async || {
+            SqlitePoolOptions::new()
+                .max_connections(READERS)
+                .acquire_timeout(WRITE_TURN)
+                // The database is in this process, so a connection cannot be closed by a server.
+                .test_before_acquire(false)
+                .connect_with(options.clone())
+                .await
+        };
+        let farm = readers().await?;
+        let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone(), farm.clone())?;
+        let of_people = readers().await?;
+        let people = Lane { artifacts: artifacts.read_by(of_people.clone()), readers: of_people };
         let inner = Inner {
             writer,
-            readers,
-            artifacts,
+            farm: Lane { readers: farm, artifacts },
+            people,
             up_since: AtomicI64::new(i64::MIN),
             data: data.to_owned(),
             _lock: lock,
         };
-        Ok(Self { inner: Arc::new(inner) })
+        Ok(Self { inner: Arc::new(inner), asks: Asks::Farm })
+    }
+
+    /// The same store, for what people look at.
+    pub fn for_people(&self) -> Self {
+        Self { inner: self.inner.clone(), asks: Asks::People }
+    }
+
+    fn lane(&self) -> &Lane {
+        match self.asks {
+            Asks::Farm => &self.inner.farm,
+            Asks::People => &self.inner.people,
+        }
     }
 
     /// The files named by their hash.
     pub fn artifacts(&self) -> &Artifacts {
-        &self.inner.artifacts
+        &self.lane().artifacts
     }
 
     /// When the service started. No node was heard of before.
@@ -154,7 +205,8 @@ impl Store {
 
     /// Closes all connections and waits for them. Further calls fail.
     pub async fn close(&self) {
-        self.inner.readers.close().await;
+        self.inner.people.readers.close().await;
+        self.inner.farm.readers.close().await;
         if let Err(error) = self.inner.writer.close().await {
             tracing::warn!(%error, "the database was not closed properly");
         }
@@ -174,7 +226,7 @@ impl Store {
     }
 
     pub(crate) fn readers(&self) -> &SqlitePool {
-        &self.inner.readers
+        &self.lane().readers
     }
 
     /// Begins a write.
@@ -184,7 +236,7 @@ impl Store {
 
     /// Begins a read transaction: all its statements see the same state.
     pub(crate) async fn read(&self) -> Result<Transaction<'static, Sqlite>> {
-        Ok(self.inner.readers.begin().await?)
+        Ok(self.lane().readers.begin().await?)
     }
 
     pub(crate) async fn commit(&self, write: Write) -> Result<()> {
@@ -238,28 +290,36 @@ pub(crate) async fn find_damage(connection: &mut SqliteConnection, check: &'stat
     }
 }
 
-fn lock(data: &Path) -> Result<File> {
-    let path: PathBuf = data.join("service.lock");
-    let file = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .open(&path)
-        .map_err(|error| StoreError::file(&path, error))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(std::fs::TryLockError::WouldBlock) => Err(StoreError::InUse(data.display().to_string())),
-        Err(std::fs::TryLockError::Error(error)) => Err(StoreError::file(&path, error)),
+/// Locks that only one service can hold: of the data folder itself, and of a file in it.
+///
+/// Hazard: whoever removes the file lets another service lock a new one. The folder cannot be removed while
+/// there is something in it. The file stays, for services of versions that know only it.
+type Lock = [File; 2];
+
+fn lock(data: &Path) -> Result<Lock> {
+    let path = data.join("service.lock");
+    let file = File::options().create(true).truncate(false).write(true).open(&path);
+    let file = file.map_err(|error| StoreError::file(&path, error))?;
+    let folder = File::open(data).map_err(|error| StoreError::file(data, error))?;
+    for (file, path) in [(&folder, data), (&file, &path)] {
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(std::fs::TryLockError::WouldBlock) => {
+                return Err(StoreError::InUse(data.display().to_string()));
+            }
+            Err(std::fs::TryLockError::Error(error)) => return Err(StoreError::file(path, error)),
+        }
     }
+    Ok([folder, file])
 }
 
 /// The database holds hashes of tokens and names of unreleased films: other users must not read it.
 pub(crate) fn restrict_to_owner(path: &Path) -> Result<()> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt as _;
-        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))
-            .map_err(|error| StoreError::file(path, error))?;
-    }
-    Ok(())
+    restrict(path, 0o600)
+}
+
+fn restrict(path: &Path, mode: u32) -> Result<()> {
+    use std::os::unix::fs::PermissionsExt as _;
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode))
+        .map_err(|error| StoreError::file(path, error))
 }

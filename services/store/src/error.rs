@@ -61,6 +61,12 @@ pub enum StoreError {
         /// What was found instead.
         reason: String,
     },
+    /// The content of a kept artefact is not what its name says.
+    #[error("the content of artefact {hash} has changed on the farm's disk or in its bucket")]
+    ArtifactDamaged {
+        /// The artefact.
+        hash: ArtifactHash,
+    },
     /// The database contains invalid data.
     #[error("the database is damaged: {0}")]
     Corrupt(String),

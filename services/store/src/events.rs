@@ -114,6 +114,14 @@ impl Store {
         Ok(rows.into_iter().map(Event::from).collect())
     }
 
+    /// When the newest event was written.
+    pub(crate) async fn time_of_newest_event(&self) -> Result<Option<Timestamp>> {
+        let at = sqlx::query_scalar!("SELECT at FROM events ORDER BY id DESC LIMIT 1")
+            .fetch_optional(self.readers())
+            .await?;
+        Ok(at.map(Timestamp::from_micros))
+    }
+
     /// The id of the newest event; 0 if there is none.
     pub async fn last_event_id(&self) -> Result<EventId> {
         last_id(&mut *self.readers().acquire().await?).await

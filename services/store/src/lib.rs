@@ -46,7 +46,7 @@ pub mod tokens;
 mod webhooks;
 mod writing;
 
-pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
+pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Scrubbed, Staged};
 pub use backup::{Backup, backup};
 pub use budgets::nights::KeptNight;
 pub use bundles::NewBundle;
@@ -74,6 +74,7 @@ pub use policy::rebooking::NewBooking;
 pub use policy::retries::{FAILED_JOBS, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES};
 pub use policy::work_stealing::OVERDUE;
 pub use projects::{HALF_LIFE, ProjectUse};
+pub use quotes::profiling::ProfileVersion;
 pub use quotes::track_record::FinishedJob;
 pub use results::{Committed, ShotProfiles};
 pub use sessions::NewSession;

@@ -14,7 +14,7 @@ use forelight_protocol::{
 use forelight_quote::{JobForecast, QuoteBasis};
 use tempfile::TempDir;
 
-use crate::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
+use crate::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store, StoreError};
 
 mod artifacts;
 mod calibration;
@@ -289,9 +289,7 @@ async fn reopen(folder: &std::path::Path) -> Store {
     panic!("the data folder is still locked");
 }
 
-fn stream(
-    parts: &[&'static str],
-) -> impl futures::Stream<Item = Result<bytes::Bytes, std::io::Error>> + use<> {
+fn stream(parts: &[&'static str]) -> impl futures::Stream<Item = Result<bytes::Bytes, StoreError>> + use<> {
     let parts: Vec<_> = parts.iter().map(|part| Ok(bytes::Bytes::from_static(part.as_bytes()))).collect();
     futures::stream::iter(parts)
 }

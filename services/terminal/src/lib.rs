@@ -6,6 +6,7 @@ pub mod bounded_file;
 pub mod cost_picture;
 pub mod failure;
 pub mod foreign;
+pub mod foreign_text;
 pub mod interrupt;
 pub mod json_file;
 pub mod local;

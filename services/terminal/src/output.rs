@@ -1,5 +1,6 @@
 //! Output: results to standard output, and progress to standard error if it is a terminal.
 
+use crate::foreign_text::{shown, shown_json, shown_lines};
 use anyhow::{Context, Result};
 use forelight_renderer_own::{Progress, Step};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -7,8 +8,18 @@ use parking_lot::Mutex;
 use serde::Serialize;
 use std::io::{ErrorKind, IsTerminal, Write};
 
-/// Writes text to standard output. A closed pipe (`| head`) is not an error.
+/// Writes lines to standard output, with what others wrote as it is shown. A closed pipe (`| head`) is not an
+/// error.
 pub fn print(text: &str) -> Result<()> {
+    write(&shown_lines(text))
+}
+
+/// Clears the screen of a terminal.
+pub fn clear_screen() -> Result<()> {
+    write("\x1b[H\x1b[2J")
+}
+
+fn write(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
@@ -26,9 +37,14 @@ pub fn json<T: Serialize>(document: &T) -> Result<()> {
     line(pretty(document)?)
 }
 
+/// Writes a JSON document to standard output, in one line.
+pub fn json_line<T: Serialize>(document: &T) -> Result<()> {
+    line(shown_json(serde_json::to_string(document).context("cannot write JSON")?))
+}
+
 /// A JSON document as text.
 pub fn pretty<T: Serialize>(document: &T) -> Result<String> {
-    serde_json::to_string_pretty(document).context("cannot write JSON")
+    Ok(shown_json(serde_json::to_string_pretty(document).context("cannot write JSON")?))
 }
 
 /// Names separated by commas, or `none`.
@@ -71,16 +87,17 @@ impl Bars {
         let style = ProgressStyle::with_template("{spinner} {msg} {elapsed}")
             .unwrap_or_else(|_| ProgressStyle::default_spinner());
         let spinner = self.all.add(ProgressBar::new_spinner().with_style(style));
-        spinner.set_message(what.into());
+        spinner.set_message(shown(&what.into()).into_owned());
         spinner.enable_steady_tick(std::time::Duration::from_millis(120));
         spinner
     }
 
     /// Writes a line for people, above the bars or into the log.
     pub fn note(&self, text: impl AsRef<str>) {
+        let text = shown_lines(text.as_ref());
         if self.logged {
             // If the log cannot be written, the work still continues.
-            let _ = writeln!(std::io::stderr(), "{}", text.as_ref());
+            let _ = writeln!(std::io::stderr(), "{text}");
         } else {
             // `println` of hidden bars writes nothing, as JSON output requires.
             let _ = self.all.println(text);

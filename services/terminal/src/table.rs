@@ -1,5 +1,7 @@
 //! Plain text tables. Columns are as wide as their widest cell.
 
+use crate::foreign_text::shown;
+
 /// Alignment of a column's cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Align {
@@ -24,9 +26,9 @@ impl Table {
         Self { head: head.iter().map(|&(t, a)| (t.into(), a)).collect(), rows: Vec::new(), footer: None }
     }
 
-    /// Adds a row. Missing cells at its end stay empty.
+    /// Adds a row, with what others wrote as it is shown. Missing cells at its end stay empty.
     pub fn row(&mut self, cells: impl IntoIterator<Item = String>) {
-        self.rows.push(cells.into_iter().collect());
+        self.rows.push(cells.into_iter().map(|cell| shown(&cell).into_owned()).collect());
     }
 
     /// Draws a rule. The following rows are totals.

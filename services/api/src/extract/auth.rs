@@ -11,6 +11,7 @@ use axum::http::request::Parts;
 use forelight_protocol::{LeaseId, NodeId, ProblemKind, Role};
 use forelight_store::tokens::{self, Principal};
 
+use crate::connections::{Holds, Standing};
 use crate::cookies::{check_same_origin, session_secret};
 use crate::error::{ApiError, ApiResult, BAD_TOKEN, NO_TOKEN, WRONG_ROLE};
 use crate::state::App;
@@ -25,6 +26,7 @@ macro_rules! caller {
 
             async fn from_request_parts(parts: &mut Parts, app: &App) -> ApiResult<Self> {
                 let principal = principal(parts, app).await?;
+                take_seat(parts, app, &principal)?;
                 match principal.role {
                     $(Role::$role)|+ => Ok(Self(principal)),
                     #[allow(unreachable_patterns, reason = "one of the types admits every role")]
@@ -132,6 +134,14 @@ async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
         None => Err(ApiError::new(ProblemKind::Unauthenticated, "the service does not know this token")
             .authenticate(BAD_TOKEN)),
     }
+}
+
+/// Counts the request among those of its caller, and lets its connection have the caller's standing.
+fn take_seat(parts: &Parts, app: &App, caller: &Principal) -> ApiResult<()> {
+    let Some(holds) = parts.extensions.get::<Holds>() else { return Ok(()) };
+    let quota = app.quotas.request(caller, app.limits.requests_per_token)?;
+    holds.show(Standing::from(caller.role), quota);
+    Ok(())
 }
 
 fn forbidden(role: Role) -> ApiError {

@@ -14,10 +14,14 @@ use crate::error::{ApiError, ApiResult};
 /// Bytes of an oversized body that are read before closing.
 const DRAINED: usize = 1 << 20;
 
+/// The announced length of a body.
+pub(crate) fn announced_length(headers: &HeaderMap) -> Option<u64> {
+    headers.get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse().ok())
+}
+
 /// The body, unless its announced length is too large.
 pub(crate) async fn within_announced_length(headers: &HeaderMap, body: Body, limit: u64) -> ApiResult<Body> {
-    let announced = headers.get(CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
-    if announced.is_none_or(|length| length <= limit) {
+    if announced_length(headers).is_none_or(|length| length <= limit) {
         return Ok(body);
     }
     Err(too_large(body.into_data_stream(), limit).await)
@@ -28,7 +32,8 @@ pub(crate) async fn whole(headers: &HeaderMap, body: Body, limit: usize) -> ApiR
     let mut stream = within_announced_length(headers, body, limit as u64).await?.into_data_stream();
     let mut bytes = BytesMut::new();
     while let Some(chunk) = stream.next().await {
-        let chunk = chunk.map_err(|_| ApiError::new(ProblemKind::Malformed, "the body broke off"))?;
+        let chunk = chunk
+            .map_err(|error| ApiError::new(ProblemKind::Malformed, format!("the body broke off: {error}")))?;
         if bytes.len() + chunk.len() > limit {
             return Err(too_large(stream, limit as u64).await);
         }

@@ -1,16 +1,15 @@
 //! Answers about a job's plan.
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Json;
 use axum::extract::State;
+use axum::http::HeaderMap;
 use axum::response::Response;
 use forelight_protocol::{
     AccuracyRung, AnswersDoc, Job, JobId, JobState, Money, PlanChange, ProblemKind, Timestamp, WhatIf,
     WhatIfRequest,
 };
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use utoipa::IntoParams;
 
 use crate::conductor::answers::{Question, answers, curve_svg};
@@ -19,6 +18,7 @@ use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::job_profile::JobProfile;
 use crate::conductor::what_if::what_if;
 use crate::conductor::{AdvanceError, compute};
+use crate::costly::{Document, Key, key, respond};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, QueryParameters, Reader, Segment, number_if_any};
 use crate::resources::checks::HIGHEST_SUM;
@@ -30,8 +30,6 @@ use crate::state::App;
 const MINUTE: i64 = 60_000_000;
 /// Time limit for a job's answers. Further questions are left out.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Longest wait of a request for its turn.
-const TURN: Duration = Duration::from_secs(20);
 
 /// Question about a job.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -56,69 +54,81 @@ pub(crate) struct AnswersQuery {
 /// stored.
 #[utoipa::path(get, path = "/v1/jobs/{id}/answers", operation_id = "job_answers",
     tag = "jobs", params(("id" = JobId, Path), AnswersQuery),
-    responses((status = 200, description = "The answers", body = AnswersDoc), Problems))]
+    responses((status = 200, description = "The answers", body = AnswersDoc),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
     _: Reader,
     Segment(job): Segment<JobId>,
     QueryParameters(query): QueryParameters<AnswersQuery>,
-) -> ApiResult<Json<AnswersDoc>> {
-    Ok(Json((*found(&app, job, &query).await?).clone()))
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    respond(&headers, answered(&app, job, query).await?)
 }
 
 /// A job's price against its deadline, as a picture: the cheapest plan found, and dashed a lower bound.
 #[utoipa::path(get, path = "/v1/jobs/{id}/price-curve.svg", operation_id = "job_price_curve_svg",
     tag = "jobs", params(("id" = JobId, Path)),
-    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
+    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn price_curve(
     State(app): State<App>,
     _: Reader,
     Segment(job): Segment<JobId>,
+    headers: HeaderMap,
 ) -> ApiResult<Response> {
-    svg(curve_svg(&*found(&app, job, &AnswersQuery::default()).await?))
+    let answers = answered(&app, job, AnswersQuery::default()).await?;
+    respond(&headers, svg(curve_svg(&answers.parsed()?))?)
 }
 
-async fn found(app: &App, job: JobId, query: &AnswersQuery) -> ApiResult<Arc<AnswersDoc>> {
-    let budget = query.budget.map(Money);
+/// The answers about a job's plan. They are made once a minute, or when something is planned anew.
+async fn answered(app: &App, job: JobId, query: AnswersQuery) -> ApiResult<Document> {
     let asked = app.store.job(job).await?;
+    must_have_plan(&asked)?;
+    let key = question_key(app, &asked, &(query.deadline, query.budget)).await?;
+    let (costly, app) = (app.costly.clone(), app.clone());
+    costly.answer(key, async move { Document::json(&found(&app, asked, &query).await?) }).await
+}
+
+/// The key of an answer about a job's plan: the plan, what happened since, and the minute.
+async fn question_key(app: &App, asked: &Job, question: &impl Serialize) -> ApiResult<Key> {
+    let (plan, wanted) = (app.store.newest_plan().await?, app.store.wanted_plan().await?);
+    Ok(key(&("plan", asked.id, asked.state, plan, wanted.count, this_minute(app), question)))
+}
+
+async fn found(app: &App, asked: Job, query: &AnswersQuery) -> ApiResult<AnswersDoc> {
+    let job = asked.id;
     let snapshot = snapshot_for(app, &asked).await?;
     let plan_id = snapshot.parent;
-    let deadline = query.deadline;
-    let prepared = compute(move || {
-        let farm = Farm::new(&snapshot);
-        let rests_on = (plan_id, &farm.input, &farm.standing, job, deadline, budget);
-        let key = *blake3::hash(&serde_json::to_vec(&rests_on).unwrap_or_default()).as_bytes();
-        Ok(farm.place(job).map(|place| (farm, place, key)))
-    });
-    let Some((farm, place, key)) = prepared.await.map_err(refused)? else {
-        return Err(ApiError::new(ProblemKind::Conflict, "the job ended in the meantime"));
-    };
-    if let Some(known) = app.answers.find(&key) {
-        return Ok(known);
-    }
-    let turn = tokio::time::timeout(TURN, app.answers.turn.acquire()).await;
-    let _turn = turn.map_err(|_| busy())?.map_err(|_| busy())?;
-    if let Some(known) = app.answers.find(&key) {
-        return Ok(known);
-    }
     let rungs = rungs(app, &asked).await?;
-    let question = Question { deadline: query.deadline, budget, rungs, patience: PATIENCE };
-    let document = compute(move || answers(&farm, place, &question)).await.map_err(refused)?;
-    let document = Arc::new(AnswersDoc { plan_id, ..document });
-    if document.left_out.is_empty() {
-        app.answers.keep(key, document.clone());
+    let question =
+        Question { deadline: query.deadline, budget: query.budget.map(Money), rungs, patience: PATIENCE };
+    let answered = compute(move || {
+        let farm = Farm::new(&snapshot);
+        farm.place(job).map(|place| answers(&farm, place, &question)).transpose()
+    });
+    match answered.await.map_err(refused)? {
+        Some(document) => Ok(AnswersDoc { plan_id, ..document }),
+        None => Err(ApiError::new(ProblemKind::Conflict, "the job ended in the meantime")),
     }
-    Ok(document)
 }
 
-/// The farm for questions about a job, as it stands at the start of this minute. 409 if the job has no quote.
-async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
-    if !matches!(job.state, JobState::Quoted | JobState::Booked | JobState::Rendering) {
-        let reason = format!("the job is {}: it has no plan to ask about", job.state);
-        return Err(ApiError::new(ProblemKind::Conflict, reason));
+fn must_have_plan(job: &Job) -> ApiResult<()> {
+    if matches!(job.state, JobState::Quoted | JobState::Booked | JobState::Rendering) {
+        return Ok(());
     }
+    let reason = format!("the job is {}: it has no plan to ask about", job.state);
+    Err(ApiError::new(ProblemKind::Conflict, reason))
+}
+
+fn this_minute(app: &App) -> Timestamp {
     let now = app.now().micros();
-    let minute = Timestamp::from_micros(now - now.rem_euclid(MINUTE));
+    Timestamp::from_micros(now - now.rem_euclid(MINUTE))
+}
+
+/// The farm for questions about a job, as it stands at the start of this minute.
+async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
+    let minute = this_minute(app);
     let mut snapshot = Snapshot::read(&app.store, minute, app.started).await?;
     // Progress moves the expected ends all the time. Rounded to the minute, they stay the same for a while.
     for frame in snapshot.projected.frames.iter_mut().filter(|frame| frame.under_way) {
@@ -141,25 +151,26 @@ async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
 pub(crate) async fn plan_what_if(
     State(app): State<App>,
     _: Reader,
+    headers: HeaderMap,
     JsonBody { value: request, .. }: JsonBody<WhatIfRequest>,
-) -> ApiResult<Json<WhatIf>> {
+) -> ApiResult<Response> {
     let asked = app.store.job(request.job_id).await?;
-    let snapshot = snapshot_for(&app, &asked).await?;
-    let rungs = match request.change {
-        PlanChange::Quality { .. } => rungs(&app, &asked).await?,
-        _ => Vec::new(),
+    must_have_plan(&asked)?;
+    let key = question_key(&app, &asked, &request).await?;
+    let costly = app.costly.clone();
+    let make = async move {
+        let snapshot = snapshot_for(&app, &asked).await?;
+        let rungs = match request.change {
+            PlanChange::Quality { .. } => rungs(&app, &asked).await?,
+            _ => Vec::new(),
+        };
+        let WhatIfRequest { change, job_id } = request;
+        match compute(move || what_if(&snapshot, job_id, &change, &rungs)).await.map_err(refused)? {
+            Ok(found) => Document::json(&found),
+            Err(reason) => Err(ApiError::invalid("/change", reason)),
+        }
     };
-    let turn = tokio::time::timeout(TURN, app.answers.turn.acquire()).await;
-    let _turn = turn.map_err(|_| busy())?.map_err(|_| busy())?;
-    let WhatIfRequest { change, job_id } = request;
-    match compute(move || what_if(&snapshot, job_id, &change, &rungs)).await.map_err(refused)? {
-        Ok(found) => Ok(Json(found)),
-        Err(reason) => Err(ApiError::invalid("/change", reason)),
-    }
-}
-
-fn busy() -> ApiError {
-    ApiError::new(ProblemKind::Busy, "the service is computing other answers; ask again soon")
+    respond(&headers, costly.answer(key, make).await?)
 }
 
 fn refused(error: AdvanceError) -> ApiError {

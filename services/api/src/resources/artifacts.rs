@@ -3,12 +3,12 @@
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::http::header::CACHE_CONTROL;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ArtifactStored};
 
-use super::responses::file;
+use crate::delivery::{Asked, deliver};
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Anyone, Segment, WorkerToken, within_announced_length};
 use crate::schema::FileContent;
@@ -30,7 +30,10 @@ pub(crate) async fn put(
 ) -> ApiResult<Response> {
     let limit = app.limits.artifact_bytes;
     let body = within_announced_length(&headers, body, limit).await?;
-    let stored = app.store.artifacts().put(hash, body.into_data_stream(), limit, app.now()).await?;
+    // A result of work that was done is taken as long as it fits.
+    let room = app.reserved.begin(&app.store, &headers, limit, 0)?;
+    let content = room.fill(body.into_data_stream());
+    let stored = app.store.artifacts().put(hash, content, limit, app.now()).await?;
     let status = if stored.existed { StatusCode::OK } else { StatusCode::CREATED };
     if !stored.existed {
         app.metrics.bytes_received.add(stored.size);
@@ -38,39 +41,35 @@ pub(crate) async fn put(
     Ok((status, Json(stored)).into_response())
 }
 
-/// An artefact's bytes.
+/// An artefact's bytes, or a range of them. They are verified first: 500 if they are not what was stored.
 #[utoipa::path(get, path = "/v1/artifacts/{blake3}", operation_id = "artifact_get",
-    tag = "work", params(("blake3" = ArtifactHash, Path)),
-    responses((status = 200, description = "The bytes", body = inline(FileContent), content_type = "application/octet-stream"), Problems))]
+    tag = "work", params(("blake3" = ArtifactHash, Path), ("Range" = Option<String>, Header, description = "One range of bytes")),
+    responses((status = 200, description = "The bytes", body = inline(FileContent), content_type = "application/octet-stream"),
+              (status = 206, description = "The range of them", body = inline(FileContent), content_type = "application/octet-stream"),
+              (status = 304, description = "The client has them"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
     _: Anyone,
     Segment(hash): Segment<ArtifactHash>,
+    method: Method,
+    headers: HeaderMap,
 ) -> ApiResult<Response> {
-    Ok(file(app.store.artifacts().get(hash).await?, MEDIA_TYPE, headers_of(hash)))
+    let for_ever = HeaderValue::from_static("private, immutable, max-age=31536000");
+    let own = HeaderMap::from_iter([(CACHE_CONTROL, for_ever)]);
+    deliver(&app, &Asked { method, headers }, hash, MEDIA_TYPE, own).await
 }
 
-/// Checks that an artefact exists, and gives its length.
+/// Checks that an artefact exists and is whole, and gives its length.
 #[utoipa::path(head, path = "/v1/artifacts/{blake3}", operation_id = "artifact_head",
     tag = "work", params(("blake3" = ArtifactHash, Path)),
-    responses((status = 200, description = "It exists"), Problems))]
+    responses((status = 200, description = "It exists"), (status = 304, description = "The client has it"), Problems))]
 pub(crate) async fn head(
-    State(app): State<App>,
-    _: Anyone,
-    Segment(hash): Segment<ArtifactHash>,
+    app: State<App>,
+    caller: Anyone,
+    hash: Segment<ArtifactHash>,
+    method: Method,
+    headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let size = app.store.artifacts().announce(hash).await?;
-    let mut headers = headers_of(hash);
-    headers.insert(CONTENT_LENGTH, HeaderValue::from(size));
-    headers.insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
-    Ok((StatusCode::OK, headers).into_response())
-}
-
-fn headers_of(hash: ArtifactHash) -> HeaderMap {
-    let mut headers = HeaderMap::new();
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, immutable, max-age=31536000"));
-    if let Ok(tag) = HeaderValue::from_str(&format!("\"{hash}\"")) {
-        headers.insert(ETAG, tag);
-    }
-    headers
+    app.store.artifacts().announce(hash.0).await?;
+    get(app, caller, hash, method, headers).await
 }

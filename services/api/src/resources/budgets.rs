@@ -2,12 +2,15 @@
 
 use axum::Json;
 use axum::extract::State;
+use axum::http::HeaderMap;
+use axum::response::Response;
 use forelight_protocol::{
     Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest, Money, Night, ProblemKind,
 };
 
 use super::checks::{HIGHEST_SUM, check_name};
 use crate::budget_forecast::{BudgetForecastError, budget_forecast};
+use crate::costly::{Document, key, respond};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, Reader};
 use crate::state::App;
@@ -65,18 +68,28 @@ pub(crate) async fn set(
 pub(crate) async fn forecast(
     State(app): State<App>,
     _: Reader,
-    JsonBody { value: request, .. }: JsonBody<BudgetForecastRequest>,
-) -> ApiResult<Json<BudgetForecast>> {
-    match budget_forecast(&app.store, &request, app.now()).await {
-        Ok(forecast) => Ok(Json(forecast)),
-        Err(BudgetForecastError::Invalid { pointer, reason }) => Err(ApiError::invalid(pointer, reason)),
-        Err(BudgetForecastError::Store(error)) => Err(error.into()),
-        Err(BudgetForecastError::Unfinished(error)) => {
+    headers: HeaderMap,
+    JsonBody { value: request, hash, .. }: JsonBody<BudgetForecastRequest>,
+) -> ApiResult<Response> {
+    let now = app.now();
+    // It is kept as what was said of the night, so it is computed for each instant that it is asked for.
+    let key = key(&("nights", hash, now));
+    let costly = app.costly.clone();
+    let make = async move {
+        let made = budget_forecast(&app.store, &request, now).await;
+        Document::json(&made.map_err(refused)?)
+    };
+    respond(&headers, costly.answer(key, make).await?)
+}
+
+fn refused(error: BudgetForecastError) -> ApiError {
+    match error {
+        BudgetForecastError::Invalid { pointer, reason } => ApiError::invalid(pointer, reason),
+        BudgetForecastError::Store(error) => error.into(),
+        BudgetForecastError::Unfinished(error) => {
             tracing::error!(%error, "a forecast was not finished");
-            Err(ApiError::new(ProblemKind::Internal, "the service failed; its log says more"))
+            ApiError::new(ProblemKind::Internal, "the service failed; its log says more")
         }
-        Err(error @ BudgetForecastError::Bookings(_)) => {
-            Err(ApiError::new(ProblemKind::Conflict, error.to_string()))
-        }
+        error @ BudgetForecastError::Bookings(_) => ApiError::new(ProblemKind::Conflict, error.to_string()),
     }
 }

@@ -11,12 +11,17 @@ use forelight_store::NewBundle;
 use super::responses::{created, repeated};
 use crate::bundle_inspection;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{Anyone, KeyHeader, Segment, Submitter, media_type, within_announced_length};
+use crate::extract::{
+    Anyone, KeyHeader, Segment, Submitter, announced_length, media_type, within_announced_length,
+};
 use crate::schema::{FileContent, IdempotencyKeyHeader};
 use crate::state::App;
 
 /// Media type of Blender files.
 const BLEND: &str = "application/x-blender";
+
+/// Uploads of people leave this many times the disk space below which no task is handed out.
+const LEFT_FREE: u64 = 4;
 
 /// Uploads a bundle as a zip file. If it is not a valid scene, it is not kept, and the answer is the scene's
 /// error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs find
@@ -44,8 +49,13 @@ pub(crate) async fn upload(
             format!("send a zip file with Content-Type: application/zip, or a Blender file with {BLEND}"),
         ));
     }
-    let body = within_announced_length(&headers, body, app.limits.bundle_bytes).await?;
-    let staged = app.store.artifacts().stage(body.into_data_stream(), app.limits.bundle_bytes).await?;
+    let most = app.limits.bundle_bytes;
+    let body = within_announced_length(&headers, body, most).await?;
+    let announced = announced_length(&headers).unwrap_or(most);
+    let _quota = app.quotas.upload(&principal, announced, app.limits.uploads.bytes_per_token)?;
+    let leave = app.limits.least_disk_space.saturating_mul(LEFT_FREE);
+    let room = app.reserved.begin(&app.store, &headers, most, leave)?;
+    let staged = app.store.artifacts().stage(room.fill(body.into_data_stream()), most).await?;
     let hash = staged.hash;
     let key = key.of(&principal, &hash.0);
     let _guard = app.in_flight.enter(key.as_ref())?;

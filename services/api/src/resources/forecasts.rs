@@ -14,7 +14,9 @@ use forelight_protocol::{
 use serde::Deserialize;
 use utoipa::IntoParams;
 
+use crate::conductor::AdvanceError;
 use crate::conductor::job_profile::JobProfile;
+use crate::costly::{Document, key, respond};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
 use crate::page::{PageQuery, cut};
@@ -49,20 +51,26 @@ pub(crate) async fn of_job(
 /// irradiance cache is in no rung; the quote lists it separately.
 #[utoipa::path(get, path = "/v1/jobs/{id}/accuracy", operation_id = "job_accuracy",
     tag = "jobs", params(("id" = JobId, Path)),
-    responses((status = 200, description = "The ladders", body = AccuracyDoc), Problems))]
+    responses((status = 200, description = "The ladders", body = AccuracyDoc),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn accuracy_of_job(
     State(app): State<App>,
     _: Reader,
     Segment(id): Segment<JobId>,
-) -> ApiResult<Json<AccuracyDoc>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let job = app.store.job(id).await?;
-    let measured = profile(&app, &job).await?;
-    match measured.qualities().await {
-        Ok(document) => Ok(Json(document)),
-        Err(reason) => {
-            Err(ApiError::new(ProblemKind::Conflict, format!("the profile does not cover this: {reason}")))
-        }
-    }
+    let key = key(&("accuracy", id, app.store.profile_version(id).await?));
+    let costly = app.costly.clone();
+    let make = async move {
+        let measured = profile(&app, &job).await?;
+        Document::json(&measured.qualities().await.map_err(uncovered)?)
+    };
+    respond(&headers, costly.answer(key, make).await?)
+}
+
+fn uncovered(reason: AdvanceError) -> ApiError {
+    ApiError::new(ProblemKind::Conflict, format!("the profile does not cover this: {reason}"))
 }
 
 /// Which part of the job to explain.
@@ -83,24 +91,26 @@ pub(crate) struct ExplanationQuery {
 /// traced.
 #[utoipa::path(get, path = "/v1/jobs/{id}/explanation", operation_id = "job_explanation",
     tag = "jobs", params(("id" = JobId, Path), ExplanationQuery),
-    responses((status = 200, description = "The explanation", body = Explanation), Problems))]
+    responses((status = 200, description = "The explanation", body = Explanation),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn explanation_of_job(
     State(app): State<App>,
     _: Reader,
     Segment(id): Segment<JobId>,
     QueryParameters(ExplanationQuery { frame }): QueryParameters<ExplanationQuery>,
-) -> ApiResult<Json<Explanation>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let job = app.store.job(id).await?;
     if let Some(frame) = frame.filter(|&frame| !job.frames.iter().any(|known| known == frame)) {
         return Err(ApiError::new(ProblemKind::NotFound, format!("the job has no frame {frame}")));
     }
-    let measured = profile(&app, &job).await?;
-    match measured.explanation(frame).await {
-        Ok(document) => Ok(Json(document)),
-        Err(reason) => {
-            Err(ApiError::new(ProblemKind::Conflict, format!("the profile does not cover this: {reason}")))
-        }
-    }
+    let key = key(&("explanation", id, frame, app.store.profile_version(id).await?));
+    let costly = app.costly.clone();
+    let make = async move {
+        let measured = profile(&app, &job).await?;
+        Document::json(&measured.explanation(frame).await.map_err(uncovered)?)
+    };
+    respond(&headers, costly.answer(key, make).await?)
 }
 
 async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
@@ -116,25 +126,34 @@ async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
 /// The job's estimate over time, from the quote to the actual cost, with the booking. 409 until it is booked.
 #[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history", operation_id = "job_forecast_history",
     tag = "jobs", params(("id" = JobId, Path)),
-    responses((status = 200, description = "The history", body = ForecastHistory), Problems))]
+    responses((status = 200, description = "The history", body = ForecastHistory),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn history_of_job(
     State(app): State<App>,
     _: Reader,
     Segment(job): Segment<JobId>,
-) -> ApiResult<Json<ForecastHistory>> {
-    Ok(Json(history(&app, job).await?))
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let key = key(&("history", job, app.store.last_event_id().await?));
+    let costly = app.costly.clone();
+    respond(&headers, costly.answer(key, async move { Document::json(&history(&app, job).await?) }).await?)
 }
 
 /// The job's estimate over time as a picture: expected cost and end, next to the booking.
 #[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history.svg", operation_id = "job_forecast_history_svg",
     tag = "jobs", params(("id" = JobId, Path)),
-    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
+    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn history_of_job_svg(
     State(app): State<App>,
     _: Reader,
     Segment(job): Segment<JobId>,
+    headers: HeaderMap,
 ) -> ApiResult<Response> {
-    svg(plot::forecast_history(&history(&app, job).await?))
+    let key = key(&("picture of history", job, app.store.last_event_id().await?));
+    let costly = app.costly.clone();
+    let make = async move { svg(plot::forecast_history(&history(&app, job).await?)) };
+    respond(&headers, costly.answer(key, make).await?)
 }
 
 async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
@@ -147,26 +166,33 @@ async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
     }
 }
 
-pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Response> {
+pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Document> {
     let svg = drawn.map_err(|error| ApiError::new(ProblemKind::Internal, error.to_string()))?;
-    Ok(responses::svg(svg))
+    Ok(Document::Svg(svg.into()))
 }
 
 /// Forecasts against actual costs of all finished frames, also by kind of quote. Newest frames first.
 #[utoipa::path(get, path = "/v1/forecasts/track-record", operation_id = "track_record_get",
     tag = "farm", params(PageQuery),
-    responses((status = 200, description = "The record", body = TrackRecord), Problems))]
+    responses((status = 200, description = "The record", body = TrackRecord),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn track_record(
     State(app): State<App>,
     _: Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
-) -> ApiResult<Json<TrackRecord>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let size = query.size();
     let before: Option<(Timestamp, JobId, u32)> = query.key("track-record")?;
-    let mut record = app.store.track_record(before, size + 1).await?;
-    record.next_page_token =
-        cut(&mut record.items, size, "track-record", |row| (row.finished, row.job_id, row.frame));
-    Ok(Json(record))
+    let key = key(&("track record", before, size, app.store.last_event_id().await?));
+    let costly = app.costly.clone();
+    let make = async move {
+        let mut record = app.store.track_record(before, size + 1).await?;
+        record.next_page_token =
+            cut(&mut record.items, size, "track-record", |row| (row.finished, row.job_id, row.frame));
+        Document::json(&record)
+    };
+    respond(&headers, costly.answer(key, make).await?)
 }
 
 const SHOWN_JOBS: u32 = 500;
@@ -174,11 +200,21 @@ const SHOWN_JOBS: u32 = 500;
 /// The track record as a picture: how often quantiles held, with and without calibration, and the errors of
 /// the newest 500 jobs.
 #[utoipa::path(get, path = "/v1/forecasts/track-record.svg", operation_id = "track_record_svg", tag = "farm",
-    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
-pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiResult<Response> {
-    let record = app.store.track_record(None, 0).await?;
-    let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
-    svg(plot::track_record(&record, &jobs))
+    responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
+pub(crate) async fn track_record_svg(
+    State(app): State<App>,
+    _: Reader,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    let key = key(&("picture of the track record", app.store.last_event_id().await?));
+    let costly = app.costly.clone();
+    let make = async move {
+        let record = app.store.track_record(None, 0).await?;
+        let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
+        svg(plot::track_record(&record, &jobs))
+    };
+    respond(&headers, costly.answer(key, make).await?)
 }
 
 /// Calibration learned from finished jobs, by renderer and class of features. `forelight forecast

@@ -2,12 +2,13 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::{CACHE_CONTROL, ETAG};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
-use axum::response::{IntoResponse, Response};
+use axum::http::header::CACHE_CONTROL;
+use axum::http::{HeaderMap, HeaderValue, Method};
+use axum::response::Response;
 use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobId, ProblemKind};
 
-use super::responses::{file, is_known, tagged};
+use super::responses::tagged;
+use crate::delivery::{Asked, deliver};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment, Segments};
 use crate::page::{PageQuery, cut};
@@ -48,15 +49,16 @@ macro_rules! picture {
     ($(#[doc = $doc:literal])* $name:ident, $path:literal, $media:literal, $choose:expr) => {
         $(#[doc = $doc])*
         #[utoipa::path(get, path = $path, operation_id = concat!("frame_", stringify!($name)), tag = "jobs",
-            params(("id" = JobId, Path), ("frame" = u32, Path)),
-            responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
+            params(("id" = JobId, Path), ("frame" = u32, Path), ("Range" = Option<String>, Header, description = "One range of bytes")),
+            responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 206, description = "The range of it", body = inline(FileContent), content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
         pub(crate) async fn $name(
             State(app): State<App>,
             _: Reader,
             Segments(job, frame): Segments<JobId, u32>,
+            method: Method,
             headers: HeaderMap,
         ) -> ApiResult<Response> {
-            picture(&app, job, frame, &headers, $media, $choose).await
+            picture(&app, job, frame, &Asked { method, headers }, $media, $choose).await
         }
     };
 }
@@ -82,7 +84,7 @@ async fn picture(
     app: &App,
     job: JobId,
     frame: u32,
-    headers: &HeaderMap,
+    asked: &Asked,
     media_type: &'static str,
     choose: impl Fn(&FrameArtifacts) -> Option<ArtifactHash>,
 ) -> ApiResult<Response> {
@@ -95,12 +97,6 @@ async fn picture(
         return Err(ApiError::new(ProblemKind::NotFound, reason));
     };
     // A better preview can replace a picture at the same address, so caches have to revalidate.
-    let etag = HeaderValue::from_str(&format!("\"{hash}\""))
-        .map_err(|_| ApiError::new(ProblemKind::Internal, "the picture has no tag"))?;
-    if is_known(headers, &etag) {
-        return Ok((StatusCode::NOT_MODIFIED, [(ETAG, etag)]).into_response());
-    }
-    let own =
-        HeaderMap::from_iter([(ETAG, etag), (CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))]);
-    Ok(file(app.store.artifacts().get(hash).await?, media_type, own))
+    let own = HeaderMap::from_iter([(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))]);
+    deliver(app, asked, hash, media_type, own).await
 }

@@ -1,16 +1,14 @@
 //! Responses that several handlers share.
 
 use axum::Json;
-use axum::body::Body;
-use axum::http::header::{
-    CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH,
-};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::ProblemKind;
-use forelight_store::{Answered, ArtifactReader, RecordedAnswer};
+use forelight_store::{Answered, RecordedAnswer};
 use serde::Serialize;
 
+use crate::delivery::is_known;
 use crate::error::{ApiError, ApiResult};
 
 pub(crate) fn repeated(answer: RecordedAnswer) -> Response {
@@ -28,34 +26,12 @@ pub(crate) fn created<T: Serialize>(status: StatusCode, answered: Answered<T>) -
     }
 }
 
-/// An artefact as a response body. Its content never changes under its name, so it may be cached forever.
-pub(crate) fn file(reader: ArtifactReader, media_type: &'static str, headers: HeaderMap) -> Response {
-    let mut response = Response::new(Body::from_stream(reader.stream));
-    *response.headers_mut() = headers;
-    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
-    response.headers_mut().insert(CONTENT_LENGTH, HeaderValue::from(reader.size));
-    response
-}
-
-/// A picture that may hold names which people chose. Opened by itself, it runs nothing.
-pub(crate) fn svg(picture: String) -> Response {
-    let headers = [
+/// Headers of a picture that may hold names which people chose. Opened by itself, it runs nothing.
+pub(crate) fn svg_headers() -> [(HeaderName, &'static str); 2] {
+    [
         (CONTENT_TYPE, "image/svg+xml"),
-        (CACHE_CONTROL, "private, no-cache"),
         (CONTENT_SECURITY_POLICY, "default-src 'none'; style-src 'unsafe-inline'; sandbox"),
-    ];
-    (headers, picture).into_response()
-}
-
-/// Whether the client has this version already, by `If-None-Match` (RFC 9110, section 13.1.2). Tags are
-/// compared weakly, because compression changes the bytes and not the content.
-pub(crate) fn is_known(headers: &HeaderMap, etag: &HeaderValue) -> bool {
-    fn opaque(tag: &str) -> &str {
-        tag.trim().trim_start_matches("W/")
-    }
-    let Ok(etag) = etag.to_str() else { return false };
-    let asked = headers.get_all(IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
-    asked.flat_map(|value| value.split(',')).any(|tag| tag.trim() == "*" || opaque(tag) == opaque(etag))
+    ]
 }
 
 /// A JSON document with a tag of its content, or 304 if the client has it already.

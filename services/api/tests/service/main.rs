@@ -5,6 +5,7 @@ mod budgets;
 mod calibration;
 mod changes;
 mod cost_limits;
+mod delivery;
 mod document;
 mod events;
 mod job_life;
@@ -21,5 +22,6 @@ mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
 mod uploads;
+mod wear;
 mod webhooks;
 mod workers;

@@ -8,7 +8,7 @@ use forelight_protocol::{
     RenderResult, RenderStats, SceneDigest, SceneSummary, TaskKind, TaskResult, TaskSpec, Timestamp, Verdict,
 };
 use forelight_quote::JobForecast;
-use forelight_store::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store};
+use forelight_store::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store, StoreError};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -34,7 +34,7 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
         nodes.push(register(store, &name_of(worker)).await?);
     }
     let node = register(store, "planner").await?;
-    let stream = futures::stream::iter([Ok::<_, std::io::Error>(Bytes::from_static(IMAGE))]);
+    let stream = futures::stream::iter([Ok::<_, StoreError>(Bytes::from_static(IMAGE))]);
     store.artifacts().put(image(), stream, 1 << 10, now).await?;
     let mut left = frames;
     while left > 0 {

@@ -4,4 +4,5 @@ mod bare;
 mod filling;
 pub mod leases;
 mod service;
+mod siege;
 pub mod workers;

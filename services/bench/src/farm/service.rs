@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 use forelight_protocol::Role;
 use forelight_terminal::failure::BadInput;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -21,6 +21,7 @@ pub struct ServiceProcess {
     child: Child,
     pub address: String,
     pub token: String,
+    tokens: PathBuf,
 }
 
 impl ServiceProcess {
@@ -36,7 +37,8 @@ impl ServiceProcess {
             .env("RUST_LOG", "warn")
             .spawn()
             .context("cannot start the service")?;
-        let mut service = Self { child, address: String::new(), token: String::new() };
+        let tokens = data.join("tokens");
+        let mut service = Self { child, address: String::new(), token: String::new(), tokens };
         let start = Instant::now();
         while service.address.is_empty() {
             if let Some(status) = service.child.try_wait()? {
@@ -51,9 +53,15 @@ impl ServiceProcess {
                 service.address = line.trim_start_matches("listening on ").to_owned();
             }
         }
-        let token = data.join("tokens").join(format!("{}.token", Role::Worker));
-        service.token = fs::read_to_string(token)?.trim().to_owned();
+        service.token = service.token_of(Role::Worker)?;
         Ok(service)
+    }
+
+    /// The token of a role.
+    pub fn token_of(&self, role: Role) -> Result<String> {
+        let path = self.tokens.join(format!("{role}.token"));
+        let token = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(token.trim().to_owned())
     }
 
     /// A value of `/proc/PID/status`, in bytes.

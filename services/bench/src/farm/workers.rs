@@ -6,11 +6,12 @@
 
 use super::filling::{LEASE, fill};
 use super::service::{ServiceProcess, temporary_folder};
+use super::siege::{Besieged, Besiegers};
 use crate::report::Report;
 use crate::statistics::quantile;
 use anyhow::{Result, anyhow, bail};
 use forelight_client::{Backoff, Client, Token};
-use forelight_protocol::{Lease, LeaseOrder, RenewRequest, Timestamp};
+use forelight_protocol::{Lease, LeaseOrder, RenewRequest, Role, Timestamp};
 use forelight_store::{Answered, Store};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
@@ -28,6 +29,7 @@ use tokio::time::Instant;
 Examples:
   forelight bench workers
   forelight bench workers --workers 1000 --heartbeat 2s --time 30s --json
+  forelight bench workers --workers 1000 --idle 2500 --slow 500 --costly 400 --trickled 2
 
 Each worker has its own connection. Latency is measured by the worker, from the request to the complete \
 answer.")]
@@ -41,6 +43,8 @@ pub struct Args {
     /// Duration of the measurement
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = duration)]
     time: Duration,
+    #[command(flatten)]
+    besiegers: Besiegers,
     /// Folder for the database, on the disk to measure [default: a temporary folder]
     #[arg(long, value_name = "DIR")]
     folder: Option<PathBuf>,
@@ -62,8 +66,12 @@ struct Document {
     p99_ms: f64,
     longest_ms: f64,
     server_peak_bytes: u64,
+    /// Memory of the server some seconds after the end.
+    server_bytes_after: u64,
     /// Mean CPU use of the server in cores.
     server_cores: f64,
+    besiegers: Besiegers,
+    besieged: Besieged,
 }
 
 /// Measurements of one worker.
@@ -81,12 +89,17 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
 
 async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     // One connection per worker. The service raises its own limit at start.
-    forelight_terminal::open_files::allow(u64::from(args.workers) + 256)?;
+    forelight_terminal::open_files::allow(u64::from(args.workers + args.besiegers.all()) + 256)?;
     let folder = temporary_folder(args.folder.as_deref())?;
     let bars = Bars::new(args.json);
     let data = folder.path().join("data");
     let leases = lease(&data, args.workers, &bars).await?;
     let service = ServiceProcess::start(&data)?;
+    let tokens = [service.token_of(Role::Viewer)?, service.token_of(Role::Submitter)?];
+    let reader = Client::new(&service.address, Some(Token::new(&tokens[0])))?;
+    let jobs = reader.newest_jobs(&[], 50).await?;
+    let jobs: Vec<String> = jobs.iter().map(|job| job.id.to_string()).collect();
+    let siege = args.besiegers.start(&service.address, [&tokens[0], &tokens[1]], &jobs)?;
     let cpu = service.cpu_seconds()?;
     let start = Instant::now();
     let end = start + args.time;
@@ -112,8 +125,10 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
         all.errors.extend(seen.errors);
     }
     spinner.finish_and_clear();
+    let besieged = siege.end();
     let seconds = start.elapsed().as_secs_f64();
     let server_cores = (service.cpu_seconds()? - cpu) / seconds;
+    tokio::time::sleep(AFTERWARDS).await;
     all.seconds.sort_by(f64::total_cmp);
     let millis = |share| 1e3 * quantile(&all.seconds, share);
     Ok(Document {
@@ -128,9 +143,15 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
         p99_ms: millis(0.99),
         longest_ms: millis(1.0),
         server_peak_bytes: service.status_bytes("VmHWM")?,
+        server_bytes_after: service.status_bytes("VmRSS")?,
         server_cores,
+        besiegers: args.besiegers.clone(),
+        besieged,
     })
 }
+
+/// Time after the end until memory is looked at again.
+const AFTERWARDS: Duration = Duration::from_secs(5);
 
 /// Makes a farm whose nodes hold one lease each, before the service starts.
 async fn lease(data: &std::path::Path, workers: u32, bars: &Bars) -> Result<Vec<Lease>> {
@@ -176,11 +197,25 @@ async fn worker(client: &Client, lease: &Lease, first: Instant, end: Instant, he
 
 fn report(document: &Document) -> Report {
     let error = document.first_error.as_ref().map_or(String::new(), |error| format!(", the first: {error}"));
+    let Besiegers { idle, slow, costly, trickled } = &document.besiegers;
+    let siege = if document.besiegers.all() == 0 {
+        String::new()
+    } else {
+        let answers: Vec<String> =
+            document.besieged.answers.iter().map(|(status, count)| format!("{count} × {status}")).collect();
+        format!(
+            "beside {idle} idle and {slow} slow connections, {costly} clients of costly answers, {trickled} \
+             trickled uploads\nconnections closed {}; costly answers {}\n",
+            document.besieged.closed,
+            forelight_terminal::output::list(&answers)
+        )
+    };
     Report::default().text(format!(
         "{} workers, a heartbeat every {} s, for {:.0} s: {} heartbeats, {:.0} a second\n\
          latency {:.1} ms (median), {:.1} ms (p99), {:.1} ms (longest)\n\
          errors {}{error}\n\
-         server {:.0} MB at its peak, {:.2} cores\n",
+         server {:.0} MB at its peak, {:.0} MB afterwards, {:.2} cores\n\
+         {siege}",
         document.workers,
         document.heartbeat_seconds,
         document.seconds,
@@ -191,6 +226,7 @@ fn report(document: &Document) -> Report {
         document.longest_ms,
         document.errors,
         document.server_peak_bytes as f64 * 1e-6,
+        document.server_bytes_after as f64 * 1e-6,
         document.server_cores
     ))
 }

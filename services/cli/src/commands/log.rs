@@ -4,6 +4,7 @@ use crate::connection::ConnectionOptions;
 use crate::connection::connect;
 use anyhow::{Context, Result};
 use forelight_protocol::{TaskId, TaskLog, Timestamp};
+use forelight_terminal::foreign_text::shown;
 use forelight_terminal::output;
 use forelight_terminal::quantities::clock;
 
@@ -36,7 +37,7 @@ pub async fn run(args: Args) -> Result<()> {
 
 fn report(log: &TaskLog, now: Timestamp) -> String {
     let line = |line: &forelight_protocol::TaskLogLine| {
-        format!("{} {:>2} {:5} {}\n", clock(line.at, now), line.attempt, line.level, line.text)
+        format!("{} {:>2} {:5} {}\n", clock(line.at, now), line.attempt, line.level, shown(&line.text))
     };
     match log.lines.as_slice() {
         [] => "the log is empty\n".into(),

@@ -15,6 +15,7 @@ mod export;
 mod farm;
 mod forecast;
 mod foreign;
+mod inspect_bundle;
 mod jobs;
 mod log;
 mod node;
@@ -24,6 +25,7 @@ mod preview;
 mod render;
 mod renderers;
 mod retention;
+mod scrub;
 mod serve;
 mod share;
 mod simulate;
@@ -93,7 +95,10 @@ enum Command {
     Prune(retention::PruneArgs),
     Delete(retention::DeleteArgs),
     Backup(backup::Args),
+    Scrub(scrub::Args),
     Bench(forelight_bench::Args),
+    #[command(hide = true)]
+    InspectBundle(inspect_bundle::Args),
 }
 
 impl Cli {
@@ -124,6 +129,7 @@ impl Cli {
             Command::Prune(args) => retention::prune(args).await,
             Command::Delete(args) => retention::delete(args).await,
             Command::Backup(args) => backup::run(args).await,
+            Command::Scrub(args) => scrub::run(args, interrupt).await,
             Command::Budget(args) => budget::run(*args).await,
             // Tracing light would block the runtime, so it has a thread of its own.
             Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
@@ -136,6 +142,7 @@ impl Cli {
             Command::Export(args) => blocking(move || export::run(&args)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Simulate(args) => blocking(move || simulate::run(&args, &interrupt)).await,
+            Command::InspectBundle(args) => blocking(move || inspect_bundle::run(&args)).await,
             Command::Bench(args) => blocking(move || forelight_bench::run(&args, &interrupt)).await,
         }
     }

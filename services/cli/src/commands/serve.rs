@@ -59,6 +59,10 @@ pub struct ServiceOptions {
     /// behind a TLS proxy. Links begin with it. With https, browsers send sessions over TLS only
     #[arg(long, value_name = "URL", value_parser = origin)]
     pub public_url: Option<String>,
+    /// Origin of another site whose pages may ask this service with a token, such as
+    /// `https://pipeline.example.org`. May be repeated
+    #[arg(long, value_name = "URL", value_parser = origin)]
+    pub allow_origin: Vec<String>,
     /// Folder on shared storage below which jobs may name bundles by path. May be repeated
     #[arg(long, value_name = "DIR")]
     pub bundle_root: Vec<PathBuf>,
@@ -74,6 +78,10 @@ pub struct ServiceOptions {
     /// Largest number of triangles of a scene
     #[arg(long, value_name = "COUNT", default_value_t = 50_000_000, value_parser = clap::value_parser!(u64).range(1..))]
     pub max_triangles: u64,
+    /// Largest number of connections. Beyond that, quiet ones that have shown no token are closed first. Default:
+    /// as many as the limit of open files allows (ulimit -n), at most 16384
+    #[arg(long, value_name = "COUNT", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(4..=1 << 20))]
+    pub max_connections: Option<usize>,
     /// What starts the processes that do the tasks
     #[arg(long, value_name = "WHO", default_value = "workers")]
     pub executor: Executor,
@@ -92,16 +100,20 @@ pub enum Executor {
 impl ServiceOptions {
     fn config(&self) -> Config {
         let mut config = Config::new(&self.data);
+        // This program loads bundles for itself. Without its path, the service does that inside.
+        config.inspection.program = std::env::current_exe().ok();
         config.artifacts.clone_from(&self.artifacts);
         config.artifacts_moved = self.artifacts_moved;
         config.listen = self.listen;
         config.lease_ttl = self.lease_ttl;
         config.public_origin.clone_from(&self.public_url);
+        config.allowed_origins.clone_from(&self.allow_origin);
         config.bundle_roots.clone_from(&self.bundle_root);
         config.limits.bundle_bytes = self.max_bundle << 20;
         config.limits.frames = self.max_frames;
         config.limits.pixels = self.max_pixels;
         config.limits.scene.triangles = self.max_triangles;
+        config.limits.connections.at_once = self.max_connections;
         config
     }
 }
@@ -176,6 +188,8 @@ impl Running {
 /// Starts the service, and creates the first tokens if they are missing.
 pub async fn start(options: &ServiceOptions) -> Result<Running> {
     let data = options.data.display();
+    // What a farm writes is for its user alone: names of unreleased films, images, hashes of tokens.
+    rustix::process::umask(rustix::fs::Mode::RWXG | rustix::fs::Mode::RWXO);
     // Each worker has a connection, and the service needs some files itself.
     forelight_terminal::open_files::allow(256)?;
     let service = Service::start(options.config())

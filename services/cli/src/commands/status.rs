@@ -77,19 +77,19 @@ async fn find(client: &Client, wanted: &str) -> Result<Job> {
 async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt) -> Result<Job> {
     let stopped = interrupt.token();
     let in_place = !args.json && std::io::stdout().is_terminal();
-    let mut shown = String::new();
+    let (mut shown, mut last) = (String::new(), None);
     loop {
-        let text = if args.json {
-            format!("{}\n", serde_json::to_string(&job).context("cannot write JSON")?)
-        } else {
-            report(&job, Timestamp::now())
-        };
-        if text != shown {
-            // Long lines may have wrapped, so the whole screen is cleared.
-            let clear = if in_place { "\x1b[H\x1b[2J" } else { "" };
-            output::print(&format!("{clear}{text}"))?;
-            shown = text;
+        let text = report(&job, Timestamp::now());
+        if args.json && last.as_ref() != Some(&job) {
+            output::json_line(&job)?;
+        } else if !args.json && text != shown {
+            if in_place {
+                // Long lines may have wrapped, so the whole screen is cleared.
+                output::clear_screen()?;
+            }
+            output::print(&text)?;
         }
+        (shown, last) = (text, Some(job.clone()));
         if job.state.is_final() {
             return Ok(job);
         }

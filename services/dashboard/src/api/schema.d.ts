@@ -79,14 +79,14 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** An artefact's bytes. */
+        /** An artefact's bytes, or a range of them. They are verified first: 500 if they are not what was stored. */
         get: operations["artifact_get"];
         /** Stores bytes under their hash. Repeating the request changes nothing; bytes with another hash are refused. */
         put: operations["artifact_put"];
         post?: never;
         delete?: never;
         options?: never;
-        /** Checks that an artefact exists, and gives its length. */
+        /** Checks that an artefact exists and is whole, and gives its length. */
         head: operations["artifact_head"];
         patch?: never;
         trace?: never;
@@ -2131,7 +2131,7 @@ export interface components {
          * @description Kind of an event. It is also the `event:` field of the server-sent events.
          * @enum {string}
          */
-        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe";
+        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe" | "artifact_damaged";
         /** @description Fields of each event on the stream. */
         EventMessage: {
             /** @description The event, an `Event` in JSON. */
@@ -5333,7 +5333,10 @@ export interface operations {
     artifact_get: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 blake3: components["schemas"]["ArtifactHash"];
             };
@@ -5349,6 +5352,22 @@ export interface operations {
                 content: {
                     "application/octet-stream": string;
                 };
+            };
+            /** @description The range of them */
+            206: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/octet-stream": string;
+                };
+            };
+            /** @description The client has them */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -5437,6 +5456,13 @@ export interface operations {
         responses: {
             /** @description It exists */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The client has it */
+            304: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -5863,6 +5889,13 @@ export interface operations {
                     "application/json": components["schemas"]["TrackRecord"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -5900,6 +5933,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6225,6 +6265,13 @@ export interface operations {
                     "application/json": components["schemas"]["AccuracyDoc"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6269,6 +6316,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["AnswersDoc"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6405,6 +6459,13 @@ export interface operations {
                     "application/json": components["schemas"]["Explanation"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6492,6 +6553,13 @@ export interface operations {
                     "application/json": components["schemas"]["ForecastHistory"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6531,6 +6599,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6736,7 +6811,10 @@ export interface operations {
     frame_cost_map_png: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -6747,6 +6825,15 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": string;
+                };
+            };
+            /** @description The range of it */
+            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6784,7 +6871,10 @@ export interface operations {
     frame_image_exr: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -6795,6 +6885,15 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/x-exr": string;
+                };
+            };
+            /** @description The range of it */
+            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6832,7 +6931,10 @@ export interface operations {
     frame_image_png: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -6843,6 +6945,15 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": string;
+                };
+            };
+            /** @description The range of it */
+            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6880,7 +6991,10 @@ export interface operations {
     frame_preview_png: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -6891,6 +7005,15 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": string;
+                };
+            };
+            /** @description The range of it */
+            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6944,6 +7067,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {

@@ -9,6 +9,7 @@ use gltf::Document;
 use gltf::json::validation::{Checked, Error, Validate};
 use gltf::json::{Path, Root};
 use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
 
 /// Extensions that a file may require.
 pub(super) const UNDERSTOOD: [&str; 12] = [
@@ -32,7 +33,7 @@ pub(super) struct Opened {
     pub(super) file: String,
     pub(super) document: Document,
     /// Contents of every buffer, each at least as long as the document says. Empty for a placeholder.
-    buffers: Vec<Vec<u8>>,
+    buffers: Vec<Rc<Vec<u8>>>,
     /// What the document's compressed parts are.
     pub(super) extensions: Extensions,
     /// Contents of compressed buffer views.
@@ -81,7 +82,7 @@ impl Opened {
 }
 
 /// A part of a buffer. `None` if it reaches beyond its end.
-fn slice(buffers: &[Vec<u8>], buffer: usize, offset: usize, length: usize) -> Option<&[u8]> {
+fn slice(buffers: &[Rc<Vec<u8>>], buffer: usize, offset: usize, length: usize) -> Option<&[u8]> {
     buffers.get(buffer)?.get(offset..offset.checked_add(length)?)
 }
 
@@ -124,28 +125,36 @@ pub(super) fn open(bundle: &Bundle, file: &str) -> Result<Opened, SceneError> {
     Ok(opened)
 }
 
-/// Reads the contents of all buffers.
+/// Reads the contents of all buffers. A file that several of them name is read once.
 fn buffers(
     bundle: &Bundle,
     file: &str,
     root: &Root,
     extensions: &Extensions,
     mut binary: Option<&[u8]>,
-) -> Result<Vec<Vec<u8>>, SceneError> {
+) -> Result<Vec<Rc<Vec<u8>>>, SceneError> {
     let mut buffers = Vec::new();
+    let mut by_uri: BTreeMap<&str, Rc<Vec<u8>>> = BTreeMap::new();
     for (i, buffer) in root.buffers.iter().enumerate() {
         let pointer = format!("/buffers/{i}");
         // A placeholder may also have contents, for programs that do not know its extension.
         if extensions.placeholders.contains(&i) && (buffer.uri.is_some() || i > 0 || binary.is_none()) {
-            buffers.push(Vec::new());
+            buffers.push(Rc::default());
             continue;
         }
         let data = match (&buffer.uri, binary.take()) {
             (Some(uri), unused) => {
                 binary = unused;
-                resource(bundle, file, uri, &pointer)?
+                match by_uri.get(uri.as_str()) {
+                    Some(known) => known.clone(),
+                    None => {
+                        let read = Rc::new(resource(bundle, file, uri, &pointer)?);
+                        by_uri.insert(uri, read.clone());
+                        read
+                    }
+                }
             }
-            (None, Some(chunk)) if i == 0 => chunk.to_vec(),
+            (None, Some(chunk)) if i == 0 => Rc::new(chunk.to_vec()),
             (None, _) => {
                 return Err(SceneError::pointer(file, pointer, "has neither a `uri` nor a binary chunk"));
             }

@@ -14,6 +14,7 @@ use crate::shot::{Mesh, Node, Part, Placement};
 use crate::{Color, Environment, Surface};
 use glam::{DVec3, Vec2, Vec3};
 use parking_lot::Mutex;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -57,12 +58,25 @@ impl Scene {
     fn of_description(bundle: &Bundle) -> Result<Self, SceneError> {
         let description = Description::parse(DESCRIPTION, &bundle.read(DESCRIPTION)?, bundle.limits())?;
         let mut assembly = Assembly::new(bundle, description.fps);
+        let mut known = BTreeSet::new();
         for (i, path) in description.geometry.iter().enumerate() {
+            // The same triangles twice would only hide each other.
+            if !known.insert(path) {
+                continue;
+            }
             if !bundle.contains(path) {
                 let reason = format!("the bundle has no file `{path}`");
                 return Err(SceneError::pointer(DESCRIPTION, format!("/geometry/{i}"), reason));
             }
             load_geometry(&mut assembly, path)?;
+        }
+        let listed = description.geometry.len();
+        if known.len() < listed {
+            let (files, again) = (known.len(), listed - known.len());
+            assembly.warn(format!(
+                "{DESCRIPTION}: `geometry` lists {files} files, and {again} times one that it lists before; each \
+                 is loaded once"
+            ));
         }
         let mut emission = Vec::new();
         for (i, light) in description.lights.iter().enumerate() {

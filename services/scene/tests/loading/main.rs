@@ -3,6 +3,7 @@
 mod bundles;
 mod compressed_gltf;
 mod damaged;
+mod hostile;
 mod made;
 mod malformed_description;
 mod malformed_files;

@@ -137,5 +137,8 @@ fn a_folder_in_the_place_of_a_file() {
     let folder = Files::good().without("scene.mtl").folder();
     std::fs::create_dir(folder.path().join("scene.mtl")).unwrap();
     let error = line(Scene::load(folder.path(), &Limits::default()));
-    assert_eq!(error, "scene.obj: line 1: `mtllib`: scene.mtl: is not a regular file");
+    assert_eq!(
+        error,
+        "scene.obj: line 1: `mtllib`: scene.mtl: cannot be read: it is a folder, not a regular file"
+    );
 }

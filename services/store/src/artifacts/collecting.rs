@@ -128,6 +128,7 @@ impl Artifacts {
     }
 
     async fn delete_file(&self, hash: ArtifactHash) -> Result<()> {
+        self.verified.lock().remove(&hash);
         let gone = match &self.remote {
             Some(remote) => remote.delete(&place_of(hash)).await,
             None => self.files.delete(&place_of(hash)).await.map_err(StoreError::from),

@@ -9,7 +9,6 @@ use object_store::path::Path;
 use object_store::{MultipartUpload, ObjectMeta, ObjectStore, ObjectStoreExt as _, PutPayload};
 use tokio::io::AsyncReadExt as _;
 
-use super::reader::ArtifactReader;
 use crate::error::{Result, StoreError};
 
 /// Bytes per part. S3 accepts at most 10,000 parts of at least 5 MiB, except for the last: 80 GB with this.
@@ -101,13 +100,13 @@ impl Remote {
         }
     }
 
-    /// The object's content; `None` if it is not there.
-    pub async fn get(&self, name: &Path) -> Result<Option<ArtifactReader>> {
+    /// The object's length and content; `None` if it is not there.
+    pub async fn get(&self, name: &Path) -> Result<Option<(u64, BoxStream<'static, Result<Bytes>>)>> {
         match self.objects.get(&self.below(name)).await {
             Ok(object) => {
                 let size = object.meta.size;
                 let stream = object.into_stream().map_err(StoreError::ArtifactsAway).boxed();
-                Ok(Some(ArtifactReader { size, stream }))
+                Ok(Some((size, stream)))
             }
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(StoreError::ArtifactsAway(error)),

@@ -19,7 +19,7 @@ macro_rules! rows {
         sqlx::query!(
             "SELECT d.project, d.job_id, d.node_id, d.price_per_hour, d.from_at, \
              coalesce(d.until_at, l.paid_until, CASE l.state WHEN 'active' THEN l.expires_at END) \
-             AS \"until_at?: Time\""
+             AS \"until_at?: Time\", d.until_at IS NOT NULL AS \"is_closed!: bool\""
                 + $more
                 + " FROM ledger d JOIN leases l ON l.id = d.lease_id "
                 + $which
@@ -38,6 +38,12 @@ macro_rules! line {
             until: $row.until_at.map(Into::into),
         }
     };
+    // As far as it is paid by now. What is closed was paid, whatever the clock says: sums never fall.
+    ($row:expr, $now:expr) => {{
+        let (is_closed, mut line) = ($row.is_closed, line!($row));
+        line.until = Some(line.until.map_or($now, |until| if is_closed { until } else { until.min($now) }));
+        line
+    }};
 }
 
 impl Store {
@@ -62,8 +68,12 @@ impl Store {
     }
 }
 
-/// All ledger lines of a job, each with its task.
-pub(crate) async fn payments(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<Payment>> {
+/// All ledger lines of a job as far as they are paid by now, each with its task.
+pub(crate) async fn payments(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    now: Timestamp,
+) -> Result<Vec<Payment>> {
     let rows = rows!(
         ", t.kind, t.frame, l.state = 'active' AS \"is_active!: bool\"",
         "JOIN tasks t ON t.id = l.task_id WHERE t.job_id = ?",
@@ -73,15 +83,20 @@ pub(crate) async fn payments(connection: &mut SqliteConnection, job: JobId) -> R
     .await?;
     Ok(rows
         .into_iter()
-        .map(|row| Payment { kind: row.kind.0, frame: row.frame, is_active: row.is_active, line: line!(row) })
+        .map(|row| Payment {
+            kind: row.kind.0,
+            frame: row.frame,
+            is_active: row.is_active,
+            line: line!(row, now),
+        })
         .collect())
 }
 
 /// What a job's leases cost, including its quote, its frames and lost work. Active leases count up to now.
 pub(crate) async fn spent_on(connection: &mut SqliteConnection, job: JobId, now: Timestamp) -> Result<Money> {
-    let payments = payments(connection, job).await?;
+    let payments = payments(connection, job, now).await?;
     let lines = payments.into_iter().map(|payment| payment.line);
-    Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN), now))
+    Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN)))
 }
 
 /// What a project's leases cost since an instant. Active leases count up to now.
@@ -95,7 +110,7 @@ pub(crate) async fn spent(
         rows!("", "WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)", project, from.micros())
             .fetch_all(&mut *connection)
             .await?;
-    let open = policy::cost_since(rows.into_iter().map(|row| line!(row)), from, now);
+    let open = policy::cost_since(rows.into_iter().map(|row| line!(row, now)), from);
     Ok(Money(open.0.saturating_add(past::spent(connection, project, from).await?.0)))
 }
 

@@ -12,9 +12,9 @@ use crate::policy::budgets::{QUARTER, by_quarter};
 use crate::writing::run;
 
 /// Adds the payments of a job, whose rows are deleted next.
-pub(crate) async fn add(write: &mut Write, job: JobId) -> Result<()> {
+pub(crate) async fn add(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
     let mut sums: BTreeMap<(String, Timestamp), (i64, i64)> = BTreeMap::new();
-    for payment in ledger::payments(write.connection().await?, job).await? {
+    for payment in ledger::payments(write.connection().await?, job, now).await? {
         for (begin, cost, used) in by_quarter(&payment.line) {
             let sum = sums.entry((payment.line.project.clone(), begin)).or_default();
             *sum = (sum.0.saturating_add(cost.0), sum.1.saturating_add(used));

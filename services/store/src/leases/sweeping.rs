@@ -46,10 +46,14 @@ impl Store {
     /// Gives every active lease one more term, from now. A service calls this once when it starts, before the
     /// first sweep: workers could not renew while it was down.
     ///
-    /// If the clock was set back meanwhile, no lease lasts longer for it, and no failed task waits longer
-    /// than the longest wait. A worker that stays silent is paid until its lease would have expired.
+    /// If the clock was set back meanwhile, which shows in the newest event, no lease lasts longer for it, no
+    /// failed task waits longer than the longest wait, and what was spent does not fall. A worker that stays
+    /// silent is paid until its lease would have expired.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
+        if let Some(newest) = self.time_of_newest_event().await?.filter(|&newest| newest > now) {
+            self.clock_was_set(now.micros_since(newest)).await?;
+        }
         self.set_up_since(now);
         let mut write = self.write().await?;
         let extended = run!(

@@ -98,12 +98,12 @@ async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Times
         .collect();
     let is_to_be_filled = done.shared_cache.as_ref().is_some_and(|cache| !cache.ready);
     let booked_cache = if is_to_be_filled { booked_for_cache(connection, job).await? } else { 0 };
-    let payments = ledger::payments(connection, job).await?;
+    let payments = ledger::payments(connection, job, now).await?;
     Ok(FarmJob {
         job: row.job(done)?,
         forecast: forecast.map(Unread::read).transpose()?,
         frames,
-        spent: spent_and_under_way(&payments, &booked, booked_cache, now),
+        spent: spent_and_under_way(&payments, &booked, booked_cache),
         factor,
         held,
         terms,

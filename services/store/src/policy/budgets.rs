@@ -72,13 +72,13 @@ pub(crate) fn by_quarter(line: &LedgerLine) -> Vec<(Timestamp, Money, i64)> {
     quarters
 }
 
-/// What these ledger lines cost since an instant; lines that are still open, up to now.
-pub(crate) fn cost_since(
-    lines: impl IntoIterator<Item = LedgerLine>,
-    from: Timestamp,
-    now: Timestamp,
-) -> Money {
-    lines.into_iter().fold(Money(0), |sum, line| Money(sum.0.saturating_add(line.cost_within(from, now).0)))
+/// What these ledger lines cost since an instant, as far as each is paid.
+pub(crate) fn cost_since(lines: impl IntoIterator<Item = LedgerLine>, from: Timestamp) -> Money {
+    lines.into_iter().fold(Money(0), |sum, line| Money(sum.0.saturating_add(paid(&line, from).0)))
+}
+
+fn paid(line: &LedgerLine, from: Timestamp) -> Money {
+    line.until.map_or(Money(0), |until| line.cost_within(from, until))
 }
 
 /// What a frame that is being rendered is expected to cost from now on, at the median `cpu_p50` of its
@@ -105,11 +105,10 @@ pub(crate) fn spent_and_under_way(
     payments: &[Payment],
     booked: &BTreeMap<u32, i64>,
     booked_cache: i64,
-    now: Timestamp,
 ) -> Money {
     let (mut spent, mut on_cache, mut left) = (0i64, 0i64, 0i64);
     for Payment { line, kind, frame, is_active } in payments {
-        let paid = line.cost_within(line.from, now).0;
+        let paid = paid(line, line.from).0;
         spent = spent.saturating_add(paid);
         match kind {
             TaskKind::CacheFill | TaskKind::CacheMerge => on_cache = on_cache.saturating_add(paid),
@@ -221,22 +220,16 @@ mod tests {
 
     #[test]
     fn what_is_under_way_counts_with_the_rest_of_its_booking() {
-        let payment = |kind, frame, until: Option<i64>| Payment {
-            line: line(0, until),
-            kind,
-            frame,
-            is_active: until.is_none(),
-        };
+        let payment = |kind, frame, is_active| Payment { line: line(0, Some(HOUR)), kind, frame, is_active };
         let payments = [
-            payment(TaskKind::Profile, Some(3), Some(HOUR)),
-            payment(TaskKind::Render, Some(3), None),
-            payment(TaskKind::CacheFill, None, Some(HOUR)),
+            payment(TaskKind::Profile, Some(3), false),
+            payment(TaskKind::Render, Some(3), true),
+            payment(TaskKind::CacheFill, None, false),
         ];
         let booked = BTreeMap::from([(3, 250), (4, 1000)]);
-        let now = at(HOUR);
         // 300 are paid; 150 are left of frame 3's booking and 50 of the cache's.
-        assert_eq!(spent_and_under_way(&payments, &booked, 150, now), Money(500));
-        assert_eq!(spent_and_under_way(&payments, &booked, 20, now), Money(450));
-        assert_eq!(cost_since([line(0, None)], at(HOUR / 2), now), Money(50));
+        assert_eq!(spent_and_under_way(&payments, &booked, 150), Money(500));
+        assert_eq!(spent_and_under_way(&payments, &booked, 20), Money(450));
+        assert_eq!(cost_since([line(0, Some(HOUR))], at(HOUR / 2)), Money(50));
     }
 }

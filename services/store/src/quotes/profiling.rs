@@ -1,6 +1,7 @@
 //! Tasks that profile frames for a quote.
 
 use forelight_protocol::{JobId, JobState, Ladders, Timestamp};
+use serde::Serialize;
 
 use crate::database::Store;
 use crate::error::Result;
@@ -10,7 +11,29 @@ use crate::shared_cache::PlannedCache;
 use crate::tasks::{Common, ProfileAsked};
 use crate::writing::run;
 
+/// The version of a job's profile: tasks and results never change, they only become more.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize)]
+pub struct ProfileVersion {
+    tasks: i64,
+    results: i64,
+    quoted: bool,
+}
+
 impl Store {
+    /// The version of a job's profile: of its preview, its profiled frames, and the plan of a shared cache.
+    pub async fn profile_version(&self, job: JobId) -> Result<ProfileVersion> {
+        Ok(sqlx::query_as!(
+            ProfileVersion,
+            r#"SELECT count(*) AS "tasks!", count(r.task_id) AS "results!",
+                      EXISTS (SELECT 1 FROM jobs WHERE id = ?1 AND forecast IS NOT NULL) AS "quoted!: bool"
+               FROM tasks t LEFT JOIN results r ON r.task_id = t.id
+               WHERE t.job_id = ?1 AND t.kind IN ('preview', 'profile', 'cache_plan')"#,
+            job.0
+        )
+        .fetch_one(self.readers())
+        .await?)
+    }
+
     /// Makes the profile tasks of these frames and, if wanted, the plan of the cache that all frames could
     /// share. Does nothing unless the job is `previewing`, so it may be repeated after a crash.
     pub async fn start_profiling(

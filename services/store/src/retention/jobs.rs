@@ -136,7 +136,7 @@ macro_rules! forget {
 
 /// Deletes all rows of a job that has ended, those that refer to others first.
 async fn delete(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
-    past::add(write, job).await?;
+    past::add(write, job, now).await?;
     // From here on, triggers let its payments and bookings go.
     run!(
         write,

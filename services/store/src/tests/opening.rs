@@ -16,6 +16,40 @@ async fn a_data_folder_serves_one_service_at_a_time() {
 }
 
 #[tokio::test]
+async fn a_second_service_is_refused_though_the_lock_file_was_removed() {
+    let farm = Farm::new().await;
+    std::fs::remove_file(farm.folder.path().join("service.lock")).unwrap();
+    let second = Store::open(farm.folder.path()).await;
+    assert!(matches!(second, Err(StoreError::InUse(_))));
+}
+
+#[tokio::test]
+async fn others_cannot_look_into_the_data_folder() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
+    drop(Store::open(folder.path()).await.unwrap());
+    let mode = folder.path().metadata().unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, 0o700);
+}
+
+#[tokio::test]
+async fn people_who_use_all_their_connections_do_not_make_workers_wait() {
+    let farm = Farm::new().await;
+    let people = farm.store.for_people();
+    let mut held = Vec::new();
+    for _ in 0..4 {
+        held.push(people.read().await.unwrap());
+    }
+    let waits = tokio::time::timeout(std::time::Duration::from_millis(50), people.ping());
+    assert!(waits.await.is_err(), "there are no more");
+    farm.store.ping().await.unwrap();
+    let node = farm.node("a").await;
+    farm.booked_job(request("0"), node.id, at(0)).await;
+    assert!(farm.claim(node.id, at(1)).await.is_some());
+}
+
+#[tokio::test]
 async fn a_damaged_database_is_refused_at_the_start() {
     let farm = Farm::new().await;
     for _ in 0..50 {

@@ -3,6 +3,7 @@
 use forelight_protocol::{FrameState, LeaseOrder, NodeChange, NodeState};
 
 use super::*;
+use crate::Projection;
 
 fn change(change: impl FnOnce(&mut NodeChange)) -> NodeChange {
     let mut changed = NodeChange::default();
@@ -88,4 +89,27 @@ async fn a_clock_that_is_set_ends_no_lease_early_and_holds_none_for_ever() {
     assert_eq!(farm.store.extend_leases_after_start(TTL, at(-9000)).await.unwrap(), 1);
     assert_eq!(farm.store.sweep(at(-8971)).await.unwrap().expired, 0);
     assert_eq!(farm.store.sweep(at(-8970)).await.unwrap().expired, 1);
+}
+
+#[tokio::test]
+async fn what_was_spent_never_falls_when_the_clock_goes_back() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = farm.booked_job(request("0-2"), node.id, at(0)).await;
+    let spent = async |now: i64| farm.store.spent_on(job, at(now)).await.unwrap().0;
+    let tonight = async |now: i64| {
+        let dashboard = farm.store.dashboard(&Projection::default(), TTL, at(now)).await.unwrap();
+        dashboard.spending.iter().map(|project| project.tonight.0).sum::<i64>()
+    };
+    let done = farm.claim(node.id, at(10)).await.unwrap();
+    farm.commit(&done, at(3610)).await;
+    farm.claim(node.id, at(3610)).await.unwrap();
+    let (before, before_tonight) = (spent(3620).await, tonight(3620).await);
+    assert!(before > 0 && before_tonight > 0);
+    // While the service runs, half of the finished task and all of the other lie ahead then.
+    farm.store.clock_was_set(-1800 * SECOND).await.unwrap();
+    assert_eq!((spent(1820).await, tonight(1820).await), (before, before_tonight));
+    // While it does not run.
+    farm.store.extend_leases_after_start(TTL, at(-7200)).await.unwrap();
+    assert!(spent(-7200).await >= before);
 }

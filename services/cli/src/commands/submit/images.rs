@@ -41,7 +41,10 @@ pub async fn fetch(
             let name = format!("{} of frame {}", file.picture.file_name(), file.frame);
             let content = match client.picture(job.id, file.frame, file.picture).await {
                 Err(ClientError::Refused(problem))
-                    if problem.known_kind() == Some(ProblemKind::ArtifactLost) =>
+                    if matches!(
+                        problem.known_kind(),
+                        Some(ProblemKind::ArtifactLost | ProblemKind::ArtifactDamaged)
+                    ) =>
                 {
                     return Ok(Some(name));
                 }

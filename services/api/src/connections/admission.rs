@@ -1,0 +1,278 @@
+//! Who gets a connection when there are too many.
+//!
+//! Everybody may connect, so what a connection costs must not be what others lack. Each connection has a
+//! *standing*: a stranger's has shown no valid token yet, a worker's has shown one of a worker. When all seats
+//! are taken, the connection gives way that has the lowest standing and was quiet for longest. One that a
+//! request runs on is not quiet, and a worker's never gives way to others. So whoever comes next, such as a
+//! health check, is let in, and sockets that were opened to be held cannot keep anybody out.
+//!
+//! Strangers of one address have a quarter of the seats. A proxy or a rack behind one address is not held to
+//! that, because its connections show tokens.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::net::IpAddr;
+use std::sync::Arc;
+
+use forelight_protocol::Role;
+use parking_lot::Mutex;
+use tokio_util::sync::CancellationToken;
+
+/// What a connection has shown of its caller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Standing {
+    /// Nothing yet.
+    Stranger,
+    /// The token or session of a person.
+    Known,
+    /// The token of a worker.
+    Worker,
+}
+
+impl From<Role> for Standing {
+    fn from(role: Role) -> Self {
+        if role == Role::Worker { Standing::Worker } else { Standing::Known }
+    }
+}
+
+/// The open connections of a service.
+pub(crate) struct Admission {
+    /// Connections at the same time.
+    most: usize,
+    /// Of these, strangers of one address.
+    most_of_one: usize,
+    seats: Mutex<Seats>,
+}
+
+#[derive(Default)]
+struct Seats {
+    taken: HashMap<u64, Seat>,
+    /// Connections that may give way, the first of them first.
+    quiet: BTreeSet<Place>,
+    /// How many strangers each address has, and which of them may give way.
+    strangers: BTreeMap<IpAddr, (usize, BTreeSet<Place>)>,
+    /// Counts changes, to order connections by how long they were quiet.
+    turn: u64,
+}
+
+/// Standing, since when it was quiet, and number of a connection.
+type Place = (Standing, u64, u64);
+
+struct Seat {
+    peer: IpAddr,
+    standing: Standing,
+    requests: u32,
+    since: u64,
+    gives_way: CancellationToken,
+}
+
+impl Seat {
+    fn place(&self, number: u64) -> Place {
+        (self.standing, self.since, number)
+    }
+}
+
+impl Seats {
+    /// Changes a seat, and puts it where it then belongs.
+    fn change(&mut self, number: u64, change: impl FnOnce(&mut Seat)) {
+        self.turn += 1;
+        let turn = self.turn;
+        let Some(mut seat) = self.leave(number) else { return };
+        let was_quiet = seat.requests == 0;
+        change(&mut seat);
+        if was_quiet != (seat.requests == 0) {
+            seat.since = turn;
+        }
+        self.sit(number, seat);
+    }
+
+    fn sit(&mut self, number: u64, seat: Seat) {
+        let place = seat.place(number);
+        let is_quiet = seat.requests == 0 && seat.standing < Standing::Worker;
+        if is_quiet {
+            self.quiet.insert(place);
+        }
+        if seat.standing == Standing::Stranger {
+            let (count, quiet) = self.strangers.entry(seat.peer).or_default();
+            *count += 1;
+            if is_quiet {
+                quiet.insert(place);
+            }
+        }
+        self.taken.insert(number, seat);
+    }
+
+    fn leave(&mut self, number: u64) -> Option<Seat> {
+        let seat = self.taken.remove(&number)?;
+        let place = seat.place(number);
+        self.quiet.remove(&place);
+        if seat.standing == Standing::Stranger
+            && let Some((count, quiet)) = self.strangers.get_mut(&seat.peer)
+        {
+            *count -= 1;
+            quiet.remove(&place);
+            if *count == 0 {
+                self.strangers.remove(&seat.peer);
+            }
+        }
+        Some(seat)
+    }
+
+    /// Ends the first of these connections. Whether there was one.
+    fn end(&mut self, first: Option<Place>) -> bool {
+        let ended = first.and_then(|(.., number)| self.leave(number));
+        ended.inspect(|seat| seat.gives_way.cancel()).is_some()
+    }
+}
+
+impl Admission {
+    pub fn new(most: usize) -> Arc<Self> {
+        let most = most.max(4);
+        Arc::new(Self { most, most_of_one: most / 4, seats: Mutex::default() })
+    }
+
+    /// A seat for a new connection. `None` if all others are at work, or are those of workers.
+    pub fn admit(self: &Arc<Self>, peer: IpAddr) -> Option<Guest> {
+        let mut seats = self.seats.lock();
+        if let Some((count, quiet)) = seats.strangers.get(&peer)
+            && *count >= self.most_of_one
+        {
+            let first = quiet.first().copied();
+            if !seats.end(first) {
+                return None;
+            }
+        }
+        if seats.taken.len() >= self.most {
+            let first = seats.quiet.first().copied();
+            if !seats.end(first) {
+                return None;
+            }
+        }
+        seats.turn += 1;
+        let number = seats.turn;
+        let gives_way = CancellationToken::new();
+        let seat = Seat {
+            peer,
+            standing: Standing::Stranger,
+            requests: 0,
+            since: number,
+            gives_way: gives_way.clone(),
+        };
+        seats.sit(number, seat);
+        Some(Guest { admission: self.clone(), number, gives_way })
+    }
+
+    /// Ends one quiet connection, for the system has no file left for another. Whether there was one.
+    pub fn make_room(&self) -> bool {
+        let mut seats = self.seats.lock();
+        let first = seats.quiet.first().copied();
+        seats.end(first)
+    }
+}
+
+/// A connection's seat. Dropping it frees the seat.
+pub(crate) struct Guest {
+    admission: Arc<Admission>,
+    number: u64,
+    /// Cancelled when the connection has to give way.
+    pub gives_way: CancellationToken,
+}
+
+impl Drop for Guest {
+    fn drop(&mut self) {
+        self.admission.seats.lock().leave(self.number);
+    }
+}
+
+impl Guest {
+    /// A request on this connection. While it runs, the connection does not give way.
+    pub fn request(&self) -> RequestSeat {
+        self.admission.seats.lock().change(self.number, |seat| seat.requests += 1);
+        RequestSeat { admission: self.admission.clone(), number: self.number }
+    }
+}
+
+/// The request that holds a seat, until its answer was sent or given up.
+pub(crate) struct RequestSeat {
+    admission: Arc<Admission>,
+    number: u64,
+}
+
+impl RequestSeat {
+    /// The request has shown whose it is. A connection keeps the highest standing.
+    pub fn show(&self, standing: Standing) {
+        let mut seats = self.admission.seats.lock();
+        if seats.taken.get(&self.number).is_some_and(|seat| seat.standing < standing) {
+            seats.change(self.number, |seat| seat.standing = standing);
+        }
+    }
+}
+
+impl Drop for RequestSeat {
+    fn drop(&mut self) {
+        self.admission.seats.lock().change(self.number, |seat| seat.requests -= 1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    fn address(number: u8) -> IpAddr {
+        Ipv4Addr::new(10, 0, 0, number).into()
+    }
+
+    fn gone(guest: &Guest) -> bool {
+        guest.gives_way.is_cancelled()
+    }
+
+    #[test]
+    fn the_longest_quiet_stranger_gives_way_and_a_seat_is_free_again_afterwards() {
+        let admission = Admission::new(4);
+        let guests: Vec<Guest> = (0..4).map(|n| admission.admit(address(n)).unwrap()).collect();
+        // The first has had a request since, so the second was quiet for longest.
+        drop(guests[0].request());
+        let fifth = admission.admit(address(9)).unwrap();
+        assert_eq!(guests.iter().map(gone).collect::<Vec<_>>(), [false, true, false, false]);
+        drop(guests);
+        let others: Vec<Guest> = (20..23).map(|n| admission.admit(address(n)).unwrap()).collect();
+        assert!(!gone(&fifth) && !others.iter().any(gone));
+    }
+
+    #[test]
+    fn who_has_shown_a_token_stays_before_strangers_and_workers_and_requests_never_give_way() {
+        let admission = Admission::new(4);
+        let [known, worker, busy, stranger] = [1, 2, 3, 4].map(|n| admission.admit(address(n)).unwrap());
+        known.request().show(Standing::from(Role::Viewer));
+        worker.request().show(Standing::from(Role::Worker));
+        // What was shown once is not forgotten.
+        worker.request().show(Standing::Known);
+        let request = busy.request();
+        let next = admission.admit(address(5)).unwrap();
+        assert!(gone(&stranger) && !gone(&known));
+        let running = next.request();
+        let after = admission.admit(address(6)).unwrap();
+        assert!(gone(&known) && !gone(&worker) && !gone(&busy));
+        let last = after.request();
+        assert!(admission.admit(address(7)).is_none(), "all others work, or are workers");
+        assert!(!admission.make_room());
+        drop((request, running, last));
+        assert!(admission.make_room() && gone(&busy));
+        assert!(admission.admit(address(7)).is_some() && !gone(&worker));
+    }
+
+    #[test]
+    fn strangers_of_one_address_give_way_to_each_other_and_to_nobody_elses_harm() {
+        let admission = Admission::new(16);
+        let other = admission.admit(address(1)).unwrap();
+        let own: Vec<Guest> = (0..6).map(|_| admission.admit(address(2)).unwrap()).collect();
+        assert_eq!(own.iter().map(gone).collect::<Vec<_>>(), [true, true, false, false, false, false]);
+        assert!(!gone(&other));
+        let requests: Vec<RequestSeat> = own[2..].iter().map(Guest::request).collect();
+        assert!(admission.admit(address(2)).is_none(), "its share is at work");
+        // A proxy's connections show tokens and no longer count.
+        requests.iter().for_each(|request| request.show(Standing::Known));
+        assert!(admission.admit(address(2)).is_some());
+    }
+}
