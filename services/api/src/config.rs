@@ -31,6 +31,8 @@ pub struct Config {
     pub bundle_roots: Vec<PathBuf>,
     /// Limits on what clients send.
     pub limits: Limits,
+    /// Whether results are held against what is possible. Default: they are.
+    pub evidence: Evidence,
     /// Source of the time. Default: the system clock.
     pub clock: Arc<dyn Clock>,
 }
@@ -48,9 +50,19 @@ impl Config {
             session_lifetime: Duration::from_secs(7 * 86_400),
             bundle_roots: Vec::new(),
             limits: Limits::default(),
+            evidence: Evidence::Checked,
             clock: Arc::new(SystemClock::default()),
         }
     }
+}
+
+/// Whether results are held against what is possible: time, work, and the form of files.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Evidence {
+    /// A result that is not possible is refused, and held against its node.
+    Checked,
+    /// Every result is believed: for results that are made up, in tests and measurements.
+    Believed,
 }
 
 /// Limits on everything that a client can make large.

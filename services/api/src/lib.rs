@@ -35,6 +35,6 @@ mod webhooks;
 
 pub use budget_forecast::{BudgetForecastError, budget_forecast};
 pub use clock::{Clock, ManualClock, SystemClock};
-pub use config::{Config, Limits};
+pub use config::{Config, Evidence, Limits};
 pub use router::openapi_yaml;
 pub use service::{Service, ServiceError};

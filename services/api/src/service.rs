@@ -69,6 +69,7 @@ impl Service {
             session_lifetime,
             bundle_roots,
             limits,
+            evidence,
             clock,
         } = config;
         let roots = bundle_roots
@@ -103,6 +104,7 @@ impl Service {
             bundle_roots: roots,
             checks: Arc::new(Semaphore::new(limits.checks_at_once.max(1))),
             limits: Arc::new(limits),
+            evidence,
             metrics: Arc::new(Metrics::default()),
             stopping: stopping.clone(),
             conductor,

@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::answer_cache::AnswerCache;
 use crate::clock::Clock;
-use crate::config::Limits;
+use crate::config::{Evidence, Limits};
 use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
 use crate::metrics::Metrics;
@@ -36,6 +36,7 @@ pub(crate) struct App {
     /// Canonical paths of the bundle roots.
     pub bundle_roots: Arc<[PathBuf]>,
     pub limits: Arc<Limits>,
+    pub evidence: Evidence,
     pub metrics: Arc<Metrics>,
     /// Cancelled when the service stops. All waits then end.
     pub stopping: CancellationToken,

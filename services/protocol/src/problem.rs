@@ -40,6 +40,8 @@ pub enum ProblemKind {
     HashMismatch,
     /// 422: the result names an artefact that does not exist.
     MissingArtifact,
+    /// 422: the result is not possible: the lease is ended, and the task is done elsewhere.
+    ImplausibleResult,
     /// 422: the idempotency key was used for a different request.
     IdempotencyKeyReused,
     /// 429: too many requests of this kind. `Retry-After` says when to try again.
@@ -54,7 +56,7 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// All kinds.
-    pub const ALL: [ProblemKind; 21] = [
+    pub const ALL: [ProblemKind; 22] = [
         ProblemKind::Malformed,
         ProblemKind::Unauthenticated,
         ProblemKind::Forbidden,
@@ -71,6 +73,7 @@ impl ProblemKind {
         ProblemKind::InvalidBundle,
         ProblemKind::HashMismatch,
         ProblemKind::MissingArtifact,
+        ProblemKind::ImplausibleResult,
         ProblemKind::IdempotencyKeyReused,
         ProblemKind::TooManyRequests,
         ProblemKind::Internal,
@@ -125,6 +128,7 @@ impl ProblemKind {
             ProblemKind::MissingArtifact => {
                 ("missing-artifact", 422, "The result names an artefact that does not exist")
             }
+            ProblemKind::ImplausibleResult => ("implausible-result", 422, "The result is not possible"),
             ProblemKind::IdempotencyKeyReused => {
                 ("idempotency-key-reused", 422, "The idempotency key was used for a different request")
             }

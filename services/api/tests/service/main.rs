@@ -19,6 +19,7 @@ mod results;
 mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
+mod trust;
 mod uploads;
 mod webhooks;
 mod workers;

@@ -16,6 +16,7 @@ mod farm;
 mod forecast;
 mod foreign;
 mod jobs;
+mod leave_out;
 mod log;
 mod node;
 mod plan;
@@ -69,6 +70,7 @@ enum Command {
     Status(status::Args),
     Jobs(jobs::Args),
     Cancel(cancel::Args),
+    LeaveOut(leave_out::Args),
     Dashboard(dashboard::Args),
     Render(render::Args),
     Renderers(renderers::Args),
@@ -109,6 +111,7 @@ impl Cli {
             Command::Jobs(args) => jobs::run(args).await,
             Command::Accept(args) => accept::run(args).await,
             Command::Cancel(args) => cancel::run(args).await,
+            Command::LeaveOut(args) => leave_out::run(args).await,
             Command::Dashboard(args) => dashboard::run(args).await,
             Command::Token(args) => token::run(args).await,
             Command::Node(args) => node::run(*args).await,
@@ -204,6 +207,7 @@ mod tests {
             ("forelight backup --data d", "--to"),
             ("forelight status kitchen --interval 0s", "--interval"),
             ("forelight jobs --state sleeping", "--state"),
+            ("forelight leave-out kitchen", "--reason"),
             ("forelight accept j --confidence p99", "--confidence"),
             ("forelight jobs --most 0", "--most"),
             ("forelight simulate --nodes 3", "--nodes"),
