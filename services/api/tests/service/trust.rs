@@ -1,14 +1,16 @@
 //! What the service believes of what workers say.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_api::{Evidence, ManualClock};
 use forelight_protocol::{
-    Event, EventKind, Job, JobState, Lease, LeftOutJob, Node, ProblemKind, Renewal, TaskResult, Timestamp,
-    TrackRecord, Verdict,
+    Event, EventKind, Job, JobState, Lease, LeaseOrder, LeftOutJob, Node, ProblemKind, RenewRequest, Renewal,
+    TaskError, TaskResult, Timestamp, TrackRecord, Verdict,
 };
 use forelight_random::Random;
+use forelight_store::Answered;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
@@ -144,12 +146,23 @@ fn clock_now(clock: &ManualClock) -> i64 {
     forelight_api::Clock::now(clock).micros()
 }
 
-/// A worker of the simulated farm, and what it has to do.
+/// A worker of the simulated farm.
 struct Hand {
     node: Node,
     is_liar: bool,
-    task: Option<(Lease, Timestamp, bool)>,
+    /// What it has to do, when it is ready, and what it does.
+    task: Option<(Lease, Timestamp, Conduct)>,
 }
+
+#[derive(Clone, Copy, PartialEq, Debug)]
+enum Conduct {
+    Honest,
+    Hangs,
+    /// With an error that is said to be permanent, or not.
+    Fails(bool),
+}
+
+const TTL: Duration = Duration::from_secs(3600);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn of_200_jobs_that_were_promised_at_p80_on_a_farm_with_liars_four_in_five_are_in_time() {
@@ -162,6 +175,7 @@ async fn of_200_jobs_that_were_promised_at_p80_on_a_farm_with_liars_four_in_five
         hands.push(Hand { node, is_liar: number % 4 == 0, task: None });
     }
     let mut random = Random::new(30);
+    let mut results = BTreeMap::new();
     let (mut promised, mut kept) = (0, 0);
     for number in 0..JOBS {
         if number % 20 == 0 {
@@ -176,7 +190,7 @@ async fn of_200_jobs_that_were_promised_at_p80_on_a_farm_with_liars_four_in_five
         let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
         let booked = farm.until_booked(&hands[1].node, &job).await;
         let is_promised = booked.verdict.unwrap().verdict == Verdict::OnTime;
-        let done = work(&farm, &mut hands, &clock, &job, &mut random).await;
+        let done = work((&farm, &clock), &mut hands, &mut results, &job, &mut random).await;
         promised += usize::from(is_promised);
         let in_time = done.state == JobState::Done && done.finished_at.unwrap() <= deadline;
         kept += usize::from(is_promised && in_time);
@@ -190,47 +204,69 @@ async fn of_200_jobs_that_were_promised_at_p80_on_a_farm_with_liars_four_in_five
     }
 }
 
-/// Works until a job is over, a second at a time.
-async fn work(farm: &Farm, hands: &mut [Hand], clock: &ManualClock, job: &Job, random: &mut Random) -> Job {
-    let now = || Timestamp::from_micros(clock_now(clock));
+/// Works until a job is over. `results` holds what was made up for each frame before.
+async fn work(
+    (farm, clock): (&Farm, &ManualClock),
+    hands: &mut [Hand],
+    results: &mut BTreeMap<u32, TaskResult>,
+    job: &Job,
+    random: &mut Random,
+) -> Job {
+    let store = farm.service.store();
     loop {
-        let state = farm.service.store().job(job.id).await.unwrap();
+        let now = Timestamp::from_micros(clock_now(clock));
+        let state = store.job(job.id).await.unwrap();
         if state.state.is_final() {
             return state;
         }
-        farm.service.store().sweep(now()).await.unwrap();
+        store.sweep(now).await.unwrap();
+        let mut next = now.plus_micros(10 * SECOND);
         for hand in hands.iter_mut() {
-            if let Some((lease, until, hangs)) = &hand.task {
-                let is_over = if *hangs {
-                    farm.heartbeat(lease, 0.0).await.order == forelight_protocol::LeaseOrder::Stop
-                } else {
-                    *until <= now()
-                };
-                if !is_over {
-                    continue;
-                }
-                let (lease, _, hangs) = hand.task.take().unwrap();
-                if !hangs {
-                    let result = farm.made_up_result(&lease).await;
-                    let lies = hand.is_liar && random.below(3) == 0;
-                    if lies {
-                        let permanent = random.below(2) == 0;
-                        let error = json!({"message": "no", "permanent": permanent});
-                        let error = json!({"fence": lease.fence, "error": error});
-                        farm.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &error).await;
-                    } else {
-                        farm.report(&lease, result).await;
+            if let Some((lease, until, conduct)) = &hand.task {
+                let (id, fence) = (lease.lease_id, lease.fence);
+                let is_over = match conduct {
+                    Conduct::Hangs => {
+                        let beat = RenewRequest { fence, ..RenewRequest::default() };
+                        let answer = store.renew(id, &beat, TTL, now).await;
+                        answer.is_err() || answer.is_ok_and(|renewal| renewal.order == LeaseOrder::Stop)
                     }
+                    _ if *until > now => false,
+                    Conduct::Honest => {
+                        let frame = lease.spec.frame().unwrap();
+                        if let std::collections::btree_map::Entry::Vacant(missing) = results.entry(frame) {
+                            missing.insert(farm.made_up_result(lease).await);
+                        }
+                        // If another was first, the result is refused.
+                        let _ = store.commit_result(id, fence, &results[&frame], now).await;
+                        true
+                    }
+                    Conduct::Fails(permanent) => {
+                        let (message, permanent) = ("no".to_owned(), *permanent);
+                        let error = TaskError { message, permanent, ..TaskError::default() };
+                        let _ = store.fail_task(id, fence, &error, now).await;
+                        true
+                    }
+                };
+                if is_over {
+                    hand.task = None;
                 }
             }
-            if let Some(lease) = farm.claim(&hand.node).await {
+            if hand.task.is_none()
+                && let Some(Answered::Fresh(lease)) = store.claim(hand.node.id, TTL, None, now).await.unwrap()
+            {
                 // As forecast, give or take a fifth.
                 let seconds = 25.0 * (0.8 + 0.4 * random.uniform());
-                let hangs = hand.is_liar && random.below(4) == 0;
-                let until = now().plus_micros((seconds * SECOND as f64) as i64);
-                hand.task = Some((lease, until, hangs));
+                let conduct = match random.below(6) {
+                    0 if hand.is_liar => Conduct::Hangs,
+                    1 if hand.is_liar => Conduct::Fails(true),
+                    2 if hand.is_liar => Conduct::Fails(false),
+                    _ => Conduct::Honest,
+                };
+                hand.task = Some((lease, now.plus_micros((seconds * SECOND as f64) as i64), conduct));
             }
+            next =
+                hand.task.iter().map(|task| task.1).filter(|&until| until > now).fold(next, Timestamp::min);
         }
-        clock.advance_micros(SECOND);
+        clock.advance_micros(next.micros_since(now));
     }
 }
