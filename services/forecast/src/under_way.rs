@@ -12,13 +12,14 @@
 //! So a task that is beyond its 0.99 quantile rather hangs than works. Progress is new evidence: the rest,
 //! counted from there, is the same distribution times the share that is left.
 
+use crate::conformal::NORMAL_95;
+use crate::live::NORMAL_80;
+
 /// Probability that a task hangs.
 const HANGS: f64 = 0.01;
 
-/// 0.80, 0.95 and 0.99 quantiles of the standard normal distribution.
-const NORMAL_80: f64 = 0.841_621_233_572_914_2;
-const NORMAL_95: f64 = 1.644_853_626_951_472_7;
-const NORMAL_99: f64 = 2.326_347_874_040_841_4;
+/// 0.99 quantile of the standard normal distribution.
+const NORMAL_99: f64 = 2.326_347_874_040_841;
 
 /// Least standard deviation of the logarithm of a task's time: no forecast is better than a tenth.
 const LEAST_DEVIATION: f64 = 0.1;
