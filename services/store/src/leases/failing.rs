@@ -142,12 +142,13 @@ pub(crate) async fn fail(
     Ok(())
 }
 
-/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere against their nodes. Only
-/// the job is blamed for its limits, and nobody for input that was gone.
+/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere against their nodes, and
+/// all the more if one was called permanent. Only the job is blamed for its limits, and nobody for input that
+/// was gone.
 pub(crate) async fn hold_against_others(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<()> {
     let nodes = sqlx::query_scalar!(
         "UPDATE leases SET fault = ? WHERE task_id = ? AND state = 'failed' AND fault IS NULL \
-         AND node_id <> ? AND failure IN ('unknown', 'node') RETURNING node_id",
+         AND node_id <> ? AND (failure IN ('unknown', 'node') OR permanent) RETURNING node_id",
         Fault::Unshared.name(),
         row.task_id.0,
         row.node_id.0

@@ -73,11 +73,13 @@ impl Store {
         if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
             later!(
                 write,
-                "UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?",
+                "UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? \
+                 WHERE id = ? AND fence = ?",
                 (done as f64 / all as f64).min(1.0),
                 work as f64,
                 cpu_nanos as f64 * 1e-9 * row.node_speed,
-                row.task_id.0
+                row.task_id.0,
+                fence as i64
             );
             living::update(&mut write, row.job_id, Occasion::Meanwhile, now).await?;
         }

@@ -173,7 +173,8 @@ async fn what_others_share_or_the_job_set_itself_is_not_held_against_a_node() {
 async fn the_word_permanent_of_one_node_fails_no_job_while_another_could_try() {
     let farm = Farm::new().await;
     let (liar, honest) = (farm.node("liar").await, farm.node("honest").await);
-    let permanent = TaskError { permanent: true, ..error("this scene is hopeless") };
+    let kind = forelight_protocol::FailureKind::Task;
+    let permanent = TaskError { permanent: true, kind, ..error("this scene is hopeless") };
     for round in 0..4 {
         let job = farm.booked_job(request("0"), honest.id, at(0)).await;
         let start = 1000 * (round + 1);
