@@ -36,6 +36,8 @@ pub struct Config {
     pub inspection: Inspection,
     /// Limits on what clients send.
     pub limits: Limits,
+    /// Whether results are held against what is possible. Default: they are.
+    pub evidence: Evidence,
     /// Source of the time. Default: the system clock.
     pub clock: Arc<dyn Clock>,
 }
@@ -55,9 +57,19 @@ impl Config {
             bundle_roots: Vec::new(),
             inspection: Inspection::default(),
             limits: Limits::default(),
+            evidence: Evidence::Checked,
             clock: Arc::new(SystemClock::default()),
         }
     }
+}
+
+/// Whether results are held against what is possible: time, work, and the form of files.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Evidence {
+    /// A result that is not possible is refused, and held against its node.
+    Checked,
+    /// Every result is believed: for results that are made up, in tests and measurements.
+    Believed,
 }
 
 /// Limits on everything that a client can make large.

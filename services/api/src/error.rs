@@ -79,6 +79,7 @@ impl From<StoreError> for ApiError {
             StoreError::Conflict(_) => ProblemKind::Conflict,
             StoreError::JoinRefused(_) => ProblemKind::Unauthenticated,
             StoreError::MissingArtifact(_) => ProblemKind::MissingArtifact,
+            StoreError::Implausible { .. } => ProblemKind::ImplausibleResult,
             StoreError::KeyReused => ProblemKind::IdempotencyKeyReused,
             StoreError::HashMismatch { .. } => ProblemKind::HashMismatch,
             StoreError::TooLarge { .. } => ProblemKind::TooLarge,
@@ -109,6 +110,14 @@ impl From<StoreError> for ApiError {
                 Self::new(kind, format!("{error}; bring it back from a backup, or submit what made it again"))
             }
             ProblemKind::LeaseLost | ProblemKind::NotFound => Self::new(kind, error.to_string()),
+            ProblemKind::ImplausibleResult => {
+                let detail = error.to_string();
+                tracing::warn!(detail, "a result was refused");
+                match error {
+                    StoreError::Implausible { pointer, .. } => Self::new(kind, detail).at(pointer),
+                    _ => Self::new(kind, detail),
+                }
+            }
             ProblemKind::Unauthenticated => Self::new(kind, error.to_string()).authenticate(BAD_TOKEN),
             ProblemKind::IdempotencyKeyReused => {
                 Self::new(kind, error.to_string()).in_parameter("Idempotency-Key")

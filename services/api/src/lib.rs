@@ -40,7 +40,7 @@ mod webhooks;
 
 pub use budget_forecast::{BudgetForecastError, budget_forecast};
 pub use clock::{Clock, ManualClock, SystemClock};
-pub use config::{Config, ConnectionLimits, Limits, UploadLimits};
+pub use config::{Config, ConnectionLimits, Evidence, Limits, UploadLimits};
 pub use inspector::{Inspection, inspect_bundle};
 pub use router::openapi_yaml;
 pub use service::{Service, ServiceError};

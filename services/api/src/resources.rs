@@ -12,6 +12,7 @@ pub(crate) mod frames;
 pub(crate) mod health;
 pub(crate) mod jobs;
 pub(crate) mod leases;
+pub(crate) mod left_out;
 pub(crate) mod nodes;
 pub(crate) mod page;
 pub(crate) mod plans;

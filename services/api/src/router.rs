@@ -29,8 +29,8 @@ use crate::openapi::frame;
 use crate::paced_body::PacedBody;
 use crate::resources::jobs::changes;
 use crate::resources::{
-    answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
-    page, plans, projects, retention, sessions, strip, tasks, timeline, webhooks,
+    answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases,
+    left_out, nodes, page, plans, projects, retention, sessions, strip, tasks, timeline, webhooks,
 };
 use crate::state::App;
 
@@ -71,6 +71,7 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(changes::retry_frames))
         .routes(routes!(changes::cancel_frames))
         .routes(routes!(jobs::cancel))
+        .routes(routes!(left_out::leave_out, left_out::put_back))
         .routes(routes!(events::of_job))
         .routes(routes!(forecasts::of_job))
         .routes(routes!(forecasts::accuracy_of_job))

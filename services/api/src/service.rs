@@ -75,6 +75,7 @@ impl Service {
             bundle_roots,
             inspection,
             limits,
+            evidence,
             clock,
         } = config;
         let roots = bundle_roots
@@ -113,6 +114,7 @@ impl Service {
             quotas: Quotas::default(),
             reserved: Reserved::default(),
             limits: Arc::new(limits),
+            evidence,
             metrics: Arc::new(Metrics::default()),
             stopping: stopping.clone(),
             conductor,

@@ -11,7 +11,7 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::Clock;
-use crate::config::Limits;
+use crate::config::{Evidence, Limits};
 use crate::costly::Costly;
 use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
@@ -39,6 +39,7 @@ pub(crate) struct App {
     /// Canonical paths of the bundle roots.
     pub bundle_roots: Arc<[PathBuf]>,
     pub limits: Arc<Limits>,
+    pub evidence: Evidence,
     pub metrics: Arc<Metrics>,
     /// Cancelled when the service stops. All waits then end.
     pub stopping: CancellationToken,

@@ -132,6 +132,7 @@ mod strata;
 mod strategies;
 mod stratum_sum;
 mod student;
+mod under_way;
 
 pub use allocate::{Cell, allocate};
 pub use binomial::share_interval;
@@ -158,3 +159,4 @@ pub use strata::Stratum;
 pub use strategies::{Classes, Design, Strategy};
 pub use stratum_sum::StratumSum;
 pub use student::student_two_sided;
+pub use under_way::UnderWay;

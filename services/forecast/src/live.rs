@@ -51,7 +51,7 @@ pub use band::Band;
 pub use frame::{Known, LiveFrame};
 
 /// 0.80 quantile of the standard normal distribution.
-const NORMAL_80: f64 = 0.841_621_233_572_914_2;
+pub(crate) const NORMAL_80: f64 = 0.841_621_233_572_914_2;
 
 /// Bound on the absolute logarithm of a median, so that quantiles stay in the range of a float.
 const MAX_LOG_MEDIAN: f64 = 600.0;

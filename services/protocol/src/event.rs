@@ -37,6 +37,13 @@ pub enum EventKind {
     TaskDone,
     /// A worker reported an error. The task is tried again unless the job failed.
     TaskFailed,
+    /// A task's result was refused, because it is not possible. The task is queued again, and the refusal is
+    /// held against the node.
+    ResultRefused,
+    /// A task takes longer on its node than in 19 of 20 cases.
+    TaskLate,
+    /// A task makes no progress on its node. It is run on another node as well; the first result counts.
+    TaskStalled,
     /// A task's lease expired, and the task was queued again.
     LeaseExpired,
     /// A task was queued again: returned by its worker, or taken away by an operator, a budget or a window's
@@ -79,6 +86,9 @@ impl EventKind {
             EventKind::TaskProgress => "task_progress",
             EventKind::TaskDone => "task_done",
             EventKind::TaskFailed => "task_failed",
+            EventKind::ResultRefused => "result_refused",
+            EventKind::TaskLate => "task_late",
+            EventKind::TaskStalled => "task_stalled",
             EventKind::LeaseExpired => "lease_expired",
             EventKind::LeaseReleased => "lease_released",
             EventKind::LeaseLost => "lease_lost",

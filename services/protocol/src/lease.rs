@@ -168,6 +168,37 @@ pub struct ReleaseRequest {
     pub fence: u64,
 }
 
+/// Where the cause of a failure lies, as far as the worker knows. It decides whose fault the failure is.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FailureKind {
+    /// The worker does not know.
+    #[default]
+    Unknown,
+    /// The worker's machine: its disk, its memory, its programs.
+    Node,
+    /// A file that the task needs is gone: its bundle, or an artefact. The service looks for itself.
+    Input,
+    /// The task: its scene, its settings, its limits.
+    Task,
+}
+
+impl FailureKind {
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            FailureKind::Unknown => "unknown",
+            FailureKind::Node => "node",
+            FailureKind::Input => "input",
+            FailureKind::Task => "task",
+        }
+    }
+
+    fn is_unknown(&self) -> bool {
+        *self == FailureKind::Unknown
+    }
+}
+
 /// An error of the worker.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -175,9 +206,13 @@ pub struct TaskError {
     /// The error as one line of text, 1 to 2000 characters.
     #[schema(min_length = 1, max_length = 2000)]
     pub message: String,
-    /// Whether every attempt would fail like this, as with a malformed scene. The job then fails at once.
+    /// Whether every attempt would fail like this, as with a malformed scene. The job fails once a second node
+    /// says so, or after three attempts if there is no other node.
     #[serde(default)]
     pub permanent: bool,
+    /// Where the cause lies.
+    #[serde(default, skip_serializing_if = "FailureKind::is_unknown")]
+    pub kind: FailureKind,
     /// The limit that the task exceeded. Absent if the error has another cause.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<TaskLimit>,

@@ -103,8 +103,8 @@ pub use job::{
 };
 pub use job_state::JobState;
 pub use lease::{
-    CHECKPOINT_BYTES, ClaimRequest, FinishedPixels, Lease, LeaseOrder, ReleaseRequest, RenewRequest, Renewal,
-    ResultAnswer, ResultRequest, TaskError, TaskLimit, TaskLimits,
+    CHECKPOINT_BYTES, ClaimRequest, FailureKind, FinishedPixels, Lease, LeaseOrder, ReleaseRequest,
+    RenewRequest, Renewal, ResultAnswer, ResultRequest, TaskError, TaskLimit, TaskLimits,
 };
 pub use left_out::LeftOut;
 pub use live::{
@@ -143,8 +143,8 @@ pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, Task
 pub use time::{MalformedTime, Timestamp};
 pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, TimelinePage, TimelineSpan};
 pub use track_record::{
-    CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,
-    TrackRecordKind, TrackRecordRow,
+    CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, LeaveOutRequest, LeftOutJob,
+    QuantileHits, TrackRecord, TrackRecordKind, TrackRecordRow,
 };
 pub use webhook::{
     Delivery, DeliveryPage, DeliveryState, Webhook, WebhookData, WebhookKind, WebhookList, WebhookMessage,

@@ -42,6 +42,8 @@ pub enum ProblemKind {
     HashMismatch,
     /// 422: the result names an artefact that does not exist.
     MissingArtifact,
+    /// 422: the result is not possible: the lease is ended, and the task is done elsewhere.
+    ImplausibleResult,
     /// 422: the idempotency key was used for a different request.
     IdempotencyKeyReused,
     /// 429: too many requests of this kind. `Retry-After` says when to try again.
@@ -58,7 +60,7 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// All kinds.
-    pub const ALL: [ProblemKind; 23] = [
+    pub const ALL: [ProblemKind; 24] = [
         ProblemKind::Malformed,
         ProblemKind::Unauthenticated,
         ProblemKind::Forbidden,
@@ -76,6 +78,7 @@ impl ProblemKind {
         ProblemKind::InvalidBundle,
         ProblemKind::HashMismatch,
         ProblemKind::MissingArtifact,
+        ProblemKind::ImplausibleResult,
         ProblemKind::IdempotencyKeyReused,
         ProblemKind::TooManyRequests,
         ProblemKind::Internal,
@@ -134,6 +137,7 @@ impl ProblemKind {
             ProblemKind::MissingArtifact => {
                 ("missing-artifact", 422, "The result names an artefact that does not exist")
             }
+            ProblemKind::ImplausibleResult => ("implausible-result", 422, "The result is not possible"),
             ProblemKind::IdempotencyKeyReused => {
                 ("idempotency-key-reused", 422, "The idempotency key was used for a different request")
             }

@@ -115,6 +115,28 @@ pub struct CalibrationDoc {
     pub kinds: Vec<CalibrationKind>,
 }
 
+/// An operator's request to take a job out of the track record.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LeaveOutRequest {
+    /// Why: 1 to 500 characters.
+    #[schema(min_length = 1, max_length = 500)]
+    pub reason: String,
+}
+
+/// A job that an operator took out of the track record. Nothing is learnt from it.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct LeftOutJob {
+    /// The job.
+    pub job_id: JobId,
+    /// Its name.
+    pub name: String,
+    /// Why.
+    pub reason: String,
+    /// Since when.
+    pub at: Timestamp,
+}
+
 /// Track record over all finished frames, and one page of the frames, newest first.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TrackRecord {
@@ -135,6 +157,9 @@ pub struct TrackRecord {
     /// The same by kind and calibration. Sorted by renderer, feature class and calibration.
     #[serde(default)]
     pub kinds: Vec<TrackRecordKind>,
+    /// Jobs that an operator took out of the record: none of the numbers counts them. The newest first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOutJob>,
     /// The frames.
     pub items: Vec<TrackRecordRow>,
     /// Token of the next page. Absent on the last page.

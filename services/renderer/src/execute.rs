@@ -66,6 +66,9 @@ pub enum ExecuteError {
     /// The task cannot succeed on any worker.
     #[error("{0}")]
     Permanent(String),
+    /// A file that the task needs is gone: its bundle, or something that it takes over.
+    #[error("{0}")]
+    Input(String),
     /// The task failed on this attempt. Another one may succeed.
     #[error("{0}")]
     Transient(String),

@@ -7,11 +7,11 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use forelight_protocol::{
-    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, Timestamp,
+    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskKind, Timestamp,
 };
 use sqlx::{FromRow, SqliteConnection};
 
-use self::asking::{Asking, Offer, OfferedTask, next_task, task_columns};
+use self::asking::{Asking, Offer, OfferedTask, next_stalled_task, next_task, task_columns};
 use crate::columns::{Json, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
@@ -155,7 +155,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
     let fence = task.fence + 1;
     later!(
         write,
-        "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, node_id = \
+        "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, again = 0, node_id = \
          ?, started_at = ? WHERE id = ?",
         fence,
         node.id.0,
@@ -173,23 +173,34 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         spec,
         limits: task.limits.0,
     };
+    let speed = node.speed_for(work.as_ref());
     later!(
         write,
-        "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at) \
-         VALUES (?, ?, ?, ?, ?, 'active', ?, ?)",
+        "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at, beside, p95) \
+         VALUES (?, ?, ?, ?, ?, 'active', ?, ?, \
+         coalesce((SELECT 1 - o.beside FROM leases o WHERE o.task_id = ? AND o.state = 'active'), 0), \
+         (SELECT CAST(f.cpu_p95 * j.factor / ? * 1000000 AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
+         WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0))",
         lease.lease_id.0,
         task_id.0,
         node.id.0,
         fence,
-        node.speed_for(work.as_ref()),
+        speed,
         now.micros(),
-        lease.expires_at.micros()
+        lease.expires_at.micros(),
+        task_id.0,
+        speed * f64::from(node.cores),
+        job_id.0,
+        // Only renders have a forecast of their own.
+        lease.spec.frame().filter(|_| lease.spec.kind() == TaskKind::Render)
     );
     if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
         later!(write, "UPDATE jobs SET stage = 'rendering' WHERE id = ?", job_id.0);
         job_state(write, job_id, JobState::Rendering, None, now);
     }
+    let beside = "a second attempt, beside one that makes no progress; the first result counts";
     let leased = Event {
+        message: task.is_again.then(|| beside.to_owned()),
         job_id: Some(job_id),
         task_id: Some(task_id),
         task_kind: Some(lease.spec.kind()),
@@ -243,15 +254,17 @@ async fn asker(
 
 /// The task that the node should do next, if it may have one.
 ///
+/// 0. A task that makes no progress on another node, to run it a second time: see
+///    [`crate::policy::overdue`]. There is hardly ever one.
 /// 1. Previews and profiles of any job, and plans and merges of irradiance caches. They are short, and every
 ///    quote and booking waits for them. By priority, then deadline, then age of the job.
 /// 2. The node's own bookings, by planned start: frames, and parts of irradiance caches.
 /// 3. Any other frames and parts, by the job's deadline, then priority, then age of the job, then frame, as
 ///    far as the plan allows it: see [`work_stealing`].
 ///
-/// Each of the three is one step into an index of its own. The index is named because SQLite would otherwise
+/// Each of them is one step into an index of its own. The index is named because SQLite would otherwise
 /// sort all ready tasks. A later step runs only if the earlier ones found nothing. Booked jobs are examined
-/// one by one only if the first task of the third kind is not free for every node.
+/// one by one only if the first task of the last kind is not free for every node.
 ///
 /// A failed task is skipped while it waits, and for longer on the nodes on which it failed. Such tasks are
 /// few, so these steps are few.
@@ -308,6 +321,7 @@ async fn this_task(
             fence: row.fence,
             job_state: row.job_state,
             work_by_class: row.work_by_class,
+            is_again: false,
             is_booked_elsewhere: false,
         })),
         "leased" | "waiting" => Ok(None),
@@ -334,12 +348,14 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
     Ok(serde_json::to_string(&limits)?)
 }
 
-/// The next task of the node by the three steps of [`offer`], and whether it is booked elsewhere.
+/// The next task of the node by the steps of [`offer`], and whether it is booked elsewhere.
 pub(crate) const NEXT: &str = concat!(
     "SELECT ",
     task_columns!(),
-    ", kind IN ('cache_fill', 'render') AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 \
-     AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
+    ", again = 1 AND state = 'leased' AS is_again, state = 'ready' AND kind IN ('cache_fill', 'render') \
+     AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
+    next_stalled_task!(),
+    "), (",
     next_task!(
         "tasks_ready_quotes",
         "kind NOT IN ('cache_fill', 'render')",

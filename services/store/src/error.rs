@@ -24,6 +24,14 @@ pub enum StoreError {
     /// A result names an artefact that was never stored.
     #[error("artefact {0} is not stored; store it before a result names it")]
     MissingArtifact(ArtifactHash),
+    /// A result is not possible. Its lease has failed, and its task is ready again.
+    #[error("{reason}; the result is refused, and the task is done elsewhere")]
+    Implausible {
+        /// JSON pointer to the field.
+        pointer: String,
+        /// Why.
+        reason: String,
+    },
     /// The idempotency key was used for another request.
     #[error("the idempotency key was used for another request")]
     KeyReused,

@@ -5,7 +5,7 @@
 //! ```text
 //! task    waiting ──what it waits for is committed──► ready
 //!         ready ──claim──► leased ──commit──► done
-//!           ▲                │ ├──error (permanent or on the third node), 10th expiry──► failed with its job
+//!           ▲                │ ├──error that others share, 10th expiry──► failed with its job
 //!           └─release, error,┘ └──job cancelled or failed──► cancelled
 //!             expiry, taken away
 //! lease   active ──► committed | failed | expired | released | revoked
@@ -14,8 +14,7 @@
 //! Hazards, and what guards against them:
 //!
 //! * *A worker is paused for a minute, loses its lease, wakes up and reports.* Another worker may have done
-//!   its task by then. Every hand-out raises the task's fencing token. The database allows one active lease
-//!   per task, with the newest token. A report with another token is refused ([`StoreError::LeaseLost`]) and
+//!   its task by then. Every hand-out raises the task's fencing token. A report with another token is refused ([`StoreError::LeaseLost`]) and
 //!   changes nothing.
 //! * *The answer to a result is lost, and the worker sends it again.* The lease is `committed` then. The same
 //!   result is answered as a duplicate; another one is a conflict. The first commit is final.
@@ -25,6 +24,9 @@
 //! * *The job was cancelled while a worker renders it.* The lease is `revoked`: renewals answer with the
 //!   order to stop.
 //! * *A task kills every worker that touches it.* The tenth expiry fails the job.
+//! * *A worker renews its lease and does nothing.* The task is leased a second time, beside the first lease,
+//!   under a higher fencing token. The first result is committed, and the other lease is `revoked`. Both are
+//!   paid for. The database allows no third. See [`overdue`].
 //! * *The clock is set.* While the service runs, its own clock is steady, and [`Store::clock_was_set`]
 //!   corrects times. If the clock was set while the service was down, every lease still has exactly one more
 //!   term.
@@ -32,6 +34,7 @@
 pub(crate) mod checkpoints;
 pub(crate) mod failing;
 pub(crate) mod logs;
+pub(crate) mod overdue;
 pub(crate) mod renewing;
 pub(crate) mod sweeping;
 
@@ -84,6 +87,7 @@ pub(crate) struct LeaseRow {
     pub renderer: Option<String>,
     pub failures: u32,
     pub expiries: u32,
+    /// Of this attempt.
     pub progress: f64,
     #[sqlx(try_from = "Word<JobState>")]
     pub job_state: JobState,
@@ -92,6 +96,8 @@ pub(crate) struct LeaseRow {
     pub drain: bool,
     /// Whether the node has a schedule or terms, so that it may sleep.
     pub has_calendar: bool,
+    /// Whether the task is run a second time beside this lease, or beside which this one runs.
+    pub has_another: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, serde::Deserialize)]
@@ -111,8 +117,10 @@ macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
             "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.renderer, t.failures, \
-             t.expiries, t.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
-             (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar \
+             t.expiries, l.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
+             (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar, \
+             EXISTS (SELECT 1 FROM leases o WHERE o.task_id = t.id AND o.state = 'active' AND o.id <> l.id) \
+             AS has_another \
              FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id ",
             $rest
         )
@@ -167,12 +175,21 @@ impl LeaseRow {
     }
 }
 
+/// Makes the task of an ended lease ready again, or leaves it to another attempt that goes on.
 pub(crate) fn back_to_ready(write: &mut Write, row: &LeaseRow, error: Option<&str>) {
     later!(
         write,
-        "UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL, error = coalesce(?, error) \
-         WHERE id = ? AND state = 'leased'",
+        "UPDATE tasks SET state = 'ready', progress = 0, node_id = NULL, again = 0, error = coalesce(?, error) \
+         WHERE id = ? AND state = 'leased' \
+         AND NOT EXISTS (SELECT 1 FROM leases WHERE task_id = tasks.id AND state = 'active')",
         error,
+        row.task_id.0
+    );
+    later!(
+        write,
+        "UPDATE tasks SET (node_id, started_at, progress) = (SELECT node_id, granted_at, progress FROM leases \
+         WHERE task_id = tasks.id AND state = 'active' ORDER BY fence DESC LIMIT 1) \
+         WHERE id = ? AND state = 'leased'",
         row.task_id.0
     );
     write.made_work = true;

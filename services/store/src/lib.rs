@@ -9,8 +9,9 @@
 //!   per commit. Disks with a write cache flush some thousand times a second, and a farm needs a few flushes
 //!   per frame. Concurrent writes share a flush (`writing`). An artefact is flushed before its row is
 //!   written, and a result names only artefacts with rows.
-//! * **Two workers never hold the same task.** There is one writer at a time, with `BEGIN IMMEDIATE`. A
-//!   unique index over the active leases makes the database itself refuse a second one.
+//! * **Two workers never hold the same task by mistake.** There is one writer at a time, with `BEGIN
+//!   IMMEDIATE`. A unique index over the active leases makes the database itself refuse a second one, except
+//!   the one that a stalled task is given beside the first. One of them is committed.
 //! * **A worker that lost its lease does no harm.** Every hand-out raises the task's fencing token, and every
 //!   message with an older token is refused.
 //!
@@ -26,6 +27,7 @@ mod dashboard;
 mod database;
 mod error;
 mod events;
+mod evidence;
 mod idempotency;
 mod jobs;
 mod leases;
@@ -67,11 +69,13 @@ pub use plans::farm_jobs::{FarmFrame, FarmJob};
 pub use plans::replans::Wanted;
 pub use plans::{NewJobPlan, NewPlan};
 pub use policy::availability::{Opening, as_it_is, free_time_of, opening, silence};
+pub use policy::faults::{FAULTS, STALLED};
+pub use policy::overdue::TaskAttempt;
 pub use policy::projection::{
     Holder, JobEnds, OpenBooking, OpenCachePart, Projected, ProjectedCachePart, Projection, project,
 };
 pub use policy::rebooking::NewBooking;
-pub use policy::retries::{FAILED_JOBS, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES};
+pub use policy::retries::{AGREEING_NODES, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES, PERMANENT_ATTEMPTS};
 pub use policy::work_stealing::OVERDUE;
 pub use projects::{HALF_LIFE, ProjectUse};
 pub use quotes::profiling::ProfileVersion;

@@ -1,6 +1,7 @@
 //! Quotes, stored with their jobs and frames.
 
 pub(crate) mod calibration;
+pub(crate) mod left_out;
 pub(crate) mod profiling;
 pub(crate) mod track_record;
 

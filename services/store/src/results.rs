@@ -15,6 +15,7 @@ use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, job_state};
 use crate::jobs;
+use crate::leases::failing::{end_attempt_beside, hold_against_others};
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::living::{self, Occasion};
 use crate::nodes::{NodeRow, learning};
@@ -105,6 +106,12 @@ impl Store {
         let node = name_artifacts(&mut write, &row, result).await?;
         end(&mut write, &row, "committed", now);
         touch(&mut write, row.node_id, now);
+        if row.has_another {
+            end_attempt_beside(&mut write, &row, now).await?;
+        }
+        if row.failures > 0 {
+            hold_against_others(&mut write, &row, now).await?;
+        }
         later!(
             write,
             "UPDATE tasks SET state = 'done', progress = 1, finished_at = ? WHERE id = ?",

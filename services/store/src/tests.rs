@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use forelight_protocol::{
     ArtifactHash, BundleRef, BundleSource, CacheFillResult, CacheMergeResult, CachePlanResult, Capabilities,
-    FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest, JobVerdict, Lease, Node,
-    NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult,
-    ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderResult, RenderStats,
-    RenewRequest, SceneDigest, SceneSummary, Spent, Stratum, StratumName, TaskResult, TaskSpec, Timestamp,
-    Verdict,
+    Event, EventKind, FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest,
+    JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult,
+    ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts,
+    RenderResult, RenderStats, RenewRequest, SceneDigest, SceneSummary, Spent, Stratum, StratumName,
+    TaskResult, TaskSpec, Timestamp, Verdict,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 use tempfile::TempDir;
@@ -24,6 +24,7 @@ mod fencing;
 mod jobs;
 mod joining;
 mod living;
+mod lying_farm;
 mod node_learning;
 mod opening;
 mod orders;
@@ -32,6 +33,7 @@ mod records;
 mod retention;
 mod shared_cache;
 mod statements;
+mod trust;
 mod unattended;
 mod work_stealing;
 mod writing;
@@ -104,6 +106,12 @@ impl Farm {
         let hash = ArtifactHash(*blake3::hash(content.as_bytes()).as_bytes());
         self.store.artifacts().put(hash, stream(&[content]), 1000, at(0)).await.unwrap();
         hash
+    }
+
+    /// All events of a kind.
+    async fn events(&self, kind: EventKind) -> Vec<Event> {
+        let all = self.store.events_after(None, 0, 1000).await.unwrap();
+        all.into_iter().filter(|event| event.kind == kind).collect()
     }
 
     async fn commit(&self, lease: &Lease, now: Timestamp) -> crate::Committed {

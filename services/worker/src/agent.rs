@@ -338,8 +338,8 @@ impl Agent {
         let failed = |error: ClientError| {
             let message = describe(&error);
             // What the service does not have now, it will not have later.
-            let missing = error.is(ProblemKind::NotFound);
-            if missing { ExecuteError::Permanent(message) } else { ExecuteError::Transient(message) }
+            let missing = error.is(ProblemKind::NotFound) || error.is(ProblemKind::ArtifactLost);
+            if missing { ExecuteError::Input(message) } else { ExecuteError::Transient(message) }
         };
         let Fetched { bundle, profile, caches, shares } = loop {
             match self.fetch(lease).await {
@@ -352,6 +352,9 @@ impl Agent {
                 Err(error) => return Err(failed(error)),
             }
         };
+        if !tokio::fs::try_exists(&bundle).await.unwrap_or(true) {
+            return Err(ExecuteError::Input(format!("bundle {} is gone", bundle.display())));
+        }
         control.log(LogLevel::Info, "bundle fetched");
         let checkpoint = match &lease.spec {
             // Only an earlier attempt can have left a checkpoint. It is optional.

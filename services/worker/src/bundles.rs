@@ -1,10 +1,12 @@
 //! Bundles fetched from the service: kept on disk by their hash.
 //!
-//! All workers of a process share one folder, so that a bundle is fetched once.
+//! All workers of a process share one folder, so that a bundle is fetched once. Each task verifies the file's
+//! hash before it is opened: a damaged one is fetched again. The folder is its user's alone.
 
 use forelight_client::{Client, ClientError};
 use forelight_protocol::{ArtifactHash, BundleSource};
 use std::fs;
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -19,12 +21,12 @@ pub struct Bundles {
 }
 
 impl Bundles {
-    /// Keeps bundles in `folder`, which is created if it does not exist.
+    /// Keeps bundles in `folder`. If it does not exist, it is created, for this user alone.
     ///
     /// # Errors
     /// If the folder cannot be created.
     pub fn new(folder: &Path) -> Result<Self, std::io::Error> {
-        fs::create_dir_all(folder)?;
+        fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
         Ok(Self { folder: folder.to_owned(), fetching: tokio::sync::Mutex::default() })
     }
 
@@ -37,7 +39,7 @@ impl Bundles {
         let _one_at_a_time = self.fetching.lock().await;
         let path = self.folder.join(format!("{hash}.zip"));
         let failed = |source| ClientError::File { path: path.clone(), source };
-        if path.exists() {
+        if is_whole(&path, hash).await {
             // The time of last use decides which bundles are deleted.
             if let Ok(file) = fs::File::options().append(true).open(&path) {
                 let _ = file.set_modified(SystemTime::now());
@@ -85,10 +87,57 @@ impl Bundles {
     }
 }
 
+/// Whether a file is there and has the hash that it is named by.
+async fn is_whole(path: &Path, hash: ArtifactHash) -> bool {
+    let kept = path.to_owned();
+    let found = tokio::task::spawn_blocking(move || {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(fs::File::open(kept)?)?;
+        Ok::<_, std::io::Error>(ArtifactHash(*hasher.finalize().as_bytes()))
+    });
+    match found.await {
+        Ok(Ok(found)) if found == hash => true,
+        Ok(Ok(found)) => {
+            tracing::warn!(path = %path.display(), %found, "a kept bundle is damaged; it is fetched again");
+            false
+        }
+        Ok(Err(error)) if error.kind() == std::io::ErrorKind::NotFound => false,
+        Ok(Err(error)) => {
+            tracing::warn!(path = %path.display(), %error, "a kept bundle cannot be read; it is fetched again");
+            false
+        }
+        // The runtime is shutting down.
+        Err(_) => false,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::time::Duration;
+
+    #[test]
+    fn the_folder_is_its_users_alone() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = tempfile::tempdir().unwrap();
+        let made = folder.path().join("a/b");
+        Bundles::new(&made).unwrap();
+        for folder in [made.as_path(), made.parent().unwrap()] {
+            assert_eq!(fs::metadata(folder).unwrap().permissions().mode() & 0o777, 0o700);
+        }
+    }
+
+    #[tokio::test]
+    async fn a_kept_file_is_whole_only_if_every_bit_of_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("kept.zip");
+        let hash = ArtifactHash(*blake3::hash(b"a bundle").as_bytes());
+        assert!(!is_whole(&path, hash).await);
+        fs::write(&path, b"a bundle").unwrap();
+        assert!(is_whole(&path, hash).await);
+        fs::write(&path, b"a bundlE").unwrap();
+        assert!(!is_whole(&path, hash).await);
+    }
 
     #[test]
     fn room_is_made_by_throwing_away_what_was_unused_for_longest() {

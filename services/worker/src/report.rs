@@ -3,7 +3,7 @@
 use crate::agent::{Agent, describe, is_lost};
 use forelight_client::{Backoff, Client, ClientError};
 use forelight_protocol::{
-    Lease, LogLevel, ProblemKind, RenewRequest, ResultRequest, TaskError, without_secrets,
+    FailureKind, Lease, LogLevel, ProblemKind, RenewRequest, ResultRequest, TaskError, without_secrets,
 };
 use forelight_renderer::{Control, ExecuteError, Outcome};
 use std::time::Duration;
@@ -12,27 +12,34 @@ impl Agent {
     /// Uploads the artefacts and reports the end of the task. Retries until the service answers.
     pub(super) async fn report(&self, lease: &Lease, done: Result<Outcome, ExecuteError>, control: &Control) {
         let client = self.client.with_backoff(Backoff::FOREVER);
-        let failed = |message, permanent, limit| TaskError { message, permanent, limit };
+        let failed = |message, kind| TaskError { message, kind, ..TaskError::default() };
         let ended = match done {
             Ok(outcome) => match self.deliver(&client, lease, outcome, control).await {
                 Ok(()) => return,
                 Err(error) if is_lost(&error) => Err(error),
+                // The service has ended the lease, and the task is done elsewhere.
+                Err(error) if error.is(ProblemKind::ImplausibleResult) => Err(error),
                 // Only another attempt can help. Report it rather than let the lease expire.
                 Err(error) => {
                     let message = format!("the result was refused: {}", describe(&error));
                     tracing::error!(task = %lease.task_id, %message);
-                    self.report_error(&client, lease, failed(message, false, None), control).await
+                    self.report_error(&client, lease, failed(message, FailureKind::Unknown), control).await
                 }
             },
             Err(ExecuteError::Cancelled) => return,
             Err(ExecuteError::Permanent(message)) => {
-                self.report_error(&client, lease, failed(message, true, None), control).await
+                let error = TaskError { permanent: true, ..failed(message, FailureKind::Task) };
+                self.report_error(&client, lease, error, control).await
+            }
+            Err(ExecuteError::Input(message)) => {
+                self.report_error(&client, lease, failed(message, FailureKind::Input), control).await
             }
             Err(ExecuteError::Transient(message)) => {
-                self.report_error(&client, lease, failed(message, false, None), control).await
+                self.report_error(&client, lease, failed(message, FailureKind::Unknown), control).await
             }
             Err(ExecuteError::Limit(limit, message)) => {
-                self.report_error(&client, lease, failed(message, false, Some(limit)), control).await
+                let error = TaskError { limit: Some(limit), ..failed(message, FailureKind::Task) };
+                self.report_error(&client, lease, error, control).await
             }
         };
         match ended {

@@ -144,7 +144,7 @@ fn app(farm: Shared) -> Router {
 fn lease(fence: u64) -> Lease {
     let spec = PreviewSpec {
         job_id: JobId::new(),
-        bundle: BundleSource::Path("/nowhere".into()),
+        bundle: BundleSource::Path("/".into()),
         digest: SceneDigest([0; 32]),
         frames: vec![0],
         settings: RenderSettingsRequest::default().complete((4, 4)).into(),

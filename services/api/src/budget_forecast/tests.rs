@@ -5,7 +5,9 @@ use forelight_protocol::{
     RenderSettingsRequest, SceneDigest, SceneSummary, SharedCacheBooking,
 };
 use forelight_quote::JobForecast;
-use forelight_store::{FarmFrame, FarmJob, Holder, OpenBooking, OpenCachePart, OpenJob, Wanted, project};
+use forelight_store::{
+    FarmFrame, FarmJob, Holder, OpenBooking, OpenCachePart, OpenJob, TaskAttempt, Wanted, project,
+};
 use serde_json::json;
 use uuid::Uuid;
 
@@ -207,7 +209,8 @@ fn a_frame_that_another_node_has_costs_what_it_takes_there_even_while_that_one_s
         node(1, 3_600 * 1000, 500, serde_json::Value::Null),
         node(2, 3_600 * 2000, 1000, an_hour_a_day()),
     ];
-    let holder = Holder { node_id: node_id(2), started: at(-100), progress: 0.5 };
+    let attempt = TaskAttempt { since: at(-100), progress: 0.5, sign: at(0), p95: Some(2_000_000_000) };
+    let holder = Holder { node_id: node_id(2), started: at(-100), attempt };
     let half_done = OpenBooking { booking: booking(0, 1, 0, 1800), holder: Some(holder) };
     // Half an hour of work at two thousandths per second.
     let forecast = forecast_of(nodes, &[half_done], &[]);

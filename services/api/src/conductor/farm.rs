@@ -84,6 +84,9 @@ pub(crate) struct Asked {
     pub factor: f64,
     pub factor_before: f64,
     pub under_way: Option<i64>,
+    /// Probability that the frames under way are done by its deadline, given how long they have run and how
+    /// far they are. 1 without a deadline.
+    pub under_way_in_time: f64,
     /// Its cost so far, with the expected cost of running tasks, in micro-units; see [`FarmJob::spent`].
     pub spent: i64,
     pub held: bool,
@@ -128,7 +131,7 @@ impl Farm {
             let place = asked.len() as u64;
             places.insert(farm_job.job.id, place);
             let factor = learned(farm_job);
-            let one = of_job(farm_job, &snapshot.projected.frames, factor);
+            let one = of_job(farm_job, &snapshot.projected.frames, factor, now);
             let project = projects.get(farm_job.job.project.as_str()).copied();
             let release = snapshot.projected.cache_full_at(farm_job.job.id).unwrap_or(now);
             jobs.push(planner_job(farm_job, forecast, &one, place, project, release));
@@ -189,15 +192,18 @@ impl Farm {
     }
 }
 
-fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64) -> Asked {
+fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64, now: Timestamp) -> Asked {
     let under_way =
-        projected.iter().filter(|frame| frame.under_way && frame.booking.job_id == farm_job.job.id);
+        || projected.iter().filter(|frame| frame.under_way && frame.booking.job_id == farm_job.job.id);
+    let deadline = farm_job.job.deadline;
+    let chances = under_way().filter_map(|frame| frame.chance(deadline?, now));
     let begun = farm_job.frames.iter().filter(|frame| !frame.waits);
     Asked {
         job: farm_job.job.clone(),
         factor,
         factor_before: farm_job.factor,
-        under_way: under_way.map(|frame| frame.end.micros()).max(),
+        under_way: under_way().map(|frame| frame.end.micros()).max(),
+        under_way_in_time: chances.product(),
         spent: farm_job.spent.micro_units(),
         held: farm_job.held,
         terms: farm_job.terms,

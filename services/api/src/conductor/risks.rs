@@ -1,7 +1,6 @@
 //! What happens to jobs in the scenarios of a plan. Pure.
 
 use forelight_planner as planner;
-use forelight_protocol::Timestamp;
 use forelight_store::FinishSpread;
 
 use super::AdvanceError;
@@ -35,10 +34,9 @@ pub(super) fn risks(
     let count = (MOST_DRAWS / plan.bookings.len().max(1)).clamp(50, SCENARIOS) as u32;
     let simulation = planner::simulate(&farm.input, plan, count, SEED)?;
     let of_job = |(job, asked): (usize, &Asked)| {
-        let deadline = asked.job.deadline.map(Timestamp::micros);
-        let late_by_fact = asked.under_way.zip(deadline).is_some_and(|(end, deadline)| end > deadline);
         let risk = simulation.jobs.iter().find(|risk| risk.job == job as u64);
-        let in_time = if late_by_fact { 0.0 } else { 1.0 - risk.map_or(0.0, |risk| risk.probability(count)) };
+        // Scenarios vary frames that wait. Those under way have a course of their own.
+        let in_time = asked.under_way_in_time * (1.0 - risk.map_or(0.0, |risk| risk.probability(count)));
         let planned = plan.job(job as u64).and_then(|entry| entry.verdict.finish());
         Risk { in_time, finish: risk.and_then(|risk| spread(risk.finish, planned)) }
     };

@@ -17,6 +17,7 @@ use forelight_store::StoreError;
 
 use self::claim::Claimed;
 use super::responses::created;
+use crate::config::Evidence;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
 use crate::schema::IdempotencyKeyHeader;
@@ -98,6 +99,10 @@ pub(crate) async fn release(
 
 /// Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
 /// harmless.
+///
+/// A result that is not possible is refused as `implausible-result`: CPU time that the lease leaves no room
+/// for, work that no machine does in that time, or a file that is not the image that it should be. The lease
+/// has failed then, the task is done elsewhere, and the refusal is held against the node.
 #[utoipa::path(post, path = "/v1/leases/{id}/result", operation_id = "lease_result",
     tag = "work", params(("id" = LeaseId, Path)), request_body = ResultRequest,
     responses((status = 200, description = "Committed, now or before", body = ResultAnswer), Problems))]
@@ -114,6 +119,10 @@ pub(crate) async fn result(
         (Some(result), None) => {
             let info = app.store.lease(lease).await?;
             result_checks::check(&info.spec, &result)?;
+            if app.evidence == Evidence::Checked {
+                let checked = app.store.check_evidence(lease, request.fence, &result, app.now()).await;
+                counted(&app, checked)?;
+            }
             let committed = app.store.commit_result(lease, request.fence, &result, app.now()).await;
             let at_result = |error: ApiError| match error.kind() {
                 Some(ProblemKind::MissingArtifact) => error.at("/result"),
@@ -136,6 +145,7 @@ pub(crate) async fn result(
             if !(1..=2000).contains(&length) {
                 return Err(ApiError::invalid("/error/message", "a message has 1 to 2000 characters"));
             }
+            let error = app.store.after_a_look(lease, error, app.now()).await?;
             let failed = app.store.fail_task(lease, request.fence, &error, app.now()).await;
             let (duplicate, job_state) = counted(&app, failed)?;
             app.metrics.task_errors.add(1);

@@ -230,8 +230,7 @@ async fn a_job_that_failed_goes_on_with_all_that_it_had_left() {
     farm.finish(&renders(&farm, &node).await).await;
     let lease = renders(&farm, &node).await;
     let frame = lease.spec.frame().unwrap();
-    let failed = json!({"fence": lease.fence, "error": {"message": "no such texture", "permanent": true}});
-    farm.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &failed).await;
+    farm.fail_without_bundle(&lease).await;
     assert_eq!(farm.job(&job).await.state, JobState::Failed);
     let frames = json!({"frames": frame.to_string()});
     let going_on: Job = post(&farm, &job, "frames/retry", frames).await.parsed(StatusCode::OK).await;

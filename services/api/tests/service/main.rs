@@ -21,6 +21,7 @@ mod retention;
 mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
+mod trust;
 mod uploads;
 mod wear;
 mod webhooks;

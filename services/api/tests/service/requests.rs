@@ -340,8 +340,7 @@ async fn a_process_that_was_started_twice_for_a_task_waits_for_the_first_and_is_
     });
     let second: Lease = second.parsed(StatusCode::OK).await;
     assert_eq!((second.task_id, second.fence), (first.task_id, first.fence + 1));
-    let failed = json!({"fence": second.fence, "error": {"message": "no such scene", "permanent": true}});
-    farm.worker.post(&format!("/v1/leases/{}/result", second.lease_id), &failed).await;
+    farm.fail_without_bundle(&second).await;
     by_id(&task, 10_000).await.problem(ProblemKind::Conflict).await;
     by_id("0197a8a5-0000-7000-8000-000000000000", 0).await.problem(ProblemKind::NotFound).await;
 }

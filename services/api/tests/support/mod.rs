@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use forelight_api::{Config, Service};
+use forelight_api::{Config, Evidence, Service};
 use forelight_protocol::{
     ArtifactHash, Job, JobState, Lease, Node, ResultAnswer, ResultRequest, Role, TaskKind, TaskResult,
     Timestamp,
@@ -70,6 +70,7 @@ pub fn config(folder: &Path) -> Config {
     let mut config = Config::new(folder.join("data"));
     config.listen = SocketAddr::from(([127, 0, 0, 1], 0));
     config.bundle_roots = vec![folder.join("scenes")];
+    config.evidence = Evidence::Believed;
     config
 }
 
@@ -187,6 +188,17 @@ impl Farm {
     pub async fn finish(&self, lease: &Lease) -> ResultAnswer {
         let result = self.made_up_result(lease).await;
         self.report(lease, result).await.parsed(StatusCode::OK).await
+    }
+
+    /// Fails a task while the bundle of all jobs is gone, which fails the job at once.
+    pub async fn fail_without_bundle(&self, lease: &Lease) {
+        let (bundle, elsewhere) = (self.bundle_path(), self.folder.path().join("elsewhere"));
+        std::fs::rename(&bundle, &elsewhere).unwrap();
+        let failed = serde_json::json!({"fence": lease.fence, "error": {"message": "no such file"}});
+        let answer = self.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &failed).await;
+        let answer: ResultAnswer = answer.parsed(StatusCode::OK).await;
+        assert_eq!(answer.job_state, JobState::Failed);
+        std::fs::rename(&elsewhere, &bundle).unwrap();
     }
 
     /// Works until the job is over.

@@ -17,6 +17,7 @@ mod forecast;
 mod foreign;
 mod inspect_bundle;
 mod jobs;
+mod leave_out;
 mod log;
 mod node;
 mod plan;
@@ -72,6 +73,7 @@ enum Command {
     Status(status::Args),
     Jobs(jobs::Args),
     Cancel(cancel::Args),
+    LeaveOut(leave_out::Args),
     Dashboard(dashboard::Args),
     Render(render::Args),
     Renderers(renderers::Args),
@@ -118,6 +120,7 @@ impl Cli {
             Command::Jobs(args) => jobs::run(args).await,
             Command::Accept(args) => accept::run(args).await,
             Command::Cancel(args) => cancel::run(args).await,
+            Command::LeaveOut(args) => leave_out::run(args).await,
             Command::Dashboard(args) => dashboard::run(args).await,
             Command::Token(args) => token::run(args).await,
             Command::Node(args) => node::run(*args).await,
@@ -218,6 +221,7 @@ mod tests {
             ("forelight backup --data d", "--to"),
             ("forelight status kitchen --interval 0s", "--interval"),
             ("forelight jobs --state sleeping", "--state"),
+            ("forelight leave-out kitchen", "--reason"),
             ("forelight accept j --confidence p99", "--confidence"),
             ("forelight jobs --most 0", "--most"),
             ("forelight simulate --nodes 3", "--nodes"),

@@ -4,6 +4,7 @@ use super::calibrate;
 use crate::connection::ConnectionOptions;
 use crate::connection::{connect, read_token};
 use anyhow::{Context, Result};
+use etcetera::BaseStrategy as _;
 use forelight_client::Client;
 use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
@@ -52,7 +53,7 @@ pub struct Args {
     /// Price of an hour of this node, in the farm's currency, such as 0.80
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     price: i64,
-    /// Folder for downloaded bundles [default: forelight-bundles in the system's temporary folder]
+    /// Folder for downloaded bundles [default: forelight/bundles in the user's cache folder, ~/.cache]
     #[arg(long, value_name = "DIR")]
     bundles: Option<PathBuf>,
     /// Device that renders ID previews
@@ -92,7 +93,7 @@ pub struct Args {
 }
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
-    let folder = args.bundles.unwrap_or_else(|| std::env::temp_dir().join("forelight-bundles"));
+    let folder = args.bundles.map_or_else(cache_folder, Ok)?;
     let (bundles, executor, capabilities) = equipment(&folder, args.preview, &args.command)?;
     let calibration = match &args.calibration {
         Some(file) => calibrate::read(file)?.1,
@@ -192,6 +193,14 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
 pub async fn measured(folder: PathBuf, processor: Option<String>) -> Result<NodeCalibration> {
     let measure = move || calibrate::kept(&folder, processor.as_deref());
     tokio::task::spawn_blocking(measure).await.context("cannot measure this machine's speed")
+}
+
+/// The folder for bundles in the user's own cache folder, which no other user can write to.
+fn cache_folder() -> Result<PathBuf> {
+    let user = etcetera::choose_base_strategy();
+    let user =
+        user.map_err(|error| BadInput::new(format!("--bundles: {error}; give a folder for bundles")))?;
+    Ok(user.cache_dir().join("forelight/bundles"))
 }
 
 fn host_name() -> Result<String> {

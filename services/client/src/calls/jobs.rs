@@ -6,7 +6,7 @@ use crate::transport::{Payload, Request};
 use bytes::Bytes;
 use forelight_protocol::{
     AcceptRequest, AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId,
-    JobPage, JobRequest, Money, Timestamp,
+    JobPage, JobRequest, LeaveOutRequest, LeftOutJob, Money, Timestamp,
 };
 use reqwest::Method;
 use std::path::Path;
@@ -71,6 +71,17 @@ impl Client {
     pub async fn accept(&self, id: JobId, request: &AcceptRequest) -> Result<Job, ClientError> {
         let path = format!("/v1/jobs/{id}/accept");
         self.transport.json(&Request::json(Method::POST, path, request)).await
+    }
+
+    /// Takes a job out of the track record.
+    pub async fn leave_out(&self, id: JobId, request: &LeaveOutRequest) -> Result<LeftOutJob, ClientError> {
+        let path = format!("/v1/jobs/{id}/left-out");
+        self.transport.json(&Request::json(Method::PUT, path, request)).await
+    }
+
+    /// Puts a job back into the track record.
+    pub async fn put_back(&self, id: JobId) -> Result<(), ClientError> {
+        self.transport.send(&Request::new(Method::DELETE, format!("/v1/jobs/{id}/left-out"))).await.map(drop)
     }
 
     /// Cancels a job. Cancelling it again changes nothing.

@@ -647,6 +647,28 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/jobs/{id}/left-out": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Takes a job out of the track record, for example because a node lied about it.
+         * @description Neither the record nor calibration counts it any more, and nodes forget what it taught about their speed.
+         *     The record lists it with the reason. Repeating the request replaces the reason.
+         */
+        put: operations["job_leave_out"];
+        post?: never;
+        /** Puts a job back into the track record. */
+        delete: operations["job_put_back"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/jobs/{id}/price-curve.svg": {
         parameters: {
             query?: never;
@@ -779,8 +801,13 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /** Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
-         *     harmless. */
+        /**
+         * Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
+         *     harmless.
+         * @description A result that is not possible is refused as `implausible-result`: CPU time that the lease leaves no room
+         *     for, work that no machine does in that time, or a file that is not the image that it should be. The lease
+         *     has failed then, the task is done elsewhere, and the refusal is held against the node.
+         */
         post: operations["lease_result"];
         delete?: never;
         options?: never;
@@ -2131,7 +2158,7 @@ export interface components {
          * @description Kind of an event. It is also the `event:` field of the server-sent events.
          * @enum {string}
          */
-        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe" | "artifact_damaged";
+        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "result_refused" | "task_late" | "task_stalled" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe";
         /** @description Fields of each event on the stream. */
         EventMessage: {
             /** @description The event, an `Event` in JSON. */
@@ -2169,6 +2196,11 @@ export interface components {
              */
             work: number;
         };
+        /**
+         * @description Where the cause of a failure lies, as far as the worker knows. It decides whose fault the failure is.
+         * @enum {string}
+         */
+        FailureKind: "unknown" | "node" | "input" | "task";
         /** @description An instant that is not known for sure. */
         FinishQuantiles: {
             /** @description Median. */
@@ -2864,12 +2896,28 @@ export interface components {
          * @enum {string}
          */
         LeaseOrder: "continue" | "stop" | "pause";
+        /** @description An operator's request to take a job out of the track record. */
+        LeaveOutRequest: {
+            /** @description Why: 1 to 500 characters. */
+            reason: string;
+        };
         /** @description A light or an object that provably does not affect an image. */
         LeftOut: {
             /** @description Why it has no effect. */
             reason: string;
             /** @description Name or number of it. */
             what: string;
+        };
+        /** @description A job that an operator took out of the track record. Nothing is learnt from it. */
+        LeftOutJob: {
+            /** @description Since when. */
+            at: components["schemas"]["Timestamp"];
+            /** @description The job. */
+            job_id: components["schemas"]["JobId"];
+            /** @description Its name. */
+            name: string;
+            /** @description Why. */
+            reason: string;
         };
         /** @description One number of the live estimate, beside the quote. */
         LiveFigure: {
@@ -4762,10 +4810,13 @@ export interface components {
         };
         /** @description An error of the worker. */
         TaskError: {
+            /** @description Where the cause lies. */
+            kind?: components["schemas"]["FailureKind"];
             limit?: components["schemas"]["TaskLimit"] | null;
             /** @description The error as one line of text, 1 to 2000 characters. */
             message: string;
-            /** @description Whether every attempt would fail like this, as with a malformed scene. The job then fails at once. */
+            /** @description Whether every attempt would fail like this, as with a malformed scene. The job fails once a second node
+             *     says so, or after three attempts if there is no other node. */
             permanent?: boolean;
         };
         /**
@@ -4942,6 +4993,8 @@ export interface components {
             items: components["schemas"]["TrackRecordRow"][];
             /** @description The same by kind and calibration. Sorted by renderer, feature class and calibration. */
             kinds?: components["schemas"]["TrackRecordKind"][];
+            /** @description Jobs that an operator took out of the record: none of the numbers counts them. The newest first. */
+            left_out?: components["schemas"]["LeftOutJob"][];
             next_page_token?: components["schemas"]["PageToken"] | null;
             /**
              * Format: double
@@ -7023,6 +7076,88 @@ export interface operations {
             };
             /** @description The picture is still that of `If-None-Match` */
             304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    job_leave_out: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LeaveOutRequest"];
+            };
+        };
+        responses: {
+            /** @description It is out of the record */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LeftOutJob"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    job_put_back: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is in the record */
+            204: {
                 headers: {
                     [name: string]: unknown;
                 };

@@ -143,6 +143,7 @@ function changedNode(before: Node, event: Event): Node {
       return { ...node, activity: { ...node.activity!, progress: event.progress } };
     case "task_done":
     case "task_failed":
+    case "result_refused":
     case "lease_expired":
     case "lease_released":
     case "lease_lost":

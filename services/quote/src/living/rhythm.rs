@@ -34,6 +34,8 @@ pub enum Occasion {
     Ended,
     /// Pixels of a frame finished, or finished frames wait for an estimate.
     Meanwhile,
+    /// A frame takes longer than forecast.
+    Overdue,
 }
 
 /// The previous estimate.
@@ -53,7 +55,7 @@ pub struct Last {
 pub fn is_due(last: &Last, occasion: Occasion, now: Timestamp) -> bool {
     let age = now.micros_since(last.at);
     match occasion {
-        Occasion::Booked | Occasion::Ended => true,
+        Occasion::Booked | Occasion::Ended | Occasion::Overdue => true,
         Occasion::Frame => {
             let since = last.frames_since + 1;
             let done = last.frames_done + since;

@@ -19,6 +19,9 @@ pub(crate) struct OfferedTask {
     pub fence: i64,
     pub job_state: Word<JobState>,
     pub work_by_class: Option<Json<ByClass>>,
+    /// Whether the task is run a second time, beside an attempt that makes no progress.
+    #[sqlx(default)]
+    pub is_again: bool,
     /// Whether the task is booked on another node and not free for every node.
     #[sqlx(default)]
     pub is_booked_elsewhere: bool,
@@ -88,7 +91,8 @@ macro_rules! next_task {
             $which,
             " AND held = 0 AND not_before <= ?2 AND (renderer IS NULL OR renderer IN (SELECT value FROM \
              json_each((SELECT renderers FROM nodes WHERE id = ?1)))) AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS \
-             (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1)) \
+             (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1 \
+             AND NOT f.alone)) \
               AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
               > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",
             $order,
@@ -97,6 +101,21 @@ macro_rules! next_task {
     };
 }
 pub(crate) use next_task;
+
+/// A statement for the first stalled task that the node `?1` may run a second time: it has its renderer, and
+/// has not tried it.
+macro_rules! next_stalled_task {
+    () => {
+        "SELECT id FROM tasks INDEXED BY tasks_again WHERE state = 'leased' AND again = 1 AND held = 0 AND \
+         (renderer IS NULL OR renderer IN (SELECT value FROM json_each((SELECT renderers FROM nodes WHERE id = ?1)))) \
+         AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.node_id = ?1 \
+         AND f.state IN ('active', 'failed')) \
+         AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
+         > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) \
+         ORDER BY due_at, priority DESC, job_id, frame LIMIT 1"
+    };
+}
+pub(crate) use next_stalled_task;
 
 /// The columns of an [`OfferedTask`].
 macro_rules! task_columns {

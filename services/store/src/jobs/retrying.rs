@@ -24,7 +24,6 @@ struct Row {
     frame: u32,
     task: Id,
     state: String,
-    lease: Option<Id>,
     /// Whether a person took it out of the job.
     dropped: bool,
 }
@@ -42,9 +41,7 @@ impl Store {
         }
         check_inputs(&mut write, job).await?;
         let rows = rows_of(&mut write, &current).await?;
-        let held: Vec<LeaseId> =
-            asked(&rows, frames).filter_map(|row| row.lease).map(LeaseId::from).collect();
-        take_back(&mut write, held, now).await?;
+        take_all_back(&mut write, asked(&rows, frames), now).await?;
         for row in asked(&rows, frames) {
             if row.state == "done" {
                 forget_result(&mut write, job, row).await?;
@@ -89,8 +86,7 @@ impl Store {
         if open.is_empty() {
             return Ok(current);
         }
-        let held: Vec<LeaseId> = open.iter().filter_map(|row| row.lease).map(LeaseId::from).collect();
-        take_back(&mut write, held, now).await?;
+        take_all_back(&mut write, open.iter().copied(), now).await?;
         for row in &open {
             run!(
                 write,
@@ -138,9 +134,7 @@ async fn check_inputs(write: &mut Write, job: JobId) -> Result<()> {
 async fn rows_of(write: &mut Write, job: &Job) -> Result<Vec<Row>> {
     let rows = sqlx::query_as!(
         Row,
-        r#"SELECT t.frame AS "frame!", t.id AS task, t.state, f.dropped,
-                  (SELECT l.id FROM leases l WHERE l.task_id = t.id AND l.state = 'active') AS "lease?: Id"
-           FROM tasks t
+        r#"SELECT t.frame AS "frame!", t.id AS task, t.state, f.dropped FROM tasks t
            JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame WHERE t.job_id = ? AND t.kind = 'render'
            AND t.frame IS NOT NULL ORDER BY t.frame"#,
         job.id.0
@@ -155,6 +149,24 @@ async fn rows_of(write: &mut Write, job: &Job) -> Result<Vec<Row>> {
         return Err(StoreError::Conflict(reason));
     }
     Ok(rows)
+}
+
+/// Takes the frames back from all workers that have them.
+async fn take_all_back<'a>(
+    write: &mut Write,
+    rows: impl Iterator<Item = &'a Row>,
+    now: Timestamp,
+) -> Result<()> {
+    for row in rows.filter(|row| row.state == "leased") {
+        let held = sqlx::query_scalar!(
+            "SELECT id FROM leases WHERE task_id = ? AND state = 'active' ORDER BY fence",
+            row.task
+        )
+        .fetch_all(write.connection().await?)
+        .await?;
+        take_back(write, held.into_iter().map(LeaseId::from), now).await?;
+    }
+    Ok(())
 }
 
 fn asked<'a>(rows: &'a [Row], frames: &'a FrameSet) -> impl Iterator<Item = &'a Row> {

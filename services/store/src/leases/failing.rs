@@ -1,18 +1,29 @@
-//! Records failed tasks. [`crate::policy::retries`] decides what follows.
+//! Records failed tasks. [`crate::policy::retries`] decides what follows, [`crate::policy::faults`] whose fault
+//! it is.
 
-use forelight_protocol::{Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, Timestamp};
+use forelight_protocol::{
+    BundleSource, Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, TaskSpec, Timestamp,
+};
 
 use crate::columns::Time;
 use crate::database::{Store, Write};
-use crate::error::Result;
+use crate::error::{Result, StoreError};
 use crate::events::{append, node_event};
 use crate::jobs;
 use crate::jobs::ending::fail_task_and_job;
-use crate::leases::{LeaseState, back_to_ready, end, read_in, touch};
-use crate::nodes;
+use crate::leases::{LeaseRow, LeaseState, back_to_ready, end, read_in, touch};
+use crate::nodes::{self, LOST};
 use crate::plans::replans;
-use crate::policy::retries::{HEAD_START, HELD_AGAINST, is_blameless, job_error, reason_to_set_aside, wait};
+use crate::policy::faults::{Fault, Faults, HELD_AGAINST, after_a_look, kind, reason_to_set_aside};
+use crate::policy::retries::{HEAD_START, Tried, Witness, job_error, wait};
 use crate::writing::run;
+
+/// How an attempt failed.
+pub(crate) struct Report<'a> {
+    pub error: &'a TaskError,
+    /// What is held against its node at once.
+    pub fault: Option<Fault>,
+}
 
 impl Store {
     /// Records that a worker could not do its task. Returns whether it is a repetition, and the job's state.
@@ -31,35 +42,46 @@ impl Store {
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
         }
-        end(&mut write, &row, "failed", now);
         touch(&mut write, row.node_id, now);
-        let blameless = is_blameless(error);
-        if blameless {
-            run!(write, "UPDATE leases SET blameless = 1 WHERE id = ?", lease.0);
-        }
-        append(
-            &mut write,
-            Event { message: Some(error.message.clone()), ..row.event(EventKind::TaskFailed, now) },
-        );
-        let failures = row.failures + 1;
-        run!(
-            write,
-            "UPDATE tasks SET failures = ?, not_before = ? WHERE id = ?",
-            failures,
-            now.plus_micros(wait(row.task_id, failures)).micros(),
-            row.task_id.0
-        );
-        let failed_on = nodes_that_failed(&mut write, row.task_id).await?;
-        match job_error(error, row.task_id, failures, &failed_on) {
-            Some(job_error) => fail_task_and_job(&mut write, &row, &job_error, now).await?,
-            None => back_to_ready(&mut write, &row, Some(&error.message)),
-        }
-        if !blameless {
-            set_aside_if_at_fault(&mut write, row.node_id, &error.message, now).await?;
-        }
+        fail(&mut write, &row, &Report { error, fault: None }, now).await?;
         let state = jobs::state(write.connection().await?, row.job_id).await?;
         self.commit(write).await?;
         Ok((false, state))
+    }
+
+    /// The worker's error, after a look whether the task's input is still there: its bundle, and the
+    /// artefacts that it takes over. So neither a node nor a task is blamed for a file that is gone.
+    pub async fn after_a_look(&self, lease: LeaseId, error: TaskError, now: Timestamp) -> Result<TaskError> {
+        let spec = self.lease(lease).await?.spec;
+        Ok(after_a_look(error, self.missing_input(&spec, now).await?))
+    }
+
+    /// What is gone of a task's input; `None` if nothing is, as far as can be seen.
+    async fn missing_input(&self, spec: &TaskSpec, now: Timestamp) -> Result<Option<String>> {
+        let mut artifacts = spec.caches();
+        match spec.bundle() {
+            // What cannot be looked at may be there.
+            BundleSource::Path(path) if !tokio::fs::try_exists(path).await.unwrap_or(true) => {
+                return Ok(Some(format!("bundle {path}")));
+            }
+            BundleSource::Path(_) => {}
+            BundleSource::Artifact(hash) => artifacts.push(*hash),
+        }
+        if let TaskSpec::Render(render) = spec {
+            artifacts.extend(render.profile);
+            artifacts.extend(render.shares.iter().map(|share| share.hash));
+        }
+        for hash in artifacts {
+            match self.artifacts().get(hash, now).await {
+                Err(error @ (StoreError::ArtifactLost { .. } | StoreError::ArtifactDamaged { .. })) => {
+                    return Ok(Some(error.to_string()));
+                }
+                Err(StoreError::NotFound(_)) => return Ok(Some(format!("artefact {hash}"))),
+                // While the place of artefacts is away, nothing can be said.
+                Ok(_) | Err(_) => {}
+            }
+        }
+        Ok(None)
     }
 
     /// When the next task that waits after a failure may be handed out, to a node on which it failed or to
@@ -78,30 +100,140 @@ impl Store {
     }
 }
 
-/// Names of the nodes on which a task failed, sorted.
-async fn nodes_that_failed(write: &mut Write, task: TaskId) -> Result<Vec<String>> {
-    Ok(sqlx::query_scalar!(
-        "SELECT DISTINCT n.name FROM leases l JOIN nodes n ON n.id = l.node_id \
-         WHERE l.task_id = ? AND l.state = 'failed' ORDER BY n.name",
-        task.0
+/// Ends an active lease as failed, inside a write. Its task is tried again, or fails its job.
+pub(crate) async fn fail(
+    write: &mut Write,
+    row: &LeaseRow,
+    report: &Report<'_>,
+    now: Timestamp,
+) -> Result<()> {
+    let error = report.error;
+    end(write, row, "failed", now);
+    let others = others(write, row, now).await?;
+    run!(
+        write,
+        "UPDATE leases SET failure = ?, permanent = ?, fault = ?, alone = ? WHERE id = ?",
+        kind(error).name(),
+        error.permanent,
+        report.fault.map(Fault::name),
+        others == 0,
+        row.id.0
+    );
+    let event = match report.fault {
+        Some(Fault::Refused) => EventKind::ResultRefused,
+        _ => EventKind::TaskFailed,
+    };
+    append(write, Event { message: Some(error.message.clone()), ..row.event(event, now) });
+    let failures = row.failures + 1;
+    run!(
+        write,
+        "UPDATE tasks SET failures = ?, not_before = ? WHERE id = ?",
+        failures,
+        now.plus_micros(wait(row.task_id, failures)).micros(),
+        row.task_id.0
+    );
+    let witnesses = witnesses(write, row.task_id, now).await?;
+    let tried = Tried { task: row.task_id, failures, witnesses: &witnesses, others };
+    match job_error(error, &tried) {
+        Some(job_error) => fail_task_and_job(write, row, &job_error, now).await?,
+        None => back_to_ready(write, row, Some(&error.message)),
+    }
+    if report.fault.is_some() {
+        set_aside_if_at_fault(write, row.node_id, now).await?;
+    }
+    Ok(())
+}
+
+/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere against their nodes, and
+/// all the more if one was called permanent. Only the job is blamed for its limits, and nobody for input that
+/// was gone.
+pub(crate) async fn hold_against_others(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<()> {
+    let nodes = sqlx::query_scalar!(
+        "UPDATE leases SET fault = ? WHERE task_id = ? AND state = 'failed' AND fault IS NULL \
+         AND node_id <> ? AND (failure IN ('unknown', 'node') OR permanent) RETURNING node_id",
+        Fault::Unshared.name(),
+        row.task_id.0,
+        row.node_id.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    for node in nodes {
+        set_aside_if_at_fault(write, node.into(), now).await?;
+    }
+    Ok(())
+}
+
+/// After a task was done: ends the attempt beside it, if there is one. If that one stalled, it is held against
+/// its node.
+pub(crate) async fn end_attempt_beside(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<()> {
+    let nodes = sqlx::query!(
+        "UPDATE leases SET state = 'revoked', ended_at = coalesce(paid_until, min(?, expires_at)), \
+         fault = CASE lateness WHEN 'stalled' THEN ? END WHERE task_id = ? AND state = 'active' \
+         AND id <> ? RETURNING node_id, fault AS \"fault?\"",
+        now.micros(),
+        Fault::Stalled.name(),
+        row.task_id.0,
+        row.id.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    for beside in nodes {
+        if beside.fault.is_some() {
+            set_aside_if_at_fault(write, beside.node_id.into(), now).await?;
+        }
+    }
+    Ok(())
+}
+
+/// The nodes on which a task failed, by name.
+async fn witnesses(write: &mut Write, task: TaskId, now: Timestamp) -> Result<Vec<Witness>> {
+    Ok(sqlx::query_as!(
+        Witness,
+        "SELECT n.name AS \"name!\", max(l.permanent) AS \"permanent!: bool\", \
+         EXISTS (SELECT 1 FROM leases f INDEXED BY leases_at_fault WHERE f.node_id = n.id AND f.fault IS NOT NULL \
+                 AND f.ended_at > max(?2, n.trusted_since)) AS \"doubted!: bool\" \
+         FROM leases l JOIN nodes n ON n.id = l.node_id \
+         WHERE l.task_id = ?1 AND l.state = 'failed' GROUP BY n.id ORDER BY n.name",
+        task.0,
+        now.plus_micros(-HELD_AGAINST).micros()
     )
     .fetch_all(write.connection().await?)
     .await?)
 }
 
-/// Sets a node aside on which tasks of too many jobs failed. Tasks that failed their jobs do not count.
-async fn set_aside_if_at_fault(write: &mut Write, node: NodeId, error: &str, now: Timestamp) -> Result<()> {
-    let jobs = sqlx::query_scalar!(
-        "SELECT count(DISTINCT t.job_id) FROM leases l INDEXED BY leases_failed_on_node \
-         JOIN tasks t ON t.id = l.task_id WHERE l.node_id = ?1 AND l.state = 'failed' \
-         AND NOT l.blameless AND t.state <> 'failed' AND l.ended_at > max(?2, (SELECT trusted_since \
-         FROM nodes WHERE id = ?1))",
+/// How many other nodes could do a task: they take tasks, were heard of lately, have its renderer, and it has
+/// not failed on them.
+async fn others(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<u32> {
+    Ok(sqlx::query_scalar!(
+        "SELECT count(*) AS \"others!: u32\" FROM nodes n WHERE n.id <> ?1 AND n.set_aside IS NULL AND NOT n.drain \
+         AND NOT n.pause AND n.last_seen_at >= ?2 \
+         AND (?3 IS NULL OR ?3 IN (SELECT value FROM json_each(n.renderers))) \
+         AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = ?4 AND f.state = 'failed' AND f.node_id = n.id)",
+        row.node_id.0,
+        now.plus_micros(-LOST).micros(),
+        row.renderer,
+        row.task_id.0
+    )
+    .fetch_one(write.connection().await?)
+    .await?)
+}
+
+/// Sets a node aside that is at fault for too many tasks.
+async fn set_aside_if_at_fault(write: &mut Write, node: NodeId, now: Timestamp) -> Result<()> {
+    let faults = sqlx::query_as!(
+        Faults,
+        "SELECT count(DISTINCT CASE l.fault WHEN 'stalled' THEN l.task_id END) AS \"stalled!: i64\", \
+         count(DISTINCT l.task_id) AS \"all!: i64\", \
+         (SELECT m.fault FROM leases m INDEXED BY leases_at_fault WHERE m.node_id = ?1 AND m.fault IS NOT NULL \
+          ORDER BY m.ended_at DESC, m.id DESC LIMIT 1) AS \"last?: String\" \
+         FROM leases l INDEXED BY leases_at_fault WHERE l.node_id = ?1 AND l.fault IS NOT NULL \
+         AND l.ended_at > max(?2, (SELECT trusted_since FROM nodes WHERE id = ?1))",
         node.0,
         now.plus_micros(-HELD_AGAINST).micros()
     )
     .fetch_one(write.connection().await?)
     .await?;
-    let Some(reason) = reason_to_set_aside(jobs, error) else { return Ok(()) };
+    let Some(reason) = reason_to_set_aside(&faults) else { return Ok(()) };
     let set =
         run!(write, "UPDATE nodes SET set_aside = ? WHERE id = ? AND set_aside IS NULL", reason, node.0);
     if set == 1 {

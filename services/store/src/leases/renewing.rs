@@ -40,8 +40,16 @@ impl Store {
         let expires_at = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         later!(
             write,
-            "UPDATE leases SET expires_at = ?, paid_until = NULL WHERE id = ?",
+            "UPDATE leases SET expires_at = ?, paid_until = NULL, progress_at = CASE WHEN ? > progress THEN ? \
+             ELSE progress_at END, progress = max(progress, ?), counts_from = CASE WHEN ? THEN ? ELSE counts_from END \
+             WHERE id = ?",
             expires_at.micros(),
+            progress,
+            now.micros(),
+            progress,
+            // Only a pause that was ordered stops the time.
+            paused && row.pause,
+            now.micros(),
             lease.0
         );
         later!(
@@ -52,17 +60,26 @@ impl Store {
             row.node_id.0
         );
         if progress >= row.progress + PROGRESS_STEP || (progress == 1.0 && row.progress < 1.0) {
-            later!(write, "UPDATE tasks SET progress = ? WHERE id = ?", progress, row.task_id.0);
+            // Of two attempts, the newest is shown.
+            later!(
+                write,
+                "UPDATE tasks SET progress = ? WHERE id = ? AND fence = ?",
+                progress,
+                row.task_id.0,
+                fence as i64
+            );
             append(&mut write, Event { progress: Some(progress), ..row.event(EventKind::TaskProgress, now) });
         }
         if let Some(FinishedPixels { done, all, work, cpu_nanos }) = pixels.filter(|pixels| pixels.all > 0) {
             later!(
                 write,
-                "UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? WHERE id = ?",
+                "UPDATE tasks SET pixels_share = ?, pixels_work = ?, pixels_cpu = ? \
+                 WHERE id = ? AND fence = ?",
                 (done as f64 / all as f64).min(1.0),
                 work as f64,
                 cpu_nanos as f64 * 1e-9 * row.node_speed,
-                row.task_id.0
+                row.task_id.0,
+                fence as i64
             );
             living::update(&mut write, row.job_id, Occasion::Meanwhile, now).await?;
         }

@@ -9,6 +9,7 @@ use crate::error::Result;
 use crate::events::{append, forget_old_progress};
 use crate::idempotency::forget_old;
 use crate::jobs::ending::fail_task_and_job;
+use crate::leases::overdue::look_at_running;
 use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
 use crate::living;
 use crate::nodes::changing::stop_after_windows;
@@ -27,11 +28,12 @@ pub struct Swept {
 }
 
 impl Store {
-    /// Takes back the tasks of expired leases, updates overdue estimates, and deletes records past their
-    /// time.
+    /// Takes back the tasks of expired leases, looks at those that take too long, updates overdue estimates,
+    /// and deletes records past their time.
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
+        look_at_running(&mut write, now).await?;
         stop_after_windows(&mut write, now).await?;
         living::catch_up(&mut write, now).await?;
         forget_old(&mut write, now).await?;
@@ -46,9 +48,9 @@ impl Store {
     /// Gives every active lease one more term, from now. A service calls this once when it starts, before the
     /// first sweep: workers could not renew while it was down.
     ///
-    /// If the clock was set back meanwhile, which shows in the newest event, no lease lasts longer for it, no
-    /// failed task waits longer than the longest wait, and what was spent does not fall. A worker that stays
-    /// silent is paid until its lease would have expired.
+    /// The time before does not count for tasks that are late. If the clock was set back meanwhile, which shows
+    /// in the newest event, no lease lasts longer for it, no failed task waits longer than the longest wait, and
+    /// what was spent does not fall. A worker that stays silent is paid until its lease would have expired.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         if let Some(newest) = self.time_of_newest_event().await?.filter(|&newest| newest > now) {
@@ -58,8 +60,8 @@ impl Store {
         let mut write = self.write().await?;
         let extended = run!(
             write,
-            "UPDATE leases SET paid_until = min(coalesce(paid_until, expires_at), ?1), expires_at = ?2 \
-             WHERE state = 'active'",
+            "UPDATE leases SET paid_until = min(coalesce(paid_until, expires_at), ?1), expires_at = ?2, \
+             counts_from = ?1 WHERE state = 'active'",
             now.micros(),
             until.micros()
         );
@@ -77,7 +79,8 @@ impl Store {
         let mut write = self.write().await?;
         run!(
             write,
-            "UPDATE leases SET expires_at = expires_at + ?1, paid_until = paid_until + ?1 \
+            "UPDATE leases SET granted_at = granted_at + ?1, expires_at = expires_at + ?1, paid_until = \
+             paid_until + ?1, progress_at = progress_at + ?1, counts_from = counts_from + ?1 \
              WHERE state = 'active'",
             micros
         );

@@ -10,6 +10,7 @@ use crate::database::Write;
 use crate::error::Result;
 use crate::leases::LeaseRow;
 use crate::policy::learning::{is_lesson, lesson_of_frame, moved_mean};
+use crate::quotes::left_out::is_left_out;
 use crate::writing::run;
 
 pub(crate) async fn learn(write: &mut Write, row: &LeaseRow, node: &Node, stats: &RenderStats) -> Result<()> {
@@ -38,6 +39,9 @@ pub(crate) async fn learn(write: &mut Write, row: &LeaseRow, node: &Node, stats:
     )
     .fetch_one(write.connection().await?)
     .await?;
+    if is_left_out(write, row.job_id).await? {
+        return Ok(());
+    }
     run!(
         write,
         "UPDATE nodes SET learned_millionths = learned_millionths + ?, learned_jobs = learned_jobs + ? \

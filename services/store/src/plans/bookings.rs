@@ -6,6 +6,7 @@ use sqlx::SqliteConnection;
 use crate::columns::{Id, Time};
 use crate::database::Store;
 use crate::error::Result;
+use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenBooking};
 
 /// A booking with its frame's task.
@@ -21,15 +22,23 @@ struct Row {
     holder: Option<Id>,
     started_at: Option<Time>,
     progress: f64,
+    progress_at: Option<Time>,
+    counts_from: Option<Time>,
+    p95: Option<i64>,
 }
 
 impl From<Row> for OpenBooking {
     fn from(row: Row) -> Self {
         let is_leased = row.state == "leased";
-        let holder = row.holder.zip(row.started_at).filter(|_| is_leased).map(|(node, started)| Holder {
-            node_id: node.into(),
-            started: started.into(),
-            progress: row.progress,
+        let held = row.holder.zip(row.started_at).filter(|_| is_leased);
+        let holder = held.map(|(node, started)| {
+            let times = AttemptTimes {
+                began: started.into(),
+                counts_from: row.counts_from.map(Into::into),
+                progress_at: row.progress_at.map(Into::into),
+            };
+            let attempt = times.attempt(row.progress, row.p95);
+            Holder { node_id: node.into(), started: started.into(), attempt }
         });
         let booking = Booking {
             id: row.id.into(),
@@ -50,10 +59,12 @@ macro_rules! rows {
         sqlx::query_as!(
             Row,
             "SELECT b.id, b.plan_id, b.job_id, b.frame, b.node_id, b.start_at, b.end_at, \
-             t.state, t.node_id AS holder, t.started_at, t.progress FROM jobs j \
+             t.state, t.node_id AS holder, t.started_at, t.progress, l.progress_at AS \"progress_at?\", \
+             l.counts_from AS \"counts_from?\", l.p95 AS \"p95?\" FROM jobs j \
              JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t INDEXED BY tasks_of_frames \
              ON t.job_id = b.job_id AND t.kind = 'render' AND t.frame = b.frame \
+             LEFT JOIN leases l ON t.state = 'leased' AND l.task_id = t.id AND l.fence = t.fence \
              WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') "
                 + $rest
             $(, $value)*

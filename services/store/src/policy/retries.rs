@@ -1,30 +1,32 @@
-//! Tasks that fail: when they are tried again, when no more, and when the node is at fault.
+//! Tasks that fail: when they are tried again, and when they fail their job.
 //!
 //! * A failed task waits before it is handed out again, twice as long each time. The node on which it failed
-//!   gets it [`HEAD_START`] later than others: another node is the better experiment.
-//! * A task that failed on [`FAILED_NODES`] nodes is itself at fault. It fails its job. On fewer nodes,
-//!   failure number [`MAX_FAILURES`] does.
-//! * A node on which tasks of [`FAILED_JOBS`] jobs failed within [`HELD_AGAINST`] is at fault and is set
-//!   aside, unless those tasks failed their jobs. It gets no tasks until an operator brings it back. So a job
-//!   that fails everywhere does not take the farm with it.
+//!   gets it [`HEAD_START`] later than others, unless there is no other: another node is the better
+//!   experiment.
+//! * A task that failed on [`FAILED_NODES`] nodes is itself at fault. It fails its job. If there is no other
+//!   node to try, failure number [`MAX_FAILURES`] does.
+//! * A permanent error fails the job once [`AGREEING_NODES`] nodes say so. If there is no other node to ask,
+//!   attempt number [`PERMANENT_ATTEMPTS`] does.
+//! * The word of a node that is at fault for other tasks does not count in either.
+//! * Input that is gone fails the job at once.
 //! * A task whose worker is lost [`MAX_EXPIRIES`] times fails its job.
 
-use forelight_protocol::{TaskError, TaskId};
+use forelight_protocol::{FailureKind, TaskError, TaskId};
 
 /// Nodes on which a task fails before it fails its job.
 pub const FAILED_NODES: u32 = 3;
 
-/// Failures of a task, on however few nodes, before it fails its job.
+/// Failures of a task that no other node can try, before it fails its job.
 pub const MAX_FAILURES: u32 = 6;
 
-/// Jobs that fail on a node before it is set aside.
-pub const FAILED_JOBS: u32 = 3;
+/// Nodes that call an error permanent before it is believed.
+pub const AGREEING_NODES: usize = 2;
+
+/// Attempts of a task that no other node can try, before a permanent error is believed.
+pub const PERMANENT_ATTEMPTS: u32 = 3;
 
 /// Lost workers of a task before it fails its job. More than failures: machines are switched off at night.
 pub const MAX_EXPIRIES: u32 = 10;
-
-/// For how long a failure is held against a node: a day, in microseconds.
-pub(crate) const HELD_AGAINST: i64 = 24 * 3_600_000_000;
 
 /// The first wait of a failed task, at most: a second, in microseconds.
 const FIRST_WAIT: i64 = 1_000_000;
@@ -47,29 +49,46 @@ pub(crate) fn wait(task: TaskId, failures: u32) -> i64 {
     half + i64::from(u32::from_le_bytes([a, b, c, d])) * half / i64::from(u32::MAX)
 }
 
-/// Whether an error says nothing about the node: any node would have met it, or a limit that the job set was
-/// exceeded.
-pub(crate) fn is_blameless(error: &TaskError) -> bool {
-    error.permanent || error.limit.is_some()
+/// A node on which a task failed.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub(crate) struct Witness {
+    pub name: String,
+    /// Whether it called the error permanent.
+    pub permanent: bool,
+    /// Whether it is at fault for other tasks.
+    pub doubted: bool,
 }
 
-/// The error with which the job fails after failure number `failures` of the task, which failed on these
-/// nodes; `None` if the task is tried again.
-pub(crate) fn job_error(
-    error: &TaskError,
-    task: TaskId,
-    failures: u32,
-    failed_on: &[String],
-) -> Option<String> {
-    if error.permanent {
+/// How often a task failed, where, and where it could be tried yet.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tried<'a> {
+    pub task: TaskId,
+    /// Number of failures.
+    pub failures: u32,
+    pub witnesses: &'a [Witness],
+    /// Nodes that could do the task and on which it has not failed.
+    pub others: u32,
+}
+
+/// The error with which the job fails after a failure; `None` if the task is tried again.
+pub(crate) fn job_error(error: &TaskError, tried: &Tried<'_>) -> Option<String> {
+    let Tried { task, failures, witnesses, others } = *tried;
+    if error.kind == FailureKind::Input {
         return Some(error.message.clone());
     }
-    if failed_on.len() < FAILED_NODES as usize && failures < MAX_FAILURES {
+    let believed = || witnesses.iter().filter(|witness| !witness.doubted);
+    let is_agreed = believed().filter(|witness| witness.permanent).count() >= AGREEING_NODES;
+    if error.permanent && (is_agreed || others == 0 && failures >= PERMANENT_ATTEMPTS) {
+        return Some(error.message.clone());
+    }
+    let is_shared = believed().count() >= FAILED_NODES as usize;
+    if !is_shared && (others > 0 || failures < MAX_FAILURES) {
         return None;
     }
-    let times = match failed_on {
+    let names: Vec<&str> = witnesses.iter().map(|witness| witness.name.as_str()).collect();
+    let times = match names[..] {
         [one] => format!("{failures} times on {one}"),
-        several => format!("on {}", several.join(", ")),
+        _ => format!("on {}", names.join(", ")),
     };
     Some(format!("{} (it failed {times}; the log of task {task} says more)", error.message))
 }
@@ -77,12 +96,6 @@ pub(crate) fn job_error(
 /// The error that fails the job after so many lost workers of one task; `None` if the task is tried again.
 pub(crate) fn job_error_of_lost_workers(expiries: u32) -> Option<String> {
     (expiries >= MAX_EXPIRIES).then(|| format!("{expiries} workers were lost on this task"))
-}
-
-/// Why a node is set aside on which tasks of so many jobs failed, the last with `error`; `None` if it is not.
-pub(crate) fn reason_to_set_aside(jobs: i64, error: &str) -> Option<String> {
-    (jobs >= i64::from(FAILED_JOBS))
-        .then(|| format!("tasks of {jobs} jobs failed on it within a day, the last one with: {error}"))
 }
 
 #[cfg(test)]
@@ -102,24 +115,51 @@ mod tests {
         assert!(others.len() > 10, "tasks that failed together come back together: {others:?}");
     }
 
-    #[test]
-    fn a_task_fails_its_job_on_the_third_node_at_the_sixth_time_or_with_a_permanent_error() {
-        let task = TaskId::new();
-        let error = TaskError { message: "out of memory".to_owned(), ..TaskError::default() };
-        let nodes = |count: usize| -> Vec<String> { (0..count).map(|node| format!("n{node}")).collect() };
-        assert_eq!(job_error(&error, task, 5, &nodes(2)), None);
-        assert!(job_error(&error, task, 3, &nodes(3)).is_some_and(|it| it.contains("on n0, n1, n2")));
-        assert!(job_error(&error, task, 6, &nodes(1)).is_some_and(|it| it.contains("6 times on n0")));
-        let permanent = TaskError { permanent: true, ..error };
-        assert_eq!(job_error(&permanent, task, 1, &nodes(1)).as_deref(), Some("out of memory"));
-        assert!(is_blameless(&permanent));
+    fn witnesses(names: &[&str], permanent: bool) -> Vec<Witness> {
+        let witness = |name: &&str| Witness { name: (*name).to_owned(), permanent, doubted: false };
+        names.iter().map(witness).collect()
     }
 
     #[test]
-    fn lost_workers_and_failed_jobs_are_counted_up_to_their_limits() {
+    fn a_task_fails_its_job_on_the_third_node_or_at_the_sixth_time_where_there_is_no_other() {
+        let error = TaskError { message: "out of memory".to_owned(), ..TaskError::default() };
+        let found = |names: &[&str], failures, others| {
+            let tried = Tried { task: TaskId::new(), failures, witnesses: &witnesses(names, false), others };
+            job_error(&error, &tried)
+        };
+        assert_eq!(found(&["a", "b"], 5, 0), None);
+        assert_eq!(found(&["a"], 60, 1), None, "another node could try");
+        assert!(found(&["a", "b", "c"], 3, 4).is_some_and(|it| it.contains("on a, b, c")));
+        assert!(found(&["a"], 6, 0).is_some_and(|it| it.contains("6 times on a")));
+    }
+
+    #[test]
+    fn a_permanent_error_is_believed_of_two_nodes_that_are_not_at_fault_or_of_the_only_one_at_the_third_time()
+    {
+        let error = TaskError { message: "no such mesh".to_owned(), permanent: true, ..TaskError::default() };
+        let found = |witnesses: &[Witness], failures, others| {
+            job_error(&error, &Tried { task: TaskId::new(), failures, witnesses, others })
+        };
+        let one = witnesses(&["a"], true);
+        assert_eq!((found(&one, 1, 3), found(&one, 9, 3), found(&one, 2, 0)), (None, None, None));
+        assert_eq!(found(&one, 3, 0).as_deref(), Some("no such mesh"));
+        let mut two = witnesses(&["a", "b"], true);
+        assert_eq!(found(&two, 2, 3).as_deref(), Some("no such mesh"));
+        two[0].doubted = true;
+        assert_eq!(found(&two, 2, 3), None);
+    }
+
+    #[test]
+    fn input_that_is_gone_fails_the_job_at_once() {
+        let message = "its input is gone: bundle /shots/a".to_owned();
+        let error = TaskError { message: message.clone(), kind: FailureKind::Input, ..TaskError::default() };
+        let tried = Tried { task: TaskId::new(), failures: 1, witnesses: &[], others: 9 };
+        assert_eq!(job_error(&error, &tried), Some(message));
+    }
+
+    #[test]
+    fn lost_workers_are_counted_up_to_their_limit() {
         assert_eq!(job_error_of_lost_workers(9), None);
         assert!(job_error_of_lost_workers(10).is_some());
-        assert_eq!(reason_to_set_aside(2, "no memory"), None);
-        assert!(reason_to_set_aside(3, "no memory").is_some_and(|it| it.ends_with("no memory")));
     }
 }

@@ -17,7 +17,8 @@ impl Store {
     pub async fn learnt_kinds(&self) -> Result<Vec<(QuoteKind, u64)>> {
         let rows = sqlx::query!(
             "SELECT renderer, feature_class, count(*) AS \"jobs!: u64\" FROM quotes \
-             WHERE learnt_at IS NOT NULL GROUP BY 1, 2 ORDER BY 1, 2"
+             WHERE learnt_at IS NOT NULL AND job_id NOT IN (SELECT job_id FROM left_out_jobs) \
+             GROUP BY 1, 2 ORDER BY 1, 2"
         )
         .fetch_all(self.readers())
         .await?;
@@ -33,7 +34,8 @@ impl Store {
             Residuals,
             "SELECT s.job_id AS job, s.frame, s.work_residual AS work, s.cpu_residual AS cpu \
              FROM quote_spreads s WHERE s.job_id IN (SELECT job_id FROM quotes WHERE renderer = ? AND feature_class = ? \
-             AND learnt_at IS NOT NULL ORDER BY learnt_at DESC, job_id DESC LIMIT ?) \
+             AND learnt_at IS NOT NULL AND job_id NOT IN (SELECT job_id FROM left_out_jobs) \
+             ORDER BY learnt_at DESC, job_id DESC LIMIT ?) \
              AND (s.work_residual IS NOT NULL OR s.cpu_residual IS NOT NULL) ORDER BY s.job_id, s.frame",
             kind.renderer,
             kind.feature_class,

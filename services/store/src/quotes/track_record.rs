@@ -10,6 +10,7 @@ use sqlx::{SqliteConnection, query, query_as};
 use crate::columns::Time;
 use crate::database::Store;
 use crate::error::Result;
+use crate::quotes::left_out;
 
 /// Rows with hits and errors, counted over frames or jobs with forecast and actual.
 macro_rules! coverage_rows {
@@ -58,7 +59,7 @@ macro_rules! of_finished_jobs {
              json_extract(j.forecast, '$.total.cpu_seconds.p95') AS cpu_p95, \
              (SELECT sum(actual_work) FROM frames WHERE job_id = j.id) AS actual_work, \
              (SELECT sum(actual_cpu) FROM frames WHERE job_id = j.id) AS actual_cpu FROM jobs j \
-             WHERE j.state = 'done' "
+             WHERE j.state = 'done' AND j.id NOT IN (SELECT job_id FROM left_out_jobs) "
                 + $after
             $(, $value)*
         )
@@ -113,7 +114,7 @@ impl Store {
                       cpu_mean AS "cpu_mean!", cpu_p50 AS "cpu_p50!", cpu_p80 AS "cpu_p80!",
                       cpu_p95 AS "cpu_p95!", actual_work AS "actual_work!", actual_cpu AS "actual_cpu!"
                FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL
-                    AND (finished_at, job_id, frame) < (?, ?, ?)
+                    AND job_id NOT IN (SELECT job_id FROM left_out_jobs) AND (finished_at, job_id, frame) < (?, ?, ?)
                ORDER BY finished_at DESC, job_id DESC, frame DESC LIMIT ?"#,
             at,
             job,
@@ -123,6 +124,7 @@ impl Store {
         .fetch_all(&mut *transaction)
         .await?;
         record.kinds = kinds(&mut transaction).await?;
+        record.left_out = left_out::list(&mut transaction).await?;
         record.items = rows
             .into_iter()
             .map(|row| TrackRecordRow {
@@ -148,7 +150,8 @@ pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRec
     let row = coverage_rows!(
         "sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
          sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
-        "FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL"
+        "FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL \
+         AND job_id NOT IN (SELECT job_id FROM left_out_jobs)"
     )
     .fetch_one(connection)
     .await?;
@@ -163,6 +166,7 @@ pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRec
         work_bias: row.work_bias,
         cpu_bias: row.cpu_bias,
         kinds: Vec::new(),
+        left_out: Vec::new(),
         items: Vec::new(),
         next_page_token: None,
     })
@@ -173,7 +177,8 @@ async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>
         "q.renderer AS \"renderer?\", q.feature_class AS \"feature_class?\", \
          coalesce(json_extract(j.forecast, '$.calibrated'), 0) AS \"calibrated!: bool\"",
         "FROM frames f JOIN jobs j ON j.id = f.job_id LEFT JOIN quotes q ON q.job_id = f.job_id \
-         WHERE f.finished_at IS NOT NULL AND f.forecast IS NOT NULL GROUP BY 1, 2, 3"
+         WHERE f.finished_at IS NOT NULL AND f.forecast IS NOT NULL \
+         AND f.job_id NOT IN (SELECT job_id FROM left_out_jobs) GROUP BY 1, 2, 3"
     )
     .fetch_all(&mut *connection)
     .await?;

@@ -8,6 +8,7 @@ use sqlx::SqliteConnection;
 use crate::columns::{Id, Json, Time};
 use crate::database::{Store, Write};
 use crate::error::Result;
+use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenCachePart};
 use crate::policy::shared_cache::{self, Filled, PartDone, part_done};
 use crate::writing::run;
@@ -44,6 +45,8 @@ struct Row {
     holder: Option<Id>,
     started_at: Option<Time>,
     progress: f64,
+    progress_at: Option<Time>,
+    counts_from: Option<Time>,
     round: u32,
     parts: u32,
     levels: u32,
@@ -54,10 +57,15 @@ impl From<Row> for OpenCachePart {
         let (is_leased, is_filled) = (row.state == "leased", row.state == "done");
         let PartDone { done, with_worker } =
             part_done((row.parts, row.levels), row.round, is_filled, row.progress);
-        let holder = row.holder.zip(row.started_at).filter(|_| is_leased).map(|(node, started)| Holder {
-            node_id: node.into(),
-            started: started.into(),
-            progress: with_worker,
+        let held = row.holder.zip(row.started_at).filter(|_| is_leased);
+        let holder = held.map(|(node, started)| {
+            let times = AttemptTimes {
+                began: started.into(),
+                counts_from: row.counts_from.map(Into::into),
+                progress_at: row.progress_at.map(Into::into),
+            };
+            let attempt = times.attempt(with_worker, None);
+            Holder { node_id: node.into(), started: started.into(), attempt }
         });
         let booking = SharedCacheBooking {
             job_id: row.job_id.into(),
@@ -76,7 +84,8 @@ macro_rules! rows {
         sqlx::query_as!(
             Row,
             "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, \
-             t.node_id AS holder, t.started_at, t.progress, t.round AS \"round!\", \
+             t.node_id AS holder, t.started_at, t.progress, h.progress_at AS \"progress_at?\", \
+             h.counts_from AS \"counts_from?\", t.round AS \"round!\", \
              (SELECT count(*) FROM shared_cache_bookings o \
               WHERE o.plan_id = b.plan_id AND o.job_id = b.job_id) AS \"parts!: u32\", \
              (SELECT count(*) FROM json_each(j.forecast, '$.cache.shared_cache.records') \
@@ -84,6 +93,7 @@ macro_rules! rows {
              FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.round = \
              (SELECT max(l.round) FROM tasks l WHERE l.job_id = j.id AND l.kind = 'cache_fill' AND l.part = b.part) \
+             LEFT JOIN leases h ON t.state = 'leased' AND h.task_id = t.id AND h.fence = t.fence \
              WHERE j.state IN ('booked', 'rendering') AND EXISTS (SELECT 1 FROM tasks o WHERE o.job_id = j.id \
              AND o.kind IN ('cache_fill', 'cache_merge') AND o.state IN ('ready', 'leased')) "
                 + $which

@@ -5,7 +5,7 @@ use forelight_protocol::{
 };
 
 use super::*;
-use crate::{FAILED_JOBS, MAX_FAILURES};
+use crate::{FAULTS, MAX_FAILURES};
 
 fn error(message: &str) -> TaskError {
     TaskError { message: message.to_owned(), ..TaskError::default() }
@@ -106,47 +106,128 @@ async fn on_a_farm_of_one_node_the_sixth_failure_is_the_last() {
 }
 
 #[tokio::test]
-async fn a_node_that_fails_three_jobs_is_set_aside_with_the_reason_until_it_is_brought_back() {
+async fn a_node_whose_failures_no_other_shares_is_set_aside_with_the_reason_until_it_is_brought_back() {
     let farm = Farm::new().await;
     let (bad, good) = (farm.node("bad").await, farm.node("good").await);
-    for round in 0..i64::from(FAILED_JOBS) {
+    for round in 0..FAULTS {
         assert_eq!(farm.store.node(bad.id).await.unwrap().set_aside, None, "after {round} failures");
         farm.job("0").await;
-        let lease = farm.claim(bad.id, at(round)).await.unwrap();
-        farm.fail(&lease, &error("no GPU"), at(round)).await;
+        let lease = farm.claim(bad.id, at(20 * round)).await.unwrap();
+        farm.fail(&lease, &error("no GPU"), at(20 * round)).await;
+        assert_eq!(farm.store.node(bad.id).await.unwrap().set_aside, None, "others may fail as well");
+        let lease = farm.claim(good.id, at(20 * round + 2)).await.unwrap();
+        farm.commit(&lease, at(20 * round + 3)).await;
     }
     let node = farm.store.node(bad.id).await.unwrap();
     let reason = node.set_aside.clone().unwrap();
     assert_eq!(node.state, NodeState::SetAside);
-    assert!(reason.contains("3 jobs") && reason.contains("no GPU"), "{reason}");
+    assert!(reason.contains("3 tasks") && reason.contains("no other node shared"), "{reason}");
+    farm.job("0").await;
     assert_eq!(farm.claim(bad.id, at(100)).await, None);
     // The others' work goes on, and registering again does not help.
     let lease = farm.claim(good.id, at(100)).await.unwrap();
     farm.commit(&lease, at(101)).await;
     assert!(farm.node("bad").await.set_aside.is_some());
-    let events = farm.store.events_after(None, 0, 1000).await.unwrap();
-    assert_eq!(events.iter().filter(|event| event.kind == EventKind::NodeSetAside).count(), 1);
+    assert_eq!(farm.events(EventKind::NodeSetAside).await.len(), 1);
     let back = NodeChange { set_aside: Some(false), ..NodeChange::default() };
     let node = farm.store.change_node(bad.id, &back, at(102)).await.unwrap();
     assert_eq!((node.set_aside, node.state), (None, NodeState::Idle));
     // What was is forgiven: one more failure does not set it aside again.
+    farm.job("0").await;
     let lease = farm.claim(bad.id, at(200)).await.unwrap();
     farm.fail(&lease, &error("no GPU"), at(200)).await;
+    let lease = farm.claim(good.id, at(202)).await.unwrap();
+    farm.commit(&lease, at(203)).await;
     assert_eq!(farm.store.node(bad.id).await.unwrap().set_aside, None);
 }
 
 #[tokio::test]
-async fn what_anyone_would_have_met_is_not_held_against_a_node() {
+async fn what_others_share_or_the_job_set_itself_is_not_held_against_a_node() {
     let farm = Farm::new().await;
-    let node = farm.node("a").await;
-    let permanent = TaskError { permanent: true, ..error("scene.json is gone") };
+    let (node, other) = (farm.node("a").await, farm.node("b").await);
     let limited = TaskError { limit: Some(TaskLimit::Memory), ..error("beyond its limit") };
     for round in 0..8 {
         farm.job("0").await;
-        let lease = farm.claim(node.id, at(round)).await.unwrap();
-        farm.fail(&lease, if round % 2 == 0 { &permanent } else { &limited }, at(round)).await;
+        let lease = farm.claim(node.id, at(20 * round)).await.unwrap();
+        farm.fail(&lease, &limited, at(20 * round)).await;
+        let lease = farm.claim(other.id, at(20 * round + 2)).await.unwrap();
+        farm.commit(&lease, at(20 * round + 3)).await;
     }
-    assert_eq!(farm.store.node(node.id).await.unwrap().set_aside, None);
+    for round in 10..14 {
+        let permanent = TaskError { permanent: true, ..error("scene.json: line 3: no mesh") };
+        let job = farm.job("0").await;
+        for (node, failed) in [(node.id, JobState::Previewing), (other.id, JobState::Failed)] {
+            let now = at(20 * round + i64::from(failed == JobState::Failed) * 2);
+            let lease = farm.claim(node, now).await.unwrap();
+            assert_eq!(farm.fail(&lease, &permanent, now).await, failed, "a second node agrees");
+        }
+        let failed = farm.store.job(job.id).await.unwrap().error.unwrap();
+        assert_eq!(failed, "preview: scene.json: line 3: no mesh");
+    }
+    for node in [node.id, other.id] {
+        assert_eq!(farm.store.node(node).await.unwrap().set_aside, None);
+    }
+}
+
+#[tokio::test]
+async fn the_word_permanent_of_one_node_fails_no_job_while_another_could_try() {
+    let farm = Farm::new().await;
+    let (liar, honest) = (farm.node("liar").await, farm.node("honest").await);
+    let kind = forelight_protocol::FailureKind::Task;
+    let permanent = TaskError { permanent: true, kind, ..error("this scene is hopeless") };
+    for round in 0..4 {
+        let job = farm.booked_job(request("0"), honest.id, at(0)).await;
+        let start = 1000 * (round + 1);
+        touch(&farm.store, honest.id, at(start)).await;
+        let Some(lease) = farm.claim(liar.id, at(start)).await else {
+            // It was at fault for three tasks, and is set aside.
+            assert_eq!(round, FAULTS);
+            break;
+        };
+        for again in 0..7 {
+            // While the other is busy, the same node fails again and again.
+            let now = at(start + 100 * again);
+            touch(&farm.store, honest.id, now).await;
+            let lease = if again == 0 { lease.clone() } else { farm.claim(liar.id, now).await.unwrap() };
+            assert_ne!(farm.fail(&lease, &permanent, now).await, JobState::Failed);
+        }
+        let lease = farm.claim(honest.id, at(start + 700)).await.unwrap();
+        farm.commit(&lease, at(start + 701)).await;
+        assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+    }
+    assert!(farm.store.node(liar.id).await.unwrap().set_aside.is_some());
+    assert_eq!(farm.store.node(honest.id).await.unwrap().set_aside, None);
+}
+
+#[tokio::test]
+async fn where_there_is_no_other_node_a_permanent_error_is_believed_at_the_third_time_without_delay() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.job("0").await;
+    let permanent = TaskError { permanent: true, ..error("no such mesh") };
+    for (attempt, second) in [(1, 0), (2, 2), (3, 5)] {
+        let lease = farm.claim(node.id, at(second)).await.unwrap();
+        let state = farm.fail(&lease, &permanent, at(second)).await;
+        assert_eq!(state == JobState::Failed, attempt == 3, "{attempt}");
+    }
+}
+
+#[tokio::test]
+async fn input_that_is_gone_fails_the_job_with_its_path_and_counts_against_no_node() {
+    let farm = Farm::new().await;
+    let (node, other) = (farm.node("a").await, farm.node("b").await);
+    for round in 0..4 {
+        let job = farm.job("0").await;
+        let lease = farm.claim(node.id, at(round)).await.unwrap();
+        // The worker has no idea why it failed. The bundle, /scenes/a, does not exist.
+        let seen = farm.store.after_a_look(lease.lease_id, error("it crashed"), at(1)).await.unwrap();
+        assert_eq!(farm.fail(&lease, &seen, at(round)).await, JobState::Failed);
+        let said = farm.store.job(job.id).await.unwrap().error.unwrap();
+        assert!(said.contains("its input is gone: bundle /scenes/a"), "{said}");
+    }
+    for node in [node.id, other.id] {
+        assert_eq!(farm.store.node(node).await.unwrap().set_aside, None);
+    }
 }
 
 #[tokio::test]

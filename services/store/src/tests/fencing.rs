@@ -117,18 +117,6 @@ async fn a_released_task_goes_back_at_once_and_counts_as_no_failure() {
 }
 
 #[tokio::test]
-async fn a_permanent_error_fails_the_job_at_once() {
-    let farm = Farm::new().await;
-    let node = farm.node("a").await;
-    let job = farm.job("0").await;
-    let lease = farm.claim(node.id, at(0)).await.unwrap();
-    let message = TaskError { permanent: true, ..error("scene.json is gone") };
-    let (_, state) = farm.store.fail_task(lease.lease_id, lease.fence, &message, at(1)).await.unwrap();
-    assert_eq!(state, JobState::Failed);
-    assert_eq!(farm.store.job(job.id).await.unwrap().error.as_deref(), Some("preview: scene.json is gone"));
-}
-
-#[tokio::test]
 async fn the_tenth_lost_worker_fails_the_job() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;

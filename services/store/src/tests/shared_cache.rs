@@ -247,7 +247,8 @@ async fn frames_that_wait_go_with_a_job_that_is_cancelled_or_whose_cache_cannot_
     farm.store.cancel_job(cancelled, at(0)).await.unwrap();
     let failed = farm.job_with_shared_cache(node, 2).await;
     let lease = farm.claim(node, at(0)).await.unwrap();
-    let error = TaskError { message: "damaged".to_owned(), permanent: true, limit: None };
+    let (message, kind) = ("damaged".to_owned(), forelight_protocol::FailureKind::Input);
+    let error = TaskError { message, kind, ..TaskError::default() };
     farm.store.fail_task(lease.lease_id, lease.fence, &error, at(0)).await.unwrap();
     for job in [cancelled, failed] {
         let frames = farm.store.frames(job, None, 10).await.unwrap();

@@ -9,6 +9,7 @@ import type { Resource } from "../../ui/resource";
 const LETTER: Partial<Record<Event["kind"], string>> = {
   task_leased: "r",
   task_done: "d",
+  result_refused: "b",
   lease_expired: "b",
   lease_released: "b",
   lease_lost: "b",

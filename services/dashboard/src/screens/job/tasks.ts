@@ -18,6 +18,7 @@ const STATE: Partial<Record<Event["kind"], Task["state"]>> = {
   task_submitted: "waiting",
   task_done: "done",
   task_failed: "failed",
+  result_refused: "waiting",
   lease_expired: "waiting",
   lease_released: "waiting",
   lease_lost: "waiting",

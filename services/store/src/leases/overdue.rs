@@ -1,0 +1,102 @@
+//! Running tasks that take longer than forecast. [`crate::policy::overdue`] says which.
+
+use forelight_protocol::{Event, EventKind, JobId, LeaseId, TaskError, Timestamp};
+
+use crate::columns::{Id, Time};
+use crate::database::Write;
+use crate::error::Result;
+use crate::events::append;
+use crate::leases::failing::{Report, fail};
+use crate::leases::read_in;
+use crate::living::{self, Occasion};
+use crate::plans::replans;
+use crate::policy::overdue::{AttemptTimes, LEAST_LATE, Lateness};
+use crate::writing::run;
+
+/// An active lease that has shown nothing for a while.
+struct Row {
+    id: Id,
+    job_id: Id,
+    granted_at: Time,
+    counts_from: Option<Time>,
+    progress: f64,
+    progress_at: Option<Time>,
+    p95: Option<i64>,
+    lateness: Option<String>,
+    node: String,
+    job: String,
+}
+
+/// Notes which running tasks are late, has stalled ones run on another node as well, and ends leases that are
+/// beyond the farm's time limit.
+pub(crate) async fn look_at_running(write: &mut Write, now: Timestamp) -> Result<()> {
+    let rows = sqlx::query_as!(
+        Row,
+        "SELECT l.id, t.job_id, l.granted_at, l.counts_from, l.progress, l.progress_at, l.p95, l.lateness, \
+         n.name AS node, j.name AS job \
+         FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id JOIN jobs j ON j.id = t.job_id \
+         WHERE l.state = 'active' AND NOT n.paused AND l.granted_at < ? ORDER BY l.granted_at, l.id",
+        now.plus_micros(-LEAST_LATE).micros()
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    for row in rows {
+        let times = AttemptTimes {
+            began: row.granted_at.into(),
+            counts_from: row.counts_from.map(Into::into),
+            progress_at: row.progress_at.map(Into::into),
+        };
+        match (times.attempt(row.progress, row.p95).lateness(now), row.lateness.as_deref()) {
+            (Lateness::Over, _) => end_for_time(write, row.id.into(), now).await?,
+            (Lateness::Stalled, Some("stalled")) | (Lateness::OnTime, _) => {}
+            (Lateness::Stalled, _) => stall(write, &row, now).await?,
+            (Lateness::Late, None) => {
+                let message = format!("it takes longer on {} than in 19 of 20 cases", row.node);
+                note(write, &row, ("late", EventKind::TaskLate, message), now).await?;
+            }
+            (Lateness::Late, Some(_)) => {}
+        }
+    }
+    Ok(())
+}
+
+/// Has the task run on another node as well.
+async fn stall(write: &mut Write, row: &Row, now: Timestamp) -> Result<()> {
+    run!(
+        write,
+        "UPDATE tasks SET again = 1 WHERE state = 'leased' AND id = (SELECT task_id FROM leases WHERE id = ?1) \
+         AND 1 = (SELECT count(*) FROM leases WHERE task_id = tasks.id AND state = 'active')",
+        row.id
+    );
+    write.made_work = true;
+    let message = format!(
+        "it makes no progress on {}; it is run on another node as well, the first result counts, and both are paid for",
+        row.node
+    );
+    note(write, row, ("stalled", EventKind::TaskStalled, message), now).await
+}
+
+/// Says how late a task is, and has estimate and plan take note.
+async fn note(
+    write: &mut Write,
+    row: &Row,
+    (lateness, kind, message): (&'static str, EventKind, String),
+    now: Timestamp,
+) -> Result<()> {
+    run!(write, "UPDATE leases SET lateness = ? WHERE id = ?", lateness, row.id);
+    let lease = read_in(write, row.id.into()).await?;
+    append(write, Event { message: Some(message), ..lease.event(kind, now) });
+    let job: JobId = row.job_id.into();
+    living::update(write, job, Occasion::Overdue, now).await?;
+    replans::want(write, &format!("a task of job {} is {lateness} on {}", row.job, row.node)).await
+}
+
+/// Ends a lease that is beyond the farm's time limit. The task is tried elsewhere.
+async fn end_for_time(write: &mut Write, lease: LeaseId, now: Timestamp) -> Result<()> {
+    let row = read_in(write, lease).await?;
+    let message = "it took many times as long as forecast, so the farm ended it; \
+                   a limit of its own (limits.wall_ms) says earlier when to end it";
+    let error = TaskError { message: message.to_owned(), ..TaskError::default() };
+    let report = Report { error: &error, fault: None };
+    fail(write, &row, &report, now).await
+}
