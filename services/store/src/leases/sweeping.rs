@@ -51,7 +51,8 @@ impl Store {
     /// first sweep: workers could not renew while it was down.
     ///
     /// The time before does not count for tasks that are late. If the clock was set back meanwhile, no lease
-    /// lasts longer for it, and no failed task waits longer than the longest wait. A worker that stays silent is paid until its lease would have expired.
+    /// lasts longer for it, and no failed task waits longer than the longest wait. A worker that stays silent
+    /// is paid until its lease would have expired.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         self.set_up_since(now);
