@@ -1,6 +1,7 @@
 -- What the farm knows of a lease besides its end: how it goes on, how it failed, and whose fault that was.
 
--- A task that makes no progress is run again beside its first attempt: at most two leases of a task are active.
+-- A task that makes no progress is run again beside its first attempt: at most two leases of a task are
+-- active.
 ALTER TABLE leases ADD COLUMN beside INTEGER NOT NULL DEFAULT 0 CHECK (beside IN (0, 1));
 DROP INDEX leases_one_active;
 CREATE UNIQUE INDEX leases_one_active ON leases (task_id, beside) WHERE state = 'active';
@@ -8,7 +9,8 @@ CREATE UNIQUE INDEX leases_one_active ON leases (task_id, beside) WHERE state = 
 -- The worker's progress, and when it last grew. NULL: not yet.
 ALTER TABLE leases ADD COLUMN progress REAL NOT NULL DEFAULT 0 CHECK (progress BETWEEN 0 AND 1);
 ALTER TABLE leases ADD COLUMN progress_at INTEGER;
--- From when its time counts, if not from its begin: pauses, and the time in which the service was down, do not.
+-- From when its time counts, if not from its begin: pauses, and the time in which the service was down, do
+-- not.
 ALTER TABLE leases ADD COLUMN counts_from INTEGER;
 -- How long the task takes on this node in 19 of 20 cases, in microseconds. NULL if nothing was forecast.
 ALTER TABLE leases ADD COLUMN p95 INTEGER CHECK (p95 >= 0);

@@ -1,8 +1,8 @@
 //! The time of a task that is under way, given its age and its progress.
 //!
-//! The time T of a task that works is lognormal, with its booked length as the 0.80 quantile and the forecast's
-//! 0.95 quantile. With probability h = [`HANGS`] it does not work at all: it hangs, until somebody notices at
-//! R. What is known at age e is that T > e, or that it hangs:
+//! The time T of a task that works is lognormal, with its booked length as the 0.80 quantile and the
+//! forecast's 0.95 quantile. With probability h = [`HANGS`] it does not work at all: it hangs, until somebody
+//! notices at R. What is known at age e is that T > e, or that it hangs:
 //!
 //! ```text
 //! P(hangs | e)   = h / ( h + (1 − h) S(e) ),        S(e) = 1 − F(e)
@@ -24,8 +24,8 @@ const NORMAL_99: f64 = 2.326_347_874_040_841;
 /// Least standard deviation of the logarithm of a task's time: no forecast is better than a tenth.
 const LEAST_DEVIATION: f64 = 0.1;
 
-/// Distribution of the time that the rest of a task takes, counted from its last sign of progress. In any unit
-/// of time.
+/// Distribution of the time that the rest of a task takes, counted from its last sign of progress. In any
+/// unit of time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnderWay {
     log_median: f64,

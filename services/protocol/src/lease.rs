@@ -206,8 +206,8 @@ pub struct TaskError {
     /// The error as one line of text, 1 to 2000 characters.
     #[schema(min_length = 1, max_length = 2000)]
     pub message: String,
-    /// Whether every attempt would fail like this, as with a malformed scene. The job fails once a second node
-    /// says so, or after three attempts if there is no other node.
+    /// Whether every attempt would fail like this, as with a malformed scene. The job fails once a second
+    /// node says so, or after three attempts if there is no other node.
     #[serde(default)]
     pub permanent: bool,
     /// Where the cause lies.

@@ -42,7 +42,8 @@ pub enum ProblemKind {
     HashMismatch,
     /// 422: the result names an artefact that does not exist.
     MissingArtifact,
-    /// 422: the result is not possible: the lease is ended, and the task is done elsewhere.
+    /// 422: a cost or a file is not possible. If it is a result, its lease is ended, and the task is done
+    /// elsewhere.
     ImplausibleResult,
     /// 422: the idempotency key was used for a different request.
     IdempotencyKeyReused,

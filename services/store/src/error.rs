@@ -24,8 +24,9 @@ pub enum StoreError {
     /// A result names an artefact that was never stored.
     #[error("artefact {0} is not stored; store it before a result names it")]
     MissingArtifact(ArtifactHash),
-    /// A result is not possible. Its lease has failed, and its task is ready again.
-    #[error("{reason}; the result is refused, and the task is done elsewhere")]
+    /// What a worker says is not possible. If it is a result, its lease has failed, and its task is ready
+    /// again.
+    #[error("{reason}: this is not possible, so it is refused")]
     Implausible {
         /// JSON pointer to the field.
         pointer: String,

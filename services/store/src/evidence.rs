@@ -4,7 +4,7 @@
 //! the node. So nothing of it is ever learnt from or counted.
 
 use bytes::Bytes;
-use forelight_protocol::{ByClass, LeaseId, TaskError, TaskResult, TaskSpec, Timestamp};
+use forelight_protocol::{ByClass, FinishedPixels, LeaseId, TaskError, TaskResult, TaskSpec, Timestamp};
 use futures::TryStreamExt as _;
 
 use crate::columns::Json;
@@ -13,7 +13,7 @@ use crate::error::{Result, StoreError};
 use crate::leases::failing::{Report, fail};
 use crate::leases::{LeaseInfo, LeaseState, read, read_in};
 use crate::nodes;
-use crate::policy::evidence::{Means, Objection, expected_images, objection};
+use crate::policy::evidence::{Means, Objection, expected_images, objection, pixels_objection};
 use crate::policy::faults::Fault;
 
 /// While the service was down, the clock may have been set. So that much more time may have passed in a lease
@@ -39,7 +39,8 @@ impl Store {
             return Ok(());
         }
         let info = self.lease(lease).await?;
-        let means = self.means(&info, now).await?;
+        let taken_over = taken_over(&mut *self.readers().acquire().await?, &info).await?;
+        let means = self.means(&info, taken_over, now).await?;
         let found = match objection(result, &means) {
             Some(found) => Some(found),
             None => self.wrong_file(&info.spec, result, now).await?,
@@ -49,8 +50,28 @@ impl Store {
         Err(StoreError::Implausible { pointer: found.pointer, reason: found.reason })
     }
 
+    /// Refuses finished pixels of a running frame whose cost is not possible: [`StoreError::Implausible`]. The
+    /// lease stays. Pixels of the profile are among them, at the most for what the frame was quoted at.
+    pub async fn check_pixels(&self, lease: LeaseId, pixels: &FinishedPixels, now: Timestamp) -> Result<()> {
+        let info = self.lease(lease).await?;
+        let quoted = sqlx::query_scalar!(
+            "SELECT cpu_p95 FROM frames WHERE job_id = ? AND frame = ?",
+            info.job_id.0,
+            info.spec.frame()
+        )
+        .fetch_optional(self.readers())
+        .await?;
+        let means = self.means(&info, 0, now).await?;
+        // The quote is for a node of speed 1. The float saturates.
+        let quoted = (quoted.flatten().unwrap_or(0.0) * 1e9 / means.speed) as u64;
+        match pixels_objection(pixels, &Means { taken_over_nanos: quoted, ..means }) {
+            Some(found) => Err(StoreError::Implausible { pointer: found.pointer, reason: found.reason }),
+            None => Ok(()),
+        }
+    }
+
     /// What the attempts at a task could do until now.
-    async fn means(&self, info: &LeaseInfo, now: Timestamp) -> Result<Means> {
+    async fn means(&self, info: &LeaseInfo, taken_over_nanos: u64, now: Timestamp) -> Result<Means> {
         let mut connection = self.readers().acquire().await?;
         let core_micros = sqlx::query_scalar!(
             "SELECT coalesce(sum((max(0, coalesce(l.ended_at, ?1) - l.granted_at) \
@@ -67,7 +88,6 @@ impl Store {
             .await?;
         let work: Option<ByClass> = work.map(|Json(work)| work);
         let node = nodes::read(&mut connection, info.node_id).await?;
-        let taken_over_nanos = taken_over(&mut connection, info).await?;
         let speed = node.speed_for(work.as_ref());
         Ok(Means { core_micros, cores: node.cores, taken_over_nanos, speed })
     }

@@ -14,8 +14,8 @@
 //! Hazards, and what guards against them:
 //!
 //! * *A worker is paused for a minute, loses its lease, wakes up and reports.* Another worker may have done
-//!   its task by then. Every hand-out raises the task's fencing token. A report with another token is refused ([`StoreError::LeaseLost`]) and
-//!   changes nothing.
+//!   its task by then. Every hand-out raises the task's fencing token. A report with another token is refused
+//!   ([`StoreError::LeaseLost`]) and changes nothing.
 //! * *The answer to a result is lost, and the worker sends it again.* The lease is `committed` then. The same
 //!   result is answered as a duplicate; another one is a conflict. The first commit is final.
 //! * *The service was down for longer than a lease lasts.* All workers would lose hours of work. So time

@@ -77,6 +77,11 @@ pub(crate) async fn renew(
             return Err(ApiError::invalid("/pixels/done", "no more pixels are finished than there are"));
         }
     }
+    if let Some(pixels) = &request.pixels
+        && app.evidence == Evidence::Checked
+    {
+        app.store.check_pixels(lease, pixels, app.now()).await?;
+    }
     let renewal = app.store.renew(lease, &request, app.lease_ttl, app.now()).await;
     Ok(Json(counted(&app, renewal)?))
 }

@@ -4815,8 +4815,8 @@ export interface components {
             limit?: components["schemas"]["TaskLimit"] | null;
             /** @description The error as one line of text, 1 to 2000 characters. */
             message: string;
-            /** @description Whether every attempt would fail like this, as with a malformed scene. The job fails once a second node
-             *     says so, or after three attempts if there is no other node. */
+            /** @description Whether every attempt would fail like this, as with a malformed scene. The job fails once a second
+             *     node says so, or after three attempts if there is no other node. */
             permanent?: boolean;
         };
         /**

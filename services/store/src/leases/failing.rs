@@ -1,5 +1,5 @@
-//! Records failed tasks. [`crate::policy::retries`] decides what follows, [`crate::policy::faults`] whose fault
-//! it is.
+//! Records failed tasks. [`crate::policy::retries`] decides what follows, [`crate::policy::faults`] whose
+//! fault it is.
 
 use forelight_protocol::{
     BundleSource, Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, TaskSpec, Timestamp,
@@ -144,9 +144,9 @@ pub(crate) async fn fail(
     Ok(())
 }
 
-/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere against their nodes, and
-/// all the more if one was called permanent. Only the job is blamed for its limits, and nobody for input that
-/// was gone.
+/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere against their nodes,
+/// and all the more if one was called permanent. Only the job is blamed for its limits, and nobody for input
+/// that was gone.
 pub(crate) async fn hold_against_others(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<()> {
     let nodes = sqlx::query_scalar!(
         "UPDATE leases SET fault = ? WHERE task_id = ? AND state = 'failed' AND fault IS NULL \
@@ -163,8 +163,8 @@ pub(crate) async fn hold_against_others(write: &mut Write, row: &LeaseRow, now: 
     Ok(())
 }
 
-/// After a task was done: ends the attempt beside it, if there is one. If that one stalled, it is held against
-/// its node.
+/// After a task was done: ends the attempt beside it, if there is one. If that one stalled, it is held
+/// against its node.
 pub(crate) async fn end_attempt_beside(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<()> {
     let nodes = sqlx::query!(
         "UPDATE leases SET state = 'revoked', ended_at = coalesce(paid_until, min(?, expires_at)), \

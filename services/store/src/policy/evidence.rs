@@ -5,8 +5,8 @@
 //! within them is believed.
 
 use forelight_protocol::{
-    ArtifactHash, FixedCosts, ProcessCosts, ProfileResult, RenderArtifacts, RenderStats, Spent, TaskResult,
-    TaskSpec,
+    ArtifactHash, FinishedPixels, FixedCosts, ProcessCosts, ProfileResult, RenderArtifacts, RenderStats,
+    Spent, TaskResult, TaskSpec,
 };
 use imagesize::ImageType;
 
@@ -75,7 +75,17 @@ struct Claim {
 
 /// Checks the costs of a result. `None` if all are possible.
 pub(crate) fn objection(result: &TaskResult, means: &Means) -> Option<Objection> {
-    claims(result).into_iter().find_map(|claim| {
+    first_impossible(claims(result), means)
+}
+
+/// Checks the cost of the finished pixels of a running frame.
+pub(crate) fn pixels_objection(pixels: &FinishedPixels, means: &Means) -> Option<Objection> {
+    let claim = sum("/pixels".to_owned(), std::iter::once((pixels.cpu_nanos, pixels.work)));
+    first_impossible(vec![claim], means)
+}
+
+fn first_impossible(claims: Vec<Claim>, means: &Means) -> Option<Objection> {
+    claims.into_iter().find_map(|claim| {
         let before = if claim.once { ONCE_NANOS * f64::from(means.cores) } else { 0.0 };
         let most = means.cpu_nanos() + before;
         if claim.cpu_nanos > most {

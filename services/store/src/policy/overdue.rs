@@ -45,7 +45,8 @@ pub struct TaskAttempt {
     pub progress: f64,
     /// Its last sign of progress: not before `since`.
     pub sign: Timestamp,
-    /// How long the task takes on its node in 19 of 20 cases, in microseconds. `None` if nothing was forecast.
+    /// How long the task takes on its node in 19 of 20 cases, in microseconds. `None` if nothing was
+    /// forecast.
     pub p95: Option<i64>,
 }
 

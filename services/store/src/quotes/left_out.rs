@@ -75,8 +75,8 @@ pub(crate) async fn is_left_out(write: &mut Write, job: JobId) -> Result<bool> {
     .await?)
 }
 
-/// Sums up again what the nodes that rendered a job have learnt: whole numbers, so that the sum is that of the
-/// jobs in the record, in whatever order they came.
+/// Sums up again what the nodes that rendered a job have learnt: whole numbers, so that the sum is that of
+/// the jobs in the record, in whatever order they came.
 async fn learn_anew(write: &mut Write, job: JobId) -> Result<()> {
     run!(
         write,

@@ -1,6 +1,6 @@
 //! Tasks that hang, results that are not possible, and jobs that are taken out of the track record.
 
-use forelight_protocol::LeaseOrder;
+use forelight_protocol::{FinishedPixels, LeaseOrder};
 
 use super::*;
 use crate::{STALLED, StoreError, project};
@@ -255,6 +255,24 @@ async fn what_a_frame_takes_over_and_the_time_before_a_restart_are_not_held_agai
     farm.store.extend_leases_after_start(TTL, at(62)).await.unwrap();
     let result = forged(&farm, &again, |result| result.stats.cpu_seconds = 5000.0).await;
     farm.store.check_evidence(again.lease_id, again.fence, &result, at(62)).await.unwrap();
+}
+
+#[tokio::test]
+async fn finished_pixels_that_are_not_possible_are_refused_and_those_of_the_profile_are_possible() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    farm.booked_job(request("0"), node.id, at(0)).await;
+    let lease = farm.claim(node.id, at(0)).await.unwrap();
+    let said = async |cpu_seconds: u64, work| {
+        let pixels = FinishedPixels { done: 32, all: 64, work, cpu_nanos: cpu_seconds * 1_000_000_000 };
+        farm.store.check_pixels(lease.lease_id, &pixels, at(4)).await
+    };
+    // Four seconds, a quarter more, and one; and half of the P95 of 5 s, at speed 2.
+    said(8, 1000).await.unwrap();
+    for (cpu_seconds, work) in [(9, 1000), (1 << 33, 1000), (4, 1 << 60)] {
+        let refused = said(cpu_seconds, work).await;
+        assert!(matches!(&refused, Err(StoreError::Implausible { pointer, .. }) if pointer == "/pixels"));
+    }
 }
 
 #[tokio::test]
