@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs Schemathesis (https://schemathesis.readthedocs.io) against a farm and its OpenAPI document: valid and
 # invalid requests are generated from the document, and every response is checked against it. The farm has a
-# finished job, so that not all responses are 404.
+# finished job, a cancelled one with a lease, a webhook and a budget, so that deep routes are reached.
 #
 #   FORELIGHT_BIN                     the program (default: target/debug/forelight, which is built)
 #   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests per operation in the random part (default: 15)
@@ -41,13 +41,8 @@ export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
 "$FORELIGHT_BIN" submit "$scene" --server "$url" --data "$work/data" \
   --frames 0-1 --width 16 --spp 1 --samples 16 --deadline 1h --follow --json >"$work/job.json"
 token=$(cat "$work/data/tokens/operator.token")
-node=$("$environment/bin/python" - "$url" "$token" <<'PYTHON'
-import json, sys, urllib.request
-request = urllib.request.Request(sys.argv[1] + "/v1/nodes", headers={"Authorization": "Bearer " + sys.argv[2]})
-print(json.load(urllib.request.urlopen(request))["items"][0]["id"])
-PYTHON
-)
-"$environment/bin/python" "$here/schemathesis_config.py" "$work/job.json" "$node" >"$work/schemathesis.toml"
+"$environment/bin/python" "$here/schemathesis_things.py" "$url" "$token" "$work/job.json" >"$work/things.json"
+"$environment/bin/python" "$here/schemathesis_config.py" "$work/things.json" >"$work/schemathesis.toml"
 bundle=$("$environment/bin/python" -c 'import json, sys; print(json.load(sys.stdin)["job"]["bundle"]["id"])' <"$work/job.json")
 
 export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle

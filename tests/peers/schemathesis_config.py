@@ -1,23 +1,13 @@
 """Prints the configuration of Schemathesis for a farm: its checks, and ids of existing things.
 
-usage: schemathesis_config.py JOB.json NODE-ID
+usage: schemathesis_config.py THINGS.json
 """
 
 import json
 import sys
 
 with open(sys.argv[1], encoding="utf-8") as file:
-    printed = json.load(file)
-job, frames, node = printed["job"], printed["frames"], sys.argv[2]
-absent = "0198c0de-0000-7000-8000-000000000000"
-things = {
-    "jobs": [job["id"], job["id"], absent],
-    "frames": [0, 1, 7],
-    "plans": [job["plan_id"], absent],
-    "bundles": [job["bundle"]["id"], absent],
-    "nodes": [node, absent],
-    "artifacts": [frames[0]["artifacts"]["image_png"], frames[0]["artifacts"]["image_exr"], "0" * 64],
-}
+    things = json.load(file)
 
 print(
     """
@@ -59,7 +49,11 @@ def operations(pattern, **parameters):
 
 
 operations("^/v1/jobs/{id}/frames/", id="jobs", frame="frames")
-operations("^/v1/jobs/{id}(/[a-z]+)?$", id="jobs")
+operations("^/v1/jobs/{id}(/[a-z.-]+)*$", id="jobs")
+operations("^/v1/jobs/{id}/frames/(retry|cancel)$", id="jobs")
+operations("^/v1/leases/{id}", id="leases")
+operations("^/v1/tasks/{id}", id="tasks")
+operations("^/v1/webhooks/{id}", id="webhooks")
 operations("^/v1/plans/", id="plans")
 operations("^/v1/bundles/", id="bundles")
 operations("^/v1/nodes/{id}", id="nodes")

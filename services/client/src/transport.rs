@@ -108,6 +108,9 @@ const SHORT_REQUEST: Duration = Duration::from_secs(30);
 /// A transfer that is silent for this long has lost its connection.
 const SILENCE: Duration = Duration::from_secs(75);
 
+/// An idle connection is closed after this, before the service closes it: a request could meet its end.
+const KEPT_IDLE: Duration = Duration::from_secs(45);
+
 /// The connection to one service.
 #[derive(Debug, Clone)]
 pub(crate) struct Transport {
@@ -129,6 +132,7 @@ impl Transport {
         let mut builder = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             .read_timeout(SILENCE)
+            .pool_idle_timeout(KEPT_IDLE)
             // The client speaks http:// only. It loads no certificates, so it also works on machines without
             // any.
             .tls_certs_only([])
