@@ -7,7 +7,9 @@ mod json;
 mod path;
 mod query;
 
-pub(crate) use auth::{Anyone, OneTimeToken, Operator, Peer, PeerAddress, Reader, Submitter, WorkerToken};
+pub(crate) use auth::{
+    Anyone, OneTimeToken, Operator, Peer, PeerAddress, Reader, Submitter, UNKNOWN_TOKEN, WorkerToken,
+};
 pub(crate) use body::{whole, within_announced_length};
 pub(crate) use idempotency::KeyHeader;
 pub(crate) use json::{JsonBody, Large, media_type};

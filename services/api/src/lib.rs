@@ -25,6 +25,7 @@ mod page;
 mod plan_difference;
 mod plot;
 mod resources;
+mod rights;
 mod router;
 mod schema;
 mod service;

@@ -21,4 +21,5 @@ pub(crate) mod sessions;
 pub(crate) mod strip;
 pub(crate) mod tasks;
 pub(crate) mod timeline;
+pub(crate) mod tokens;
 pub(crate) mod webhooks;

@@ -24,8 +24,9 @@ use crate::openapi::frame;
 use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
-    page, plans, projects, sessions, strip, tasks, timeline, webhooks,
+    page, plans, projects, sessions, strip, tasks, timeline, tokens, webhooks,
 };
+use crate::rights::end_with_right;
 use crate::state::App;
 
 /// Longest pause of a client within a body.
@@ -40,6 +41,9 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(sessions::begin, sessions::list))
         .routes(routes!(sessions::current, sessions::end_current))
         .routes(routes!(sessions::end))
+        .routes(routes!(tokens::create, tokens::list))
+        .routes(routes!(tokens::get, tokens::change, tokens::revoke))
+        .routes(routes!(tokens::rotate))
         .routes(routes!(bundles::upload))
         .routes(routes!(bundles::get))
         .routes(routes!(jobs::submit, jobs::list))
@@ -71,7 +75,7 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(plans::bookings))
         .routes(routes!(timeline::get))
         .routes(routes!(nodes::register, nodes::list))
-        .routes(routes!(nodes::get, nodes::change))
+        .routes(routes!(nodes::get, nodes::change, nodes::remove))
         .routes(routes!(nodes::join))
         .routes(routes!(nodes::join_token))
         .routes(routes!(tasks::log))
@@ -114,6 +118,7 @@ pub(crate) fn router(app: App) -> axum::Router {
     routes
         .fallback(page::serve)
         .method_not_allowed_fallback(async || StatusCode::METHOD_NOT_ALLOWED)
+        .layer(from_fn(end_with_right))
         .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
         .layer(CatchPanicLayer::custom(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response()))
         .layer(from_fn(render_problems))

@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{run_conductor, run_sweep, run_webhooks};
+use crate::background::{run_conductor, run_rights, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::serve;
@@ -98,7 +98,7 @@ impl Service {
             public_origin: public_origin.map(Into::into),
             session_lifetime,
             sign_ins: Arc::default(),
-            sessions_ended: Arc::new(watch::Sender::new(0)),
+            rights: Arc::default(),
             webhooks_changed: Arc::new(watch::Sender::new(0)),
             bundle_roots: roots,
             checks: Arc::new(Semaphore::new(limits.checks_at_once.max(1))),
@@ -115,10 +115,13 @@ impl Service {
             started: clock.now(),
             openapi: openapi_yaml().into(),
         };
+        // From here on, no right ends unseen.
+        app.end_rights().await;
         let tasks = vec![
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
             tokio::spawn(run_webhooks(app.clone())),
+            tokio::spawn(run_rights(app.clone())),
             tokio::spawn(serve(listener, router(app), stopping.clone())),
         ];
         Ok(Self { address, store, stopping, tasks })

@@ -16,6 +16,7 @@ use crate::config::Limits;
 use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
 use crate::metrics::Metrics;
+use crate::rights::Rights;
 use crate::shared::Shared;
 use crate::sign_in::SignIns;
 
@@ -29,8 +30,8 @@ pub(crate) struct App {
     pub public_origin: Option<Arc<str>>,
     pub session_lifetime: Duration,
     pub sign_ins: Arc<SignIns>,
-    /// Changes whenever a session ends before its time.
-    pub sessions_ended: Arc<watch::Sender<u64>>,
+    /// The rights by which requests live that are under way.
+    pub rights: Arc<Rights>,
     /// Changes whenever a webhook is to be told something besides events.
     pub webhooks_changed: Arc<watch::Sender<u64>>,
     /// Canonical paths of the bundle roots.
@@ -81,11 +82,6 @@ impl App {
     /// Whether people reach the service over TLS.
     pub fn is_over_tls(&self) -> bool {
         self.public_origin.as_ref().is_some_and(|origin| origin.starts_with("https://"))
-    }
-
-    /// Makes the streams of events look whether their sessions go on.
-    pub fn tell_session_ended(&self) {
-        self.sessions_ended.send_modify(|version| *version = version.wrapping_add(1));
     }
 }
 

@@ -4,7 +4,6 @@ use anyhow::{Context, Result};
 use clap::Args;
 use forelight_client::{Client, Token};
 use forelight_terminal::failure::BadInput;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Path of the operator's token, relative to a farm's data folder.
@@ -42,12 +41,15 @@ pub fn connect(options: &ConnectionOptions) -> Result<Client> {
     Client::new(&options.server, Some(token)).map_err(|error| BadInput::new(error.to_string()).into())
 }
 
+/// A client with the token in this file.
+pub fn connect_with(server: &str, token_file: &Path) -> Result<Client> {
+    Client::new(server, Some(read_token(token_file)?))
+        .map_err(|error| BadInput::new(error.to_string()).into())
+}
+
+/// The token in a file. Its client reads the file again when the service refuses the token.
 pub fn read_token(path: &Path) -> Result<Token> {
-    let text =
-        fs::read_to_string(path).with_context(|| format!("cannot read the token file {}", path.display()))?;
-    let text = text.trim();
-    if text.is_empty() || text.contains(char::is_whitespace) {
-        return Err(BadInput::new(format!("{}: the file does not contain a token", path.display())).into());
-    }
-    Ok(Token::new(text))
+    Token::in_file(path)
+        .with_context(|| format!("cannot read the token file {}", path.display()))?
+        .with_context(|| BadInput::new(format!("{}: the file does not contain a token", path.display())))
 }

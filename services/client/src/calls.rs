@@ -7,6 +7,7 @@ mod jobs;
 mod leases;
 mod nodes;
 mod sessions;
+mod tokens;
 
 pub use events::EventStream;
 pub use jobs::FramePicture;

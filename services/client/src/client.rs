@@ -2,7 +2,8 @@
 
 use crate::backoff::Backoff;
 use crate::error::ClientError;
-use crate::transport::{Request, Token, Transport};
+use crate::token::Token;
+use crate::transport::{Request, Transport};
 use bytes::Bytes;
 use forelight_protocol::PageToken;
 use serde::de::DeserializeOwned;

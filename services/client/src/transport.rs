@@ -9,34 +9,17 @@
 
 use crate::backoff::Backoff;
 use crate::error::ClientError;
+use crate::token::Token;
 use bytes::Bytes;
 use forelight_protocol::Problem;
 use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Method, Response, StatusCode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio_util::io::ReaderStream;
 use uuid::Uuid;
-
-/// A bearer token. Its debug form hides it, so logs do not show it.
-#[derive(Clone)]
-pub struct Token(String);
-
-impl Token {
-    /// The token in this text, without surrounding white space such as a file's last newline.
-    pub fn new(text: &str) -> Self {
-        Self(text.trim().to_owned())
-    }
-}
-
-impl fmt::Debug for Token {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Token(…)")
-    }
-}
 
 /// The body of a request.
 #[derive(Debug, Clone)]
@@ -157,8 +140,14 @@ impl Transport {
     pub async fn send(&self, request: &Request) -> Result<Response, ClientError> {
         let mut failures = 0;
         loop {
-            let (error, asked) = match self.attempt(request).await? {
+            let sent = self.token.as_ref().map(Token::secret);
+            let (error, asked) = match self.attempt(request, sent.as_deref()).await? {
                 Ok(response) if response.status().is_success() => return Ok(response),
+                Ok(response)
+                    if response.status() == StatusCode::UNAUTHORIZED && self.has_another(sent.as_deref()) =>
+                {
+                    continue;
+                }
                 Ok(response) => {
                     let asked = retry_after(response.headers());
                     let error = refusal(response).await;
@@ -219,15 +208,24 @@ impl Transport {
         ClientError::Unreachable { url: self.url(request), source: source.without_url() }
     }
 
+    /// Whether the token's file holds another token than the one that was sent: it was rotated.
+    fn has_another(&self, sent: Option<&str>) -> bool {
+        self.token.as_ref().is_some_and(|token| token.read_again(sent))
+    }
+
     fn url(&self, request: &Request) -> String {
         format!("{}{}", self.base, request.path)
     }
 
     /// One attempt. Another attempt cannot help after the outer error.
-    async fn attempt(&self, request: &Request) -> Result<Result<Response, reqwest::Error>, ClientError> {
+    async fn attempt(
+        &self,
+        request: &Request,
+        token: Option<&str>,
+    ) -> Result<Result<Response, reqwest::Error>, ClientError> {
         let mut builder = self.http.request(request.method.clone(), self.url(request));
-        if let Some(token) = &self.token {
-            builder = builder.bearer_auth(&token.0);
+        if let Some(token) = token {
+            builder = builder.bearer_auth(token);
         }
         if let Some(timeout) = request.timeout {
             builder = builder.timeout(timeout);

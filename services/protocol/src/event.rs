@@ -50,6 +50,8 @@ pub enum EventKind {
     NodeChanged,
     /// A node was set aside, because too many tasks failed on it.
     NodeSetAside,
+    /// A node was removed from the farm.
+    NodeRemoved,
     /// A budget's action came into force, or ended.
     Budget,
     /// The engine, such as Slurm, became unavailable, came back, or refused a request.
@@ -83,6 +85,7 @@ impl EventKind {
             EventKind::NodeRegistered => "node_registered",
             EventKind::NodeChanged => "node_changed",
             EventKind::NodeSetAside => "node_set_aside",
+            EventKind::NodeRemoved => "node_removed",
             EventKind::Budget => "budget",
             EventKind::EngineState => "engine_state",
             EventKind::JobPromiseAtRisk => "job_promise_at_risk",

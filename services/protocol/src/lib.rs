@@ -53,6 +53,7 @@ mod stratum;
 mod task;
 mod time;
 mod timeline;
+mod token;
 mod track_record;
 mod webhook;
 
@@ -94,7 +95,8 @@ pub use forecast::{
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{
-    BookingId, BundleId, DeliveryId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, WebhookId,
+    BookingId, BundleId, DeliveryId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, TokenId,
+    WebhookId,
 };
 pub use job::{
     AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, FramesRequest,
@@ -140,6 +142,7 @@ pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, TimelinePage, TimelineSpan};
+pub use token::{NewToken, RotateRequest, Token, TokenChange, TokenPage, TokenRequest};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,
     TrackRecordKind, TrackRecordRow,

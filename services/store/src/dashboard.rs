@@ -116,7 +116,7 @@ async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> R
     let row = sqlx::query!(
         r#"SELECT count(*) AS "nodes!: u64",
                   coalesce(sum(last_seen_at >= ? AND NOT drain AND set_aside IS NULL), 0)
-                  AS "alive!: u64" FROM nodes"#,
+                  AS "alive!: u64" FROM nodes WHERE removed_at IS NULL"#,
         silent_since.micros()
     )
     .fetch_one(connection)

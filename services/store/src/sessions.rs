@@ -92,7 +92,8 @@ impl Store {
         let hash = tokens::hash(code);
         let mut write = self.write().await?;
         let token = sqlx::query_scalar!(
-            "SELECT token_hash FROM session_codes WHERE hash = ? AND expires_at > ?",
+            "SELECT c.token_hash FROM session_codes c JOIN tokens t ON t.hash = c.token_hash \
+             WHERE c.hash = ?1 AND c.expires_at > ?2 AND (t.expires_at IS NULL OR t.expires_at > ?2)",
             &hash[..],
             now.micros()
         )
@@ -122,8 +123,10 @@ impl Store {
     pub async fn caller_of_session(&self, secret: &str, now: Timestamp) -> Result<Option<Principal>> {
         let hash = tokens::hash(secret);
         let row = sqlx::query!(
-            "SELECT s.id, s.token_hash, s.last_used_at, t.role, t.name, t.node_id FROM sessions s \
-             JOIN tokens t ON t.hash = s.token_hash WHERE s.secret_hash = ? AND s.expires_at > ?",
+            "SELECT s.id, s.token_hash, s.last_used_at, t.role, t.name, t.node_id, \
+             min(s.expires_at, coalesce(t.expires_at, s.expires_at)) AS \"ends_at!: Time\" FROM sessions s \
+             JOIN tokens t ON t.hash = s.token_hash WHERE s.secret_hash = ?1 AND s.expires_at > ?2 \
+             AND (t.expires_at IS NULL OR t.expires_at > ?2)",
             &hash[..],
             now.micros()
         )
@@ -144,6 +147,7 @@ impl Store {
             token: row.token_hash.0.0,
             session: Some(id),
             node: row.node_id.map(Into::into),
+            expires_at: Some(row.ends_at.into()),
         }))
     }
 

@@ -1,11 +1,20 @@
 //! Bearer tokens.
+//!
+//! A token is dead as soon as its row is gone, or its time is over: every request looks for it in the database.
+//! Requests that take long, such as streams of events, are told by [`crate::rights`].
 
-use forelight_protocol::{NodeId, Role, SessionId, Timestamp};
+use forelight_protocol::{
+    NewToken, NodeId, Role, SessionId, Timestamp, Token, TokenChange, TokenId, TokenRequest,
+};
 use uuid::Uuid;
 
-use crate::database::Store;
-use crate::error::Result;
-use crate::writing::run;
+use crate::columns::{Id, Time, Word};
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
+use crate::writing::{later, run};
+
+/// A token that expired is listed for so long: thirty days, in microseconds.
+const LISTED_AFTER_ITS_END: i64 = 30 * 86_400_000_000;
 
 /// The caller of a request.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -22,6 +31,8 @@ pub struct Principal {
     pub session: Option<SessionId>,
     /// The node that the token belongs to, if any.
     pub node: Option<NodeId>,
+    /// When the right ends by itself.
+    pub expires_at: Option<Timestamp>,
 }
 
 /// A new token.
@@ -33,33 +44,38 @@ pub fn random() -> String {
     format!("forelight_{}{}", Uuid::new_v4().simple(), Uuid::new_v4().simple())
 }
 
-/// Makes a token and returns it once: the database stores its hash. `name` is for people, 1 to 200
-/// characters.
-pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String> {
-    let token = random();
-    let mut write = store.write().await?;
-    run!(
-        write,
-        "INSERT INTO tokens (hash, name, role, created_at) VALUES (?, ?, ?, ?)",
-        &hash(&token)[..],
-        name,
-        role.name(),
-        now.micros()
-    );
-    store.commit(write).await?;
-    Ok(token)
+/// The BLAKE3 hash of a token or of a session's secret. Only hashes are stored.
+pub fn hash(secret: &str) -> [u8; 32] {
+    *blake3::hash(secret.as_bytes()).as_bytes()
 }
 
-/// The caller with this token; `None` if the token is unknown. The lookup is by hash, so its timing reveals
-/// nothing about the token.
-pub async fn find(store: &Store, token: &str) -> Result<Option<Principal>> {
+/// Makes a token without an end and returns it once: the database stores its hash. `name` is for people, 1 to
+/// 200 characters.
+pub async fn create(store: &Store, role: Role, name: &str, now: Timestamp) -> Result<String> {
+    let request = TokenRequest { name: name.to_owned(), role, expires_at: None };
+    Ok(store.create_token(&request, now).await?.secret)
+}
+
+/// The caller with this token; `None` if the token is unknown or has expired. The lookup is by hash, so its
+/// timing reveals nothing about the token.
+pub async fn find(store: &Store, token: &str, now: Timestamp) -> Result<Option<Principal>> {
     let hash = hash(token);
-    let row = sqlx::query!("SELECT role, name, node_id FROM tokens WHERE hash = ?", &hash[..])
-        .fetch_optional(store.readers())
-        .await?;
-    Ok(row.map(|row| {
-        let node = row.node_id.map(Into::into);
-        Principal { role: row.role.0, name: row.name, hash, token: hash, session: None, node }
+    let row = sqlx::query!(
+        "SELECT role, name, node_id, expires_at FROM tokens WHERE hash = ? \
+         AND (expires_at IS NULL OR expires_at > ?)",
+        &hash[..],
+        now.micros()
+    )
+    .fetch_optional(store.readers())
+    .await?;
+    Ok(row.map(|row| Principal {
+        role: row.role.0,
+        name: row.name,
+        hash,
+        token: hash,
+        session: None,
+        node: row.node_id.map(Into::into),
+        expires_at: row.expires_at.map(Into::into),
     }))
 }
 
@@ -69,6 +85,165 @@ pub async fn count(store: &Store) -> Result<u64> {
     Ok(count.unsigned_abs())
 }
 
-pub(crate) fn hash(token: &str) -> [u8; 32] {
-    *blake3::hash(token.as_bytes()).as_bytes()
+struct Row {
+    id: Id,
+    name: String,
+    role: Word<Role>,
+    node_id: Option<Id>,
+    created_at: Time,
+    expires_at: Option<Time>,
+    last_used_at: Option<Time>,
+}
+
+impl From<Row> for Token {
+    fn from(row: Row) -> Self {
+        Token {
+            id: row.id.into(),
+            name: row.name,
+            role: row.role.0,
+            node_id: row.node_id.map(Into::into),
+            created_at: row.created_at.into(),
+            expires_at: row.expires_at.map(Into::into),
+            last_used_at: row.last_used_at.map(Into::into),
+        }
+    }
+}
+
+/// Rows of tokens: `rows!("WHERE id = ?", token.0)`.
+macro_rules! rows {
+    ($rest:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query_as!(
+            Row,
+            "SELECT id AS \"id!: Id\", name, role, node_id, created_at, expires_at, last_used_at FROM tokens " + $rest
+            $(, $value)*
+        )
+    };
+}
+
+impl Store {
+    /// Makes a token. Its secret is returned once: the database stores its hash.
+    pub async fn create_token(&self, request: &TokenRequest, now: Timestamp) -> Result<NewToken> {
+        let mut write = self.write().await?;
+        let new = insert(&mut write, request, now).await?;
+        self.commit(write).await?;
+        Ok(new)
+    }
+
+    /// Makes the token of a role that a service writes into its folder when it starts. It replaces the one that
+    /// an earlier start made.
+    pub async fn create_first_token(&self, role: Role, now: Timestamp) -> Result<String> {
+        let request = TokenRequest { name: format!("first {role}"), role, expires_at: None };
+        let mut write = self.write().await?;
+        run!(write, "DELETE FROM tokens WHERE first = 1 AND role = ?", role.name());
+        let new = insert(&mut write, &request, now).await?;
+        run!(write, "UPDATE tokens SET first = 1 WHERE id = ?", new.token.id.0);
+        self.commit(write).await?;
+        Ok(new.secret)
+    }
+
+    /// A token.
+    pub async fn token(&self, token: TokenId) -> Result<Token> {
+        let row = rows!("WHERE id = ?", token.0).fetch_optional(self.readers()).await?;
+        Ok(row.ok_or(StoreError::NotFound("token"))?.into())
+    }
+
+    /// The tokens made after this one, oldest first, at most `limit`.
+    pub async fn tokens(&self, after: Option<(Timestamp, TokenId)>, limit: u32) -> Result<Vec<Token>> {
+        let (at, id) = after.map_or((i64::MIN, Uuid::nil()), |(at, id)| (at.micros(), id.0));
+        let rows = rows!("WHERE (created_at, id) > (?, ?) ORDER BY created_at, id LIMIT ?", at, id, limit);
+        Ok(rows.fetch_all(self.readers()).await?.into_iter().map(Token::from).collect())
+    }
+
+    /// Changes a token's name or end.
+    pub async fn change_token(&self, token: TokenId, change: &TokenChange) -> Result<Token> {
+        let mut write = self.write().await?;
+        if let Some(name) = &change.name {
+            run!(write, "UPDATE tokens SET name = ? WHERE id = ?", name, token.0);
+        }
+        if let Some(end) = change.expires_at {
+            run!(write, "UPDATE tokens SET expires_at = ? WHERE id = ?", end.map(Timestamp::micros), token.0);
+        }
+        let changed = read(&mut write, token).await?;
+        self.commit(write).await?;
+        Ok(changed)
+    }
+
+    /// Replaces a token by a new one with the same rights. The old one is valid for `grace` microseconds more.
+    pub async fn rotate_token(&self, token: TokenId, grace: i64, now: Timestamp) -> Result<NewToken> {
+        let (secret, new) = (random(), TokenId::new());
+        let mut write = self.write().await?;
+        let old = read(&mut write, token).await?;
+        if let Some(end) = old.expires_at.filter(|end| *end <= now) {
+            return Err(StoreError::Conflict(format!("the token expired at {end}; make a new one")));
+        }
+        run!(
+            write,
+            "INSERT INTO tokens (hash, id, name, role, node_id, first, created_at, expires_at) \
+             SELECT ?, ?, name, role, node_id, first, ?, expires_at FROM tokens WHERE id = ?",
+            &hash(&secret)[..],
+            new.0,
+            now.micros(),
+            token.0
+        );
+        if grace > 0 {
+            run!(
+                write,
+                "UPDATE tokens SET first = 0, expires_at = min(coalesce(expires_at, ?1), ?1) WHERE id = ?2",
+                now.plus_micros(grace).micros(),
+                token.0
+            );
+        } else {
+            run!(write, "DELETE FROM tokens WHERE id = ?", token.0);
+        }
+        let made = read(&mut write, new).await?;
+        self.commit(write).await?;
+        Ok(NewToken { secret, token: made })
+    }
+
+    /// Revokes a token, and ends its sessions.
+    pub async fn revoke_token(&self, token: TokenId) -> Result<()> {
+        let mut write = self.write().await?;
+        if run!(write, "DELETE FROM tokens WHERE id = ?", token.0) == 0 {
+            return Err(StoreError::NotFound("token"));
+        }
+        self.commit(write).await
+    }
+
+    /// Notes when tokens were last used, by their hashes.
+    pub async fn note_tokens_used(&self, used: &[([u8; 32], Timestamp)]) -> Result<()> {
+        if used.is_empty() {
+            return Ok(());
+        }
+        let mut write = self.write().await?;
+        for (hash, at) in used {
+            later!(write, "UPDATE tokens SET last_used_at = ? WHERE hash = ?", at.micros(), &hash[..]);
+        }
+        self.commit(write).await
+    }
+}
+
+async fn insert(write: &mut Write, request: &TokenRequest, now: Timestamp) -> Result<NewToken> {
+    let (secret, id) = (random(), TokenId::new());
+    run!(
+        write,
+        "INSERT INTO tokens (hash, id, name, role, created_at, expires_at) VALUES (?, ?, ?, ?, ?, ?)",
+        &hash(&secret)[..],
+        id.0,
+        request.name,
+        request.role.name(),
+        now.micros(),
+        request.expires_at.map(Timestamp::micros)
+    );
+    Ok(NewToken { secret, token: read(write, id).await? })
+}
+
+async fn read(write: &mut Write, token: TokenId) -> Result<Token> {
+    let row = rows!("WHERE id = ?", token.0).fetch_optional(write.connection().await?).await?;
+    Ok(row.ok_or(StoreError::NotFound("token"))?.into())
+}
+
+/// Deletes tokens that expired long ago.
+pub(crate) async fn forget_expired_tokens(write: &mut Write, now: Timestamp) -> Result<()> {
+    run!(write, "DELETE FROM tokens WHERE expires_at <= ?", now.plus_micros(-LISTED_AFTER_ITS_END).micros());
+    Ok(())
 }

@@ -9,17 +9,14 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use forelight_protocol::{EventId, EventKind, JobId, ProblemKind, SessionId};
-use forelight_store::tokens::Principal;
-use forelight_store::{Store, StoreError};
+use forelight_protocol::{EventId, EventKind, JobId, ProblemKind};
+use forelight_store::StoreError;
 use futures::{Stream, stream};
 use serde::Deserialize;
 use tokio::sync::watch;
-use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
-use crate::clock::Clock;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::feed::{Batch, Feed, Told};
@@ -27,9 +24,6 @@ use crate::state::App;
 
 /// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-
-/// Interval at which a stream looks whether its session has expired.
-const SESSION_CHECKED: Duration = Duration::from_secs(60);
 
 /// Where to start.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -59,7 +53,7 @@ pub(crate) struct EventMessage {
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
 pub(crate) async fn of_farm(
     State(app): State<App>,
-    Reader(caller): Reader,
+    _: Reader,
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -67,7 +61,7 @@ pub(crate) async fn of_farm(
         Some(after) => after,
         None => app.store.last_event_id().await?,
     };
-    Ok(respond(follow(&app, &caller, None, (after, false))))
+    Ok(respond(follow(&app, None, (after, false))))
 }
 
 /// All events of a job after `Last-Event-ID`. Without it, from its beginning.
@@ -79,7 +73,7 @@ pub(crate) async fn of_farm(
               (status = 204, description = "The job is over and all its events were seen"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
-    Reader(caller): Reader,
+    _: Reader,
     Segment(job): Segment<JobId>,
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
@@ -89,7 +83,7 @@ pub(crate) async fn of_job(
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    Ok(respond(follow(&app, &caller, Some(job), (after, state.is_final()))))
+    Ok(respond(follow(&app, Some(job), (after, state.is_final()))))
 }
 
 fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
@@ -106,20 +100,12 @@ fn respond(events: impl Stream<Item = Result<ServerEvent, Infallible>> + Send + 
 }
 
 struct Cursor {
-    store: Store,
     feed: Arc<Feed>,
     job: Option<JobId>,
     /// The last event that was read.
     after: EventId,
     batch: std::vec::IntoIter<Told>,
     changes: watch::Receiver<u64>,
-    /// The session of the caller, if there is one. The stream ends with it.
-    session: Option<SessionId>,
-    sessions_ended: watch::Receiver<u64>,
-    /// How many sessions had ended, and when, as it was last seen that this one goes on.
-    ended: u64,
-    checked: Instant,
-    clock: Arc<dyn Clock>,
     stopping: CancellationToken,
     /// Whether the job is over. Existing later events, such as refusals of late workers, are still sent; none
     /// are waited for.
@@ -128,22 +114,15 @@ struct Cursor {
 
 fn follow(
     app: &App,
-    caller: &Principal,
     job: Option<JobId>,
     (after, over): (EventId, bool),
 ) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
     let cursor = Cursor {
-        store: app.store.clone(),
         feed: app.feed.clone(),
         job,
         after,
         batch: Vec::new().into_iter(),
         changes: app.store.watch_events(),
-        session: caller.session,
-        sessions_ended: app.sessions_ended.subscribe(),
-        ended: *app.sessions_ended.borrow(),
-        checked: Instant::now(),
-        clock: app.clock.clone(),
         stopping: app.stopping.clone(),
         over,
     };
@@ -154,26 +133,12 @@ fn follow(
 }
 
 impl Cursor {
-    /// Whether the caller's session has not ended. Looks only if it may have.
-    async fn goes_on(&mut self) -> bool {
-        let Some(session) = self.session else { return true };
-        let ended = *self.sessions_ended.borrow_and_update();
-        if ended == self.ended && self.checked.elapsed() < SESSION_CHECKED {
-            return true;
-        }
-        (self.ended, self.checked) = (ended, Instant::now());
-        !matches!(self.store.session(session, self.clock.now()).await, Err(StoreError::NotFound(_)))
-    }
-
-    /// The next event. `None` when the job or the session is over, the service stops, or the database fails.
+    /// The next event. `None` when the job is over, the service stops, or the database fails.
     async fn next(&mut self) -> Option<Told> {
         loop {
             if let Some(event) = self.batch.next() {
                 self.over |= self.job.is_some() && event.is_last;
                 return Some(event);
-            }
-            if !self.goes_on().await {
-                return None;
             }
             // Marked as seen before reading, so that anything written after the read wakes this stream again.
             self.changes.borrow_and_update();
@@ -195,8 +160,6 @@ impl Cursor {
             }
             tokio::select! {
                 changed = self.changes.changed() => changed.ok()?,
-                changed = self.sessions_ended.changed(), if self.session.is_some() => changed.ok()?,
-                () = tokio::time::sleep_until(self.checked + SESSION_CHECKED), if self.session.is_some() => {}
                 () = self.stopping.cancelled() => return None,
             }
         }

@@ -8,13 +8,13 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{
     JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration,
-    NodeState, ProblemKind,
+    NodeState, ProblemKind, Role,
 };
 use forelight_store::{NodeFilter, NodeOrder, as_it_is};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
-use self::node_checks::{check_change, check_registration};
+use self::node_checks::{check_change, check_own_change, check_registration};
 use super::checks::{check_name, check_search};
 use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
@@ -67,7 +67,10 @@ pub(crate) async fn join(
     JsonBody { value: request, .. }: JsonBody<JoinRequest>,
 ) -> ApiResult<(StatusCode, Json<Node>)> {
     check_registration("/node", &request.node)?;
-    Ok((StatusCode::CREATED, Json(app.store.join(&token, &request, app.now()).await?)))
+    let node = app.store.join(&token, &request, app.now()).await?;
+    // The token of a machine that was replaced.
+    app.end_rights().await;
+    Ok((StatusCode::CREATED, Json(node)))
 }
 
 /// Makes a one-time token, with which one machine can join the farm. Repeating the request makes another one.
@@ -172,7 +175,8 @@ pub(crate) async fn get(
 /// Gives a node orders, or sets its speed, price, calendar or terms.
 ///
 /// The worker gets an order at the next renewal of its lease; the node's `state` shows whether it has obeyed.
-/// A speed or price set here survives a new registration; `null` removes it.
+/// A speed or price set here survives a new registration; `null` removes it. A worker's token may drain, pause,
+/// resume and schedule its node, take its task away, and set it aside; the rest is for operators.
 #[utoipa::path(patch, path = "/v1/nodes/{id}", operation_id = "node_change",
     tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
     responses((status = 200, description = "The node", body = Node), Problems))]
@@ -183,12 +187,38 @@ pub(crate) async fn change(
     JsonBody { value: change, .. }: JsonBody<NodeChange>,
 ) -> ApiResult<Json<Node>> {
     worker.speaks_for(node)?;
-    if worker.0.node.is_some() && change.set_aside == Some(false) {
-        return Err(
-            ApiError::new(ProblemKind::Forbidden, "only an operator can bring a node back").at("/set_aside")
-        );
+    if worker.0.role != Role::Operator {
+        check_own_change(&change)?;
     }
     check_change(&change)?;
     let now = app.now();
     Ok(Json(as_it_is(app.store.change_node(node, &change, now).await?, app.lease_ttl, now)))
+}
+
+/// What may happen to the task of a node that is removed.
+#[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct RemovalQuery {
+    /// Whether the node's task may be taken away. Any node may then start it again.
+    #[serde(default)]
+    pub cancel_task: bool,
+}
+
+/// Removes a node and its own token. Its bookings are planned anew.
+///
+/// 409 while it holds a task, unless `cancel_task` is true. A machine that registers under its name brings it
+/// back, so a shared token of its worker has to be revoked too.
+#[utoipa::path(delete, path = "/v1/nodes/{id}", operation_id = "node_remove",
+    tag = "work", params(("id" = NodeId, Path), RemovalQuery),
+    responses((status = 204, description = "It is removed"), Problems))]
+pub(crate) async fn remove(
+    State(app): State<App>,
+    _: Operator,
+    Segment(node): Segment<NodeId>,
+    QueryParameters(query): QueryParameters<RemovalQuery>,
+) -> ApiResult<StatusCode> {
+    app.store.remove_node(node, query.cancel_task, app.now()).await?;
+    app.end_rights().await;
+    Ok(StatusCode::NO_CONTENT)
 }

@@ -3,21 +3,19 @@
 use axum::Json;
 use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, SET_COOKIE};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{
     ProblemKind, Role, Session, SessionCode, SessionId, SessionPage, SessionRequest, Timestamp,
 };
 use forelight_store::{NewSession, tokens};
 
+use super::responses::NOT_KEPT;
 use crate::cookies::{check_not_cross_site, forget_session, set_session};
 use crate::error::{ApiError, ApiResult, BAD_TOKEN, Problems};
-use crate::extract::{JsonBody, Operator, Peer, QueryParameters, Reader, Segment};
+use crate::extract::{JsonBody, Operator, Peer, QueryParameters, Reader, Segment, UNKNOWN_TOKEN};
 use crate::page::{PageQuery, cut};
 use crate::state::App;
-
-/// Answers with secrets are not kept by browsers and proxies.
-const NOT_KEPT: HeaderValue = HeaderValue::from_static("no-store");
 
 /// Makes a one-time code, which begins one session with the caller's rights. It is valid for five minutes.
 #[utoipa::path(post, path = "/v1/sessions/codes", operation_id = "session_code_create", tag = "sessions",
@@ -69,9 +67,9 @@ async fn with_code(app: &App, code: &str, now: Timestamp) -> ApiResult<NewSessio
 }
 
 async fn with_token(app: &App, token: &str, now: Timestamp) -> ApiResult<NewSession> {
-    let Some(caller) = tokens::find(&app.store, token.trim()).await? else {
-        let reason = "the service does not know this token";
-        return Err(ApiError::new(ProblemKind::Unauthenticated, reason).authenticate(BAD_TOKEN).at("/token"));
+    let Some(caller) = tokens::find(&app.store, token.trim(), now).await? else {
+        let refused = ApiError::new(ProblemKind::Unauthenticated, UNKNOWN_TOKEN);
+        return Err(refused.authenticate(BAD_TOKEN).at("/token"));
     };
     if caller.role == Role::Worker {
         let reason = "a worker's token cannot sign in; use a viewer's, submitter's or operator's";
@@ -107,7 +105,7 @@ pub(crate) async fn end_current(State(app): State<App>, Reader(caller): Reader) 
         return Err(ApiError::new(ProblemKind::Conflict, reason));
     };
     app.store.end_session(session).await?;
-    app.tell_session_ended();
+    app.end_rights().await;
     Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, forget_session(app.is_over_tls())?)]).into_response())
 }
 
@@ -134,6 +132,6 @@ pub(crate) async fn end(
     Segment(session): Segment<SessionId>,
 ) -> ApiResult<StatusCode> {
     app.store.end_session(session).await?;
-    app.tell_session_ended();
+    app.end_rights().await;
     Ok(StatusCode::NO_CONTENT)
 }

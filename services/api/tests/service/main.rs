@@ -19,6 +19,8 @@ mod results;
 mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
+mod tokens;
+mod turnover;
 mod uploads;
 mod webhooks;
 mod workers;

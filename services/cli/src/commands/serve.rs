@@ -149,9 +149,10 @@ impl Running {
     /// A link that signs in once, as an operator, within five minutes.
     pub async fn sign_in_link(&self) -> Result<String> {
         let store = self.service.store();
-        let caller = tokens::find(store, &self.operator).await?;
+        let now = Timestamp::now();
+        let caller = tokens::find(store, &self.operator, now).await?;
         let caller = caller.context("the farm does not know its operator's token")?;
-        let code = store.create_session_code(&caller, Timestamp::now()).await?.code;
+        let code = store.create_session_code(&caller, now).await?.code;
         Ok(sign_in_link(&self.public_address(), &code))
     }
 
@@ -220,13 +221,15 @@ pub fn reachable(address: &str) -> String {
 }
 
 /// Writes a token file for each role, if it is missing, and returns the worker's and the operator's tokens. A
-/// file with an unknown token is replaced, because it belongs to another or a deleted database.
+/// file with a token that is unknown, expired or of another role is replaced. The token that an earlier start
+/// wrote into it then ends.
 async fn first_tokens(store: &Store, data: &Path) -> Result<(Token, String)> {
     let (mut worker, mut operator) = (None, None);
+    let now = Timestamp::now();
     for role in Role::ALL {
         let path = token_path(data, role);
         let known = match fs::read_to_string(&path) {
-            Ok(text) if tokens::find(store, text.trim()).await?.is_some_and(|found| found.role == role) => {
+            Ok(text) if tokens::find(store, text.trim(), now).await?.is_some_and(|it| it.role == role) => {
                 Some(text)
             }
             _ => None,
@@ -234,7 +237,7 @@ async fn first_tokens(store: &Store, data: &Path) -> Result<(Token, String)> {
         let text = match known {
             Some(text) => text,
             None => {
-                let text = tokens::create(store, role, &format!("first {role}"), Timestamp::now()).await?;
+                let text = store.create_first_token(role, now).await?;
                 write_secret(&path, text.as_bytes())?;
                 text
             }
@@ -285,5 +288,8 @@ mod tests {
         assert_eq!(read(Role::Operator), operator);
         assert_ne!(read(Role::Viewer), viewer);
         assert_ne!(read(Role::Viewer), operator);
+        // The token that was replaced is dead.
+        assert!(tokens::find(&store, &viewer, Timestamp::now()).await.unwrap().is_none());
+        assert_eq!(tokens::count(&store).await.unwrap(), 4);
     }
 }

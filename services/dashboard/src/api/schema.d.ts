@@ -838,13 +838,19 @@ export interface paths {
         get: operations["node_get"];
         put?: never;
         post?: never;
-        delete?: never;
+        /**
+         * Removes a node and its own token. Its bookings are planned anew.
+         * @description 409 while it holds a task, unless `cancel_task` is true. A machine that registers under its name brings it
+         *     back, so a shared token of its worker has to be revoked too.
+         */
+        delete: operations["node_remove"];
         options?: never;
         head?: never;
         /**
          * Gives a node orders, or sets its speed, price, calendar or terms.
          * @description The worker gets an order at the next renewal of its lease; the node's `state` shows whether it has obeyed.
-         *     A speed or price set here survives a new registration; `null` removes it.
+         *     A speed or price set here survives a new registration; `null` removes it. A worker's token may drain, pause,
+         *     resume and schedule its node, take its task away, and set it aside; the rest is for operators.
          */
         patch: operations["node_change"];
         trace?: never;
@@ -1043,6 +1049,64 @@ export interface paths {
         get: operations["timeline"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/tokens": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The tokens, oldest first. A token that expired is listed for thirty days more. */
+        get: operations["token_list"];
+        put?: never;
+        /** Makes a token. The answer has its secret, which is shown only once. Repeating the request makes another one. */
+        post: operations["token_create"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/tokens/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One token. */
+        get: operations["token_get"];
+        put?: never;
+        post?: never;
+        /** Revokes a token at once. Its requests that are under way, its streams of events and its sessions end. */
+        delete: operations["token_revoke"];
+        options?: never;
+        head?: never;
+        /** Changes a token's name, or when it expires. */
+        patch: operations["token_change"];
+        trace?: never;
+    };
+    "/v1/tokens/{id}/rotate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Replaces a token by a new one with the same rights. The answer has its secret, which is shown only once.
+         * @description The replaced token, and the sessions that began with it, end at once, or after the grace. Repeating the
+         *     request without a grace gives 404.
+         */
+        post: operations["token_rotate"];
         delete?: never;
         options?: never;
         head?: never;
@@ -2131,7 +2195,7 @@ export interface components {
          * @description Kind of an event. It is also the `event:` field of the server-sent events.
          * @enum {string}
          */
-        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe";
+        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "node_removed" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe";
         /** @description Fields of each event on the stream. */
         EventMessage: {
             /** @description The event, an `Event` in JSON. */
@@ -3054,6 +3118,13 @@ export interface components {
             later_ms: number;
             /** @description Its name. */
             name: string;
+        };
+        /** @description A new token. Its secret is shown only once. */
+        NewToken: {
+            /** @description What to send: `Authorization: Bearer …`. */
+            secret: string;
+            /** @description The token. */
+            token: components["schemas"]["Token"];
         };
         /** @description Comparison of a rung with the next better one. */
         NextRung: {
@@ -4420,6 +4491,14 @@ export interface components {
          * @enum {string}
          */
         Role: "submitter" | "worker" | "operator" | "viewer";
+        /** @description Replaces a token by a new one with the same name, role and end. */
+        RotateRequest: {
+            /**
+             * Format: int32
+             * @description How long the replaced token is still valid, in seconds: 0 to 604800, a week. Its sessions end with it.
+             */
+            grace_seconds?: number;
+        };
         /** @description Measured cost of a part of a frame. */
         SampleCost: {
             /**
@@ -4919,6 +4998,45 @@ export interface components {
          * @example 2026-03-01T18:00:00.000000Z
          */
         Timestamp: string;
+        /** @description A bearer token. The token itself is not shown: the farm keeps only its hash. */
+        Token: {
+            /** @description When it was made. */
+            created_at: components["schemas"]["Timestamp"];
+            expires_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Its id. */
+            id: components["schemas"]["TokenId"];
+            last_used_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Name of the person or machine. */
+            name: string;
+            node_id?: components["schemas"]["NodeId"] | null;
+            /** @description What it allows. */
+            role: components["schemas"]["Role"];
+        };
+        /** @description Changes a token. Absent fields stay as they are. */
+        TokenChange: {
+            expires_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Another name, 1 to 200 characters. */
+            name?: string | null;
+        };
+        /**
+         * Format: uuid
+         * @description Id of a bearer token. It is no secret.
+         */
+        TokenId: string;
+        /** @description One page of tokens, oldest first. */
+        TokenPage: {
+            /** @description The tokens. */
+            items: components["schemas"]["Token"][];
+            next_page_token?: components["schemas"]["PageToken"] | null;
+        };
+        /** @description Makes a token. */
+        TokenRequest: {
+            expires_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Name of the person or machine, 1 to 200 characters. */
+            name: string;
+            /** @description What it allows. */
+            role: components["schemas"]["Role"];
+        };
         /** @description Track record over all finished frames, and one page of the frames, newest first. */
         TrackRecord: {
             /**
@@ -7508,6 +7626,47 @@ export interface operations {
             };
         };
     };
+    node_remove: {
+        parameters: {
+            query?: {
+                /** @description Whether the node's task may be taken away. Any node may then start it again. */
+                cancel_task?: boolean;
+            };
+            header?: never;
+            path: {
+                id: components["schemas"]["NodeId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is removed */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     node_change: {
         parameters: {
             query?: never;
@@ -8111,6 +8270,257 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_list: {
+        parameters: {
+            query?: {
+                /** @description `next_page_token` of the previous page. */
+                page_token?: string;
+                /** @description Number of items on a page: 1 to 200, default 50. */
+                page_size?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A page of tokens */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TokenPage"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_create: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["TokenRequest"];
+            };
+        };
+        responses: {
+            /** @description The token with its secret */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["NewToken"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_get: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The token */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Token"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_revoke: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is revoked */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_change: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["TokenChange"];
+            };
+        };
+        responses: {
+            /** @description The token */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Token"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_rotate: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RotateRequest"];
+            };
+        };
+        responses: {
+            /** @description The new token with its secret */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["NewToken"];
+                };
             };
             /** @description The request is refused; `type` says why */
             "4XX": {

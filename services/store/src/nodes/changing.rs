@@ -95,7 +95,7 @@ pub(crate) async fn upsert(
          DO UPDATE SET speed = excluded.speed, price_per_hour = excluded.price_per_hour, cores = \
          excluded.cores, last_seen_at = excluded.last_seen_at, capabilities = excluded.capabilities, \
          schedule = excluded.schedule, worker = coalesce(excluded.worker, worker), paused = 0, \
-         renderers = excluded.renderers \
+         renderers = excluded.renderers, removed_at = NULL \
          RETURNING id",
         NodeId::new().0,
         registration.name,

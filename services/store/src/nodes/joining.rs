@@ -8,12 +8,15 @@
 //! * A machine uses another machine's name: it replaces that node only with a one-time token made for the
 //!   name.
 
-use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, Timestamp};
+use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, Timestamp, TokenId};
 
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::writing::run;
 use crate::{nodes, tokens};
+
+const REMOVED: &str =
+    "the node that joined with this one-time token was removed; ask an operator for a new one";
 
 impl Store {
     /// Makes a one-time token that is valid for so many microseconds from `now`.
@@ -52,7 +55,10 @@ impl Store {
         .await?
         .ok_or_else(|| StoreError::JoinRefused("this one-time token is unknown".to_owned()))?;
         if let (Some(node), Some(chosen)) = (row.node_id, row.used_for.map(ArtifactHash::from)) {
-            let node = nodes::read(write.connection().await?, node.into()).await?;
+            let node = match nodes::read(write.connection().await?, node.into()).await {
+                Err(StoreError::NotFound(_)) => return Err(StoreError::JoinRefused(REMOVED.to_owned())),
+                node => node?,
+            };
             if chosen == request.token_hash && node.name == request.node.name {
                 return Ok(node);
             }
@@ -97,9 +103,10 @@ impl Store {
         run!(write, "DELETE FROM tokens WHERE node_id = ?", node.id.0);
         let inserted = run!(
             write,
-            "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) \
+            "INSERT INTO tokens (hash, id, name, role, created_at, node_id) VALUES (?, ?, ?, 'worker', ?, ?) \
              ON CONFLICT DO NOTHING",
             &request.token_hash.0[..],
+            TokenId::new().0,
             node.name,
             now.micros(),
             node.id.0

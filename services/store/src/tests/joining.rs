@@ -15,10 +15,10 @@ async fn a_one_time_token_makes_one_node_with_a_token_of_its_own_and_is_burnt() 
     let store = &farm.store;
     let made = store.create_join_token("rack 7", 3600 * SECOND, at(0)).await.unwrap();
     assert_eq!(made.expires_at, at(3600));
-    assert_eq!(tokens::find(store, &made.token).await.unwrap(), None, "it is no bearer token");
+    assert_eq!(tokens::find(store, &made.token, at(0)).await.unwrap(), None, "it is no bearer token");
     let own = tokens::random();
     let node = store.join(&made.token, &join("rack-7", &own), at(1)).await.unwrap();
-    let principal = tokens::find(store, &own).await.unwrap().unwrap();
+    let principal = tokens::find(store, &own, at(0)).await.unwrap().unwrap();
     assert_eq!((principal.role, principal.node), (Role::Worker, Some(node.id)));
     // The answer was lost: the same machine asks again.
     assert_eq!(store.join(&made.token, &join("rack-7", &own), at(2)).await.unwrap().id, node.id);
@@ -31,7 +31,7 @@ async fn a_one_time_token_makes_one_node_with_a_token_of_its_own_and_is_burnt() 
         panic!()
     };
     assert!(why.contains("was used at"), "{why}");
-    assert_eq!(tokens::find(store, &other).await.unwrap(), None);
+    assert_eq!(tokens::find(store, &other, at(0)).await.unwrap(), None);
     assert_eq!(store.nodes(None, 10).await.unwrap().len(), 1, "nothing was left behind");
 }
 
@@ -55,8 +55,8 @@ async fn a_machine_that_takes_a_nodes_place_takes_its_token_away() {
         nodes.push(farm.store.join(&made.token, &join("a", own), at(0)).await.unwrap().id);
     }
     assert_eq!(nodes[0], nodes[1]);
-    assert_eq!(tokens::find(&farm.store, &first).await.unwrap(), None);
-    assert!(tokens::find(&farm.store, &second).await.unwrap().is_some());
+    assert_eq!(tokens::find(&farm.store, &first, at(0)).await.unwrap(), None);
+    assert!(tokens::find(&farm.store, &second, at(0)).await.unwrap().is_some());
     // Nor can a machine claim the token of another.
     let made = farm.store.create_join_token("b", SECOND, at(0)).await.unwrap();
     let stolen = farm.store.join(&made.token, &join("b", &second), at(0)).await;
@@ -76,8 +76,8 @@ async fn a_one_time_token_made_for_one_machine_does_not_take_the_place_of_anothe
         panic!("it took rack-1's place")
     };
     assert!(why.contains("a one-time token made for \"rack-1\""), "{why}");
-    assert_eq!(tokens::find(store, &at_work).await.unwrap().unwrap().node, Some(node.id));
-    assert_eq!(tokens::find(store, &newcomer).await.unwrap(), None);
+    assert_eq!(tokens::find(store, &at_work, at(0)).await.unwrap().unwrap().node, Some(node.id));
+    assert_eq!(tokens::find(store, &newcomer, at(0)).await.unwrap(), None);
     // Nothing was burnt: it can still join as what it is.
     let second = store.join(&other.token, &join("rack-2", &newcomer), at(0)).await.unwrap();
     assert_ne!(second.id, node.id);
