@@ -8,6 +8,7 @@ use std::time::Duration;
 use forelight_store::ArtifactPlace;
 
 use crate::clock::{Clock, SystemClock};
+use crate::oidc::SignInProvider;
 
 /// Configuration of the service.
 #[derive(Clone)]
@@ -20,11 +21,15 @@ pub struct Config {
     pub artifacts_moved: bool,
     /// Address to listen on. Default: 127.0.0.1:7878, local only. Port 0 picks a free port.
     pub listen: SocketAddr,
+    /// Certificate and key, with which the service answers by TLS. Default: none, plain HTTP.
+    pub tls: Option<TlsFiles>,
     /// How long a lease lasts without renewal. Default 30 s.
     pub lease_ttl: Duration,
     /// Origin at which people reach the service, such as `https://farm.example.org`, without a path. With
     /// `https`, browsers send the cookies of sessions over TLS only. Default: none.
     pub public_origin: Option<String>,
+    /// Through whom people may sign in besides tokens. It needs a public origin. Default: none.
+    pub sign_in: Option<SignInProvider>,
     /// How long people stay signed in. Default 7 days.
     pub session_lifetime: Duration,
     /// Folders on shared storage under which jobs may name bundles by path. Default none.
@@ -43,14 +48,25 @@ impl Config {
             artifacts: ArtifactPlace::DataFolder,
             artifacts_moved: false,
             listen: SocketAddr::from(([127, 0, 0, 1], 7878)),
+            tls: None,
             lease_ttl: Duration::from_secs(30),
             public_origin: None,
+            sign_in: None,
             session_lifetime: Duration::from_secs(7 * 86_400),
             bundle_roots: Vec::new(),
             limits: Limits::default(),
             clock: Arc::new(SystemClock::default()),
         }
     }
+}
+
+/// Files in PEM form. They are read again when they change.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct TlsFiles {
+    /// The service's certificate, followed by those that lead to its root.
+    pub certificate: PathBuf,
+    /// The key of the certificate.
+    pub key: PathBuf,
 }
 
 /// Limits on everything that a client can make large.

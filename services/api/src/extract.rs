@@ -6,6 +6,7 @@ mod idempotency;
 mod json;
 mod path;
 mod query;
+mod reach;
 
 pub(crate) use auth::{
     Anyone, OneTimeToken, Operator, Peer, PeerAddress, Reader, Submitter, UNKNOWN_TOKEN, WorkerToken,
@@ -15,3 +16,4 @@ pub(crate) use idempotency::KeyHeader;
 pub(crate) use json::{JsonBody, Large, media_type};
 pub(crate) use path::{Segment, Segments};
 pub(crate) use query::{QueryParameters, number, number_if_any};
+pub(crate) use reach::{FarmReader, OwnJob, SeenFrame, SeenJob, check_may_change};

@@ -2,6 +2,7 @@
 
 pub(crate) mod answers;
 pub(crate) mod artifacts;
+pub(crate) mod audit;
 pub(crate) mod budgets;
 pub(crate) mod bundles;
 mod checks;
@@ -18,6 +19,7 @@ pub(crate) mod plans;
 pub(crate) mod projects;
 mod responses;
 pub(crate) mod sessions;
+pub(crate) mod sign_in;
 pub(crate) mod strip;
 pub(crate) mod tasks;
 pub(crate) mod timeline;

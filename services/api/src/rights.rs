@@ -2,8 +2,8 @@
 //!
 //! The hazard: a token is checked when a request begins, and some requests last for hours. A stream of events
 //! would go on after its token was revoked, a claim that waits would be given a task, and an upload would be
-//! kept. So every request holds its right while it runs and while its answer is sent, and ends at once when the
-//! right does.
+//! kept. So every request holds its right while it runs and while its answer is sent, and ends at once when
+//! the right does.
 //!
 //! A right is taken hold of *before* it is looked up. If it ends after the lookup, the holder is told; if it
 //! ended before, the lookup fails.
@@ -97,7 +97,8 @@ impl Rights {
         used.insert(token, Used { at: now, noted });
     }
 
-    /// Stores the last uses of tokens, all of them in one write. `all`: also those stored less than a minute ago.
+    /// Stores the last uses of tokens, all of them in one write. `all`: also those stored less than a minute
+    /// ago.
     pub async fn store_uses(&self, store: &Store, all: bool, now: Timestamp) -> Result<(), StoreError> {
         let is_old = |noted: Timestamp| now.micros_since(noted) >= USE_NOTED;
         let due: Vec<(Hash, Timestamp)> = {

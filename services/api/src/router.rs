@@ -23,8 +23,8 @@ use crate::error::render_problems;
 use crate::openapi::frame;
 use crate::resources::jobs::changes;
 use crate::resources::{
-    answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases, nodes,
-    page, plans, projects, sessions, strip, tasks, timeline, tokens, webhooks,
+    answers, artifacts, audit, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases,
+    nodes, page, plans, projects, sessions, sign_in, strip, tasks, timeline, tokens, webhooks,
 };
 use crate::rights::end_with_right;
 use crate::state::App;
@@ -41,9 +41,14 @@ fn routes() -> (axum::Router<App>, OpenApi) {
         .routes(routes!(sessions::begin, sessions::list))
         .routes(routes!(sessions::current, sessions::end_current))
         .routes(routes!(sessions::end))
+        .routes(routes!(sign_in::ways))
+        .routes(routes!(sign_in::begin))
+        .routes(routes!(sign_in::finish))
         .routes(routes!(tokens::create, tokens::list))
         .routes(routes!(tokens::get, tokens::change, tokens::revoke))
         .routes(routes!(tokens::rotate))
+        .routes(routes!(audit::list))
+        .routes(routes!(audit::export))
         .routes(routes!(bundles::upload))
         .routes(routes!(bundles::get))
         .routes(routes!(jobs::submit, jobs::list))

@@ -15,9 +15,10 @@ use tokio_util::sync::CancellationToken;
 use crate::background::{run_conductor, run_rights, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
-use crate::connections::serve;
+use crate::connections::{Tls, TlsError, serve};
 use crate::feed::Feed;
 use crate::metrics::Metrics;
+use crate::oidc::SignIn;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
 
@@ -38,6 +39,12 @@ pub enum ServiceError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// The sign-in provider cannot be used.
+    #[error("the sign-in provider: {0}")]
+    SignIn(String),
+    /// TLS cannot be served.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// A bundle root does not exist.
     #[error("bundle root {path}: {source}")]
     BundleRoot {
@@ -51,6 +58,7 @@ pub enum ServiceError {
 /// A running service. Dropping it stops it; [`Service::shutdown`] waits for that.
 pub struct Service {
     address: SocketAddr,
+    home: SocketAddr,
     store: Store,
     stopping: CancellationToken,
     tasks: Vec<JoinHandle<()>>,
@@ -64,13 +72,26 @@ impl Service {
             artifacts,
             artifacts_moved,
             listen,
+            tls,
             lease_ttl,
             public_origin,
+            sign_in,
             session_lifetime,
             bundle_roots,
             limits,
             clock,
         } = config;
+        let tls = tls.map(Tls::new).transpose()?;
+        let sign_in = match sign_in {
+            None => None,
+            Some(provider) => {
+                provider.check().map_err(ServiceError::SignIn)?;
+                let origin = public_origin.as_deref().ok_or_else(|| {
+                    ServiceError::SignIn("it needs the address at which people reach the service".to_owned())
+                })?;
+                Some(Arc::new(SignIn::new(provider, origin).map_err(ServiceError::SignIn)?))
+            }
+        };
         let roots = bundle_roots
             .into_iter()
             .map(|root| {
@@ -84,18 +105,22 @@ impl Service {
         if extended > 0 {
             tracing::info!(leases = extended, "leases from before the start were extended");
         }
-        let listener = TcpListener::bind(listen)
-            .await
-            .map_err(|source| ServiceError::Listen { address: listen, source })?;
-        let address =
-            listener.local_addr().map_err(|source| ServiceError::Listen { address: listen, source })?;
+        let (listener, address) = bind(listen).await?;
+        // With TLS, the processes of this machine reach the service without it, by the loopback alone.
+        let at_home = match &tls {
+            Some(_) => Some(bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?),
+            None => None,
+        };
         let stopping = CancellationToken::new();
         let (conductor, jobs) = mpsc::unbounded_channel();
         let app = App {
             store: store.clone(),
             clock: clock.clone(),
             lease_ttl,
+            is_over_tls: tls.is_some()
+                || public_origin.as_ref().is_some_and(|origin| origin.starts_with("https://")),
             public_origin: public_origin.map(Into::into),
+            sign_in,
             session_lifetime,
             sign_ins: Arc::default(),
             rights: Arc::default(),
@@ -117,19 +142,33 @@ impl Service {
         };
         // From here on, no right ends unseen.
         app.end_rights().await;
-        let tasks = vec![
+        let router = router(app.clone());
+        let mut tasks = vec![
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
             tokio::spawn(run_webhooks(app.clone())),
             tokio::spawn(run_rights(app.clone())),
-            tokio::spawn(serve(listener, router(app), stopping.clone())),
         ];
-        Ok(Self { address, store, stopping, tasks })
+        let mut home = address;
+        if let Some((listener, address)) = at_home {
+            home = address;
+            tasks.push(tokio::spawn(serve(listener, router.clone(), None, stopping.clone())));
+        }
+        if let Some(tls) = &tls {
+            tasks.push(tokio::spawn(tls.clone().follow_files(stopping.clone())));
+        }
+        tasks.push(tokio::spawn(serve(listener, router, tls, stopping.clone())));
+        Ok(Self { address, home, store, stopping, tasks })
     }
 
     /// The address it listens on.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
+    }
+
+    /// The address at which processes of this machine reach it without TLS: the same one if it has none.
+    pub fn home_addr(&self) -> SocketAddr {
+        self.home
     }
 
     /// Its store, for making tokens in the same process.
@@ -148,6 +187,14 @@ impl Service {
         }
         self.store.close().await;
     }
+}
+
+/// Listens on an address. Port 0 picks a free port.
+async fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ServiceError> {
+    let failed = |source| ServiceError::Listen { address, source };
+    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    let bound = listener.local_addr().map_err(failed)?;
+    Ok((listener, bound))
 }
 
 impl Drop for Service {

@@ -1,6 +1,7 @@
 //! The service's REST API as typed calls, one file per subject.
 
 mod artifacts;
+mod audit;
 mod events;
 mod farm;
 mod jobs;

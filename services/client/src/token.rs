@@ -8,8 +8,8 @@ use parking_lot::RwLock;
 
 /// A bearer token. Its debug form hides it, so logs do not show it. Clones share it.
 ///
-/// A token from a file is read again when the service refuses it: whoever rotates the token writes the new one
-/// into the file, and the client goes on.
+/// A token from a file is read again when the service refuses it: whoever rotates the token writes the new
+/// one into the file, and the client goes on.
 #[derive(Clone)]
 pub struct Token(Arc<Source>);
 

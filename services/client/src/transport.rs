@@ -13,7 +13,7 @@ use crate::token::Token;
 use bytes::Bytes;
 use forelight_protocol::Problem;
 use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
-use reqwest::{Method, Response, StatusCode};
+use reqwest::{Certificate, Method, Response, StatusCode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;
@@ -102,22 +102,41 @@ pub(crate) struct Transport {
 }
 
 impl Transport {
-    pub fn new(address: &str, token: Option<Token>, backoff: Backoff) -> Result<Self, ClientError> {
+    /// Over TLS, the service's certificate must lead to one of `roots` (PEM), or else of the system's.
+    pub fn new(
+        address: &str,
+        token: Option<Token>,
+        roots: Option<&[u8]>,
+        backoff: Backoff,
+    ) -> Result<Self, ClientError> {
         let wrong = |reason: String| ClientError::Address { address: address.into(), reason };
         let url = reqwest::Url::parse(address).map_err(|e| wrong(e.to_string()))?;
-        if url.scheme() != "http" {
-            return Err(wrong("it must begin with http://".into()));
+        if !matches!(url.scheme(), "http" | "https") {
+            return Err(wrong("it must begin with http:// or https://".into()));
         }
+        let roots = match roots {
+            Some(pem) => Certificate::from_pem_bundle(pem)
+                .ok()
+                .filter(|roots| !roots.is_empty())
+                .map(Some)
+                .ok_or_else(|| wrong("its roots hold no certificate in PEM form".into()))?,
+            None => None,
+        };
         let host = url.host_str().ok_or_else(|| wrong("it names no host".into()))?;
         let mut builder = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             .read_timeout(SILENCE)
-            // The client speaks http:// only. It loads no certificates, so it also works on machines without
-            // any.
-            .tls_certs_only([])
+            // A worker has one request at a time, and a stream of events is one for hours.
+            .http1_only()
             // A redirect could carry the token to another host.
             .redirect(reqwest::redirect::Policy::none())
             .user_agent(concat!("forelight/", env!("CARGO_PKG_VERSION")));
+        builder = match roots {
+            Some(roots) => builder.tls_certs_only(roots),
+            None if url.scheme() == "https" => builder,
+            // Without TLS, the client loads no certificates, so it also works on machines without any.
+            None => builder.tls_certs_only([]),
+        };
         if host == "localhost"
             || host.trim_matches(['[', ']']).parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
         {
@@ -247,6 +266,12 @@ impl Transport {
         };
         Ok(builder.send().await)
     }
+}
+
+/// Parameters for the query of an address, each after a `&`.
+pub(crate) fn parameters(named: &[(&str, &str)]) -> String {
+    let escaped = |value: &str| value.bytes().map(|byte| format!("%{byte:02X}")).collect::<String>();
+    named.iter().map(|(name, value)| format!("&{name}={}", escaped(value))).collect()
 }
 
 /// The error in the service's answer.

@@ -133,7 +133,7 @@ pub struct Event {
     /// The state of the node, as far as it does not depend on the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_state: Option<NodeState>,
-    /// The project, of an event about a budget.
+    /// The project of the job, or of the budget.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<String>,
     /// Number of the job's finished frames.

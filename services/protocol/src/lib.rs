@@ -15,6 +15,7 @@
 mod accuracy;
 mod answers;
 mod artifact;
+mod audit;
 mod budget;
 mod bundle;
 mod cache;
@@ -65,6 +66,7 @@ pub use answers::{
     ProjectRequest, ProjectShare, Promise, QualityOffer, WaitKind, Waits, WhatIf, WhatIfRequest,
 };
 pub use artifact::ArtifactStored;
+pub use audit::{AuditAction, AuditEntry, AuditPage, UnknownAction};
 pub use budget::{
     Budget, BudgetAction, BudgetChange, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetOutlook,
     BudgetPeriod, BudgetRequest, BudgetThreshold, CostLine, LedgerLine, MoneyForecast, Night, NightForecast,
@@ -134,7 +136,7 @@ pub use result::{
     RenderResult, SampleCost, StratumTime, TaskResult, Varied,
 };
 pub use role::{Role, UnknownRole};
-pub use session::{Session, SessionCode, SessionPage, SessionRequest};
+pub use session::{Session, SessionCode, SessionPage, SessionRequest, SignInWays};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use spent::{Spent, at_speed_one};
 pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, RenderStats, WithinStats};
@@ -142,7 +144,7 @@ pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, TimelinePage, TimelineSpan};
-pub use token::{NewToken, RotateRequest, Token, TokenChange, TokenPage, TokenRequest};
+pub use token::{NewToken, RotateRequest, Token, TokenChange, TokenKind, TokenPage, TokenRequest};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, QuantileHits, TrackRecord,
     TrackRecordKind, TrackRecordRow,

@@ -1,19 +1,48 @@
 //! Bearer tokens, as operators see them.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{NodeId, PageToken, Role, Timestamp, TokenId};
+
+/// Whom a token belongs to.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TokenKind {
+    /// A person.
+    #[default]
+    Person,
+    /// A machine or a program.
+    Service,
+}
+
+impl TokenKind {
+    /// The name, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            TokenKind::Person => "person",
+            TokenKind::Service => "service",
+        }
+    }
+}
 
 /// A bearer token. The token itself is not shown: the farm keeps only its hash.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Token {
     /// Its id.
     pub id: TokenId,
-    /// Name of the person or machine.
+    /// Name of the person or service.
     pub name: String,
-    /// What it allows.
+    /// Whom it belongs to.
+    #[serde(default)]
+    pub kind: TokenKind,
+    /// What it allows: in all projects, or the most that it allows in one of `projects`.
     pub role: Role,
+    /// The projects that it reaches, with a role in each. Absent if it reaches all of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub projects: Option<BTreeMap<String, Role>>,
     /// The node that it speaks for. Absent if it is not a node's own token.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_id: Option<NodeId>,
@@ -36,15 +65,23 @@ pub struct NewToken {
     pub token: Token,
 }
 
-/// Makes a token.
+/// Makes a token. Exactly one of `role` and `projects` must be given.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TokenRequest {
-    /// Name of the person or machine, 1 to 200 characters.
+    /// Name of the person or service, 1 to 200 characters.
     #[schema(min_length = 1, max_length = 200)]
     pub name: String,
-    /// What it allows.
-    pub role: Role,
+    /// Whom it belongs to.
+    #[serde(default)]
+    pub kind: TokenKind,
+    /// What it allows in all projects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub role: Option<Role>,
+    /// The projects that it reaches, with a role in each: `viewer` or `submitter`. They must exist. `*`
+    /// stands for all projects that are not named.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub projects: Option<BTreeMap<String, Role>>,
     /// When it expires. If absent, never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expires_at: Option<Timestamp>,
@@ -62,6 +99,9 @@ pub struct TokenChange {
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "crate::node::given")]
     #[schema(value_type = Option<Timestamp>)]
     pub expires_at: Option<Option<Timestamp>>,
+    /// Other projects, with a role in each. Only for a token that reaches some projects and not all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub projects: Option<BTreeMap<String, Role>>,
 }
 
 /// Replaces a token by a new one with the same name, role and end.

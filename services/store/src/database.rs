@@ -16,6 +16,7 @@ use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
 
 use crate::artifacts::{ArtifactPlace, Artifacts};
+use crate::audit::Actor;
 use crate::error::{Result, StoreError};
 use crate::writing::{WRITE_TURN, Writer};
 pub(crate) use crate::writing::{Write, run};
@@ -35,6 +36,8 @@ static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 #[derive(Clone)]
 pub struct Store {
     inner: Arc<Inner>,
+    /// Who makes the changes, see [`Store::acting_for`].
+    actor: Option<Arc<Actor>>,
 }
 
 struct Inner {
@@ -112,7 +115,12 @@ impl Store {
             data: data.to_owned(),
             _lock: lock,
         };
-        Ok(Self { inner: Arc::new(inner) })
+        Ok(Self { inner: Arc::new(inner), actor: None })
+    }
+
+    /// The same store for changes by somebody, whom the audit names.
+    pub fn acting_for(&self, actor: Actor) -> Self {
+        Self { actor: Some(Arc::new(actor)), ..self.clone() }
     }
 
     /// The files named by their hash.
@@ -175,7 +183,7 @@ impl Store {
 
     /// Begins a write.
     pub(crate) async fn write(&self) -> Result<Write> {
-        self.inner.writer.write().await
+        Ok(self.inner.writer.write().await?.by(self.actor.clone()))
     }
 
     /// Begins a read transaction: all its statements see the same state.

@@ -17,6 +17,7 @@
 //! This crate never reads the clock: every function that needs the time takes `now`.
 
 mod artifacts;
+mod audit;
 mod backup;
 mod budgets;
 mod bundles;
@@ -31,10 +32,12 @@ mod jobs;
 mod leases;
 mod living;
 mod nodes;
+mod people;
 mod plans;
 mod policy;
 mod projects;
 mod quotes;
+mod reach;
 mod results;
 mod rights;
 mod sessions;
@@ -47,6 +50,7 @@ mod webhooks;
 mod writing;
 
 pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Staged};
+pub use audit::{Actor, AuditFilter};
 pub use backup::{Backup, backup};
 pub use budgets::nights::KeptNight;
 pub use bundles::NewBundle;
@@ -63,6 +67,7 @@ pub use nodes::LOST;
 pub use nodes::joining::token_hash;
 pub use nodes::listing::{NodeFilter, NodeOrder, NodePlace};
 pub use nodes::unattended::Unattended;
+pub use people::{Person, Rights};
 pub use plans::farm_jobs::{FarmFrame, FarmJob};
 pub use plans::replans::Wanted;
 pub use plans::{NewJobPlan, NewPlan};
@@ -73,8 +78,9 @@ pub use policy::projection::{
 pub use policy::rebooking::NewBooking;
 pub use policy::retries::{FAILED_JOBS, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES};
 pub use policy::work_stealing::OVERDUE;
-pub use projects::{HALF_LIFE, ProjectUse};
+pub use projects::{DEFAULT_PROJECT, HALF_LIFE, ProjectUse};
 pub use quotes::track_record::FinishedJob;
+pub use reach::ALL_PROJECTS;
 pub use results::{Committed, ShotProfiles};
 pub use rights::{EndOfRight, EndedRight};
 pub use sessions::NewSession;

@@ -1,7 +1,7 @@
 //! Rights that ended: tokens that were revoked, replaced or changed, and sessions that were ended.
 //!
-//! The database's triggers write them down in order, also for another process such as `forelight token` beside a
-//! running service. So whoever follows this list misses none.
+//! The database's triggers write them down in order, also for another process such as `forelight token`
+//! beside a running service. So whoever follows this list misses none.
 
 use forelight_protocol::Timestamp;
 

@@ -91,8 +91,12 @@ impl FromRequestParts<App> for Peer {
     type Rejection = Infallible;
 
     async fn from_request_parts(parts: &mut Parts, _: &App) -> Result<Self, Infallible> {
-        Ok(Self(parts.extensions.get::<PeerAddress>().map(|address| address.0)))
+        Ok(Self(peer(parts)))
     }
+}
+
+fn peer(parts: &Parts) -> Option<IpAddr> {
+    parts.extensions.get::<PeerAddress>().map(|address| address.0)
 }
 
 /// A bearer token that may be a one-time token. It is checked when it is used up.
@@ -144,7 +148,7 @@ async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
         // Only the first of a request's extractors sets it; all hold the same right.
         let _ = held.set(right);
     }
-    Ok(caller)
+    Ok(Principal { from: peer(parts), ..caller })
 }
 
 fn forbidden(role: Role) -> ApiError {

@@ -20,10 +20,11 @@ use crate::conductor::job_profile::JobProfile;
 use crate::conductor::what_if::what_if;
 use crate::conductor::{AdvanceError, compute};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{JsonBody, QueryParameters, Reader, Segment, number_if_any};
+use crate::extract::{FarmReader, JsonBody, QueryParameters, Reader, SeenJob, number_if_any};
 use crate::resources::checks::HIGHEST_SUM;
 use crate::resources::forecasts::svg;
 use crate::schema::FileContent;
+use crate::seen::in_effect;
 use crate::state::App;
 
 /// Answers are computed for the start of the current minute, so that they can be reused for a minute.
@@ -59,22 +60,22 @@ pub(crate) struct AnswersQuery {
     responses((status = 200, description = "The answers", body = AnswersDoc), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<AnswersQuery>,
 ) -> ApiResult<Json<AnswersDoc>> {
-    Ok(Json((*found(&app, job, &query).await?).clone()))
+    let answers = (*found(&app, job, &query).await?).clone();
+    let effects = answers.what_if.iter().chain(&answers.ways_out).flat_map(in_effect);
+    let moved = answers.pushes_back.iter().map(|moved| moved.job_id);
+    let seen = app.seen(&caller, effects.chain(moved).chain([job])).await?;
+    Ok(Json(seen.show_answers(answers)))
 }
 
 /// A job's price against its deadline, as a picture: the cheapest plan found, and dashed a lower bound.
 #[utoipa::path(get, path = "/v1/jobs/{id}/price-curve.svg", operation_id = "job_price_curve_svg",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
-pub(crate) async fn price_curve(
-    State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
-) -> ApiResult<Response> {
+pub(crate) async fn price_curve(State(app): State<App>, SeenJob(job): SeenJob) -> ApiResult<Response> {
     svg(curve_svg(&*found(&app, job, &AnswersQuery::default()).await?))
 }
 
@@ -140,7 +141,7 @@ async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
     responses((status = 200, description = "The effect", body = WhatIf), Problems))]
 pub(crate) async fn plan_what_if(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     JsonBody { value: request, .. }: JsonBody<WhatIfRequest>,
 ) -> ApiResult<Json<WhatIf>> {
     let asked = app.store.job(request.job_id).await?;

@@ -7,6 +7,8 @@ use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ArtifactStored};
+use forelight_store::StoreError;
+use forelight_store::tokens::Principal;
 
 use super::responses::file;
 use crate::error::{ApiResult, Problems};
@@ -44,9 +46,10 @@ pub(crate) async fn put(
     responses((status = 200, description = "The bytes", body = inline(FileContent), content_type = "application/octet-stream"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     Segment(hash): Segment<ArtifactHash>,
 ) -> ApiResult<Response> {
+    check_seen(&app, &caller, hash).await?;
     Ok(file(app.store.artifacts().get(hash).await?, MEDIA_TYPE, headers_of(hash)))
 }
 
@@ -56,14 +59,24 @@ pub(crate) async fn get(
     responses((status = 200, description = "It exists"), Problems))]
 pub(crate) async fn head(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     Segment(hash): Segment<ArtifactHash>,
 ) -> ApiResult<Response> {
+    check_seen(&app, &caller, hash).await?;
     let size = app.store.artifacts().size(hash).await?;
     let mut headers = headers_of(hash);
     headers.insert(CONTENT_LENGTH, HeaderValue::from(size));
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
     Ok((StatusCode::OK, headers).into_response())
+}
+
+/// Refuses an artefact that belongs to other projects only, as one that does not exist.
+async fn check_seen(app: &App, caller: &Principal, hash: ArtifactHash) -> ApiResult<()> {
+    if app.store.sees_artifact(caller, hash).await? {
+        Ok(())
+    } else {
+        Err(StoreError::NotFound("artefact").into())
+    }
 }
 
 fn headers_of(hash: ArtifactHash) -> HeaderMap {

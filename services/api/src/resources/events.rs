@@ -11,6 +11,7 @@ use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{EventId, EventKind, JobId, ProblemKind};
 use forelight_store::StoreError;
+use forelight_store::tokens::Principal;
 use futures::{Stream, stream};
 use serde::Deserialize;
 use tokio::sync::watch;
@@ -18,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment};
+use crate::extract::{QueryParameters, Reader, SeenJob};
 use crate::feed::{Batch, Feed, Told};
 use crate::state::App;
 
@@ -53,7 +54,7 @@ pub(crate) struct EventMessage {
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
 pub(crate) async fn of_farm(
     State(app): State<App>,
-    _: Reader,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -61,7 +62,7 @@ pub(crate) async fn of_farm(
         Some(after) => after,
         None => app.store.last_event_id().await?,
     };
-    Ok(respond(follow(&app, None, (after, false))))
+    Ok(respond(follow(&app, caller, None, (after, false))))
 }
 
 /// All events of a job after `Last-Event-ID`. Without it, from its beginning.
@@ -73,8 +74,8 @@ pub(crate) async fn of_farm(
               (status = 204, description = "The job is over and all its events were seen"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -83,7 +84,7 @@ pub(crate) async fn of_job(
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    Ok(respond(follow(&app, Some(job), (after, state.is_final()))))
+    Ok(respond(follow(&app, caller, Some(job), (after, state.is_final()))))
 }
 
 fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
@@ -100,6 +101,8 @@ fn respond(events: impl Stream<Item = Result<ServerEvent, Infallible>> + Send + 
 }
 
 struct Cursor {
+    /// He is told of his projects' jobs only.
+    caller: Principal,
     feed: Arc<Feed>,
     job: Option<JobId>,
     /// The last event that was read.
@@ -114,10 +117,12 @@ struct Cursor {
 
 fn follow(
     app: &App,
+    caller: Principal,
     job: Option<JobId>,
     (after, over): (EventId, bool),
 ) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
     let cursor = Cursor {
+        caller,
         feed: app.feed.clone(),
         job,
         after,
@@ -127,8 +132,12 @@ fn follow(
         over,
     };
     stream::unfold(cursor, |mut cursor| async move {
-        let event = cursor.next().await?;
-        Some((Ok(to_server_event(&event)), cursor))
+        loop {
+            let event = cursor.next().await?;
+            if let Some(json) = event.json_for(&cursor.caller) {
+                return Some((Ok(to_server_event(&event, json)), cursor));
+            }
+        }
     })
 }
 
@@ -174,6 +183,6 @@ impl Cursor {
     }
 }
 
-fn to_server_event(event: &Told) -> ServerEvent {
-    ServerEvent::default().id(event.id.to_string()).event(event.kind.name()).data(&*event.json)
+fn to_server_event(event: &Told, json: &str) -> ServerEvent {
+    ServerEvent::default().id(event.id.to_string()).event(event.kind.name()).data(json)
 }

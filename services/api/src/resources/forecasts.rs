@@ -16,7 +16,7 @@ use utoipa::IntoParams;
 
 use crate::conductor::job_profile::JobProfile;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
+use crate::extract::{FarmReader, QueryParameters, Reader, SeenJob, number_if_any};
 use crate::page::{PageQuery, cut};
 use crate::plot;
 use crate::resources::responses;
@@ -30,8 +30,7 @@ use crate::state::App;
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     match app.store.forecast(job).await? {
@@ -52,8 +51,7 @@ pub(crate) async fn of_job(
     responses((status = 200, description = "The ladders", body = AccuracyDoc), Problems))]
 pub(crate) async fn accuracy_of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(id): Segment<JobId>,
+    SeenJob(id): SeenJob,
 ) -> ApiResult<Json<AccuracyDoc>> {
     let job = app.store.job(id).await?;
     let measured = profile(&app, &job).await?;
@@ -86,8 +84,7 @@ pub(crate) struct ExplanationQuery {
     responses((status = 200, description = "The explanation", body = Explanation), Problems))]
 pub(crate) async fn explanation_of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(id): Segment<JobId>,
+    SeenJob(id): SeenJob,
     QueryParameters(ExplanationQuery { frame }): QueryParameters<ExplanationQuery>,
 ) -> ApiResult<Json<Explanation>> {
     let job = app.store.job(id).await?;
@@ -119,8 +116,7 @@ async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
     responses((status = 200, description = "The history", body = ForecastHistory), Problems))]
 pub(crate) async fn history_of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
 ) -> ApiResult<Json<ForecastHistory>> {
     Ok(Json(history(&app, job).await?))
 }
@@ -129,11 +125,7 @@ pub(crate) async fn history_of_job(
 #[utoipa::path(get, path = "/v1/jobs/{id}/forecast/history.svg", operation_id = "job_forecast_history_svg",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
-pub(crate) async fn history_of_job_svg(
-    State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
-) -> ApiResult<Response> {
+pub(crate) async fn history_of_job_svg(State(app): State<App>, SeenJob(job): SeenJob) -> ApiResult<Response> {
     svg(plot::forecast_history(&history(&app, job).await?))
 }
 
@@ -158,7 +150,7 @@ pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Response> {
     responses((status = 200, description = "The record", body = TrackRecord), Problems))]
 pub(crate) async fn track_record(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<TrackRecord>> {
     let size = query.size();
@@ -175,7 +167,7 @@ const SHOWN_JOBS: u32 = 500;
 /// the newest 500 jobs.
 #[utoipa::path(get, path = "/v1/forecasts/track-record.svg", operation_id = "track_record_svg", tag = "farm",
     responses((status = 200, description = "The picture", body = inline(FileContent), content_type = "image/svg+xml"), Problems))]
-pub(crate) async fn track_record_svg(State(app): State<App>, _: Reader) -> ApiResult<Response> {
+pub(crate) async fn track_record_svg(State(app): State<App>, _: FarmReader) -> ApiResult<Response> {
     let record = app.store.track_record(None, 0).await?;
     let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
     svg(plot::track_record(&record, &jobs))

@@ -9,7 +9,7 @@ use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobI
 
 use super::responses::{file, is_known, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment, Segments};
+use crate::extract::{QueryParameters, SeenFrame, SeenJob};
 use crate::page::{PageQuery, cut};
 use crate::schema::FileContent;
 use crate::state::App;
@@ -21,8 +21,7 @@ use crate::state::App;
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     QueryParameters(query): QueryParameters<PageQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -38,8 +37,7 @@ pub(crate) async fn list(
     responses((status = 200, description = "The frame", body = FrameRow), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Reader,
-    Segments(job, frame): Segments<JobId, u32>,
+    SeenFrame(job, frame): SeenFrame,
 ) -> ApiResult<Json<FrameRow>> {
     Ok(Json(app.store.frame(job, frame).await?))
 }
@@ -52,8 +50,7 @@ macro_rules! picture {
             responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
         pub(crate) async fn $name(
             State(app): State<App>,
-            _: Reader,
-            Segments(job, frame): Segments<JobId, u32>,
+            SeenFrame(job, frame): SeenFrame,
             headers: HeaderMap,
         ) -> ApiResult<Response> {
             picture(&app, job, frame, &headers, $media, $choose).await

@@ -19,13 +19,17 @@ use super::checks::{check_name, check_search};
 use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
-    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken, number_if_any,
+    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, Peer, QueryParameters, Segment, WorkerToken,
+    number_if_any,
 };
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::IdempotencyKeyHeader;
+use crate::seen::shown_node;
 use crate::state::App;
 
 /// Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator.
+///
+/// A worker's word about the price counts for a new node. Later, only an operator changes it.
 #[utoipa::path(post, path = "/v1/nodes", operation_id = "node_register",
     tag = "work", request_body = NodeRegistration,
     params(IdempotencyKeyHeader),
@@ -51,7 +55,10 @@ pub(crate) async fn register(
         );
     }
     let _guard = app.in_flight.enter(key.as_ref())?;
-    Ok(created(StatusCode::CREATED, app.store.register_node(&registration, key.as_ref(), app.now()).await?))
+    Ok(created(
+        StatusCode::CREATED,
+        app.by(&worker.0).register_node(&registration, key.as_ref(), app.now()).await?,
+    ))
 }
 
 /// Joins a machine to the farm, with a one-time token as bearer token, which is used up.
@@ -64,10 +71,11 @@ pub(crate) async fn register(
 pub(crate) async fn join(
     State(app): State<App>,
     OneTimeToken(token): OneTimeToken,
+    Peer(from): Peer,
     JsonBody { value: request, .. }: JsonBody<JoinRequest>,
 ) -> ApiResult<(StatusCode, Json<Node>)> {
     check_registration("/node", &request.node)?;
-    let node = app.store.join(&token, &request, app.now()).await?;
+    let node = app.store.join(&token, &request, from, app.now()).await?;
     // The token of a machine that was replaced.
     app.end_rights().await;
     Ok((StatusCode::CREATED, Json(node)))
@@ -79,7 +87,7 @@ pub(crate) async fn join(
     responses((status = 201, description = "The one-time token", body = JoinToken), Problems))]
 pub(crate) async fn join_token(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     JsonBody { value: request, .. }: JsonBody<JoinTokenRequest>,
 ) -> ApiResult<(StatusCode, Json<JoinToken>)> {
     check_name("/name", &request.name, 200)?;
@@ -87,7 +95,7 @@ pub(crate) async fn join_token(
         return Err(ApiError::invalid("/valid_hours", "a one-time token is valid for 1 to 720 hours"));
     }
     let valid = i64::from(request.valid_hours) * 3_600_000_000;
-    Ok((StatusCode::CREATED, Json(app.store.create_join_token(&request.name, valid, app.now()).await?)))
+    Ok((StatusCode::CREATED, Json(app.by(&caller).create_join_token(&request.name, valid, app.now()).await?)))
 }
 
 /// The order of a list of nodes.
@@ -144,7 +152,7 @@ pub(crate) struct NodeQuery {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     QueryParameters(query): QueryParameters<NodeQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -157,6 +165,7 @@ pub(crate) async fn list(
     let (filter, times) = (NodeFilter { state, search }, (app.lease_ttl, app.now()));
     let mut items = app.store.listed_nodes(&filter, (order, after.as_ref()), size + 1, times).await?;
     let next_page_token = cut(&mut items, size, list, |node| order.place(node));
+    let items = items.into_iter().map(|node| shown_node(&caller, node)).collect();
     tagged(&headers, &NodePage { items, next_page_token })
 }
 
@@ -166,17 +175,18 @@ pub(crate) async fn list(
     responses((status = 200, description = "The node", body = Node), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     Segment(node): Segment<NodeId>,
 ) -> ApiResult<Json<Node>> {
-    Ok(Json(as_it_is(app.store.node(node).await?, app.lease_ttl, app.now())))
+    let node = as_it_is(app.store.node(node).await?, app.lease_ttl, app.now());
+    Ok(Json(shown_node(&caller, node)))
 }
 
 /// Gives a node orders, or sets its speed, price, calendar or terms.
 ///
 /// The worker gets an order at the next renewal of its lease; the node's `state` shows whether it has obeyed.
-/// A speed or price set here survives a new registration; `null` removes it. A worker's token may drain, pause,
-/// resume and schedule its node, take its task away, and set it aside; the rest is for operators.
+/// A speed or price set here survives a new registration; `null` removes it. A worker's token may drain,
+/// pause, resume and schedule its node, take its task away, and set it aside; the rest is for operators.
 #[utoipa::path(patch, path = "/v1/nodes/{id}", operation_id = "node_change",
     tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
     responses((status = 200, description = "The node", body = Node), Problems))]
@@ -192,7 +202,7 @@ pub(crate) async fn change(
     }
     check_change(&change)?;
     let now = app.now();
-    Ok(Json(as_it_is(app.store.change_node(node, &change, now).await?, app.lease_ttl, now)))
+    Ok(Json(as_it_is(app.by(&worker.0).change_node(node, &change, now).await?, app.lease_ttl, now)))
 }
 
 /// What may happen to the task of a node that is removed.
@@ -214,11 +224,11 @@ pub(crate) struct RemovalQuery {
     responses((status = 204, description = "It is removed"), Problems))]
 pub(crate) async fn remove(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(node): Segment<NodeId>,
     QueryParameters(query): QueryParameters<RemovalQuery>,
 ) -> ApiResult<StatusCode> {
-    app.store.remove_node(node, query.cancel_task, app.now()).await?;
+    app.by(&caller).remove_node(node, query.cancel_task, app.now()).await?;
     app.end_rights().await;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -1,13 +1,16 @@
 //! Bearer tokens.
 
+use std::collections::BTreeMap;
+
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::http::header::CACHE_CONTROL;
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{
-    NewToken, RotateRequest, Timestamp, Token, TokenChange, TokenId, TokenPage, TokenRequest,
+    NewToken, Role, RotateRequest, Timestamp, Token, TokenChange, TokenId, TokenPage, TokenRequest,
 };
+use forelight_store::StoreError;
 
 use super::checks::{check_name, within};
 use super::responses::NOT_KEPT;
@@ -16,21 +19,29 @@ use crate::extract::{JsonBody, Operator, QueryParameters, Segment};
 use crate::page::{PageQuery, cut};
 use crate::state::App;
 
+/// Most projects of a token.
+const MOST_PROJECTS: usize = 200;
+
 /// Longest time for which a replaced token is still valid: a week, in seconds.
 const LONGEST_GRACE: i64 = 7 * 86_400;
 
-/// Makes a token. The answer has its secret, which is shown only once. Repeating the request makes another one.
+/// Makes a token. The answer has its secret, which is shown only once. Repeating the request makes another
+/// one.
 #[utoipa::path(post, path = "/v1/tokens", operation_id = "token_create", tag = "people",
     request_body = TokenRequest,
     responses((status = 201, description = "The token with its secret", body = NewToken), Problems))]
 pub(crate) async fn create(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     JsonBody { value: request, .. }: JsonBody<TokenRequest>,
 ) -> ApiResult<Response> {
     check_name("/name", &request.name, 200)?;
     check_end(&app, request.expires_at)?;
-    Ok(with_secret(app.store.create_token(&request, app.now()).await?))
+    if request.role.is_some() == request.projects.is_some() {
+        return Err(ApiError::invalid("", "give exactly one of `role` and `projects`"));
+    }
+    check_projects(request.projects.as_ref())?;
+    Ok(with_secret(app.by(&caller).create_token(&request, app.now()).await.map_err(at_projects)?))
 }
 
 /// The tokens, oldest first. A token that expired is listed for thirty days more.
@@ -61,13 +72,13 @@ pub(crate) async fn get(
     Ok(Json(app.store.token(token).await?))
 }
 
-/// Changes a token's name, or when it expires.
+/// Changes a token's name, when it expires, or which projects it reaches.
 #[utoipa::path(patch, path = "/v1/tokens/{id}", operation_id = "token_change", tag = "people",
     params(("id" = TokenId, Path)), request_body = TokenChange,
     responses((status = 200, description = "The token", body = Token), Problems))]
 pub(crate) async fn change(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(token): Segment<TokenId>,
     JsonBody { value: change, .. }: JsonBody<TokenChange>,
 ) -> ApiResult<Json<Token>> {
@@ -75,7 +86,8 @@ pub(crate) async fn change(
         check_name("/name", name, 200)?;
     }
     check_end(&app, change.expires_at.flatten())?;
-    let changed = app.store.change_token(token, &change).await?;
+    check_projects(change.projects.as_ref())?;
+    let changed = app.by(&caller).change_token(token, &change, app.now()).await.map_err(at_projects)?;
     app.end_rights().await;
     Ok(Json(changed))
 }
@@ -89,13 +101,13 @@ pub(crate) async fn change(
     responses((status = 201, description = "The new token with its secret", body = NewToken), Problems))]
 pub(crate) async fn rotate(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(token): Segment<TokenId>,
     JsonBody { value: request, .. }: JsonBody<RotateRequest>,
 ) -> ApiResult<Response> {
     let grace = i64::from(request.grace_seconds);
     within("/grace_seconds", grace, 0..=LONGEST_GRACE)?;
-    let new = app.store.rotate_token(token, grace * 1_000_000, app.now()).await?;
+    let new = app.by(&caller).rotate_token(token, grace * 1_000_000, app.now()).await?;
     app.end_rights().await;
     Ok(with_secret(new))
 }
@@ -105,12 +117,36 @@ pub(crate) async fn rotate(
     params(("id" = TokenId, Path)), responses((status = 204, description = "It is revoked"), Problems))]
 pub(crate) async fn revoke(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(token): Segment<TokenId>,
 ) -> ApiResult<StatusCode> {
-    app.store.revoke_token(token).await?;
+    app.by(&caller).revoke_token(token, app.now()).await?;
     app.end_rights().await;
     Ok(StatusCode::NO_CONTENT)
+}
+
+/// Roles of workers and operators are for the whole farm.
+fn check_projects(projects: Option<&BTreeMap<String, Role>>) -> ApiResult<()> {
+    let Some(projects) = projects else { return Ok(()) };
+    if !(1..=MOST_PROJECTS).contains(&projects.len()) {
+        let reason = format!("a token reaches 1 to {MOST_PROJECTS} projects, or all: then give `role`");
+        return Err(ApiError::invalid("/projects", reason));
+    }
+    match projects.iter().find(|(_, role)| !matches!(role, Role::Viewer | Role::Submitter)) {
+        Some((project, role)) => {
+            let place = format!("/projects/{}", project.replace('~', "~0").replace('/', "~1"));
+            let reason =
+                format!("`{role}` is a role for the whole farm; in a project, write viewer or submitter");
+            Err(ApiError::invalid(place, reason))
+        }
+        None => Ok(()),
+    }
+}
+
+fn at_projects(error: StoreError) -> ApiError {
+    let is_about_projects = matches!(error, StoreError::NoProject(_));
+    let error = ApiError::from(error);
+    if is_about_projects { error.at("/projects") } else { error }
 }
 
 fn with_secret(new: NewToken) -> Response {

@@ -1,11 +1,13 @@
 //! The service over HTTP, with its own data folder and workers with made-up results.
 
 mod accuracy;
+mod audit;
 mod budgets;
 mod calibration;
 mod changes;
 mod cost_limits;
 mod document;
+mod encryption;
 mod events;
 mod job_life;
 mod lists;
@@ -13,6 +15,7 @@ mod living_estimate;
 mod nodes;
 mod page;
 mod plans;
+mod reach;
 mod renderers;
 mod requests;
 mod results;

@@ -224,7 +224,7 @@ async fn a_token_that_another_process_revokes_ends_with_its_streams() {
     let (screen, token) = farm.new_token(json!({"name": "screen", "role": "viewer"})).await;
     let stream = Events::open(&screen, "/v1/events", None).await.unwrap();
     let beside = Store::open_beside(&farm.folder.path().join("data")).await.unwrap();
-    beside.revoke_token(token.id).await.unwrap();
+    beside.revoke_token(token.id, Timestamp::now()).await.unwrap();
     beside.close().await;
     screen.get("/v1/jobs").await.problem(ProblemKind::Unauthenticated).await;
     assert_eq!(stream.rest(PATIENCE).await, []);

@@ -4,6 +4,7 @@ mod accept;
 mod accuracy;
 mod allot;
 mod ask;
+mod audit;
 mod backup;
 mod budget;
 mod cache;
@@ -21,10 +22,11 @@ mod node;
 mod plan;
 mod plans;
 mod preview;
+mod project;
 mod render;
 mod renderers;
 mod serve;
-mod share;
+mod sign_in;
 mod simulate;
 mod slurm;
 mod status;
@@ -81,12 +83,14 @@ enum Command {
     Plan(plan::Args),
     Ask(ask::Args),
     Plans(plans::Args),
-    Share(share::Args),
+    #[command(visible_alias = "share")]
+    Project(project::Args),
     Simulate(simulate::Args),
     Budget(Box<budget::Args>),
     Token(token::Args),
     #[command(visible_alias = "nodes")]
     Node(Box<node::Args>),
+    Audit(audit::Args),
     Log(log::Args),
     Backup(backup::Args),
     Bench(forelight_bench::Args),
@@ -114,7 +118,8 @@ impl Cli {
             Command::Node(args) => node::run(*args).await,
             Command::Ask(args) => ask::run(args).await,
             Command::Plans(args) => plans::run(args).await,
-            Command::Share(args) => share::run(args).await,
+            Command::Project(args) => project::run(args).await,
+            Command::Audit(args) => audit::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Backup(args) => backup::run(args).await,
             Command::Budget(args) => budget::run(*args).await,

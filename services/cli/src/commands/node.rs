@@ -255,6 +255,7 @@ fn power(node: &Node, now: Timestamp) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::connection::ServerOptions;
     use forelight_protocol::{Capabilities, NodeId, NodeTerms};
 
     #[test]
@@ -272,7 +273,7 @@ mod tests {
             maintenance: vec![maintenance("2026-03-01T08:00:00Z/").unwrap()],
             json: false,
             connection: ConnectionOptions {
-                server: String::new(),
+                server: ServerOptions { server: String::new(), ca_file: None },
                 token_file: None,
                 token: None,
                 data: None,

@@ -91,6 +91,40 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/audit": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Who submitted, cancelled, changed or ordered what, newest first. Entries never change. */
+        get: operations["audit_list"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/audit/export": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** All entries, oldest first, as a file. */
+        get: operations["audit_export"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/bookings": {
         parameters: {
             query?: never;
@@ -158,8 +192,8 @@ export interface paths {
         get?: never;
         put?: never;
         /** Uploads a bundle as a zip file. If it is not a valid scene, it is not kept, and the answer is the scene's
-         *     error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs find
-         *     out what is in it. Files that it refers to must be packed, or lie on storage that all workers share. */
+         *     error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs
+         *     find out what is in it. Files that it refers to must be packed, or lie on storage that all workers share. */
         post: operations["bundle_upload"];
         delete?: never;
         options?: never;
@@ -194,6 +228,8 @@ export interface paths {
         /**
          * The farm at one instant: counts, open jobs by risk, money, nodes, next bookings, newest events.
          * @description It is short on farms of any size. `/v1/jobs`, `/v1/nodes`, `/v1/timeline` and `/v1/events` have the rest.
+         *     Who reaches some projects only, sees the jobs, bookings, events and money of these; counts are of the
+         *     whole farm.
          */
         get: operations["dashboard_get"];
         put?: never;
@@ -798,7 +834,10 @@ export interface paths {
         /** The nodes, oldest first unless another order is asked for. */
         get: operations["node_list"];
         put?: never;
-        /** Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator. */
+        /**
+         * Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator.
+         * @description A worker's word about the price counts for a new node. Later, only an operator changes it.
+         */
         post: operations["node_register"];
         delete?: never;
         options?: never;
@@ -849,8 +888,8 @@ export interface paths {
         /**
          * Gives a node orders, or sets its speed, price, calendar or terms.
          * @description The worker gets an order at the next renewal of its lease; the node's `state` shows whether it has obeyed.
-         *     A speed or price set here survives a new registration; `null` removes it. A worker's token may drain, pause,
-         *     resume and schedule its node, take its task away, and set it aside; the rest is for operators.
+         *     A speed or price set here survives a new registration; `null` removes it. A worker's token may drain,
+         *     pause, resume and schedule its node, take its task away, and set it aside; the rest is for operators.
          */
         patch: operations["node_change"];
         trace?: never;
@@ -938,7 +977,8 @@ export interface paths {
          *     share goes first. */
         get: operations["project_list"];
         put?: never;
-        /** Sets a project's share and plans the farm anew. Setting it again replaces it, so repeating is harmless. */
+        /** Makes a project, or sets its share, and plans the farm anew. Setting it again replaces it, so repeating is
+         *     harmless. */
         post: operations["project_set"];
         delete?: never;
         options?: never;
@@ -1020,6 +1060,60 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/sign-in": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** How people may sign in, besides codes and tokens. */
+        get: operations["sign_in_ways"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/sign-in/begin": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Sends a browser to the sign-in provider. 404 if there is none. */
+        get: operations["sign_in_begin"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/sign-in/callback": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Takes a browser that comes back from the sign-in provider, and signs its person in.
+         * @description The answer sets the cookie `forelight_session` and leads to the page. Other sessions of the person end.
+         */
+        get: operations["sign_in_finish"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/tasks/{id}/log": {
         parameters: {
             query?: never;
@@ -1065,7 +1159,8 @@ export interface paths {
         /** The tokens, oldest first. A token that expired is listed for thirty days more. */
         get: operations["token_list"];
         put?: never;
-        /** Makes a token. The answer has its secret, which is shown only once. Repeating the request makes another one. */
+        /** Makes a token. The answer has its secret, which is shown only once. Repeating the request makes another
+         *     one. */
         post: operations["token_create"];
         delete?: never;
         options?: never;
@@ -1088,7 +1183,7 @@ export interface paths {
         delete: operations["token_revoke"];
         options?: never;
         head?: never;
-        /** Changes a token's name, or when it expires. */
+        /** Changes a token's name, when it expires, or which projects it reaches. */
         patch: operations["token_change"];
         trace?: never;
     };
@@ -1318,6 +1413,41 @@ export interface components {
              * @description Length in bytes.
              */
             size: number;
+        };
+        /**
+         * @description What somebody did.
+         * @enum {string}
+         */
+        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "budget_set" | "webhook_added" | "webhook_removed";
+        /** @description One entry: who did what, when, and from where. Entries never change. */
+        AuditEntry: {
+            /** @description What was done. */
+            action: components["schemas"]["AuditAction"];
+            /** @description Who: the name of the token, or `this machine` for what was done beside the service. */
+            actor: string;
+            /** @description When. */
+            at: components["schemas"]["Timestamp"];
+            /** @description What was asked for, without secrets. */
+            detail?: Record<string, never> | null;
+            /** @description Address of the connection's other end. Behind a proxy, that of the proxy. */
+            from?: string | null;
+            /**
+             * Format: int64
+             * @description Its place in the order of all entries.
+             */
+            id: number;
+            /** @description The project that it concerns. */
+            project?: string | null;
+            role?: components["schemas"]["Role"] | null;
+            /** @description With what: an id, or the name of a project. */
+            target: string;
+            token_id?: components["schemas"]["TokenId"] | null;
+        };
+        /** @description One page of entries, newest first. */
+        AuditPage: {
+            /** @description The entries. */
+            items: components["schemas"]["AuditEntry"][];
+            next_page_token?: components["schemas"]["PageToken"] | null;
         };
         /** @description What is booked for a job. The live estimate is compared with it. */
         Booked: {
@@ -2185,7 +2315,7 @@ export interface components {
              * @description Progress of the task, 0 to 1.
              */
             progress?: number | null;
-            /** @description The project, of an event about a budget. */
+            /** @description The project of the job, or of the budget. */
             project?: string | null;
             promise?: components["schemas"]["Promise"] | null;
             task_id?: components["schemas"]["TaskId"] | null;
@@ -4583,6 +4713,10 @@ export interface components {
             last_used_at?: components["schemas"]["Timestamp"] | null;
             /** @description Name of its token. */
             name: string;
+            /** @description The projects that it reaches, with a role in each. Absent if it reaches all of them. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
             /** @description What it may do. */
             role: components["schemas"]["Role"];
         };
@@ -4717,6 +4851,11 @@ export interface components {
              * @description Image width in pixels.
              */
             width?: number | null;
+        };
+        /** @description How people may sign in with a browser. */
+        SignInWays: {
+            /** @description Name of the studio's sign-in provider, to which `/v1/sign-in/begin` leads. Absent if there is none. */
+            provider?: string | null;
         };
         /**
          * @description What a node does in a stretch of time.
@@ -5005,11 +5144,17 @@ export interface components {
             expires_at?: components["schemas"]["Timestamp"] | null;
             /** @description Its id. */
             id: components["schemas"]["TokenId"];
+            /** @description Whom it belongs to. */
+            kind?: components["schemas"]["TokenKind"];
             last_used_at?: components["schemas"]["Timestamp"] | null;
-            /** @description Name of the person or machine. */
+            /** @description Name of the person or service. */
             name: string;
             node_id?: components["schemas"]["NodeId"] | null;
-            /** @description What it allows. */
+            /** @description The projects that it reaches, with a role in each. Absent if it reaches all of them. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
+            /** @description What it allows: in all projects, or the most that it allows in one of `projects`. */
             role: components["schemas"]["Role"];
         };
         /** @description Changes a token. Absent fields stay as they are. */
@@ -5017,25 +5162,40 @@ export interface components {
             expires_at?: components["schemas"]["Timestamp"] | null;
             /** @description Another name, 1 to 200 characters. */
             name?: string | null;
+            /** @description Other projects, with a role in each. Only for a token that reaches some projects and not all. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
         };
         /**
          * Format: uuid
          * @description Id of a bearer token. It is no secret.
          */
         TokenId: string;
+        /**
+         * @description Whom a token belongs to.
+         * @enum {string}
+         */
+        TokenKind: "person" | "service";
         /** @description One page of tokens, oldest first. */
         TokenPage: {
             /** @description The tokens. */
             items: components["schemas"]["Token"][];
             next_page_token?: components["schemas"]["PageToken"] | null;
         };
-        /** @description Makes a token. */
+        /** @description Makes a token. Exactly one of `role` and `projects` must be given. */
         TokenRequest: {
             expires_at?: components["schemas"]["Timestamp"] | null;
-            /** @description Name of the person or machine, 1 to 200 characters. */
+            /** @description Whom it belongs to. */
+            kind?: components["schemas"]["TokenKind"];
+            /** @description Name of the person or service, 1 to 200 characters. */
             name: string;
-            /** @description What it allows. */
-            role: components["schemas"]["Role"];
+            /** @description The projects that it reaches, with a role in each: `viewer` or `submitter`. They must exist. `*`
+             *     stands for all projects that are not named. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
+            role?: components["schemas"]["Role"] | null;
         };
         /** @description Track record over all finished frames, and one page of the frames, newest first. */
         TrackRecord: {
@@ -5559,6 +5719,107 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    audit_list: {
+        parameters: {
+            query?: {
+                /** @description Only what this person or service did, by the name of the token. */
+                actor?: string;
+                /** @description Only this action. */
+                action?: components["schemas"]["AuditAction"];
+                /** @description Only what was done with this: the id of a job, node or token, or the name of a project. */
+                target?: string;
+                /** @description Only what concerns this project. */
+                project?: string;
+                /** @description Only what was done at this instant or later. */
+                from?: string;
+                /** @description Only what was done before this instant. */
+                to?: string;
+                /** @description `next_page_token` of the previous page. */
+                page_token?: string;
+                /** @description Number of items on a page: 1 to 200, default 50. */
+                page_size?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A page of entries */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AuditPage"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    audit_export: {
+        parameters: {
+            query?: {
+                /** @description The form. Default: `ndjson`. */
+                format?: "ndjson" | "csv";
+                /** @description Only what was done at this instant or later. */
+                from?: string;
+                /** @description Only what was done before this instant. */
+                to?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The entries */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/x-ndjson": string;
+                    "text/csv": string;
+                };
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -8168,6 +8429,125 @@ export interface operations {
         responses: {
             /** @description It has ended */
             204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    sign_in_ways: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The ways */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SignInWays"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    sign_in_begin: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description To the provider */
+            303: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    sign_in_finish: {
+        parameters: {
+            query?: {
+                /** @description A code, to be exchanged for the person's identity. */
+                code?: string;
+                /** @description The state with which the browser was sent. */
+                state?: string;
+                /** @description Why there is no code. */
+                error?: string;
+                /** @description The same for people. */
+                error_description?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description To the page */
+            303: {
                 headers: {
                     [name: string]: unknown;
                 };

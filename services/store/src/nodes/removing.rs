@@ -1,11 +1,12 @@
 //! Removing nodes.
 //!
-//! Leases, bookings and the ledger refer to a node for good, so its row stays, with the instant of its removal.
-//! It is in no list and gets no tasks, and its own tokens are gone. A machine that registers under its name,
-//! with a token that may, brings it back under its old id, and without what operators had set.
+//! Leases, bookings and the ledger refer to a node for good, so its row stays, with the instant of its
+//! removal. It is in no list and gets no tasks, and its own tokens are gone. A machine that registers under
+//! its name, with a token that may, brings it back under its old id, and without what operators had set.
 
-use forelight_protocol::{EventKind, NodeId, Timestamp};
+use forelight_protocol::{AuditAction, EventKind, NodeId, Timestamp};
 
+use crate::audit::{Deed, note};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::events::node_event;
@@ -37,6 +38,8 @@ impl Store {
         );
         node_event(&mut write, EventKind::NodeRemoved, &found, found.name.clone(), now);
         replans::want(&mut write, &format!("node {} was removed", found.name)).await?;
+        let detail = serde_json::json!({"name": found.name, "task": found.task_id});
+        note(&mut write, Deed::new(AuditAction::NodeRemoved, node), Some(&detail), now);
         // Its waiting claims look again, and learn that it is gone.
         write.made_work = true;
         self.commit(write).await

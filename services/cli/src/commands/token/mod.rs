@@ -6,13 +6,14 @@ use crate::connection::{ConnectionOptions, connect};
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_client::Client;
-use forelight_protocol::{RotateRequest, Timestamp, Token, TokenChange, TokenId};
+use forelight_protocol::{Role, RotateRequest, Timestamp, Token, TokenChange, TokenId};
 use forelight_terminal::atomic_file;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::options::duration;
 use forelight_terminal::output;
 use forelight_terminal::quantities::clock;
 use forelight_terminal::table::{Align, Table};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -161,7 +162,7 @@ pub async fn run(args: Args) -> Result<()> {
                 End::Never => None,
                 End::After(time) => Some(after(time)),
             });
-            let change = TokenChange { name: rename.to, expires_at };
+            let change = TokenChange { name: rename.to, expires_at, projects: None };
             let changed = client.change_token(token.id, &change).await.context("cannot change the token")?;
             output::print(&report(&[changed], Timestamp::now()))
         }
@@ -223,6 +224,7 @@ fn report(tokens: &[Token], now: Timestamp) -> String {
     let mut table = Table::new(&[
         ("name", Align::Left),
         ("role", Align::Left),
+        ("projects", Align::Left),
         ("made", Align::Right),
         ("expires", Align::Right),
         ("last used", Align::Right),
@@ -234,6 +236,7 @@ fn report(tokens: &[Token], now: Timestamp) -> String {
         table.row([
             token.name.clone(),
             token.role.to_string(),
+            token.projects.as_ref().map_or("all".into(), projects),
             clock(token.created_at, now),
             time(token.expires_at),
             time(token.last_used_at),
@@ -244,16 +247,23 @@ fn report(tokens: &[Token], now: Timestamp) -> String {
     table.render()
 }
 
+fn projects(projects: &BTreeMap<String, Role>) -> String {
+    let words = projects.iter().map(|(name, role)| format!("{name}={role}"));
+    words.collect::<Vec<_>>().join(" ")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use forelight_protocol::Role;
+    use forelight_protocol::TokenKind;
 
     fn token(name: &str) -> Token {
         Token {
             id: TokenId::new(),
             name: name.into(),
+            kind: TokenKind::Person,
             role: Role::Viewer,
+            projects: None,
             node_id: None,
             created_at: Timestamp::from_micros(0),
             expires_at: None,
