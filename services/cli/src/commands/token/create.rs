@@ -22,6 +22,12 @@ Examples:
 With --data, the token is made in that folder, whether the service runs or not. With an operator's token, the \
 service is asked.")]
 pub struct Args {
+    #[command(flatten)]
+    pub options: Options,
+}
+
+#[derive(Debug, clap::Args)]
+pub struct Options {
     /// Data folder of the farm [default: farm-data]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -65,7 +71,7 @@ fn project(text: &str) -> Result<(String, Option<Role>), String> {
     }
 }
 
-pub async fn run(args: Args) -> Result<()> {
+pub async fn run(args: Options) -> Result<()> {
     let name = args.name.trim();
     if name.is_empty() || name.chars().count() > 200 {
         return Err(BadInput::new("--name: a name has 1 to 200 characters").into());
@@ -95,7 +101,7 @@ pub async fn run(args: Args) -> Result<()> {
     hand_over(&secret, args.out.as_deref())
 }
 
-async fn by_the_service(args: &Args, token_file: &Path, request: Option<&TokenRequest>) -> Result<String> {
+async fn by_the_service(args: &Options, token_file: &Path, request: Option<&TokenRequest>) -> Result<String> {
     let client = args.server.client(read_token(token_file)?)?;
     match request {
         Some(request) => Ok(client.create_token(request).await.context("cannot make the token")?.secret),
@@ -110,7 +116,7 @@ async fn by_the_service(args: &Args, token_file: &Path, request: Option<&TokenRe
     }
 }
 
-async fn in_the_folder(args: &Args, request: Option<&TokenRequest>) -> Result<String> {
+async fn in_the_folder(args: &Options, request: Option<&TokenRequest>) -> Result<String> {
     let data = args.data.clone().unwrap_or_else(|| PathBuf::from("farm-data"));
     if !data.is_dir() {
         return Err(BadInput::new(format!("--data {}: this folder does not exist", data.display()))

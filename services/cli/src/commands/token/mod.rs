@@ -45,7 +45,7 @@ pub struct Args {
     #[command(subcommand)]
     command: Option<Command>,
     #[command(flatten)]
-    create: create::Args,
+    create: create::Options,
 }
 
 #[derive(Debug, Subcommand)]
@@ -80,7 +80,8 @@ Examples:
   forelight token rename anna --expires never --data farm-data")]
 struct RenameArgs {
     /// Id of the token. A name works if only one token has it
-    token: String,
+    #[arg(value_name = "TOKEN")]
+    wanted: String,
     /// The new name
     #[arg(long, value_name = "NAME", required_unless_present = "expires")]
     to: Option<String>,
@@ -103,7 +104,8 @@ The old token ends at once, or after the grace, and its sessions with it. A work
 nothing.")]
 struct RotateArgs {
     /// Id of the token. A name works if only one token has it
-    token: String,
+    #[arg(value_name = "TOKEN")]
+    wanted: String,
     /// Time for which the old token is still valid, such as 10m; at most a week
     #[arg(long, value_name = "DURATION", default_value = "0s", value_parser = grace)]
     grace: Duration,
@@ -150,14 +152,14 @@ fn after(time: Duration) -> Timestamp {
 pub async fn run(args: Args) -> Result<()> {
     match args.command {
         None => create::run(args.create).await,
-        Some(Command::Create(create)) => create::run(create).await,
+        Some(Command::Create(create)) => create::run(create.options).await,
         Some(Command::List(list)) => {
             let tokens = connect(&list.connection)?.tokens().await.context("cannot list the tokens")?;
             if list.json { output::json(&tokens) } else { output::print(&report(&tokens, Timestamp::now())) }
         }
         Some(Command::Rename(rename)) => {
             let client = connect(&rename.connection)?;
-            let token = find(&client, &rename.token).await?;
+            let token = find(&client, &rename.wanted).await?;
             let expires_at = rename.expires.map(|end| match end {
                 End::Never => None,
                 End::After(time) => Some(after(time)),
@@ -168,7 +170,7 @@ pub async fn run(args: Args) -> Result<()> {
         }
         Some(Command::Rotate(rotate)) => {
             let client = connect(&rotate.connection)?;
-            let token = find(&client, &rotate.token).await?;
+            let token = find(&client, &rotate.wanted).await?;
             let grace_seconds = u32::try_from(rotate.grace.as_secs()).unwrap_or(u32::MAX);
             let new = client.rotate_token(token.id, &RotateRequest { grace_seconds }).await;
             hand_over(&new.context("cannot rotate the token")?.secret, rotate.out.as_deref())
