@@ -54,12 +54,14 @@ PRAGMA defer_foreign_keys = ON;
 CREATE TABLE bundles_before AS SELECT * FROM bundles;
 DROP TABLE bundles;
 CREATE TABLE bundles (
-    id         BLOB PRIMARY KEY CHECK (length(id) = 16),
-    hash       BLOB REFERENCES artifacts (hash),
-    scene      TEXT NOT NULL CHECK (json_valid(scene)),
-    created_at INTEGER NOT NULL
+    id          BLOB PRIMARY KEY CHECK (length(id) = 16),
+    hash        BLOB REFERENCES artifacts (hash),
+    scene       TEXT NOT NULL CHECK (json_valid(scene)),
+    created_at  INTEGER NOT NULL,
+    uploaded_by TEXT
 ) STRICT, WITHOUT ROWID;
-INSERT INTO bundles (id, hash, scene, created_at) SELECT id, hash, scene, created_at FROM bundles_before;
+INSERT INTO bundles (id, hash, scene, created_at, uploaded_by)
+SELECT id, hash, scene, created_at, uploaded_by FROM bundles_before;
 DROP TABLE bundles_before;
 CREATE INDEX bundles_by_hash ON bundles (hash) WHERE hash IS NOT NULL;
 

@@ -13,6 +13,7 @@ use tokio::time::Instant;
 
 use crate::clock::SteadyClock;
 use crate::conductor::Conductor;
+use crate::rights::watch_rights;
 use crate::state::App;
 use crate::webhooks::tell_webhooks;
 
@@ -117,6 +118,10 @@ async fn scrub(app: &App) {
             Err(error) => tracing::warn!(%error, "the scrub failed; it goes on where it was"),
         }
     }
+}
+
+pub(crate) async fn run_rights(app: App) {
+    while again_after_panic("ending rights", watch_rights(&app)).await {}
 }
 
 /// Shortest time between plans that no request waits for, or four times the last plan's duration if longer.

@@ -9,6 +9,7 @@ use forelight_store::ArtifactPlace;
 
 use crate::clock::{Clock, SystemClock};
 use crate::inspector::Inspection;
+use crate::oidc::SignInProvider;
 
 /// Configuration of the service.
 #[derive(Clone)]
@@ -21,6 +22,8 @@ pub struct Config {
     pub artifacts_moved: bool,
     /// Address to listen on. Default: 127.0.0.1:7878, local only. Port 0 picks a free port.
     pub listen: SocketAddr,
+    /// Certificate and key, with which the service answers by TLS. Default: none, plain HTTP.
+    pub tls: Option<TlsFiles>,
     /// How long a lease lasts without renewal. Default 30 s.
     pub lease_ttl: Duration,
     /// Origin at which people reach the service, such as `https://farm.example.org`, without a path. With
@@ -28,6 +31,8 @@ pub struct Config {
     pub public_origin: Option<String>,
     /// Origins of other sites whose pages may ask this service, with a token. Default: none.
     pub allowed_origins: Vec<String>,
+    /// Through whom people may sign in besides tokens. It needs a public origin. Default: none.
+    pub sign_in: Option<SignInProvider>,
     /// How long people stay signed in. Default 7 days.
     pub session_lifetime: Duration,
     /// Folders on shared storage under which jobs may name bundles by path. Default none.
@@ -50,9 +55,11 @@ impl Config {
             artifacts: ArtifactPlace::DataFolder,
             artifacts_moved: false,
             listen: SocketAddr::from(([127, 0, 0, 1], 7878)),
+            tls: None,
             lease_ttl: Duration::from_secs(30),
             public_origin: None,
             allowed_origins: Vec::new(),
+            sign_in: None,
             session_lifetime: Duration::from_secs(7 * 86_400),
             bundle_roots: Vec::new(),
             inspection: Inspection::default(),
@@ -70,6 +77,15 @@ pub enum Evidence {
     Checked,
     /// Every result is believed: for results that are made up, in tests and measurements.
     Believed,
+}
+
+/// Files in PEM form. They are read again when they change.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct TlsFiles {
+    /// The service's certificate, followed by those that lead to its root.
+    pub certificate: PathBuf,
+    /// The key of the certificate.
+    pub key: PathBuf,
 }
 
 /// Limits on everything that a client can make large.

@@ -1,7 +1,8 @@
 //! Accepts connections, answers them, and closes them in order.
 //!
 //! A farm has one connection per worker, nearly all idle, so the memory of an idle one counts. Therefore only
-//! HTTP/1.1 is served, and each connection lies in one box that is never moved.
+//! HTTP/1.1 is served without TLS, and each connection lies in one box that is never moved. With TLS,
+//! browsers choose HTTP/2.
 //!
 //! Hazards:
 //!
@@ -12,6 +13,7 @@
 
 mod admission;
 mod held;
+mod tls;
 
 use std::convert::Infallible;
 use std::time::Duration;
@@ -25,11 +27,15 @@ use hyper_util::service::TowerToHyperService;
 use rustix::process::{Resource, getrlimit};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_io_timeout::TimeoutWriter;
+use tokio_util::either::Either;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::{ServiceExt as _, service_fn};
 
 use self::admission::{Admission, Guest};
+pub(crate) use self::tls::Tls;
+pub use self::tls::TlsError;
+use self::tls::{answer_http_2, speaks_http_2};
 use crate::config::ConnectionLimits;
 use crate::extract::PeerAddress;
 
@@ -59,6 +65,7 @@ fn allowed_by_files(limit: Option<u64>) -> usize {
 pub(crate) async fn serve(
     listener: TcpListener,
     router: Router,
+    tls: Option<Tls>,
     limits: ConnectionLimits,
     stopping: CancellationToken,
 ) {
@@ -76,9 +83,9 @@ pub(crate) async fn serve(
                 lacks_files = false;
                 // Without a seat, the connection is closed at once.
                 let Some(guest) = admission.admit(peer.ip()) else { continue };
-                let answered =
-                    answer(stream, guest, PeerAddress(peer.ip()), router.clone(), limits, stopping.clone());
-                drop(connections.spawn(Box::pin(answered)));
+                let peer = PeerAddress(peer.ip());
+                let (router, tls, stopping) = (router.clone(), tls.clone(), stopping.clone());
+                drop(connections.spawn(Box::pin(answer(stream, guest, peer, router, tls, limits, stopping))));
             }
             Err(error) if is_of_one_connection(&error) => {}
             Err(error) => {
@@ -101,6 +108,7 @@ async fn answer(
     guest: Guest,
     peer: PeerAddress,
     router: Router,
+    tls: Option<Tls>,
     limits: ConnectionLimits,
     stopping: CancellationToken,
 ) {
@@ -120,12 +128,24 @@ async fn answer(
             Ok::<_, Infallible>(response.map(|body| holds.until_sent(body)))
         }
     });
+    let service = TowerToHyperService::new(router);
+    let stream = match tls {
+        None => Either::Left(stream),
+        Some(tls) => match tls.accept(stream).await {
+            None => return,
+            Some(stream) if speaks_http_2(&stream) => {
+                // Few connections are browsers', so those of workers need no room for this.
+                return Box::pin(answer_http_2(stream, service, stopping)).await;
+            }
+            Some(stream) => Either::Right(Box::new(stream)),
+        },
+    };
     let mut connection = std::pin::pin!(
         http1::Builder::new()
             .max_buf_size(BUFFER)
             .timer(TokioTimer::new())
             .header_read_timeout(limits.head_time)
-            .serve_connection(TokioIo::new(Box::pin(stream)), TowerToHyperService::new(router))
+            .serve_connection(TokioIo::new(Box::pin(stream)), service)
     );
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,

@@ -11,14 +11,25 @@ use forelight_protocol::ProblemKind;
 use crate::error::{ApiError, ApiResult};
 
 const NAME: &str = "forelight_session";
+/// The cookie of a browser that is at the sign-in provider. It comes back from another site, so it is `Lax`.
+const SIGN_IN: &str = "forelight_sign_in";
 const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 
 /// The session's secret in a request.
 pub(crate) fn session_secret(headers: &HeaderMap) -> Option<&str> {
+    cookie(headers, NAME)
+}
+
+/// The state of the sign-in that this browser began.
+pub(crate) fn sign_in_state(headers: &HeaderMap) -> Option<&str> {
+    cookie(headers, SIGN_IN)
+}
+
+fn cookie<'a>(headers: &'a HeaderMap, wanted: &str) -> Option<&'a str> {
     let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     cookies.flat_map(|value| value.split(';')).find_map(|cookie| {
         let (name, value) = cookie.trim().split_once('=')?;
-        (name == NAME && !value.is_empty()).then_some(value)
+        (name == wanted && !value.is_empty()).then_some(value)
     })
 }
 
@@ -28,6 +39,15 @@ pub(crate) fn set_session(secret: &str, seconds: u64, over_tls: bool) -> ApiResu
     let text = format!("{NAME}={secret}; HttpOnly; SameSite=Strict; Path=/; Max-Age={seconds}{secure}");
     HeaderValue::from_str(&text)
         .map_err(|_| ApiError::new(ProblemKind::Internal, "the session's cookie could not be written"))
+}
+
+/// `Set-Cookie` that binds a sign-in at a provider to this browser for so many seconds. 0 ends it.
+pub(crate) fn set_sign_in(state: &str, seconds: u64, over_tls: bool) -> ApiResult<HeaderValue> {
+    let secure = if over_tls { "; Secure" } else { "" };
+    let text =
+        format!("{SIGN_IN}={state}; HttpOnly; SameSite=Lax; Path=/v1/sign-in; Max-Age={seconds}{secure}");
+    HeaderValue::from_str(&text)
+        .map_err(|_| ApiError::new(ProblemKind::Internal, "the sign-in's cookie could not be written"))
 }
 
 /// `Set-Cookie` that makes the browser forget the secret.

@@ -82,6 +82,7 @@ impl From<StoreError> for ApiError {
             StoreError::Implausible { .. } => ProblemKind::ImplausibleResult,
             StoreError::KeyReused => ProblemKind::IdempotencyKeyReused,
             StoreError::HashMismatch { .. } => ProblemKind::HashMismatch,
+            StoreError::NoProject(_) => ProblemKind::Invalid,
             StoreError::TooLarge { .. } => ProblemKind::TooLarge,
             StoreError::BrokenOff(_) => ProblemKind::Malformed,
             StoreError::Busy | StoreError::ArtifactsAway(_) => ProblemKind::Busy,

@@ -6,10 +6,14 @@ mod idempotency;
 mod json;
 mod path;
 mod query;
+mod reach;
 
-pub(crate) use auth::{Anyone, OneTimeToken, Operator, Peer, PeerAddress, Reader, Submitter, WorkerToken};
+pub(crate) use auth::{
+    Anyone, OneTimeToken, Operator, Peer, PeerAddress, Reader, Submitter, UNKNOWN_TOKEN, WorkerToken,
+};
 pub(crate) use body::{announced_length, whole, within_announced_length};
 pub(crate) use idempotency::KeyHeader;
 pub(crate) use json::{JsonBody, Large, media_type};
 pub(crate) use path::{Segment, Segments};
 pub(crate) use query::{QueryParameters, number, number_if_any};
+pub(crate) use reach::{FarmReader, OwnJob, SeenFrame, SeenJob, check_may_change};

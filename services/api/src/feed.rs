@@ -8,8 +8,11 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use forelight_protocol::{Event, EventId, EventKind, JobId};
+use forelight_store::tokens::Principal;
 use forelight_store::{Store, StoreError};
 use tokio::sync::{Mutex, watch};
+
+use crate::seen::without_others;
 
 /// Number of events read at once, and sent before a stream looks again whether it goes on.
 const BATCH: u32 = 200;
@@ -26,6 +29,21 @@ pub(crate) struct Told {
     /// Whether its job is over with it.
     pub is_last: bool,
     pub json: Arc<str>,
+    /// The project that it concerns.
+    pub project: Option<String>,
+    /// What those are told who reach some projects only.
+    pub without_others: Arc<str>,
+}
+
+impl Told {
+    /// What the caller is told of it; `None` if it is about another project.
+    pub fn json_for(&self, caller: &Principal) -> Option<&Arc<str>> {
+        match &self.project {
+            _ if caller.reaches_all() => Some(&self.json),
+            Some(project) => caller.sees(project).then_some(&self.without_others),
+            None => self.job.is_none().then_some(&self.without_others),
+        }
+    }
 }
 
 impl From<&Event> for Told {
@@ -35,9 +53,15 @@ impl From<&Event> for Told {
             kind: event.kind,
             job: event.job_id,
             is_last: event.job_state.is_some_and(|state| state.is_final()),
-            json: serde_json::to_string(event).unwrap_or_default().into(),
+            json: as_json(event),
+            project: event.project.clone(),
+            without_others: as_json(&without_others(event)),
         }
     }
+}
+
+fn as_json(event: &Event) -> Arc<str> {
+    serde_json::to_string(event).unwrap_or_default().into()
 }
 
 /// Some events, oldest first.
@@ -152,7 +176,9 @@ mod tests {
     use super::*;
 
     fn told(id: EventId, job: Option<JobId>) -> Told {
-        Told { id, kind: EventKind::JobState, job, is_last: false, json: "{}".into() }
+        let json: Arc<str> = "{}".into();
+        let without_others = json.clone();
+        Told { id, kind: EventKind::JobState, job, is_last: false, json, project: None, without_others }
     }
 
     fn ids(batch: &Batch) -> Vec<EventId> {

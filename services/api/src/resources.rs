@@ -2,6 +2,7 @@
 
 pub(crate) mod answers;
 pub(crate) mod artifacts;
+pub(crate) mod audit;
 pub(crate) mod budgets;
 pub(crate) mod bundles;
 mod checks;
@@ -20,7 +21,9 @@ pub(crate) mod projects;
 pub(crate) mod responses;
 pub(crate) mod retention;
 pub(crate) mod sessions;
+pub(crate) mod sign_in;
 pub(crate) mod strip;
 pub(crate) mod tasks;
 pub(crate) mod timeline;
+pub(crate) mod tokens;
 pub(crate) mod webhooks;

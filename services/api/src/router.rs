@@ -29,9 +29,11 @@ use crate::openapi::frame;
 use crate::paced_body::PacedBody;
 use crate::resources::jobs::changes;
 use crate::resources::{
-    answers, artifacts, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases,
-    left_out, nodes, page, plans, projects, retention, sessions, strip, tasks, timeline, webhooks,
+    answers, artifacts, audit, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases,
+    left_out, nodes, page, plans, projects, retention, sessions, sign_in, strip, tasks, timeline, tokens,
+    webhooks,
 };
+use crate::rights::end_with_right;
 use crate::state::App;
 
 /// Longest pause of a client within a body.
@@ -62,6 +64,14 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(sessions::begin, sessions::list))
         .routes(routes!(sessions::current, sessions::end_current))
         .routes(routes!(sessions::end))
+        .routes(routes!(sign_in::ways))
+        .routes(routes!(sign_in::begin))
+        .routes(routes!(sign_in::finish))
+        .routes(routes!(tokens::create, tokens::list))
+        .routes(routes!(tokens::get, tokens::change, tokens::revoke))
+        .routes(routes!(tokens::rotate))
+        .routes(routes!(audit::list))
+        .routes(routes!(audit::export))
         .routes(routes!(bundles::upload))
         .routes(routes!(bundles::get))
         .routes(routes!(jobs::submit, jobs::list))
@@ -94,7 +104,7 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(plans::bookings))
         .routes(routes!(timeline::get))
         .routes(routes!(nodes::list))
-        .routes(routes!(nodes::get, nodes::change))
+        .routes(routes!(nodes::get, nodes::change, nodes::remove))
         .routes(routes!(nodes::join_token))
         .routes(routes!(tasks::log))
         .routes(routes!(artifacts::get, artifacts::head))
@@ -137,6 +147,7 @@ pub(crate) fn router(app: App, allowed_origins: &[String]) -> axum::Router {
         .layer(map_request(move |request: Request| {
             ready(request.map(|body| Body::new(PacedBody::new(body, limits))))
         }))
+        .layer(from_fn(end_with_right))
         .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
         .layer(CatchPanicLayer::custom(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response()))
         .layer(from_fn(render_problems))

@@ -12,14 +12,15 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{run_conductor, run_retention, run_scrub, run_sweep, run_webhooks};
+use crate::background::{run_conductor, run_retention, run_rights, run_scrub, run_sweep, run_webhooks};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
-use crate::connections::serve;
+use crate::connections::{Tls, TlsError, serve};
 use crate::costly::Costly;
 use crate::feed::Feed;
 use crate::inspector::Inspector;
 use crate::metrics::Metrics;
+use crate::oidc::SignIn;
 use crate::quotas::Quotas;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
@@ -42,6 +43,12 @@ pub enum ServiceError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// The sign-in provider cannot be used.
+    #[error("the sign-in provider: {0}")]
+    SignIn(String),
+    /// TLS cannot be served.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// A bundle root does not exist.
     #[error("bundle root {path}: {source}")]
     BundleRoot {
@@ -55,6 +62,7 @@ pub enum ServiceError {
 /// A running service. Dropping it stops it; [`Service::shutdown`] waits for that.
 pub struct Service {
     address: SocketAddr,
+    home: SocketAddr,
     store: Store,
     stopping: CancellationToken,
     tasks: Vec<JoinHandle<()>>,
@@ -68,9 +76,11 @@ impl Service {
             artifacts,
             artifacts_moved,
             listen,
+            tls,
             lease_ttl,
             public_origin,
             allowed_origins,
+            sign_in,
             session_lifetime,
             bundle_roots,
             inspection,
@@ -78,6 +88,17 @@ impl Service {
             evidence,
             clock,
         } = config;
+        let tls = tls.map(Tls::new).transpose()?;
+        let sign_in = match sign_in {
+            None => None,
+            Some(provider) => {
+                provider.check().map_err(ServiceError::SignIn)?;
+                let origin = public_origin.as_deref().ok_or_else(|| {
+                    ServiceError::SignIn("it needs the address at which people reach the service".to_owned())
+                })?;
+                Some(Arc::new(SignIn::new(provider, origin).map_err(ServiceError::SignIn)?))
+            }
+        };
         let roots = bundle_roots
             .into_iter()
             .map(|root| {
@@ -91,11 +112,12 @@ impl Service {
         if extended > 0 {
             tracing::info!(leases = extended, "leases from before the start were extended");
         }
-        let listener = TcpListener::bind(listen)
-            .await
-            .map_err(|source| ServiceError::Listen { address: listen, source })?;
-        let address =
-            listener.local_addr().map_err(|source| ServiceError::Listen { address: listen, source })?;
+        let (listener, address) = bind(listen).await?;
+        // With TLS, the processes of this machine reach the service without it, by the loopback alone.
+        let at_home = match &tls {
+            Some(_) => Some(bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?),
+            None => None,
+        };
         let stopping = CancellationToken::new();
         let connections = limits.connections;
         let (conductor, jobs) = mpsc::unbounded_channel();
@@ -103,10 +125,13 @@ impl Service {
             store: store.clone(),
             clock: clock.clone(),
             lease_ttl,
+            is_over_tls: tls.is_some()
+                || public_origin.as_ref().is_some_and(|origin| origin.starts_with("https://")),
             public_origin: public_origin.map(Into::into),
+            sign_in,
             session_lifetime,
             sign_ins: Arc::default(),
-            sessions_ended: Arc::new(watch::Sender::new(0)),
+            rights: Arc::default(),
             webhooks_changed: Arc::new(watch::Sender::new(0)),
             bundle_roots: roots,
             inspector: Arc::new(Inspector::new(inspection, limits.scene, limits.checks_at_once)),
@@ -127,20 +152,37 @@ impl Service {
             started: clock.now(),
             openapi: openapi_yaml().into(),
         };
-        let tasks = vec![
+        // From here on, no right ends unseen.
+        app.end_rights().await;
+        let router = router(app.clone());
+        let mut tasks = vec![
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
             tokio::spawn(run_webhooks(app.clone())),
             tokio::spawn(run_retention(app.clone())),
             tokio::spawn(run_scrub(app.clone())),
-            tokio::spawn(serve(listener, router(app, &allowed_origins), connections, stopping.clone())),
+            tokio::spawn(run_rights(app.clone())),
         ];
-        Ok(Self { address, store, stopping, tasks })
+        let mut home = address;
+        if let Some((listener, address)) = at_home {
+            home = address;
+            tasks.push(tokio::spawn(serve(listener, router.clone(), None, stopping.clone())));
+        }
+        if let Some(tls) = &tls {
+            tasks.push(tokio::spawn(tls.clone().follow_files(stopping.clone())));
+        }
+        tasks.push(tokio::spawn(serve(listener, router, tls, stopping.clone())));
+        Ok(Self { address, home, store, stopping, tasks })
     }
 
     /// The address it listens on.
     pub fn local_addr(&self) -> SocketAddr {
         self.address
+    }
+
+    /// The address at which processes of this machine reach it without TLS: the same one if it has none.
+    pub fn home_addr(&self) -> SocketAddr {
+        self.home
     }
 
     /// Its store, for making tokens in the same process.
@@ -159,6 +201,14 @@ impl Service {
         }
         self.store.close().await;
     }
+}
+
+/// Listens on an address. Port 0 picks a free port.
+async fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ServiceError> {
+    let failed = |source| ServiceError::Listen { address, source };
+    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    let bound = listener.local_addr().map_err(failed)?;
+    Ok((listener, bound))
 }
 
 impl Drop for Service {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_protocol::{Dashboard, JobId, ProblemKind, Timestamp};
+use forelight_store::tokens::Principal;
 use forelight_store::{IdempotencyKey, Projection, Store, project};
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
@@ -17,7 +18,9 @@ use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
 use crate::inspector::Inspector;
 use crate::metrics::Metrics;
+use crate::oidc::SignIn;
 use crate::quotas::Quotas;
+use crate::rights::Rights;
 use crate::shared::Shared;
 use crate::sign_in::SignIns;
 use crate::uploads::Reserved;
@@ -28,12 +31,16 @@ pub(crate) struct App {
     pub store: Store,
     pub clock: Arc<dyn Clock>,
     pub lease_ttl: Duration,
+    /// Whether people reach the service over TLS.
+    pub is_over_tls: bool,
     /// See [`crate::Config::public_origin`].
     pub public_origin: Option<Arc<str>>,
+    /// Signs people in through the studio's provider, if there is one.
+    pub sign_in: Option<Arc<SignIn>>,
     pub session_lifetime: Duration,
     pub sign_ins: Arc<SignIns>,
-    /// Changes whenever a session ends before its time.
-    pub sessions_ended: Arc<watch::Sender<u64>>,
+    /// The rights by which requests live that are under way.
+    pub rights: Arc<Rights>,
     /// Changes whenever a webhook is to be told something besides events.
     pub webhooks_changed: Arc<watch::Sender<u64>>,
     /// Canonical paths of the bundle roots.
@@ -73,6 +80,11 @@ impl App {
         Self { store: self.store.for_people(), ..self.clone() }
     }
 
+    /// The store for changes by this caller. The audit names him.
+    pub fn by(&self, caller: &Principal) -> Store {
+        self.store.acting_for(caller.actor())
+    }
+
     /// When a person last changed something through this service.
     pub fn changed(&self) -> Instant {
         *self.last_change.lock()
@@ -89,16 +101,6 @@ impl App {
             Ok(project(&bookings, &parts, self.now()))
         };
         self.projected.get(self.changed(), read).await
-    }
-
-    /// Whether people reach the service over TLS.
-    pub fn is_over_tls(&self) -> bool {
-        self.public_origin.as_ref().is_some_and(|origin| origin.starts_with("https://"))
-    }
-
-    /// Makes the streams of events look whether their sessions go on.
-    pub fn tell_session_ended(&self) {
-        self.sessions_ended.send_modify(|version| *version = version.wrapping_add(1));
     }
 }
 

@@ -132,7 +132,7 @@ async fn a_year_leaves_no_more_behind_than_retention_says() {
         (RetentionKind::Events, JOBS_KEPT),
     ] {
         let rule = RetentionRule { project: None, kind, days: u32::try_from(days).ok() };
-        store.set_retention(&rule).await.unwrap();
+        store.set_retention(&rule, Timestamp::now()).await.unwrap();
     }
     let database = Connection::open(data.join("forelight.sqlite")).unwrap();
     prepare(&database);

@@ -4,18 +4,44 @@ use anyhow::{Context, Result};
 use clap::Args;
 use forelight_client::{Client, Token};
 use forelight_terminal::failure::BadInput;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Path of the operator's token, relative to a farm's data folder.
 pub const OPERATOR_TOKEN: &str = "tokens/operator.token";
 
+/// Where the service is.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Connection")]
-pub struct ConnectionOptions {
+pub struct ServerOptions {
     /// Address of the service
     #[arg(long, value_name = "URL", env = "FORELIGHT_SERVER", default_value = "http://127.0.0.1:7878")]
     pub server: String,
+    /// Certificates in PEM form, to one of which that of an https:// service must lead [default: those of the
+    /// system]
+    #[arg(long, value_name = "FILE", env = "FORELIGHT_CA_FILE")]
+    pub ca_file: Option<PathBuf>,
+}
+
+impl ServerOptions {
+    /// A client of the service with this token.
+    pub fn client(&self, token: Token) -> Result<Client> {
+        let client = match &self.ca_file {
+            None => Client::new(&self.server, Some(token)),
+            Some(file) => {
+                let roots = std::fs::read(file)
+                    .with_context(|| format!("cannot read the certificates in {}", file.display()))?;
+                Client::trusting(&self.server, Some(token), &roots)
+            }
+        };
+        client.map_err(|error| BadInput::new(error.to_string()).into())
+    }
+}
+
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Connection")]
+pub struct ConnectionOptions {
+    #[command(flatten)]
+    pub server: ServerOptions,
     /// File with the token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -39,15 +65,12 @@ pub fn connect(options: &ConnectionOptions) -> Result<Client> {
                 .into());
         }
     };
-    Client::new(&options.server, Some(token)).map_err(|error| BadInput::new(error.to_string()).into())
+    options.server.client(token)
 }
 
+/// The token in a file. Its client reads the file again when the service refuses the token.
 pub fn read_token(path: &Path) -> Result<Token> {
-    let text =
-        fs::read_to_string(path).with_context(|| format!("cannot read the token file {}", path.display()))?;
-    let text = text.trim();
-    if text.is_empty() || text.contains(char::is_whitespace) {
-        return Err(BadInput::new(format!("{}: the file does not contain a token", path.display())).into());
-    }
-    Ok(Token::new(text))
+    Token::in_file(path)
+        .with_context(|| format!("cannot read the token file {}", path.display()))?
+        .with_context(|| BadInput::new(format!("{}: the file does not contain a token", path.display())))
 }

@@ -1,12 +1,14 @@
 //! The service's REST API as typed calls, one file per subject.
 
 mod artifacts;
+mod audit;
 mod events;
 mod farm;
 mod jobs;
 mod leases;
 mod nodes;
 mod sessions;
+mod tokens;
 
 pub use events::EventStream;
 pub use jobs::FramePicture;

@@ -2,7 +2,8 @@
 
 use crate::backoff::Backoff;
 use crate::error::ClientError;
-use crate::transport::{Request, Token, Transport};
+use crate::token::Token;
+use crate::transport::{Request, Transport};
 use bytes::Bytes;
 use forelight_protocol::PageToken;
 use serde::de::DeserializeOwned;
@@ -14,9 +15,15 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client of the service at `address` (`http://host:port`), with [`Backoff::PATIENT`].
+    /// A client of the service at `address` (`http://host:port`), with [`Backoff::PATIENT`]. Over TLS, the
+    /// service's certificate must lead to one of the system's roots.
     pub fn new(address: &str, token: Option<Token>) -> Result<Self, ClientError> {
-        Ok(Self { transport: Transport::new(address, token, Backoff::PATIENT)? })
+        Ok(Self { transport: Transport::new(address, token, None, Backoff::PATIENT)? })
+    }
+
+    /// The same, where the service's certificate must lead to one of these, in PEM form.
+    pub fn trusting(address: &str, token: Option<Token>, roots: &[u8]) -> Result<Self, ClientError> {
+        Ok(Self { transport: Transport::new(address, token, Some(roots), Backoff::PATIENT)? })
     }
 
     /// The same client with another back-off.

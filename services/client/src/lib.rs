@@ -6,6 +6,7 @@
 //! | `client` | a client: address, token, back-off |
 //! | `calls` | the typed calls, a file for each subject |
 //! | `transport` | sends a request until it is answered |
+//! | `token` | the bearer token, and its file |
 //! | `backoff` | how long to wait before the next attempt |
 //! | `server_events` | parses a stream of server-sent events |
 //! | `error` | why a request failed |
@@ -15,6 +16,7 @@ mod calls;
 mod client;
 mod error;
 mod server_events;
+mod token;
 mod transport;
 
 pub use backoff::Backoff;
@@ -22,4 +24,4 @@ pub use calls::{Claimed, EventStream, FramePicture};
 pub use client::Client;
 pub use error::ClientError;
 pub use server_events::{EventParser, ServerEvent};
-pub use transport::Token;
+pub use token::Token;

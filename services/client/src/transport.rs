@@ -9,34 +9,17 @@
 
 use crate::backoff::Backoff;
 use crate::error::ClientError;
+use crate::token::Token;
 use bytes::Bytes;
 use forelight_protocol::Problem;
 use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
-use reqwest::{Method, Response, StatusCode};
+use reqwest::{Certificate, Method, Response, StatusCode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio_util::io::ReaderStream;
 use uuid::Uuid;
-
-/// A bearer token. Its debug form hides it, so logs do not show it.
-#[derive(Clone)]
-pub struct Token(String);
-
-impl Token {
-    /// The token in this text, without surrounding white space such as a file's last newline.
-    pub fn new(text: &str) -> Self {
-        Self(text.trim().to_owned())
-    }
-}
-
-impl fmt::Debug for Token {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Token(…)")
-    }
-}
 
 /// The body of a request.
 #[derive(Debug, Clone)]
@@ -122,23 +105,42 @@ pub(crate) struct Transport {
 }
 
 impl Transport {
-    pub fn new(address: &str, token: Option<Token>, backoff: Backoff) -> Result<Self, ClientError> {
+    /// Over TLS, the service's certificate must lead to one of `roots` (PEM), or else of the system's.
+    pub fn new(
+        address: &str,
+        token: Option<Token>,
+        roots: Option<&[u8]>,
+        backoff: Backoff,
+    ) -> Result<Self, ClientError> {
         let wrong = |reason: String| ClientError::Address { address: address.into(), reason };
         let url = reqwest::Url::parse(address).map_err(|e| wrong(e.to_string()))?;
-        if url.scheme() != "http" {
-            return Err(wrong("it must begin with http://".into()));
+        if !matches!(url.scheme(), "http" | "https") {
+            return Err(wrong("it must begin with http:// or https://".into()));
         }
+        let roots = match roots {
+            Some(pem) => Certificate::from_pem_bundle(pem)
+                .ok()
+                .filter(|roots| !roots.is_empty())
+                .map(Some)
+                .ok_or_else(|| wrong("its roots hold no certificate in PEM form".into()))?,
+            None => None,
+        };
         let host = url.host_str().ok_or_else(|| wrong("it names no host".into()))?;
         let mut builder = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             .read_timeout(SILENCE)
             .pool_idle_timeout(KEPT_IDLE)
-            // The client speaks http:// only. It loads no certificates, so it also works on machines without
-            // any.
-            .tls_certs_only([])
+            // A worker has one request at a time, and a stream of events is one for hours.
+            .http1_only()
             // A redirect could carry the token to another host.
             .redirect(reqwest::redirect::Policy::none())
             .user_agent(concat!("forelight/", env!("CARGO_PKG_VERSION")));
+        builder = match roots {
+            Some(roots) => builder.tls_certs_only(roots),
+            None if url.scheme() == "https" => builder,
+            // Without TLS, the client loads no certificates, so it also works on machines without any.
+            None => builder.tls_certs_only([]),
+        };
         if host == "localhost"
             || host.trim_matches(['[', ']']).parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
         {
@@ -161,8 +163,14 @@ impl Transport {
     pub async fn send(&self, request: &Request) -> Result<Response, ClientError> {
         let mut failures = 0;
         loop {
-            let (error, asked) = match self.attempt(request).await? {
+            let sent = self.token.as_ref().map(Token::secret);
+            let (error, asked) = match self.attempt(request, sent.as_deref()).await? {
                 Ok(response) if response.status().is_success() => return Ok(response),
+                Ok(response)
+                    if response.status() == StatusCode::UNAUTHORIZED && self.has_another(sent.as_deref()) =>
+                {
+                    continue;
+                }
                 Ok(response) => {
                     let asked = retry_after(response.headers());
                     let error = refusal(response).await;
@@ -223,15 +231,24 @@ impl Transport {
         ClientError::Unreachable { url: self.url(request), source: source.without_url() }
     }
 
+    /// Whether the token's file holds another token than the one that was sent: it was rotated.
+    fn has_another(&self, sent: Option<&str>) -> bool {
+        self.token.as_ref().is_some_and(|token| token.read_again(sent))
+    }
+
     fn url(&self, request: &Request) -> String {
         format!("{}{}", self.base, request.path)
     }
 
     /// One attempt. Another attempt cannot help after the outer error.
-    async fn attempt(&self, request: &Request) -> Result<Result<Response, reqwest::Error>, ClientError> {
+    async fn attempt(
+        &self,
+        request: &Request,
+        token: Option<&str>,
+    ) -> Result<Result<Response, reqwest::Error>, ClientError> {
         let mut builder = self.http.request(request.method.clone(), self.url(request));
-        if let Some(token) = &self.token {
-            builder = builder.bearer_auth(&token.0);
+        if let Some(token) = token {
+            builder = builder.bearer_auth(token);
         }
         if let Some(timeout) = request.timeout {
             builder = builder.timeout(timeout);
@@ -253,6 +270,12 @@ impl Transport {
         };
         Ok(builder.send().await)
     }
+}
+
+/// Parameters for the query of an address, each after a `&`.
+pub(crate) fn parameters(named: &[(&str, &str)]) -> String {
+    let escaped = |value: &str| value.bytes().map(|byte| format!("%{byte:02X}")).collect::<String>();
+    named.iter().map(|(name, value)| format!("&{name}={}", escaped(value))).collect()
 }
 
 /// The error in the service's answer.

@@ -154,8 +154,11 @@ async fn an_artefact_with_the_wrong_content_is_not_taken() {
 
 #[test]
 fn addresses_that_are_none_are_refused_at_once() {
-    for address in ["", "localhost:7878", "https://farm", "ftp://farm", "http://"] {
+    for address in ["", "localhost:7878", "https://", "ftp://farm", "http://"] {
         let error = Client::new(address, None).unwrap_err().to_string();
         assert!(error.contains("is not the address of a service"), "{address}: {error}");
     }
+    assert!(Client::new("https://farm", None).is_ok());
+    let error = Client::trusting("https://farm", None, b"no certificate").unwrap_err().to_string();
+    assert!(error.contains("no certificate in PEM form"), "{error}");
 }

@@ -4,7 +4,7 @@ import { useEffect, useErrorBoundary, useRef } from "preact/hooks";
 import { atRisk, farm, now, unwatch, watch } from "./state/farm";
 import { lastHeard, link } from "./state/live";
 import { href, route } from "./state/route";
-import { recall, session, signOut } from "./state/session";
+import { recall, seesAll, session, signOut } from "./state/session";
 import { clock, useKeys } from "./ui/keys";
 import { clockTime, timeZone, zoneAt } from "./ui/format";
 import { lazy } from "./ui/lazy";
@@ -127,7 +127,7 @@ function Head() {
         forelight
       </a>
       <nav aria-label="Screens">
-        {SCREENS.map(([name, word]) => (
+        {SCREENS.filter(([name]) => seesAll.value || name !== "record").map(([name, word]) => (
           <a key={name} href={href([name])} aria-current={here === name ? "page" : undefined}>
             {word}
             {name === "tonight" && risks > 0 && (
@@ -145,7 +145,9 @@ function Head() {
           {clock(now.value)} {zoneAt(now.value)}
         </span>
         <span class="role">
-          <span class="role-name">{session.value?.role} </span>
+          <span class="role-name" title={session.value?.name}>
+            {session.value?.role}{" "}
+          </span>
           <button type="button" class="plain" onClick={() => void signOut()}>
             Sign out
           </button>

@@ -57,6 +57,8 @@ pub enum EventKind {
     NodeChanged,
     /// A node was set aside, because too many tasks failed on it.
     NodeSetAside,
+    /// A node was removed from the farm.
+    NodeRemoved,
     /// A budget's action came into force, or ended.
     Budget,
     /// The engine, such as Slurm, became unavailable, came back, or refused a request.
@@ -95,6 +97,7 @@ impl EventKind {
             EventKind::NodeRegistered => "node_registered",
             EventKind::NodeChanged => "node_changed",
             EventKind::NodeSetAside => "node_set_aside",
+            EventKind::NodeRemoved => "node_removed",
             EventKind::Budget => "budget",
             EventKind::EngineState => "engine_state",
             EventKind::JobPromiseAtRisk => "job_promise_at_risk",
@@ -143,7 +146,7 @@ pub struct Event {
     /// The state of the node, as far as it does not depend on the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_state: Option<NodeState>,
-    /// The project, of an event about a budget.
+    /// The project of the job, or of the budget.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<String>,
     /// Number of the job's finished frames.

@@ -76,7 +76,10 @@ id!(
     /// Id of a session: a person who has signed in with a browser.
     SessionId
 );
-
+id!(
+    /// Id of a bearer token. It is no secret.
+    TokenId
+);
 id!(
     /// Id of a webhook: an address that is told of events.
     WebhookId

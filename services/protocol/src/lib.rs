@@ -15,6 +15,7 @@
 mod accuracy;
 mod answers;
 mod artifact;
+mod audit;
 mod budget;
 mod bundle;
 mod cache;
@@ -54,6 +55,7 @@ mod stratum;
 mod task;
 mod time;
 mod timeline;
+mod token;
 mod track_record;
 mod webhook;
 
@@ -65,6 +67,7 @@ pub use answers::{
     ProjectRequest, ProjectShare, Promise, QualityOffer, WaitKind, Waits, WhatIf, WhatIfRequest,
 };
 pub use artifact::ArtifactStored;
+pub use audit::{AuditAction, AuditEntry, AuditPage, UnknownAction};
 pub use budget::{
     Budget, BudgetAction, BudgetChange, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetOutlook,
     BudgetPeriod, BudgetRequest, BudgetThreshold, CostLine, LedgerLine, MoneyForecast, Night, NightForecast,
@@ -95,7 +98,8 @@ pub use forecast::{
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{
-    BookingId, BundleId, DeliveryId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, WebhookId,
+    BookingId, BundleId, DeliveryId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, TokenId,
+    WebhookId,
 };
 pub use job::{
     AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, FramesRequest,
@@ -134,7 +138,7 @@ pub use result::{
 };
 pub use retention::{Files, PruneRequest, Pruned, PrunedKind, Retention, RetentionKind, RetentionRule};
 pub use role::{Role, UnknownRole};
-pub use session::{Session, SessionCode, SessionPage, SessionRequest};
+pub use session::{Session, SessionCode, SessionPage, SessionRequest, SignInWays};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use spent::{Spent, at_speed_one};
 pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, RenderStats, WithinStats};
@@ -142,6 +146,7 @@ pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};
 pub use time::{MalformedTime, Timestamp};
 pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, TimelinePage, TimelineSpan};
+pub use token::{NewToken, RotateRequest, Token, TokenChange, TokenKind, TokenPage, TokenRequest};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, LeaveOutRequest, LeftOutJob,
     QuantileHits, TrackRecord, TrackRecordKind, TrackRecordRow,

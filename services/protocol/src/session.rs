@@ -1,5 +1,7 @@
 //! Sessions: people who have signed in with a browser.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -34,6 +36,9 @@ pub struct Session {
     pub id: Option<SessionId>,
     /// What it may do.
     pub role: Role,
+    /// The projects that it reaches, with a role in each. Absent if it reaches all of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub projects: Option<BTreeMap<String, Role>>,
     /// Name of its token.
     pub name: String,
     /// When it began. Absent for a bearer token.
@@ -45,6 +50,14 @@ pub struct Session {
     /// When it was last used, to the minute. Absent for a bearer token.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_used_at: Option<Timestamp>,
+}
+
+/// How people may sign in with a browser.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct SignInWays {
+    /// Name of the studio's sign-in provider, to which `/v1/sign-in/begin` leads. Absent if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub provider: Option<String>,
 }
 
 /// One page of sessions, newest first.

@@ -13,9 +13,12 @@ pub(crate) mod past;
 
 use std::collections::BTreeSet;
 
-use forelight_protocol::{Budget, BudgetAction, BudgetRequest, Event, EventKind, LeaseId, Money, Timestamp};
+use forelight_protocol::{
+    AuditAction, Budget, BudgetAction, BudgetRequest, Event, EventKind, LeaseId, Money, Timestamp,
+};
 use sqlx::SqliteConnection;
 
+use crate::audit::{Deed, note};
 use crate::budgets::ledger::{committed, spent};
 use crate::columns::{Json, corrupt};
 use crate::database::{Store, Write};
@@ -24,6 +27,7 @@ use crate::events::{append, event};
 use crate::leases;
 use crate::plans::replans;
 use crate::policy::budgets as policy;
+use crate::projects;
 use crate::writing::run;
 
 struct Kept {
@@ -38,6 +42,7 @@ impl Store {
     /// its action.
     pub async fn set_budget(&self, request: &BudgetRequest, now: Timestamp) -> Result<Budget> {
         let mut write = self.write().await?;
+        projects::make(&mut write, &request.project, now).await?;
         run!(
             write,
             "INSERT INTO budgets (project, period, amount, zone, thresholds, updated_at) \
@@ -51,6 +56,8 @@ impl Store {
             Json(&request.thresholds),
             now.micros()
         );
+        let deed = Deed::new(AuditAction::BudgetSet, &request.project).of_project(&request.project);
+        note(&mut write, deed, Some(request), now);
         enforce(&mut write, now).await?;
         let found = budgets(write.connection().await?, now)
             .await?

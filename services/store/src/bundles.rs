@@ -1,8 +1,9 @@
 //! Uploaded scene bundles.
 
-use forelight_protocol::{ArtifactHash, Bundle, BundleId, SceneSummary, Timestamp};
+use forelight_protocol::{ArtifactHash, AuditAction, Bundle, BundleId, SceneSummary, Timestamp};
 use sqlx::SqliteConnection;
 
+use crate::audit::{Deed, note};
 use crate::columns::Json;
 use crate::database::Store;
 use crate::error::{Result, StoreError};
@@ -33,13 +34,16 @@ impl Store {
         let bundle_id = BundleId::new();
         run!(
             write,
-            "INSERT INTO bundles (id, hash, scene, created_at) VALUES (?, ?, ?, ?)",
+            "INSERT INTO bundles (id, hash, scene, created_at, uploaded_by) VALUES (?, ?, ?, ?, ?)",
             bundle_id.0,
             &new.hash.0[..],
             Json(&new.scene),
-            now.micros()
+            now.micros(),
+            write.actor().map(|actor| actor.name.clone())
         );
         let bundle = read(write.connection().await?, bundle_id).await?;
+        let detail = serde_json::json!({"hash": bundle.hash, "size": bundle.size});
+        note(&mut write, Deed::new(AuditAction::BundleUploaded, bundle_id), Some(&detail), now);
         record(&mut write, key, 201, &bundle, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(bundle))

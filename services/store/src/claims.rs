@@ -237,7 +237,7 @@ async fn asker(
                       ORDER BY l.granted_at DESC, l.id LIMIT 1) AS task_id, \
          EXISTS (SELECT 1 FROM idempotency WHERE principal = ? AND key = ?) AS was_answered, \
          EXISTS (SELECT 1 FROM leases WHERE state = 'active' AND expires_at <= ?) AS some_ran_out \
-         FROM nodes n WHERE n.id = ?",
+         FROM nodes n WHERE n.id = ? AND n.removed_at IS NULL",
         key.map(|key| &key.principal[..]),
         key.map(|key| &key.key),
         now.micros(),

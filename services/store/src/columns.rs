@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 
 use forelight_protocol::{
     ArtifactHash, BookingId, BudgetForecast, BundleId, DeliveryId, JobId, JobState, LeaseId, LogLevel,
-    NodeId, PlanId, SceneSummary, SessionId, TaskId, TaskKind, TaskSpec, Timestamp, WebhookId,
+    NodeId, PlanId, SceneSummary, SessionId, TaskId, TaskKind, TaskSpec, Timestamp, TokenId, WebhookId,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -113,7 +113,9 @@ macro_rules! from_id {
         })*
     };
 }
-from_id!(BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, DeliveryId, WebhookId);
+from_id!(
+    BookingId, BundleId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, TokenId, DeliveryId, WebhookId
+);
 
 macro_rules! from_column {
     ($($column:ident<$name:ty>),* $(,)?) => {

@@ -31,10 +31,12 @@ const EVENTS: u32 = 20;
 
 impl Store {
     /// Everything that a dashboard shows first, read in one transaction. A node is alive if it was heard of
-    /// within the last three lease times. `projection` is the expected course of the open bookings.
+    /// within the last three lease times. `projection` is the expected course of the open bookings. The jobs
+    /// are those of `projects`, if they are given.
     pub async fn dashboard(
         &self,
         projection: &Projection,
+        projects: Option<Vec<String>>,
         ttl: Duration,
         now: Timestamp,
     ) -> Result<Dashboard> {
@@ -49,7 +51,7 @@ impl Store {
         Ok(Dashboard {
             at: now,
             last_event_id: events::last_id(connection).await?,
-            jobs: dashboard_jobs(connection, &ends, &unattended, now).await?,
+            jobs: dashboard_jobs(connection, projects, (&ends, &unattended), now).await?,
             jobs_open_total: counts.jobs_active,
             finish: ends.last().map(|end| spread.unwrap_or_default().around(end, now)),
             spending: spending(connection, now).await?,
@@ -116,7 +118,7 @@ async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> R
     let row = sqlx::query!(
         r#"SELECT count(*) AS "nodes!: u64",
                   coalesce(sum(last_seen_at >= ? AND NOT drain AND set_aside IS NULL), 0)
-                  AS "alive!: u64" FROM nodes"#,
+                  AS "alive!: u64" FROM nodes WHERE removed_at IS NULL"#,
         silent_since.micros()
     )
     .fetch_one(connection)
@@ -128,11 +130,11 @@ async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> R
 
 async fn dashboard_jobs(
     connection: &mut SqliteConnection,
-    ends: &JobEnds,
-    unattended: &Unattended,
+    projects: Option<Vec<String>>,
+    (ends, unattended): (&JobEnds, &Unattended),
     now: Timestamp,
 ) -> Result<Vec<DashboardJob>> {
-    let open = JobFilter { open: true, ..JobFilter::default() };
+    let open = JobFilter { open: true, projects, ..JobFilter::default() };
     let ids = listing::ids(connection, &open, (JobOrder::Risk, None), JOBS).await?;
     let mut list = Vec::with_capacity(ids.len());
     for id in ids {

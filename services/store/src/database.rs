@@ -16,6 +16,7 @@ use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
 
 use crate::artifacts::{ArtifactPlace, Artifacts};
+use crate::audit::Actor;
 use crate::error::{Result, StoreError};
 use crate::writing::{WRITE_TURN, Writer};
 pub(crate) use crate::writing::{Write, run};
@@ -37,6 +38,8 @@ static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 pub struct Store {
     inner: Arc<Inner>,
     asks: Asks,
+    /// Who makes the changes, see [`Store::acting_for`].
+    actor: Option<Arc<Actor>>,
 }
 
 /// Who asks. Each has connections of its own, so that what people look at never makes workers wait.
@@ -155,12 +158,12 @@ impl Store {
             data: data.to_owned(),
             _lock: lock,
         };
-        Ok(Self { inner: Arc::new(inner), asks: Asks::Farm })
+        Ok(Self { inner: Arc::new(inner), asks: Asks::Farm, actor: None })
     }
 
     /// The same store, for what people look at.
     pub fn for_people(&self) -> Self {
-        Self { inner: self.inner.clone(), asks: Asks::People }
+        Self { asks: Asks::People, ..self.clone() }
     }
 
     fn lane(&self) -> &Lane {
@@ -168,6 +171,11 @@ impl Store {
             Asks::Farm => &self.inner.farm,
             Asks::People => &self.inner.people,
         }
+    }
+
+    /// The same store for changes by somebody, whom the audit names.
+    pub fn acting_for(&self, actor: Actor) -> Self {
+        Self { actor: Some(Arc::new(actor)), ..self.clone() }
     }
 
     /// The files named by their hash.
@@ -231,7 +239,7 @@ impl Store {
 
     /// Begins a write.
     pub(crate) async fn write(&self) -> Result<Write> {
-        self.inner.writer.write().await
+        Ok(self.inner.writer.write().await?.by(self.actor.clone()))
     }
 
     /// Begins a read transaction: all its statements see the same state.

@@ -15,6 +15,11 @@ pub enum StoreError {
     /// The caller does not hold the lease, or holds it no longer. Recorded as an event.
     #[error("the lease has ended or its task was handed to another worker; drop the task")]
     LeaseLost,
+    /// The project does not exist.
+    #[error(
+        "there is no project {0:?}; ask an operator to make it with `forelight project`, or name another"
+    )]
+    NoProject(String),
     /// The state of the thing does not allow this.
     #[error("{0}")]
     Conflict(String),

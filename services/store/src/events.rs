@@ -77,11 +77,13 @@ pub(crate) async fn forget_old_progress(write: &mut Write, now: Timestamp) -> Re
 pub(crate) struct EventRow {
     pub id: EventId,
     pub body: Json<Event>,
+    /// The project of its job.
+    pub project: Option<String>,
 }
 
 impl From<EventRow> for Event {
-    fn from(EventRow { id, body }: EventRow) -> Self {
-        Event { id, ..body.0 }
+    fn from(EventRow { id, body, project }: EventRow) -> Self {
+        Event { id, project: body.0.project.or(project), ..body.0 }
     }
 }
 
@@ -89,7 +91,8 @@ impl From<EventRow> for Event {
 pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>> {
     let rows = sqlx::query_as!(
         EventRow,
-        "SELECT id, body FROM events WHERE kind <> 'task_progress' ORDER BY id DESC LIMIT ?",
+        "SELECT id, body, (SELECT project FROM jobs j WHERE j.id = events.job_id) AS \"project?: String\" \
+         FROM events WHERE kind <> 'task_progress' ORDER BY id DESC LIMIT ?",
         limit
     )
     .fetch_all(connection)
@@ -102,7 +105,8 @@ impl Store {
     pub async fn events_after(&self, job: Option<JobId>, after: EventId, limit: u32) -> Result<Vec<Event>> {
         macro_rules! rows {
             ($rest:literal $(, $value:expr)*) => {
-                sqlx::query_as!(EventRow, "SELECT id, body FROM events WHERE " + $rest $(, $value)*)
+                sqlx::query_as!(EventRow, "SELECT id, body, (SELECT project FROM jobs j WHERE j.id = events.job_id) \
+                     AS \"project?: String\" FROM events WHERE " + $rest $(, $value)*)
                     .fetch_all(self.readers())
                     .await?
             };

@@ -18,6 +18,7 @@
 //! This crate never reads the clock: every function that needs the time takes `now`.
 
 mod artifacts;
+mod audit;
 mod backup;
 mod budgets;
 mod bundles;
@@ -33,12 +34,15 @@ mod jobs;
 mod leases;
 mod living;
 mod nodes;
+mod people;
 mod plans;
 mod policy;
 mod projects;
 mod quotes;
+mod reach;
 mod results;
 mod retention;
+mod rights;
 mod sessions;
 mod shared_cache;
 mod slurm;
@@ -49,6 +53,7 @@ mod webhooks;
 mod writing;
 
 pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Scrubbed, Staged};
+pub use audit::{Actor, AuditFilter};
 pub use backup::{Backup, backup};
 pub use budgets::nights::KeptNight;
 pub use bundles::NewBundle;
@@ -65,6 +70,7 @@ pub use nodes::LOST;
 pub use nodes::joining::token_hash;
 pub use nodes::listing::{NodeFilter, NodeOrder, NodePlace};
 pub use nodes::unattended::Unattended;
+pub use people::{Person, Rights};
 pub use plans::farm_jobs::{FarmFrame, FarmJob};
 pub use plans::replans::Wanted;
 pub use plans::{NewJobPlan, NewPlan};
@@ -77,10 +83,12 @@ pub use policy::projection::{
 pub use policy::rebooking::NewBooking;
 pub use policy::retries::{AGREEING_NODES, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES, PERMANENT_ATTEMPTS};
 pub use policy::work_stealing::OVERDUE;
-pub use projects::{HALF_LIFE, ProjectUse};
+pub use projects::{DEFAULT_PROJECT, HALF_LIFE, ProjectUse};
 pub use quotes::profiling::ProfileVersion;
 pub use quotes::track_record::FinishedJob;
+pub use reach::ALL_PROJECTS;
 pub use results::{Committed, ShotProfiles};
+pub use rights::{EndOfRight, EndedRight};
 pub use sessions::NewSession;
 pub use shared_cache::parts::NewPartBooking;
 pub use shared_cache::{NewSharedCache, PlannedCache};

@@ -4,6 +4,7 @@ pub(crate) mod changing;
 pub(crate) mod joining;
 pub(crate) mod learning;
 pub(crate) mod listing;
+pub(crate) mod removing;
 pub(crate) mod unattended;
 
 use forelight_forecast::learned_factor;
@@ -95,7 +96,8 @@ pub(crate) async fn has_another_worker(
     worker: uuid::Uuid,
 ) -> Result<bool> {
     sqlx::query_scalar!(
-        r#"SELECT coalesce(worker <> ?, 0) AS "is_another!: bool" FROM nodes WHERE id = ?"#,
+        r#"SELECT coalesce(worker <> ?, 0) AS "is_another!: bool" FROM nodes
+           WHERE id = ? AND removed_at IS NULL"#,
         worker,
         node.0
     )
@@ -105,12 +107,14 @@ pub(crate) async fn has_another_worker(
 }
 
 pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Result<Node> {
-    let row = node_rows!("WHERE n.id = ?", node.0).fetch_optional(connection).await?;
+    let row =
+        node_rows!("WHERE n.id = ? AND n.removed_at IS NULL", node.0).fetch_optional(connection).await?;
     Ok(row.ok_or(StoreError::NotFound("node"))?.into())
 }
 
 pub(crate) async fn by_name(connection: &mut SqliteConnection, name: &str) -> Result<Option<Node>> {
-    let row = node_rows!("WHERE n.name = ?", name).fetch_optional(connection).await?;
+    let row =
+        node_rows!("WHERE n.name = ? AND n.removed_at IS NULL", name).fetch_optional(connection).await?;
     Ok(row.map(Node::from))
 }
 
@@ -165,7 +169,9 @@ pub(crate) async fn list(
     limit: u32,
 ) -> Result<Vec<Node>> {
     let after = after.map_or(uuid::Uuid::nil(), |node| node.0);
-    let rows = node_rows!("WHERE n.id > ? ORDER BY n.id LIMIT ?", after, limit).fetch_all(connection).await?;
+    let rows = node_rows!("WHERE n.id > ? AND n.removed_at IS NULL ORDER BY n.id LIMIT ?", after, limit)
+        .fetch_all(connection)
+        .await?;
     Ok(rows.into_iter().map(Node::from).collect())
 }
 

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{ProjectRequest, Timestamp};
+use forelight_protocol::{AuditAction, ProjectRequest, Timestamp};
 use sqlx::SqliteConnection;
 
+use crate::audit::{Deed, note, note_only};
 use crate::budgets::past;
-use crate::database::Store;
-use crate::error::Result;
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
 use crate::plans::replans;
 use crate::writing::run;
 
@@ -30,8 +31,34 @@ pub struct ProjectUse {
     pub used: Vec<(Timestamp, i64)>,
 }
 
+/// The project of jobs that name none. It exists from the beginning.
+pub const DEFAULT_PROJECT: &str = "default";
+
+/// A project that does not exist is a [`StoreError::NoProject`].
+pub(crate) async fn check_exists(connection: &mut SqliteConnection, project: &str) -> Result<()> {
+    let known = sqlx::query_scalar!(
+        r#"SELECT EXISTS (SELECT 1 FROM projects WHERE name = ?) AS "exists!: bool""#,
+        project
+    );
+    if known.fetch_one(connection).await? { Ok(()) } else { Err(StoreError::NoProject(project.to_owned())) }
+}
+
+/// Makes a project with a share of 1, unless it exists.
+pub(crate) async fn make(write: &mut Write, project: &str, now: Timestamp) -> Result<()> {
+    let made = run!(
+        write,
+        "INSERT INTO projects (name, share, updated_at) VALUES (?, 1, ?) ON CONFLICT (name) DO NOTHING",
+        project,
+        now.micros()
+    );
+    if made == 1 {
+        note_only(write, Deed::new(AuditAction::ProjectSet, project).of_project(project), now);
+    }
+    Ok(())
+}
+
 impl Store {
-    /// Sets a project's share, and calls for a new plan.
+    /// Sets a project's share, making it if it does not exist, and calls for a new plan.
     pub async fn set_share(&self, request: &ProjectRequest, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         run!(
@@ -42,12 +69,14 @@ impl Store {
             request.share,
             now.micros()
         );
+        let deed = Deed::new(AuditAction::ProjectSet, &request.project).of_project(&request.project);
+        note(&mut write, deed, Some(request), now);
         let cause = format!("the share of project {} is {}", request.project, request.share);
         replans::want(&mut write, &cause).await?;
         self.commit(write).await
     }
 
-    /// All projects that have a share, an open job, or used the farm lately, by name.
+    /// All projects, by name.
     pub async fn projects(&self, now: Timestamp) -> Result<Vec<ProjectUse>> {
         read(&mut *self.read().await?, now).await
     }

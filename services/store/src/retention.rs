@@ -12,8 +12,11 @@
 mod jobs;
 mod records;
 
-use forelight_protocol::{Pruned, PrunedKind, Retention, RetentionKind, RetentionRule, Timestamp};
+use forelight_protocol::{
+    AuditAction, Pruned, PrunedKind, Retention, RetentionKind, RetentionRule, Timestamp,
+};
 
+use crate::audit::{Deed, note};
 use crate::columns::Json;
 use crate::database::Store;
 use crate::error::Result;
@@ -28,7 +31,7 @@ impl Store {
     }
 
     /// Sets a rule. It replaces the one about the same.
-    pub async fn set_retention(&self, rule: &RetentionRule) -> Result<()> {
+    pub async fn set_retention(&self, rule: &RetentionRule, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         run!(
             write,
@@ -38,6 +41,9 @@ impl Store {
             rule.kind.name(),
             rule.days
         );
+        let deed = Deed::new(AuditAction::RetentionSet, rule.kind.name());
+        let deed = Deed { project: rule.project.as_deref(), ..deed };
+        note(&mut write, deed, Some(rule), now);
         self.commit(write).await
     }
 

@@ -4,11 +4,14 @@
 //! deletes it with that row. The browser keeps a secret with as much entropy as a token; only its hash is
 //! stored.
 
+use std::net::IpAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
-use forelight_protocol::{Session, SessionCode, SessionId, Timestamp};
+use forelight_protocol::{AuditAction, Session, SessionCode, SessionId, Timestamp};
 
-use crate::columns::{Id, Time, Word};
+use crate::audit::{Actor, Deed, note, note_only};
+use crate::columns::{Id, Json, Time, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::tokens::{self, Principal};
@@ -35,6 +38,7 @@ struct Row {
     expires_at: Time,
     last_used_at: Time,
     role: Word<forelight_protocol::Role>,
+    projects: Option<Json<std::collections::BTreeMap<String, forelight_protocol::Role>>>,
     name: String,
 }
 
@@ -43,6 +47,7 @@ impl From<Row> for Session {
         Session {
             id: Some(row.id.into()),
             role: row.role.0,
+            projects: row.projects.map(|it| it.0),
             name: row.name,
             created_at: Some(row.created_at.into()),
             expires_at: Some(row.expires_at.into()),
@@ -56,7 +61,7 @@ macro_rules! rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT s.id, s.created_at, s.expires_at, s.last_used_at, t.role, t.name FROM sessions s \
+            "SELECT s.id, s.created_at, s.expires_at, s.last_used_at, t.role, t.projects, t.name FROM sessions s \
              JOIN tokens t ON t.hash = s.token_hash "
                 + $rest
             $(, $value)*
@@ -86,21 +91,25 @@ impl Store {
     pub async fn begin_session_with_code(
         &self,
         code: &str,
+        from: Option<IpAddr>,
         lifetime: Duration,
         now: Timestamp,
     ) -> Result<Option<NewSession>> {
         let hash = tokens::hash(code);
         let mut write = self.write().await?;
-        let token = sqlx::query_scalar!(
-            "SELECT token_hash FROM session_codes WHERE hash = ? AND expires_at > ?",
+        let row = sqlx::query!(
+            "SELECT c.token_hash, t.id AS \"token_id!: Id\", t.role, t.name FROM session_codes c JOIN tokens t ON t.hash = c.token_hash \
+             WHERE c.hash = ?1 AND c.expires_at > ?2 AND (t.expires_at IS NULL OR t.expires_at > ?2)",
             &hash[..],
             now.micros()
         )
         .fetch_optional(write.connection().await?)
         .await?;
-        let Some(token) = token else { return Ok(None) };
+        let Some(row) = row else { return Ok(None) };
+        let actor = Actor { name: row.name, role: row.role.0, token: Some(row.token_id.into()), from };
+        let mut write = write.by(Some(Arc::new(actor)));
         run!(write, "DELETE FROM session_codes WHERE hash = ?", &hash[..]);
-        let session = begin(&mut write, &token.0.0, lifetime, now).await?;
+        let session = begin(&mut write, &row.token_hash.0.0, lifetime, now).await?;
         self.commit(write).await?;
         Ok(Some(session))
     }
@@ -122,8 +131,10 @@ impl Store {
     pub async fn caller_of_session(&self, secret: &str, now: Timestamp) -> Result<Option<Principal>> {
         let hash = tokens::hash(secret);
         let row = sqlx::query!(
-            "SELECT s.id, s.token_hash, s.last_used_at, t.role, t.name, t.node_id FROM sessions s \
-             JOIN tokens t ON t.hash = s.token_hash WHERE s.secret_hash = ? AND s.expires_at > ?",
+            "SELECT s.id, s.token_hash, s.last_used_at, t.id AS \"token_id!: Id\", t.role, t.projects, t.name, t.node_id, \
+             min(s.expires_at, coalesce(t.expires_at, s.expires_at)) AS \"ends_at!: Time\" FROM sessions s \
+             JOIN tokens t ON t.hash = s.token_hash WHERE s.secret_hash = ?1 AND s.expires_at > ?2 \
+             AND (t.expires_at IS NULL OR t.expires_at > ?2)",
             &hash[..],
             now.micros()
         )
@@ -139,11 +150,15 @@ impl Store {
         }
         Ok(Some(Principal {
             role: row.role.0,
+            projects: row.projects.map(|it| it.0),
             name: row.name,
             hash,
             token: row.token_hash.0.0,
             session: Some(id),
             node: row.node_id.map(Into::into),
+            token_id: row.token_id.into(),
+            expires_at: Some(row.ends_at.into()),
+            from: None,
         }))
     }
 
@@ -178,16 +193,17 @@ impl Store {
     }
 
     /// Ends a session. [`StoreError::NotFound`] if it has ended before.
-    pub async fn end_session(&self, session: SessionId) -> Result<()> {
+    pub async fn end_session(&self, session: SessionId, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         if run!(write, "DELETE FROM sessions WHERE id = ?", session.0) == 0 {
             return Err(StoreError::NotFound("session"));
         }
+        note_only(&mut write, Deed::new(AuditAction::SessionEnded, session), now);
         self.commit(write).await
     }
 }
 
-async fn begin(
+pub(crate) async fn begin(
     write: &mut Write,
     token: &[u8; 32],
     lifetime: Duration,
@@ -206,7 +222,10 @@ async fn begin(
         expires_at.micros()
     );
     let row = rows!("WHERE s.id = ?", id.0).fetch_one(write.connection().await?).await?;
-    Ok(NewSession { secret, session: row.into() })
+    let session = Session::from(row);
+    let detail = serde_json::json!({"name": session.name, "role": session.role});
+    note(write, Deed::new(AuditAction::SessionBegun, id), Some(&detail), now);
+    Ok(NewSession { secret, session })
 }
 
 /// Deletes sessions and codes that have ended.

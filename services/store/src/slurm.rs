@@ -414,7 +414,8 @@ impl Store {
     pub async fn slowest_node(&self, seen_since: Timestamp) -> Result<Option<f64>> {
         Ok(sqlx::query_scalar!(
             r#"SELECT min(coalesce(speed_set, speed) * cores) AS "least?: f64" FROM nodes
-               WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND last_seen_at >= ?"#,
+               WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND removed_at IS NULL
+               AND last_seen_at >= ?"#,
             seen_since.micros()
         )
         .fetch_one(self.readers())

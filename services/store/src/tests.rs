@@ -75,7 +75,7 @@ impl Farm {
     async fn dashboard(&self, now: Timestamp) -> forelight_protocol::Dashboard {
         let (bookings, parts) =
             (self.store.open_bookings().await.unwrap(), self.store.open_cache_parts().await.unwrap());
-        self.store.dashboard(&crate::project(&bookings, &parts, now), TTL, now).await.unwrap()
+        self.store.dashboard(&crate::project(&bookings, &parts, now), None, TTL, now).await.unwrap()
     }
 
     /// The service dies and is started again.

@@ -6,10 +6,11 @@
 //! same id.
 
 use forelight_protocol::{
-    Delivery, DeliveryId, DeliveryState, Event, EventId, JobId, Timestamp, Webhook, WebhookId, WebhookKind,
-    WebhookRequest,
+    AuditAction, Delivery, DeliveryId, DeliveryState, Event, EventId, JobId, Timestamp, Webhook, WebhookId,
+    WebhookKind, WebhookRequest,
 };
 
+use crate::audit::{Deed, note, note_only};
 use crate::columns::{Id, Json, Time, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
@@ -103,6 +104,9 @@ impl Store {
             seen,
             now.micros()
         );
+        // An address may hold a secret of its receiver.
+        let detail = serde_json::json!({"kinds": kinds, "project": request.project});
+        note(&mut write, Deed::new(AuditAction::WebhookAdded, id), Some(&detail), now);
         self.commit(write).await?;
         let added = self.receivers().await?.into_iter().find(|receiver| receiver.webhook.id == id);
         Ok(added.ok_or(StoreError::NotFound("webhook"))?.webhook)
@@ -135,11 +139,12 @@ impl Store {
     }
 
     /// Removes a webhook and its deliveries.
-    pub async fn remove_webhook(&self, webhook: WebhookId) -> Result<()> {
+    pub async fn remove_webhook(&self, webhook: WebhookId, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         if run!(write, "DELETE FROM webhooks WHERE id = ?", webhook.0) == 0 {
             return Err(StoreError::NotFound("webhook"));
         }
+        note_only(&mut write, Deed::new(AuditAction::WebhookRemoved, webhook), now);
         self.commit(write).await
     }
 
@@ -149,7 +154,8 @@ impl Store {
         let last = last_id(&mut transaction).await?;
         let rows = sqlx::query_as!(
             EventRow,
-            "SELECT id, body FROM events WHERE id > ?1 AND id <= ?2 AND kind IN ('job_promise_at_risk', \
+            "SELECT id, body, (SELECT project FROM jobs j WHERE j.id = events.job_id) AS \"project?: String\" \
+             FROM events WHERE id > ?1 AND id <= ?2 AND kind IN ('job_promise_at_risk', \
              'job_promise_safe', 'job_state', 'budget', 'node_set_aside') ORDER BY id LIMIT ?3",
             seen,
             last,

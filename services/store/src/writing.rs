@@ -31,6 +31,7 @@ use sqlx::{ConnectOptions as _, Connection as _, Encode, Executor as _, FromRow,
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
 use self::statements::Statements;
+use crate::audit::Actor;
 use crate::error::{Result, StoreError};
 
 /// How long a writer waits for its turn before its caller gets [`StoreError::Busy`].
@@ -156,12 +157,24 @@ pub(crate) struct Write {
     writer: Writer,
     committed: bool,
     statements: Statements,
+    actor: Option<Arc<Actor>>,
     pub(crate) wrote_events: bool,
     pub(crate) made_work: bool,
     pub(crate) wants_plan: bool,
 }
 
 impl Write {
+    /// The same write by somebody, whom the audit names.
+    pub(crate) fn by(mut self, actor: Option<Arc<Actor>>) -> Self {
+        self.actor = actor;
+        self
+    }
+
+    /// Who writes. `None` for the service itself, and for commands beside it.
+    pub(crate) fn actor(&self) -> Option<Arc<Actor>> {
+        self.actor.clone()
+    }
+
     /// `BEGIN IMMEDIATE` takes the write lock at once. A transaction that reads first could find that another
     /// process wrote in between, and would fail half-way.
     fn new(batch: OwnedMappedMutexGuard<Desk, Batch>, writer: Writer) -> Self {
@@ -175,6 +188,7 @@ impl Write {
             writer,
             committed: false,
             statements,
+            actor: None,
             wrote_events: false,
             made_work: false,
             wants_plan: false,

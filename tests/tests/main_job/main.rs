@@ -6,7 +6,7 @@ mod command_line;
 mod refusals;
 mod shot;
 
-use forelight_protocol::{Bundle, FramePage, FrameRow, Job, Timestamp};
+use forelight_protocol::{Bundle, FramePage, FrameRow, Job, Role, Timestamp};
 use forelight_tests::bundles::{shipped, zipped};
 use forelight_tests::http::{Answer, Http};
 use forelight_tests::processes::Service;
@@ -27,7 +27,10 @@ const JOB_PATIENCE: Duration = Duration::from_secs(240);
 async fn farm() -> Service {
     let flags =
         ["--workers", "2", "--threads", "1", "--price", "3.60", "--preview", "cpu", "--lease-ttl", "2s"];
-    Service::start("farm", &flags).await
+    let farm = Service::start("farm", &flags).await;
+    let film = json!({"project": "a film", "share": 1});
+    assert_eq!(farm.http(Role::Operator).post("/v1/projects", &film).await.status(), StatusCode::OK);
+    farm
 }
 
 async fn upload(http: &Http, scene: &str) -> Bundle {

@@ -14,6 +14,7 @@ use forelight_store::tokens::{self, Principal};
 use crate::connections::{Holds, Standing};
 use crate::cookies::{check_same_origin, session_secret};
 use crate::error::{ApiError, ApiResult, BAD_TOKEN, NO_TOKEN, WRONG_ROLE};
+use crate::rights::Held;
 use crate::state::App;
 
 macro_rules! caller {
@@ -83,6 +84,8 @@ impl WorkerToken {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PeerAddress(pub IpAddr);
 
+pub(crate) const UNKNOWN_TOKEN: &str = "the service does not know this token, or it has expired";
+
 /// Who sent the request, if that is known.
 pub(crate) struct Peer(pub Option<IpAddr>);
 
@@ -90,8 +93,12 @@ impl FromRequestParts<App> for Peer {
     type Rejection = Infallible;
 
     async fn from_request_parts(parts: &mut Parts, _: &App) -> Result<Self, Infallible> {
-        Ok(Self(parts.extensions.get::<PeerAddress>().map(|address| address.0)))
+        Ok(Self(peer(parts)))
     }
+}
+
+fn peer(parts: &Parts) -> Option<IpAddr> {
+    parts.extensions.get::<PeerAddress>().map(|address| address.0)
 }
 
 /// A bearer token that may be a one-time token. It is checked when it is used up.
@@ -117,23 +124,33 @@ fn bearer(parts: &Parts) -> ApiResult<&str> {
     token.ok_or_else(|| refused("only bearer tokens are accepted: Authorization: Bearer …"))
 }
 
+/// The caller. The request ends with the caller's right, see [`crate::rights`].
 async fn principal(parts: &Parts, app: &App) -> ApiResult<Principal> {
     let secret = session_secret(&parts.headers).filter(|_| !parts.headers.contains_key(AUTHORIZATION));
-    if let Some(secret) = secret {
-        if !matches!(parts.method, Method::GET | Method::HEAD) {
-            check_same_origin(&parts.headers, app.public_origin.as_deref())?;
+    let now = app.now();
+    let (right, found, reason) = match secret {
+        Some(secret) => {
+            if !matches!(parts.method, Method::GET | Method::HEAD) {
+                check_same_origin(&parts.headers, app.public_origin.as_deref())?;
+            }
+            let right = app.rights.hold(tokens::hash(secret));
+            (right, app.store.caller_of_session(secret, now).await?, "the session has ended; sign in again")
         }
-        let caller = app.store.caller_of_session(secret, app.now()).await?;
-        return caller.ok_or_else(|| {
-            let reason = "the session has ended; sign in again";
-            ApiError::new(ProblemKind::Unauthenticated, reason).authenticate(BAD_TOKEN)
-        });
+        None => {
+            let token = bearer(parts)?;
+            let right = app.rights.hold(tokens::hash(token));
+            (right, tokens::find(&app.store, token, now).await?, UNKNOWN_TOKEN)
+        }
+    };
+    let unknown = || ApiError::new(ProblemKind::Unauthenticated, reason).authenticate(BAD_TOKEN);
+    let caller = found.ok_or_else(unknown)?;
+    right.until(caller.expires_at);
+    app.rights.note_use(caller.token, now);
+    if let Some(held) = parts.extensions.get::<Held>() {
+        // Only the first of a request's extractors sets it; all hold the same right.
+        let _ = held.set(right);
     }
-    match tokens::find(&app.store, bearer(parts)?).await? {
-        Some(principal) => Ok(principal),
-        None => Err(ApiError::new(ProblemKind::Unauthenticated, "the service does not know this token")
-            .authenticate(BAD_TOKEN)),
-    }
+    Ok(Principal { from: peer(parts), ..caller })
 }
 
 /// Counts the request among those of its caller, and lets its connection have the caller's standing.

@@ -20,10 +20,11 @@ use crate::conductor::what_if::what_if;
 use crate::conductor::{AdvanceError, compute};
 use crate::costly::{Document, Key, key, respond};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{JsonBody, QueryParameters, Reader, Segment, number_if_any};
+use crate::extract::{FarmReader, JsonBody, QueryParameters, Reader, SeenJob, number_if_any};
 use crate::resources::checks::HIGHEST_SUM;
 use crate::resources::forecasts::svg;
 use crate::schema::FileContent;
+use crate::seen::in_effect;
 use crate::state::App;
 
 /// Answers are computed for the start of the current minute, so that they can be reused for a minute.
@@ -58,12 +59,16 @@ pub(crate) struct AnswersQuery {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<AnswersQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    respond(&headers, answered(&app, job, query).await?)
+    let answers: AnswersDoc = answered(&app, job, query).await?.parsed()?;
+    let effects = answers.what_if.iter().chain(&answers.ways_out).flat_map(in_effect);
+    let moved = answers.pushes_back.iter().map(|moved| moved.job_id);
+    let seen = app.seen(&caller, effects.chain(moved).chain([job])).await?;
+    respond(&headers, Document::json(&seen.show_answers(answers))?)
 }
 
 /// A job's price against its deadline, as a picture: the cheapest plan found, and dashed a lower bound.
@@ -73,8 +78,7 @@ pub(crate) async fn of_job(
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn price_curve(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let answers = answered(&app, job, AnswersQuery::default()).await?;
@@ -150,7 +154,7 @@ async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
     responses((status = 200, description = "The effect", body = WhatIf), Problems))]
 pub(crate) async fn plan_what_if(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     headers: HeaderMap,
     JsonBody { value: request, .. }: JsonBody<WhatIfRequest>,
 ) -> ApiResult<Response> {

@@ -7,6 +7,8 @@ use axum::http::header::CACHE_CONTROL;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ArtifactStored};
+use forelight_store::StoreError;
+use forelight_store::tokens::Principal;
 
 use crate::delivery::{Asked, deliver};
 use crate::error::{ApiResult, Problems};
@@ -49,11 +51,12 @@ pub(crate) async fn put(
               (status = 304, description = "The client has them"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     Segment(hash): Segment<ArtifactHash>,
     method: Method,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
+    check_seen(&app, &caller, hash).await?;
     let for_ever = HeaderValue::from_static("private, immutable, max-age=31536000");
     let own = HeaderMap::from_iter([(CACHE_CONTROL, for_ever)]);
     deliver(&app, &Asked { method, headers }, hash, MEDIA_TYPE, own).await
@@ -72,4 +75,13 @@ pub(crate) async fn head(
 ) -> ApiResult<Response> {
     app.store.artifacts().announce(hash.0).await?;
     get(app, caller, hash, method, headers).await
+}
+
+/// Refuses an artefact that belongs to other projects only, as one that does not exist.
+async fn check_seen(app: &App, caller: &Principal, hash: ArtifactHash) -> ApiResult<()> {
+    if app.store.sees_artifact(caller, hash).await? {
+        Ok(())
+    } else {
+        Err(StoreError::NotFound("artefact").into())
+    }
 }

@@ -12,7 +12,7 @@ use super::checks::{HIGHEST_SUM, check_name};
 use crate::budget_forecast::{BudgetForecastError, budget_forecast};
 use crate::costly::{Document, key, respond};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{JsonBody, Operator, Reader};
+use crate::extract::{FarmReader, JsonBody, Operator, Reader};
 use crate::state::App;
 
 const MOST_THRESHOLDS: usize = 10;
@@ -20,8 +20,10 @@ const MOST_THRESHOLDS: usize = 10;
 /// All budgets with their current state.
 #[utoipa::path(get, path = "/v1/budgets", operation_id = "budget_list", tag = "farm",
     responses((status = 200, description = "The budgets", body = BudgetList), Problems))]
-pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<BudgetList>> {
-    Ok(Json(BudgetList { items: app.store.budgets(app.now()).await? }))
+pub(crate) async fn list(State(app): State<App>, Reader(caller): Reader) -> ApiResult<Json<BudgetList>> {
+    let mut items = app.store.budgets(app.now()).await?;
+    items.retain(|budget| caller.sees(&budget.project));
+    Ok(Json(BudgetList { items }))
 }
 
 /// Sets a project's budget. Setting it again replaces it and ends the actions in force, so repeating is
@@ -31,7 +33,7 @@ pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<Bu
     responses((status = 200, description = "The budget, as it stands", body = Budget), Problems))]
 pub(crate) async fn set(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     JsonBody { value: request, .. }: JsonBody<BudgetRequest>,
 ) -> ApiResult<Json<Budget>> {
     check_name("/project", &request.project, 200)?;
@@ -55,7 +57,7 @@ pub(crate) async fn set(
             "a threshold is 1 to 1000 per cent",
         ));
     }
-    Ok(Json(app.store.set_budget(&request, app.now()).await?))
+    Ok(Json(app.by(&caller).set_budget(&request, app.now()).await?))
 }
 
 /// Forecasts the cost of tonight and the following nights, by project, job and class of nodes.
@@ -67,7 +69,7 @@ pub(crate) async fn set(
     responses((status = 200, description = "The forecast", body = BudgetForecast), Problems))]
 pub(crate) async fn forecast(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     headers: HeaderMap,
     JsonBody { value: request, hash, .. }: JsonBody<BudgetForecastRequest>,
 ) -> ApiResult<Response> {

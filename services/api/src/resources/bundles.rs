@@ -6,7 +6,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Bundle, BundleId, ProblemKind, SceneDigest};
-use forelight_store::NewBundle;
+use forelight_store::{NewBundle, StoreError};
 
 use super::responses::{created, repeated};
 use crate::bundle_inspection;
@@ -24,8 +24,8 @@ const BLEND: &str = "application/x-blender";
 const LEFT_FREE: u64 = 4;
 
 /// Uploads a bundle as a zip file. If it is not a valid scene, it is not kept, and the answer is the scene's
-/// error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs find
-/// out what is in it. Files that it refers to must be packed, or lie on storage that all workers share.
+/// error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs
+/// find out what is in it. Files that it refers to must be packed, or lie on storage that all workers share.
 #[utoipa::path(post, path = "/v1/bundles", operation_id = "bundle_upload", tag = "bundles",
     request_body(content((inline(FileContent) = "application/zip"), (inline(FileContent) = "application/x-blender")),
         description = "The zip or Blender file; by default at most 256 MiB"),
@@ -71,7 +71,8 @@ pub(crate) async fn upload(
     };
     let stored = app.store.artifacts().keep(staged, app.now()).await?;
     app.metrics.bytes_received.add(stored.size);
-    let answered = app.store.create_bundle(NewBundle { hash, scene }, key.as_ref(), app.now()).await?;
+    let answered =
+        app.by(&principal).create_bundle(NewBundle { hash, scene }, key.as_ref(), app.now()).await?;
     Ok(created(StatusCode::CREATED, answered))
 }
 
@@ -81,8 +82,11 @@ pub(crate) async fn upload(
     responses((status = 200, description = "The bundle", body = Bundle), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     Segment(bundle): Segment<BundleId>,
 ) -> ApiResult<Json<Bundle>> {
+    if !app.store.sees_bundle(&caller, bundle).await? {
+        return Err(StoreError::NotFound("bundle").into());
+    }
     Ok(Json(app.store.bundle(bundle).await?))
 }

@@ -1,5 +1,7 @@
 //! The document for a farm dashboard.
 
+use std::sync::Arc;
+
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
@@ -8,24 +10,43 @@ use forelight_protocol::{Dashboard, Timestamp};
 use super::responses::tagged_by;
 use crate::error::{ApiResult, Problems};
 use crate::extract::Reader;
+use crate::seen::{mentioned, show_dashboard};
 use crate::state::App;
 
 /// The farm at one instant: counts, open jobs by risk, money, nodes, next bookings, newest events.
 ///
 /// It is short on farms of any size. `/v1/jobs`, `/v1/nodes`, `/v1/timeline` and `/v1/events` have the rest.
+/// Who reaches some projects only, sees the jobs, bookings, events and money of these; counts are of the
+/// whole farm.
 #[utoipa::path(get, path = "/v1/dashboard", operation_id = "dashboard_get", tag = "farm",
     responses((status = 200, description = "The farm", body = Dashboard),
               (status = 304, description = "It is still that of `If-None-Match`, but for the time"), Problems))]
-pub(crate) async fn get(State(app): State<App>, _: Reader, headers: HeaderMap) -> ApiResult<Response> {
+pub(crate) async fn get(
+    State(app): State<App>,
+    Reader(caller): Reader,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let changed = app.changed();
-    let farm = app.dashboard.get(changed, async {
-        let projection = app.projection().await?;
-        let mut farm = app.store.dashboard(&projection, app.lease_ttl, app.now()).await?;
-        app.tell_disk_full(farm.jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
-        Ok(farm)
-    });
-    let farm = farm.await?;
+    let farm = match caller.project_names() {
+        None => app.dashboard.get(changed, of_projects(&app, None)).await?,
+        Some(projects) => {
+            let farm = of_projects(&app, Some(projects)).await?;
+            let bookings = farm.bookings.iter().map(|booking| booking.job_id);
+            let active = farm.nodes.iter().filter_map(|node| Some(node.activity.as_ref()?.job_id));
+            let mentioned = farm.jobs.iter().flat_map(|job| mentioned(&job.waits, &job.promise));
+            let seen = app.seen(&caller, bookings.chain(active).chain(mentioned)).await?;
+            Arc::new(show_dashboard(farm, &caller, &seen))
+        }
+    };
     // The time alone is no news.
     let timeless = Dashboard { at: Timestamp::from_micros(0), ..(*farm).clone() };
     tagged_by(&headers, &timeless, &*farm)
+}
+
+/// The dashboard with the open jobs of these projects, or of all.
+async fn of_projects(app: &App, projects: Option<Vec<String>>) -> ApiResult<Dashboard> {
+    let projection = app.projection().await?;
+    let mut farm = app.store.dashboard(&projection, projects, app.lease_ttl, app.now()).await?;
+    app.tell_disk_full(farm.jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
+    Ok(farm)
 }

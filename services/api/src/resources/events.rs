@@ -9,27 +9,22 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use forelight_protocol::{EventId, EventKind, JobId, ProblemKind, SessionId};
+use forelight_protocol::{EventId, EventKind, JobId, ProblemKind};
+use forelight_store::StoreError;
 use forelight_store::tokens::Principal;
-use forelight_store::{Store, StoreError};
 use futures::{Stream, stream};
 use serde::Deserialize;
 use tokio::sync::watch;
-use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
-use crate::clock::Clock;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment};
+use crate::extract::{QueryParameters, Reader, SeenJob};
 use crate::feed::{Batch, Feed, Told};
 use crate::state::App;
 
 /// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-
-/// Interval at which a stream looks whether its session has expired.
-const SESSION_CHECKED: Duration = Duration::from_secs(60);
 
 /// Where to start.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -67,7 +62,7 @@ pub(crate) async fn of_farm(
         Some(after) => after,
         None => app.store.last_event_id().await?,
     };
-    Ok(respond(follow(&app, &caller, None, (after, false))))
+    Ok(respond(follow(&app, caller, None, (after, false))))
 }
 
 /// All events of a job after `Last-Event-ID`. Without it, from its beginning.
@@ -79,8 +74,8 @@ pub(crate) async fn of_farm(
               (status = 204, description = "The job is over and all its events were seen"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
+    SeenJob(job): SeenJob,
     Reader(caller): Reader,
-    Segment(job): Segment<JobId>,
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -89,7 +84,7 @@ pub(crate) async fn of_job(
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    Ok(respond(follow(&app, &caller, Some(job), (after, state.is_final()))))
+    Ok(respond(follow(&app, caller, Some(job), (after, state.is_final()))))
 }
 
 fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
@@ -106,20 +101,14 @@ fn respond(events: impl Stream<Item = Result<ServerEvent, Infallible>> + Send + 
 }
 
 struct Cursor {
-    store: Store,
+    /// He is told of his projects' jobs only.
+    caller: Principal,
     feed: Arc<Feed>,
     job: Option<JobId>,
     /// The last event that was read.
     after: EventId,
     batch: std::vec::IntoIter<Told>,
     changes: watch::Receiver<u64>,
-    /// The session of the caller, if there is one. The stream ends with it.
-    session: Option<SessionId>,
-    sessions_ended: watch::Receiver<u64>,
-    /// How many sessions had ended, and when, as it was last seen that this one goes on.
-    ended: u64,
-    checked: Instant,
-    clock: Arc<dyn Clock>,
     stopping: CancellationToken,
     /// Whether the job is over. Existing later events, such as refusals of late workers, are still sent; none
     /// are waited for.
@@ -128,52 +117,37 @@ struct Cursor {
 
 fn follow(
     app: &App,
-    caller: &Principal,
+    caller: Principal,
     job: Option<JobId>,
     (after, over): (EventId, bool),
 ) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
     let cursor = Cursor {
-        store: app.store.clone(),
+        caller,
         feed: app.feed.clone(),
         job,
         after,
         batch: Vec::new().into_iter(),
         changes: app.store.watch_events(),
-        session: caller.session,
-        sessions_ended: app.sessions_ended.subscribe(),
-        ended: *app.sessions_ended.borrow(),
-        checked: Instant::now(),
-        clock: app.clock.clone(),
         stopping: app.stopping.clone(),
         over,
     };
     stream::unfold(cursor, |mut cursor| async move {
-        let event = cursor.next().await?;
-        Some((Ok(to_server_event(&event)), cursor))
+        loop {
+            let event = cursor.next().await?;
+            if let Some(json) = event.json_for(&cursor.caller) {
+                return Some((Ok(to_server_event(&event, json)), cursor));
+            }
+        }
     })
 }
 
 impl Cursor {
-    /// Whether the caller's session has not ended. Looks only if it may have.
-    async fn goes_on(&mut self) -> bool {
-        let Some(session) = self.session else { return true };
-        let ended = *self.sessions_ended.borrow_and_update();
-        if ended == self.ended && self.checked.elapsed() < SESSION_CHECKED {
-            return true;
-        }
-        (self.ended, self.checked) = (ended, Instant::now());
-        !matches!(self.store.session(session, self.clock.now()).await, Err(StoreError::NotFound(_)))
-    }
-
-    /// The next event. `None` when the job or the session is over, the service stops, or the database fails.
+    /// The next event. `None` when the job is over, the service stops, or the database fails.
     async fn next(&mut self) -> Option<Told> {
         loop {
             if let Some(event) = self.batch.next() {
                 self.over |= self.job.is_some() && event.is_last;
                 return Some(event);
-            }
-            if !self.goes_on().await {
-                return None;
             }
             // Marked as seen before reading, so that anything written after the read wakes this stream again.
             self.changes.borrow_and_update();
@@ -195,8 +169,6 @@ impl Cursor {
             }
             tokio::select! {
                 changed = self.changes.changed() => changed.ok()?,
-                changed = self.sessions_ended.changed(), if self.session.is_some() => changed.ok()?,
-                () = tokio::time::sleep_until(self.checked + SESSION_CHECKED), if self.session.is_some() => {}
                 () = self.stopping.cancelled() => return None,
             }
         }
@@ -211,6 +183,6 @@ impl Cursor {
     }
 }
 
-fn to_server_event(event: &Told) -> ServerEvent {
-    ServerEvent::default().id(event.id.to_string()).event(event.kind.name()).data(&*event.json)
+fn to_server_event(event: &Told, json: &str) -> ServerEvent {
+    ServerEvent::default().id(event.id.to_string()).event(event.kind.name()).data(json)
 }

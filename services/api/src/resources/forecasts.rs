@@ -18,7 +18,7 @@ use crate::conductor::AdvanceError;
 use crate::conductor::job_profile::JobProfile;
 use crate::costly::{Document, key, respond};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
+use crate::extract::{FarmReader, QueryParameters, Reader, SeenJob, number_if_any};
 use crate::page::{PageQuery, cut};
 use crate::plot;
 use crate::resources::responses;
@@ -32,8 +32,7 @@ use crate::state::App;
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     match app.store.forecast(job).await? {
@@ -55,8 +54,7 @@ pub(crate) async fn of_job(
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn accuracy_of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(id): Segment<JobId>,
+    SeenJob(id): SeenJob,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let job = app.store.job(id).await?;
@@ -95,8 +93,7 @@ pub(crate) struct ExplanationQuery {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn explanation_of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(id): Segment<JobId>,
+    SeenJob(id): SeenJob,
     QueryParameters(ExplanationQuery { frame }): QueryParameters<ExplanationQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -130,8 +127,7 @@ async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn history_of_job(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let key = key(&("history", job, app.store.last_event_id().await?));
@@ -146,8 +142,7 @@ pub(crate) async fn history_of_job(
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn history_of_job_svg(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let key = key(&("picture of history", job, app.store.last_event_id().await?));
@@ -178,7 +173,7 @@ pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Document> {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn track_record(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     QueryParameters(query): QueryParameters<PageQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -204,7 +199,7 @@ const SHOWN_JOBS: u32 = 500;
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn track_record_svg(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let key = key(&("picture of the track record", app.store.last_event_id().await?));

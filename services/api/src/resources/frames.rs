@@ -10,7 +10,7 @@ use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobI
 use super::responses::tagged;
 use crate::delivery::{Asked, deliver};
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment, Segments};
+use crate::extract::{QueryParameters, SeenFrame, SeenJob};
 use crate::page::{PageQuery, cut};
 use crate::schema::FileContent;
 use crate::state::App;
@@ -22,8 +22,7 @@ use crate::state::App;
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     QueryParameters(query): QueryParameters<PageQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -39,8 +38,7 @@ pub(crate) async fn list(
     responses((status = 200, description = "The frame", body = FrameRow), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Reader,
-    Segments(job, frame): Segments<JobId, u32>,
+    SeenFrame(job, frame): SeenFrame,
 ) -> ApiResult<Json<FrameRow>> {
     Ok(Json(app.store.frame(job, frame).await?))
 }
@@ -53,8 +51,7 @@ macro_rules! picture {
             responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 206, description = "The range of it", body = inline(FileContent), content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
         pub(crate) async fn $name(
             State(app): State<App>,
-            _: Reader,
-            Segments(job, frame): Segments<JobId, u32>,
+            SeenFrame(job, frame): SeenFrame,
             method: Method,
             headers: HeaderMap,
         ) -> ApiResult<Response> {

@@ -8,16 +8,20 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
-use forelight_store::{JobFilter, JobOrder};
+use forelight_store::tokens::Principal;
+use forelight_store::{JobFilter, JobOrder, StoreError};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::checks::check_search;
 use super::responses::{created, repeated, tagged};
-use crate::error::{ApiResult, Problems};
-use crate::extract::{JsonBody, KeyHeader, QueryParameters, Reader, Segment, Submitter, number_if_any};
+use crate::error::{ApiError, ApiResult, Problems};
+use crate::extract::{
+    JsonBody, KeyHeader, OwnJob, QueryParameters, Reader, SeenJob, Submitter, check_may_change, number_if_any,
+};
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::IdempotencyKeyHeader;
+use crate::seen::mentioned;
 use crate::state::App;
 
 /// Submits a job. The farm then previews, forecasts, books and renders it.
@@ -37,8 +41,19 @@ pub(crate) async fn submit(
     {
         return Ok(repeated(answer));
     }
-    let new = request_checks::checked(&app, request).await?;
-    Ok(created(StatusCode::CREATED, app.store.create_job(&new, key.as_ref(), app.now()).await?))
+    check_may_change(&principal, &request.project)?;
+    let new = request_checks::checked(&app, &principal, request).await?;
+    Ok(created(
+        StatusCode::CREATED,
+        app.by(&principal).create_job(&new, key.as_ref(), app.now()).await.map_err(at_project)?,
+    ))
+}
+
+/// The error of a project that does not exist names the field.
+fn at_project(error: StoreError) -> ApiError {
+    let is_about_the_project = matches!(error, StoreError::NoProject(_));
+    let error = ApiError::from(error);
+    if is_about_the_project { error.at("/project") } else { error }
 }
 
 /// Checks a job as submitting it would. Nothing is stored.
@@ -47,10 +62,11 @@ pub(crate) async fn submit(
     responses((status = 200, description = "The job would be accepted", body = JobCheck), Problems))]
 pub(crate) async fn check(
     State(app): State<App>,
-    _: Submitter,
+    Submitter(caller): Submitter,
     JsonBody { value: request, .. }: JsonBody<JobRequest>,
 ) -> ApiResult<Json<JobCheck>> {
-    let new = request_checks::checked(&app, request).await?;
+    check_may_change(&caller, &request.project)?;
+    let new = request_checks::checked(&app, &caller, request).await?;
     let frames_total = u32::try_from(new.request.frames.count()).unwrap_or(u32::MAX);
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }
@@ -120,7 +136,7 @@ pub(crate) struct JobQuery {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
-    _: Reader,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<JobQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -128,12 +144,12 @@ pub(crate) async fn list(
     check_search(search.as_deref())?;
     let page = PageQuery { page_token, page_size };
     let size = page.size();
-    let filter = JobFilter { open, state, project, name, search };
+    let filter = JobFilter { open, state, project, name, search, projects: caller.project_names() };
     let (order, list) = sort.unwrap_or_default().order();
     let after = page.key(list)?;
     let mut items = app.store.jobs(&filter, (order, after.as_ref()), size + 1).await?;
     let next_page_token = cut(&mut items, size, list, |job| order.place(job));
-    expect(&app, &mut items).await?;
+    expect(&app, &caller, &mut items).await?;
     tagged(&headers, &JobPage { items, next_page_token })
 }
 
@@ -144,12 +160,12 @@ pub(crate) async fn list(
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
+    Reader(caller): Reader,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let mut job = app.store.job(job).await?;
-    expect(&app, std::slice::from_mut(&mut job)).await?;
+    expect(&app, &caller, std::slice::from_mut(&mut job)).await?;
     let spent = app.store.spent_on(job.id, app.now()).await?;
     job.spent = Some(spent).filter(|spent| spent.0 > 0);
     // The estimate dates from the last finished piece of the job; its nodes have been paid since.
@@ -163,16 +179,13 @@ pub(crate) async fn get(
 #[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "job_cancel",
     tag = "jobs", params(("id" = JobId, Path)),
     responses((status = 200, description = "The job", body = Job), Problems))]
-pub(crate) async fn cancel(
-    State(app): State<App>,
-    _: Submitter,
-    Segment(job): Segment<JobId>,
-) -> ApiResult<Json<Job>> {
-    Ok(Json(app.store.cancel_job(job, app.now()).await?))
+pub(crate) async fn cancel(State(app): State<App>, OwnJob(caller, job): OwnJob) -> ApiResult<Json<Job>> {
+    Ok(Json(app.by(&caller).cancel_job(job, app.now()).await?))
 }
 
-/// Fills in the expected end, and reasons to wait that no plan gives: no quote yet, or no disk space.
-async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
+/// Fills in the expected end, leaves out what the caller does not see, and fills in reasons to wait that no
+/// plan gives: no quote yet, or no disk space.
+async fn expect(app: &App, caller: &Principal, jobs: &mut [Job]) -> ApiResult<()> {
     if jobs.iter().any(|job| matches!(job.state, JobState::Previewing | JobState::Profiling)) {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
     }
@@ -182,5 +195,8 @@ async fn expect(app: &App, jobs: &mut [Job]) -> ApiResult<()> {
     }
     // The expected end depends on the plan's reason to wait.
     app.tell_disk_full(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
+    let mentioned = jobs.iter().flat_map(|job| mentioned(&job.waits, &job.promise));
+    let seen = app.seen(caller, mentioned).await?;
+    jobs.iter_mut().for_each(|job| seen.show(&mut job.waits, &mut job.promise));
     Ok(())
 }

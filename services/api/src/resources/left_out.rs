@@ -18,7 +18,7 @@ use crate::state::App;
     responses((status = 200, description = "It is out of the record", body = LeftOutJob), Problems))]
 pub(crate) async fn leave_out(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(job): Segment<JobId>,
     JsonBody { value: request, .. }: JsonBody<LeaveOutRequest>,
 ) -> ApiResult<Json<LeftOutJob>> {
@@ -26,7 +26,7 @@ pub(crate) async fn leave_out(
     if !(1..=500).contains(&reason.chars().count()) || reason.trim().is_empty() {
         return Err(ApiError::invalid("/reason", "a reason has 1 to 500 characters"));
     }
-    Ok(Json(app.store.leave_out(job, &reason, app.now()).await?))
+    Ok(Json(app.by(&caller).leave_out(job, &reason, app.now()).await?))
 }
 
 /// Puts a job back into the track record.
@@ -34,9 +34,9 @@ pub(crate) async fn leave_out(
     params(("id" = JobId, Path)), responses((status = 204, description = "It is in the record"), Problems))]
 pub(crate) async fn put_back(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(job): Segment<JobId>,
 ) -> ApiResult<StatusCode> {
-    app.store.put_back(job, app.now()).await?;
+    app.by(&caller).put_back(job, app.now()).await?;
     Ok(StatusCode::NO_CONTENT)
 }

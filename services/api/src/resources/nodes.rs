@@ -8,24 +8,28 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{
     JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration,
-    NodeState, ProblemKind,
+    NodeState, ProblemKind, Role,
 };
 use forelight_store::{NodeFilter, NodeOrder, as_it_is};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
-use self::node_checks::{check_change, check_registration};
+use self::node_checks::{check_change, check_own_change, check_registration};
 use super::checks::{check_name, check_search};
 use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
-    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, QueryParameters, Segment, WorkerToken, number_if_any,
+    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, Peer, QueryParameters, Segment, WorkerToken,
+    number_if_any,
 };
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::IdempotencyKeyHeader;
+use crate::seen::shown_node;
 use crate::state::App;
 
 /// Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator.
+///
+/// A worker's word about the price counts for a new node. Later, only an operator changes it.
 #[utoipa::path(post, path = "/v1/nodes", operation_id = "node_register",
     tag = "work", request_body = NodeRegistration,
     params(IdempotencyKeyHeader),
@@ -51,7 +55,10 @@ pub(crate) async fn register(
         );
     }
     let _guard = app.in_flight.enter(key.as_ref())?;
-    Ok(created(StatusCode::CREATED, app.store.register_node(&registration, key.as_ref(), app.now()).await?))
+    Ok(created(
+        StatusCode::CREATED,
+        app.by(&worker.0).register_node(&registration, key.as_ref(), app.now()).await?,
+    ))
 }
 
 /// Joins a machine to the farm, with a one-time token as bearer token, which is used up.
@@ -64,10 +71,14 @@ pub(crate) async fn register(
 pub(crate) async fn join(
     State(app): State<App>,
     OneTimeToken(token): OneTimeToken,
+    Peer(from): Peer,
     JsonBody { value: request, .. }: JsonBody<JoinRequest>,
 ) -> ApiResult<(StatusCode, Json<Node>)> {
     check_registration("/node", &request.node)?;
-    Ok((StatusCode::CREATED, Json(app.store.join(&token, &request, app.now()).await?)))
+    let node = app.store.join(&token, &request, from, app.now()).await?;
+    // The token of a machine that was replaced.
+    app.end_rights().await;
+    Ok((StatusCode::CREATED, Json(node)))
 }
 
 /// Makes a one-time token, with which one machine can join the farm. Repeating the request makes another one.
@@ -76,7 +87,7 @@ pub(crate) async fn join(
     responses((status = 201, description = "The one-time token", body = JoinToken), Problems))]
 pub(crate) async fn join_token(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     JsonBody { value: request, .. }: JsonBody<JoinTokenRequest>,
 ) -> ApiResult<(StatusCode, Json<JoinToken>)> {
     check_name("/name", &request.name, 200)?;
@@ -84,7 +95,7 @@ pub(crate) async fn join_token(
         return Err(ApiError::invalid("/valid_hours", "a one-time token is valid for 1 to 720 hours"));
     }
     let valid = i64::from(request.valid_hours) * 3_600_000_000;
-    Ok((StatusCode::CREATED, Json(app.store.create_join_token(&request.name, valid, app.now()).await?)))
+    Ok((StatusCode::CREATED, Json(app.by(&caller).create_join_token(&request.name, valid, app.now()).await?)))
 }
 
 /// The order of a list of nodes.
@@ -141,7 +152,7 @@ pub(crate) struct NodeQuery {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     QueryParameters(query): QueryParameters<NodeQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -154,6 +165,7 @@ pub(crate) async fn list(
     let (filter, times) = (NodeFilter { state, search }, (app.lease_ttl, app.now()));
     let mut items = app.store.listed_nodes(&filter, (order, after.as_ref()), size + 1, times).await?;
     let next_page_token = cut(&mut items, size, list, |node| order.place(node));
+    let items = items.into_iter().map(|node| shown_node(&caller, node)).collect();
     tagged(&headers, &NodePage { items, next_page_token })
 }
 
@@ -163,16 +175,18 @@ pub(crate) async fn list(
     responses((status = 200, description = "The node", body = Node), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Anyone,
+    Anyone(caller): Anyone,
     Segment(node): Segment<NodeId>,
 ) -> ApiResult<Json<Node>> {
-    Ok(Json(as_it_is(app.store.node(node).await?, app.lease_ttl, app.now())))
+    let node = as_it_is(app.store.node(node).await?, app.lease_ttl, app.now());
+    Ok(Json(shown_node(&caller, node)))
 }
 
 /// Gives a node orders, or sets its speed, price, calendar or terms.
 ///
 /// The worker gets an order at the next renewal of its lease; the node's `state` shows whether it has obeyed.
-/// A speed or price set here survives a new registration; `null` removes it.
+/// A speed or price set here survives a new registration; `null` removes it. A worker's token may drain,
+/// pause, resume and schedule its node, take its task away, and set it aside; the rest is for operators.
 #[utoipa::path(patch, path = "/v1/nodes/{id}", operation_id = "node_change",
     tag = "work", params(("id" = NodeId, Path)), request_body = NodeChange,
     responses((status = 200, description = "The node", body = Node), Problems))]
@@ -183,12 +197,38 @@ pub(crate) async fn change(
     JsonBody { value: change, .. }: JsonBody<NodeChange>,
 ) -> ApiResult<Json<Node>> {
     worker.speaks_for(node)?;
-    if worker.0.node.is_some() && change.set_aside == Some(false) {
-        return Err(
-            ApiError::new(ProblemKind::Forbidden, "only an operator can bring a node back").at("/set_aside")
-        );
+    if worker.0.role != Role::Operator {
+        check_own_change(&change)?;
     }
     check_change(&change)?;
     let now = app.now();
-    Ok(Json(as_it_is(app.store.change_node(node, &change, now).await?, app.lease_ttl, now)))
+    Ok(Json(as_it_is(app.by(&worker.0).change_node(node, &change, now).await?, app.lease_ttl, now)))
+}
+
+/// What may happen to the task of a node that is removed.
+#[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct RemovalQuery {
+    /// Whether the node's task may be taken away. Any node may then start it again.
+    #[serde(default)]
+    pub cancel_task: bool,
+}
+
+/// Removes a node and its own token. Its bookings are planned anew.
+///
+/// 409 while it holds a task, unless `cancel_task` is true. A machine that registers under its name brings it
+/// back, so a shared token of its worker has to be revoked too.
+#[utoipa::path(delete, path = "/v1/nodes/{id}", operation_id = "node_remove",
+    tag = "work", params(("id" = NodeId, Path), RemovalQuery),
+    responses((status = 204, description = "It is removed"), Problems))]
+pub(crate) async fn remove(
+    State(app): State<App>,
+    Operator(caller): Operator,
+    Segment(node): Segment<NodeId>,
+    QueryParameters(query): QueryParameters<RemovalQuery>,
+) -> ApiResult<StatusCode> {
+    app.by(&caller).remove_node(node, query.cancel_task, app.now()).await?;
+    app.end_rights().await;
+    Ok(StatusCode::NO_CONTENT)
 }

@@ -5,7 +5,7 @@ use axum::extract::State;
 use forelight_protocol::{BookingPage, Plan, PlanDifference, PlanId, PlanPage};
 
 use crate::error::{ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment};
+use crate::extract::{FarmReader, QueryParameters, Reader, Segment};
 use crate::page::{PageQuery, cut};
 use crate::plan_difference::difference;
 use crate::state::App;
@@ -15,7 +15,7 @@ use crate::state::App;
     responses((status = 200, description = "A page of plans", body = PlanPage), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<PlanPage>> {
     let size = query.size();
@@ -30,7 +30,7 @@ pub(crate) async fn list(
     responses((status = 200, description = "The plan", body = Plan), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     Segment(plan): Segment<PlanId>,
 ) -> ApiResult<Json<Plan>> {
     Ok(Json(app.store.plan(plan).await?))
@@ -42,7 +42,7 @@ pub(crate) async fn get(
     responses((status = 200, description = "The difference", body = PlanDifference), Problems))]
 pub(crate) async fn changed(
     State(app): State<App>,
-    _: Reader,
+    _: FarmReader,
     Segment(plan): Segment<PlanId>,
 ) -> ApiResult<Json<PlanDifference>> {
     Ok(Json(difference(&app.store, plan).await?))
@@ -53,11 +53,13 @@ pub(crate) async fn changed(
     responses((status = 200, description = "A page of bookings", body = BookingPage), Problems))]
 pub(crate) async fn bookings(
     State(app): State<App>,
-    _: Reader,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<BookingPage>> {
     let size = query.size();
     let mut items = app.store.open_bookings_page(query.key("bookings")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "bookings", |booking| (booking.start, booking.id));
+    let seen = app.seen(&caller, items.iter().map(|booking| booking.job_id)).await?;
+    items.retain(|booking| seen.sees(booking.job_id));
     Ok(Json(BookingPage { items, next_page_token }))
 }

@@ -19,24 +19,27 @@ const HIGHEST: u32 = 1_000_000;
 /// share goes first.
 #[utoipa::path(get, path = "/v1/projects", operation_id = "project_list", tag = "farm",
     responses((status = 200, description = "The projects", body = ProjectList), Problems))]
-pub(crate) async fn list(State(app): State<App>, _: Reader) -> ApiResult<Json<ProjectList>> {
-    shares(&app).await.map(Json)
+pub(crate) async fn list(State(app): State<App>, Reader(caller): Reader) -> ApiResult<Json<ProjectList>> {
+    let mut list = shares(&app).await?;
+    list.items.retain(|project| caller.sees(&project.project));
+    Ok(Json(list))
 }
 
-/// Sets a project's share and plans the farm anew. Setting it again replaces it, so repeating is harmless.
+/// Makes a project, or sets its share, and plans the farm anew. Setting it again replaces it, so repeating is
+/// harmless.
 #[utoipa::path(post, path = "/v1/projects", operation_id = "project_set",
     tag = "farm", request_body = ProjectRequest,
     responses((status = 200, description = "The project", body = ProjectShare), Problems))]
 pub(crate) async fn set(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     JsonBody { value: request, .. }: JsonBody<ProjectRequest>,
 ) -> ApiResult<Json<ProjectShare>> {
     check_name("/project", &request.project, 200)?;
     if !(1..=HIGHEST).contains(&request.share) {
         return Err(ApiError::invalid("/share", format!("a share is 1 to {HIGHEST}")));
     }
-    app.store.set_share(&request, app.now()).await?;
+    app.by(&caller).set_share(&request, app.now()).await?;
     let found = shares(&app).await?.items.into_iter().find(|entry| entry.project == request.project);
     let fallback = ProjectShare { project: request.project, share: request.share, used_hours: 0.0 };
     Ok(Json(found.unwrap_or(fallback)))

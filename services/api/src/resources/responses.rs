@@ -11,6 +11,9 @@ use serde::Serialize;
 use crate::delivery::is_known;
 use crate::error::{ApiError, ApiResult};
 
+/// Answers with secrets are not kept by browsers and proxies.
+pub(crate) const NOT_KEPT: HeaderValue = HeaderValue::from_static("no-store");
+
 pub(crate) fn repeated(answer: RecordedAnswer) -> Response {
     let status = StatusCode::from_u16(answer.status).unwrap_or(StatusCode::OK);
     (status, [(CONTENT_TYPE, "application/json"), (REPLAYED, "true")], answer.body).into_response()

@@ -9,7 +9,7 @@ use forelight_protocol::{
 
 use super::checks::check_name;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{JsonBody, Operator, Reader, Segment, Submitter};
+use crate::extract::{JsonBody, Operator, OwnJob, Reader};
 use crate::state::App;
 
 /// Most days of a rule: a century.
@@ -29,7 +29,7 @@ pub(crate) async fn get(State(app): State<App>, _: Reader) -> ApiResult<Json<Ret
     responses((status = 200, description = "The rules", body = Retention), Problems))]
 pub(crate) async fn set(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     JsonBody { value: rule, .. }: JsonBody<RetentionRule>,
 ) -> ApiResult<Json<Retention>> {
     if let Some(project) = &rule.project {
@@ -48,7 +48,7 @@ pub(crate) async fn set(
     if rule.days.is_some_and(|days| days > MOST_DAYS) {
         return Err(ApiError::invalid("/days", format!("0 to {MOST_DAYS} days; leave it out for ever")));
     }
-    app.store.set_retention(&rule).await?;
+    app.by(&caller).set_retention(&rule, app.now()).await?;
     Ok(Json(app.store.retention().await?))
 }
 
@@ -71,17 +71,13 @@ pub(crate) async fn prune(
 #[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "job_delete", tag = "jobs",
     params(("id" = JobId, Path)),
     responses((status = 204, description = "It is deleted"), Problems))]
-pub(crate) async fn delete_job(
-    State(app): State<App>,
-    Submitter(principal): Submitter,
-    Segment(job): Segment<JobId>,
-) -> ApiResult<StatusCode> {
-    if principal.role != Role::Operator && app.store.job(job).await?.state == JobState::Done {
+pub(crate) async fn delete_job(State(app): State<App>, OwnJob(caller, job): OwnJob) -> ApiResult<StatusCode> {
+    if caller.role != Role::Operator && app.store.job(job).await?.state == JobState::Done {
         return Err(ApiError::new(
             ProblemKind::Forbidden,
             "a job that is done counts in the track record; only an operator may delete it",
         ));
     }
-    app.store.delete_job(job, app.now()).await?;
+    app.by(&caller).delete_job(job, app.now()).await?;
     Ok(StatusCode::NO_CONTENT)
 }

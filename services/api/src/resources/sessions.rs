@@ -1,23 +1,24 @@
 //! Signing in and out with a browser.
 
+use std::net::IpAddr;
+
 use axum::Json;
 use axum::extract::State;
 use axum::http::header::{CACHE_CONTROL, SET_COOKIE};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{
     ProblemKind, Role, Session, SessionCode, SessionId, SessionPage, SessionRequest, Timestamp,
 };
-use forelight_store::{NewSession, tokens};
+use forelight_store::NewSession;
+use forelight_store::tokens::{self, Principal};
 
+use super::responses::NOT_KEPT;
 use crate::cookies::{check_not_cross_site, forget_session, set_session};
 use crate::error::{ApiError, ApiResult, BAD_TOKEN, Problems};
-use crate::extract::{JsonBody, Operator, Peer, QueryParameters, Reader, Segment};
+use crate::extract::{JsonBody, Operator, Peer, QueryParameters, Reader, Segment, UNKNOWN_TOKEN};
 use crate::page::{PageQuery, cut};
 use crate::state::App;
-
-/// Answers with secrets are not kept by browsers and proxies.
-const NOT_KEPT: HeaderValue = HeaderValue::from_static("no-store");
 
 /// Makes a one-time code, which begins one session with the caller's rights. It is valid for five minutes.
 #[utoipa::path(post, path = "/v1/sessions/codes", operation_id = "session_code_create", tag = "sessions",
@@ -45,8 +46,8 @@ pub(crate) async fn begin(
     let now = app.now();
     app.sign_ins.check(from, now)?;
     let begun = match (&request.code, &request.token) {
-        (Some(code), None) => with_code(&app, code, now).await,
-        (None, Some(token)) => with_token(&app, token, now).await,
+        (Some(code), None) => with_code(&app, code, from, now).await,
+        (None, Some(token)) => with_token(&app, token, from, now).await,
         _ => return Err(ApiError::invalid("", "give exactly one of `code` and `token`")),
     };
     let NewSession { secret, session } = begun.inspect_err(|error| {
@@ -55,29 +56,30 @@ pub(crate) async fn begin(
         }
     })?;
     tracing::info!(session = ?session.id, role = %session.role, name = session.name, "signed in");
-    let cookie = set_session(&secret, app.session_lifetime.as_secs(), app.is_over_tls())?;
+    let cookie = set_session(&secret, app.session_lifetime.as_secs(), app.is_over_tls)?;
     let own = [(SET_COOKIE, cookie), (CACHE_CONTROL, NOT_KEPT)];
     Ok((StatusCode::CREATED, own, Json(session)).into_response())
 }
 
-async fn with_code(app: &App, code: &str, now: Timestamp) -> ApiResult<NewSession> {
-    let begun = app.store.begin_session_with_code(code, app.session_lifetime, now).await?;
+async fn with_code(app: &App, code: &str, from: Option<IpAddr>, now: Timestamp) -> ApiResult<NewSession> {
+    let begun = app.store.begin_session_with_code(code, from, app.session_lifetime, now).await?;
     begun.ok_or_else(|| {
         let reason = "the code is unknown, used or expired; ask for a new one with `forelight dashboard`";
         ApiError::new(ProblemKind::Unauthenticated, reason).authenticate(BAD_TOKEN).at("/code")
     })
 }
 
-async fn with_token(app: &App, token: &str, now: Timestamp) -> ApiResult<NewSession> {
-    let Some(caller) = tokens::find(&app.store, token.trim()).await? else {
-        let reason = "the service does not know this token";
-        return Err(ApiError::new(ProblemKind::Unauthenticated, reason).authenticate(BAD_TOKEN).at("/token"));
+async fn with_token(app: &App, token: &str, from: Option<IpAddr>, now: Timestamp) -> ApiResult<NewSession> {
+    let Some(caller) = tokens::find(&app.store, token.trim(), now).await? else {
+        let refused = ApiError::new(ProblemKind::Unauthenticated, UNKNOWN_TOKEN);
+        return Err(refused.authenticate(BAD_TOKEN).at("/token"));
     };
     if caller.role == Role::Worker {
         let reason = "a worker's token cannot sign in; use a viewer's, submitter's or operator's";
         return Err(ApiError::new(ProblemKind::Forbidden, reason).at("/token"));
     }
-    Ok(app.store.begin_session(&caller, app.session_lifetime, now).await?)
+    let caller = Principal { from, ..caller };
+    Ok(app.by(&caller).begin_session(&caller, app.session_lifetime, now).await?)
 }
 
 /// Who is signed in: by the session's cookie, or by a bearer token.
@@ -89,6 +91,7 @@ pub(crate) async fn current(State(app): State<App>, Reader(caller): Reader) -> A
         None => Session {
             id: None,
             role: caller.role,
+            projects: caller.projects,
             name: caller.name,
             created_at: None,
             expires_at: None,
@@ -106,9 +109,9 @@ pub(crate) async fn end_current(State(app): State<App>, Reader(caller): Reader) 
         let reason = "a bearer token has no session to end";
         return Err(ApiError::new(ProblemKind::Conflict, reason));
     };
-    app.store.end_session(session).await?;
-    app.tell_session_ended();
-    Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, forget_session(app.is_over_tls())?)]).into_response())
+    app.by(&caller).end_session(session, app.now()).await?;
+    app.end_rights().await;
+    Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, forget_session(app.is_over_tls)?)]).into_response())
 }
 
 /// Everybody who is signed in, newest first.
@@ -130,10 +133,10 @@ pub(crate) async fn list(
     params(("id" = SessionId, Path)), responses((status = 204, description = "It has ended"), Problems))]
 pub(crate) async fn end(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(session): Segment<SessionId>,
 ) -> ApiResult<StatusCode> {
-    app.store.end_session(session).await?;
-    app.tell_session_ended();
+    app.by(&caller).end_session(session, app.now()).await?;
+    app.end_rights().await;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -9,7 +9,7 @@ use utoipa::IntoParams;
 
 use super::responses::tagged;
 use crate::error::{ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment};
+use crate::extract::{QueryParameters, SeenJob};
 use crate::state::App;
 
 /// What the numbers of a strip are.
@@ -28,8 +28,7 @@ pub(crate) struct StripQuery {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Reader,
-    Segment(job): Segment<JobId>,
+    SeenJob(job): SeenJob,
     QueryParameters(query): QueryParameters<StripQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {

@@ -3,6 +3,7 @@
 use axum::Json;
 use axum::extract::State;
 use forelight_protocol::{TaskId, TaskLog};
+use forelight_store::StoreError;
 
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Reader, Segment};
@@ -15,8 +16,11 @@ use crate::state::App;
     responses((status = 200, description = "The log", body = TaskLog), Problems))]
 pub(crate) async fn log(
     State(app): State<App>,
-    _: Reader,
+    Reader(caller): Reader,
     Segment(task): Segment<TaskId>,
 ) -> ApiResult<Json<TaskLog>> {
+    if !caller.reaches_all() && !caller.sees(&app.store.project_of_task(task).await?) {
+        return Err(StoreError::NotFound("task").into());
+    }
     Ok(Json(app.store.task_log(task).await?))
 }

@@ -52,7 +52,7 @@ pub(crate) struct TimelineQuery {
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: Reader,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<TimelineQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
@@ -84,5 +84,7 @@ pub(crate) async fn get(
         price_per_hour: node.price_per_hour,
         idle_because: node.idle_reason,
     });
-    tagged(&headers, &TimelinePage { items: items.collect(), jobs, next_page_token })
+    let mut page = TimelinePage { items: items.collect(), jobs, next_page_token };
+    app.seen(&caller, page.jobs.iter().map(|job| job.id)).await?.show_timeline(&mut page);
+    tagged(&headers, &page)
 }

@@ -34,7 +34,7 @@ const LONGEST_TEMPLATE: usize = 16 << 10;
     responses((status = 201, description = "The webhook", body = Webhook), Problems))]
 pub(crate) async fn add(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     JsonBody { value: request, .. }: JsonBody<WebhookRequest>,
 ) -> ApiResult<Response> {
     check_url(&request.url)?;
@@ -60,7 +60,7 @@ pub(crate) async fn add(
         return Err(ApiError::new(ProblemKind::Conflict, reason));
     }
     let secret = new_secret();
-    let added = app.store.add_webhook(&request, &kinds, &secret, app.now()).await?;
+    let added = app.by(&caller).add_webhook(&request, &kinds, &secret, app.now()).await?;
     let shown = Webhook { secret: Some(secret), ..added };
     let not_kept = [(CACHE_CONTROL, HeaderValue::from_static("no-store"))];
     Ok((StatusCode::CREATED, not_kept, Json(shown)).into_response())
@@ -94,10 +94,10 @@ pub(crate) async fn list(State(app): State<App>, _: Operator) -> ApiResult<Json<
     params(("id" = WebhookId, Path)), responses((status = 204, description = "It is removed"), Problems))]
 pub(crate) async fn remove(
     State(app): State<App>,
-    _: Operator,
+    Operator(caller): Operator,
     Segment(webhook): Segment<WebhookId>,
 ) -> ApiResult<StatusCode> {
-    app.store.remove_webhook(webhook).await?;
+    app.by(&caller).remove_webhook(webhook, app.now()).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

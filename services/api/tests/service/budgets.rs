@@ -25,6 +25,9 @@ async fn farm_with_leases_of(lease_ttl: Duration) -> (Farm, Arc<ManualClock>) {
         config.lease_ttl = lease_ttl;
     })
     .await;
+    for project in ["film", "advert"] {
+        farm.project(project).await;
+    }
     (farm, clock)
 }
 

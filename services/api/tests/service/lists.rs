@@ -45,6 +45,7 @@ async fn jobs_are_found_by_text_and_come_in_every_order_without_gap_or_overlap()
     let node = farm.node("a").await;
     let soon = submit(&farm, "b late", json!({"deadline": Timestamp::now().plus_micros(1_000_000)})).await;
     farm.until_booked(&node, &soon).await;
+    farm.project("Film").await;
     let plain = submit(&farm, "C without", json!({"project": "Film"})).await;
     farm.until_booked(&node, &plain).await;
     let safe = submit(&farm, "a safe", json!({"deadline": in_hours(50)})).await;

@@ -1,12 +1,14 @@
 //! The service over HTTP, with its own data folder and workers with made-up results.
 
 mod accuracy;
+mod audit;
 mod budgets;
 mod calibration;
 mod changes;
 mod cost_limits;
 mod delivery;
 mod document;
+mod encryption;
 mod events;
 mod job_life;
 mod lists;
@@ -14,6 +16,7 @@ mod living_estimate;
 mod nodes;
 mod page;
 mod plans;
+mod reach;
 mod renderers;
 mod requests;
 mod results;
@@ -21,7 +24,9 @@ mod retention;
 mod sessions;
 #[path = "../support/mod.rs"]
 mod support;
+mod tokens;
 mod trust;
+mod turnover;
 mod uploads;
 mod wear;
 mod webhooks;

@@ -279,6 +279,7 @@ async fn projects_take_turns_by_their_shares_and_who_waits_is_told_why() {
     for wrong in [json!({"project": "film", "share": 0}), json!({"project": "", "share": 1})] {
         farm.operator.post("/v1/projects", &wrong).await.problem(ProblemKind::Invalid).await;
     }
+    farm.project("advert").await;
     let of = |project: &'static str| move |request: &mut Value| request["project"] = json!(project);
     let advert = farm.asked(of("advert"), "0-11").await;
     let film = farm.asked(of("film"), "0-11").await;
@@ -317,7 +318,8 @@ async fn projects_take_turns_by_their_shares_and_who_waits_is_told_why() {
     assert_eq!(shown.waits.as_ref(), Some(waits));
     let projects: ProjectList = farm.viewer.get("/v1/projects").await.parsed(StatusCode::OK).await;
     let found: Vec<_> = projects.items.iter().map(|entry| (entry.project.as_str(), entry.share)).collect();
-    assert_eq!((found, projects.half_life_hours), (vec![("advert", 1), ("film", 3)], 168));
+    let expected = vec![("advert", 1), ("default", 1), ("film", 3)];
+    assert_eq!((found, projects.half_life_hours), (expected, 168));
 }
 
 fn monday(hour: i64, minute: i64, second: i64) -> Timestamp {

@@ -244,6 +244,7 @@ async fn chat_services_get_their_own_form_and_projects_their_own_events() {
         "{body}"
     );
     request["project"] = json!("film");
+    farm.project("film").await;
     let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     farm.work_off(&node, &job).await;
     until("the film's job", async || chat.got.lock().len() == 3).await;

@@ -137,6 +137,12 @@ impl Farm {
         json!({"name": "a job", "bundle": {"path": self.bundle_path()}, "frames": frames, "samples": 16, "profile_frames": 2})
     }
 
+    /// Makes a project, as an operator does.
+    pub async fn project(&self, name: &str) {
+        let made = self.operator.post("/v1/projects", &json!({"project": name, "share": 1})).await;
+        assert_eq!(made.status(), StatusCode::OK);
+    }
+
     pub async fn submit(&self, frames: &str) -> Job {
         self.submitter.post("/v1/jobs", &self.job_request(frames)).await.parsed(StatusCode::CREATED).await
     }

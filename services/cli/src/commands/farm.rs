@@ -56,7 +56,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let speed = node_speed(&calibration);
     let capabilities = Capabilities { calibration: Some(calibration), ..capabilities };
     let running = serve::start(&args.service).await?;
-    let client = Client::new(&reachable(&running.address()), Some(running.worker_token.clone()))?;
+    let client = Client::new(&reachable(&running.home_address()), Some(running.operator_token()))?;
     let stop = CancellationToken::new();
     let mut agents: JoinSet<Result<(), AgentError>> = JoinSet::new();
     // Slurm starts processes on its own nodes, and this machine may be one of them.

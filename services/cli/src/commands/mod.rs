@@ -4,6 +4,7 @@ mod accept;
 mod accuracy;
 mod allot;
 mod ask;
+mod audit;
 mod backup;
 mod budget;
 mod cache;
@@ -23,12 +24,13 @@ mod node;
 mod plan;
 mod plans;
 mod preview;
+mod project;
 mod render;
 mod renderers;
 mod retention;
 mod scrub;
 mod serve;
-mod share;
+mod sign_in;
 mod simulate;
 mod slurm;
 mod status;
@@ -86,12 +88,14 @@ enum Command {
     Plan(plan::Args),
     Ask(ask::Args),
     Plans(plans::Args),
-    Share(share::Args),
+    #[command(visible_alias = "share")]
+    Project(project::Args),
     Simulate(simulate::Args),
     Budget(Box<budget::Args>),
     Token(token::Args),
     #[command(visible_alias = "nodes")]
     Node(Box<node::Args>),
+    Audit(audit::Args),
     Log(log::Args),
     Retention(retention::Args),
     Prune(retention::PruneArgs),
@@ -126,7 +130,8 @@ impl Cli {
             Command::Node(args) => node::run(*args).await,
             Command::Ask(args) => ask::run(args).await,
             Command::Plans(args) => plans::run(args).await,
-            Command::Share(args) => share::run(args).await,
+            Command::Project(args) => project::run(args).await,
+            Command::Audit(args) => audit::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Retention(args) => retention::run(args).await,
             Command::Prune(args) => retention::prune(args).await,

@@ -21,6 +21,7 @@ Examples:
   forelight node --data farm-data
   forelight node rack-7 drain --data farm-data
   forelight node rack-7 resume --server http://farm:7878
+  forelight node rack-7 remove --data farm-data
   forelight node rack-7 --schedule 'Mon-Fri 20:00-08:00, Sat-Sun 00:00-00:00 Europe/Berlin' --data farm-data
   forelight node cloud-1 --price 2.40 --billing-step 1h --setup 3m --window-end stop --data farm-data
   forelight node rack-7 --maintenance 2026-03-01T08:00:00Z/2026-03-01T12:00:00Z --data farm-data
@@ -36,6 +37,9 @@ pub struct Args {
     name: Option<String>,
     /// Order to give to the node
     order: Option<Order>,
+    /// Remove the node although it holds a task, which another node then starts again
+    #[arg(long, requires = "order")]
+    cancel_task: bool,
     /// When the node is awake, such as "Mon-Fri 20:00-08:00 Europe/Berlin" or `always`. `default`: as the
     /// worker says
     #[arg(long, value_name = "WINDOWS", requires = "name")]
@@ -79,6 +83,8 @@ enum Order {
     Stop,
     /// Return to service after the farm has set the node aside.
     Back,
+    /// Remove the node from the farm, with its own token. Its bookings are planned again.
+    Remove,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -156,6 +162,7 @@ impl Order {
             Order::Cancel => change.cancel_task = Some(true),
             Order::Stop => (change.drain, change.cancel_task) = (Some(true), Some(true)),
             Order::Back => change.set_aside = Some(false),
+            Order::Remove => {}
         }
         change
     }
@@ -171,6 +178,17 @@ pub async fn run(args: Args) -> Result<()> {
                     .hint("`forelight node` without a name lists all nodes")
                     .into());
             };
+            if args.order == Some(Order::Remove) {
+                client
+                    .remove_node(node.id, args.cancel_task)
+                    .await
+                    .with_context(|| format!("node {name}"))?;
+                return if args.json {
+                    output::json(&[node])
+                } else {
+                    output::line(format!("{name} is removed"))
+                };
+            }
             let change = args.change(node)?;
             if change == NodeChange::default() {
                 vec![node.clone()]
@@ -237,6 +255,7 @@ fn power(node: &Node, now: Timestamp) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::connection::ServerOptions;
     use forelight_protocol::{Capabilities, NodeId, NodeTerms};
 
     #[test]
@@ -244,6 +263,7 @@ mod tests {
         let args = Args {
             name: Some("a".into()),
             order: None,
+            cancel_task: false,
             schedule: Some("default".into()),
             price: None,
             billing_step: Some(Duration::from_secs(3600)),
@@ -253,7 +273,7 @@ mod tests {
             maintenance: vec![maintenance("2026-03-01T08:00:00Z/").unwrap()],
             json: false,
             connection: ConnectionOptions {
-                server: String::new(),
+                server: ServerOptions { server: String::new(), ca_file: None },
                 token_file: None,
                 token: None,
                 data: None,

@@ -1,9 +1,10 @@
 //! `forelight serve`: the service without workers. `forelight farm` starts its service by the same code.
 
+use crate::commands::sign_in;
 use crate::commands::slurm::SlurmOptions;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use forelight_api::{Config, Service};
+use forelight_api::{Config, Service, TlsFiles};
 use forelight_client::Token;
 use forelight_engine::slurm::Engine;
 use forelight_protocol::{Role, Timestamp};
@@ -27,9 +28,11 @@ Examples:
   forelight serve --data farm-data --artifacts s3://renders/farm
   forelight serve --data /shared/farm --listen 10.0.0.5:7878 --executor slurm --slurm-partition render
   forelight worker --server http://farm:7878 --token-file worker.token
+  forelight serve --listen 0.0.0.0:7878 --tls-certificate farm.pem --tls-key farm.key --public-url https://farm:7878
 
 The first start writes a token for each role into DATA/tokens, readable by you alone. `forelight token` makes more. \
-The service speaks plain HTTP. Put it behind a TLS proxy if it is reached from outside a trusted network.")]
+The service speaks plain HTTP, unless it has a certificate. Outside of a trusted network, give it one, or put it \
+behind a TLS proxy.")]
 pub struct Args {
     #[command(flatten)]
     service: ServiceOptions,
@@ -52,6 +55,13 @@ pub struct ServiceOptions {
     /// Address and port to listen on. Port 0 picks a free port
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7878")]
     pub listen: SocketAddr,
+    /// Certificate in PEM form, with which the service answers by TLS, followed by those that lead to its
+    /// root. It is read again when it changes
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    pub tls_certificate: Option<PathBuf>,
+    /// Key of the certificate in PEM form
+    #[arg(long, value_name = "FILE", requires = "tls_certificate")]
+    pub tls_key: Option<PathBuf>,
     /// Time until a lease expires without renewal, such as 30s
     #[arg(long, value_name = "DURATION", default_value = "30s", value_parser = duration)]
     pub lease_ttl: Duration,
@@ -63,6 +73,10 @@ pub struct ServiceOptions {
     /// `https://pipeline.example.org`. May be repeated
     #[arg(long, value_name = "URL", value_parser = origin)]
     pub allow_origin: Vec<String>,
+    /// File that describes the studio's OpenID Connect provider, through which people sign in besides tokens:
+    /// see docs/operating.md. Needs --public-url
+    #[arg(long, value_name = "FILE", requires = "public_url")]
+    pub sign_in: Option<PathBuf>,
     /// Folder on shared storage below which jobs may name bundles by path. May be repeated
     #[arg(long, value_name = "DIR")]
     pub bundle_root: Vec<PathBuf>,
@@ -98,13 +112,18 @@ pub enum Executor {
 }
 
 impl ServiceOptions {
-    fn config(&self) -> Config {
+    fn config(&self) -> Result<Config> {
         let mut config = Config::new(&self.data);
         // This program loads bundles for itself. Without its path, the service does that inside.
         config.inspection.program = std::env::current_exe().ok();
         config.artifacts.clone_from(&self.artifacts);
         config.artifacts_moved = self.artifacts_moved;
         config.listen = self.listen;
+        config.tls = self
+            .tls_certificate
+            .clone()
+            .zip(self.tls_key.clone())
+            .map(|(certificate, key)| TlsFiles { certificate, key });
         config.lease_ttl = self.lease_ttl;
         config.public_origin.clone_from(&self.public_url);
         config.allowed_origins.clone_from(&self.allow_origin);
@@ -114,7 +133,8 @@ impl ServiceOptions {
         config.limits.pixels = self.max_pixels;
         config.limits.scene.triangles = self.max_triangles;
         config.limits.connections.at_once = self.max_connections;
-        config
+        config.sign_in = self.sign_in.as_deref().map(sign_in::read).transpose()?;
+        Ok(config)
     }
 }
 
@@ -140,9 +160,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
 
 pub struct Running {
     pub service: Service,
-    pub worker_token: Token,
     data: PathBuf,
     public_url: Option<String>,
+    over_tls: bool,
     /// The operator's token, which signs the person in who started the farm.
     operator: String,
     engine: Option<(JoinHandle<()>, CancellationToken)>,
@@ -150,7 +170,19 @@ pub struct Running {
 
 impl Running {
     pub fn address(&self) -> String {
-        format!("http://{}", self.service.local_addr())
+        let scheme = if self.over_tls { "https" } else { "http" };
+        format!("{scheme}://{}", self.service.local_addr())
+    }
+
+    /// The address for processes of this machine, without TLS.
+    pub fn home_address(&self) -> String {
+        format!("http://{}", self.service.home_addr())
+    }
+
+    /// The operator's token. The workers of `forelight farm` use it, since its person also says what they
+    /// cost.
+    pub fn operator_token(&self) -> Token {
+        Token::new(&self.operator)
     }
 
     /// The address for people: that of --public-url, or one at which this machine reaches the service.
@@ -161,9 +193,10 @@ impl Running {
     /// A link that signs in once, as an operator, within five minutes.
     pub async fn sign_in_link(&self) -> Result<String> {
         let store = self.service.store();
-        let caller = tokens::find(store, &self.operator).await?;
+        let now = Timestamp::now();
+        let caller = tokens::find(store, &self.operator, now).await?;
         let caller = caller.context("the farm does not know its operator's token")?;
-        let code = store.create_session_code(&caller, Timestamp::now()).await?.code;
+        let code = store.create_session_code(&caller, now).await?.code;
         Ok(sign_in_link(&self.public_address(), &code))
     }
 
@@ -192,17 +225,17 @@ pub async fn start(options: &ServiceOptions) -> Result<Running> {
     rustix::process::umask(rustix::fs::Mode::RWXG | rustix::fs::Mode::RWXO);
     // Each worker has a connection, and the service needs some files itself.
     forelight_terminal::open_files::allow(256)?;
-    let service = Service::start(options.config())
+    let service = Service::start(options.config()?)
         .await
         .with_context(|| format!("cannot start the service with data in {data}"))?;
-    let (worker_token, operator) = first_tokens(service.store(), &options.data)
+    let operator = first_tokens(service.store(), &options.data)
         .await
         .with_context(|| format!("cannot create the tokens in {data}"))?;
     let mut running = Running {
         service,
-        worker_token,
         data: options.data.clone(),
         public_url: options.public_url.clone(),
+        over_tls: options.tls_certificate.is_some(),
         operator,
         engine: None,
     };
@@ -233,14 +266,16 @@ pub fn reachable(address: &str) -> String {
     address.replace("//0.0.0.0:", "//127.0.0.1:").replace("//[::]:", "//[::1]:")
 }
 
-/// Writes a token file for each role, if it is missing, and returns the worker's and the operator's tokens. A
-/// file with an unknown token is replaced, because it belongs to another or a deleted database.
-async fn first_tokens(store: &Store, data: &Path) -> Result<(Token, String)> {
-    let (mut worker, mut operator) = (None, None);
+/// Writes a token file for each role, if it is missing, and returns the operator's token. A
+/// file with a token that is unknown, expired or of another role is replaced. The token that an earlier start
+/// wrote into it then ends.
+async fn first_tokens(store: &Store, data: &Path) -> Result<String> {
+    let mut operator = None;
+    let now = Timestamp::now();
     for role in Role::ALL {
         let path = token_path(data, role);
         let known = match fs::read_to_string(&path) {
-            Ok(text) if tokens::find(store, text.trim()).await?.is_some_and(|found| found.role == role) => {
+            Ok(text) if tokens::find(store, text.trim(), now).await?.is_some_and(|it| it.role == role) => {
                 Some(text)
             }
             _ => None,
@@ -248,18 +283,16 @@ async fn first_tokens(store: &Store, data: &Path) -> Result<(Token, String)> {
         let text = match known {
             Some(text) => text,
             None => {
-                let text = tokens::create(store, role, &format!("first {role}"), Timestamp::now()).await?;
+                let text = store.create_first_token(role, now).await?;
                 write_secret(&path, text.as_bytes())?;
                 text
             }
         };
-        match role {
-            Role::Worker => worker = Some(Token::new(&text)),
-            Role::Operator => operator = Some(text.trim().to_owned()),
-            Role::Submitter | Role::Viewer => {}
+        if role == Role::Operator {
+            operator = Some(text.trim().to_owned());
         }
     }
-    worker.zip(operator).context("the list of roles lacks the worker or the operator")
+    operator.context("the list of roles lacks the operator")
 }
 
 #[cfg(test)]
@@ -299,5 +332,8 @@ mod tests {
         assert_eq!(read(Role::Operator), operator);
         assert_ne!(read(Role::Viewer), viewer);
         assert_ne!(read(Role::Viewer), operator);
+        // The token that was replaced is dead.
+        assert!(tokens::find(&store, &viewer, Timestamp::now()).await.unwrap().is_none());
+        assert_eq!(tokens::count(&store).await.unwrap(), 4);
     }
 }

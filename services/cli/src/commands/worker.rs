@@ -32,6 +32,7 @@ use std::time::Duration;
 #[command(after_help = "\
 Examples:
   forelight worker --server http://farm:7878 --token-file rack-7.token --name rack-7
+  forelight worker --server https://farm:7878 --ca-file studio-ca.pem --token-file rack-7.token --name rack-7
   forelight worker --data farm-data --name this-machine --threads 2 --price 0.80
   forelight worker --data farm-data --schedule 'Mon-Fri 20:00-08:00 Europe/Berlin'
   forelight worker --server http://farm:7878 --join-token-file rack-8.join --token-file rack-8.token --name rack-8
@@ -182,7 +183,9 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
     }
     let own = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     let request = JoinRequest { node: node.clone(), token_hash: token_hash(own.trim()) };
-    Client::new(&connection.server, Some(read_token(one_time)?))?
+    connection
+        .server
+        .client(read_token(one_time)?)?
         .join(&request)
         .await
         .with_context(|| format!("cannot join the farm with the one-time token in {}", one_time.display()))?;

@@ -2,7 +2,7 @@
 
 use crate::client::Client;
 use crate::error::ClientError;
-use crate::transport::{Payload, Request};
+use crate::transport::{Payload, Request, parameters};
 use bytes::Bytes;
 use forelight_protocol::{
     AcceptRequest, AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId,
@@ -96,12 +96,7 @@ impl Client {
 
     /// The newest jobs that match the filters (`state`, `project`, `name`). `most` is at most 200.
     pub async fn newest_jobs(&self, filters: &[(&str, &str)], most: u32) -> Result<Vec<Job>, ClientError> {
-        let mut path = format!("/v1/jobs?page_size={most}");
-        for (name, value) in filters {
-            let value: String = value.bytes().map(|byte| format!("%{byte:02X}")).collect();
-            path += &format!("&{name}={value}");
-        }
-        let page: JobPage = self.get(path).await?;
+        let page: JobPage = self.get(format!("/v1/jobs?page_size={most}{}", parameters(filters))).await?;
         Ok(page.items)
     }
 

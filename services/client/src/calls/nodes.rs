@@ -4,7 +4,8 @@ use crate::client::Client;
 use crate::error::ClientError;
 use crate::transport::Request;
 use forelight_protocol::{
-    JoinRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration, TaskId, TaskLog,
+    JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration, TaskId,
+    TaskLog,
 };
 use reqwest::Method;
 use uuid::Uuid;
@@ -20,6 +21,11 @@ impl Client {
         self.transport.json(&Request::json(Method::POST, "/v1/nodes/join", request)).await
     }
 
+    /// A one-time token, with which one machine can join the farm. Repeated, it makes another one.
+    pub async fn create_join_token(&self, request: &JoinTokenRequest) -> Result<JoinToken, ClientError> {
+        self.transport.json(&Request::json(Method::POST, "/v1/join-tokens", request)).await
+    }
+
     /// All nodes, oldest first.
     pub async fn nodes(&self) -> Result<Vec<Node>, ClientError> {
         self.all_pages("/v1/nodes", |page: NodePage| (page.items, page.next_page_token)).await
@@ -28,6 +34,12 @@ impl Client {
     /// Gives a node orders, or changes its speed, price, calendar or terms.
     pub async fn change_node(&self, node: NodeId, change: &NodeChange) -> Result<Node, ClientError> {
         self.transport.json(&Request::json(Method::PATCH, format!("/v1/nodes/{node}"), change)).await
+    }
+
+    /// Removes a node and its token. `cancel_task`: also while it holds a task, which is then taken away.
+    pub async fn remove_node(&self, node: NodeId, cancel_task: bool) -> Result<(), ClientError> {
+        let path = format!("/v1/nodes/{node}?cancel_task={cancel_task}");
+        self.transport.send(&Request::new(Method::DELETE, path)).await.map(drop)
     }
 
     /// The log of a task: the lines of all its attempts.

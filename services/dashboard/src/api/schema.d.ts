@@ -79,15 +79,49 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** An artefact's bytes, or a range of them. They are verified first: 500 if they are not what was stored. */
+        /** An artefact's bytes. */
         get: operations["artifact_get"];
         /** Stores bytes under their hash. Repeating the request changes nothing; bytes with another hash are refused. */
         put: operations["artifact_put"];
         post?: never;
         delete?: never;
         options?: never;
-        /** Checks that an artefact exists and is whole, and gives its length. */
+        /** Checks that an artefact exists, and gives its length. */
         head: operations["artifact_head"];
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/audit": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Who submitted, cancelled, changed or ordered what, newest first. Entries never change. */
+        get: operations["audit_list"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/audit/export": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** All entries, oldest first, as a file. */
+        get: operations["audit_export"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
         patch?: never;
         trace?: never;
     };
@@ -158,8 +192,8 @@ export interface paths {
         get?: never;
         put?: never;
         /** Uploads a bundle as a zip file. If it is not a valid scene, it is not kept, and the answer is the scene's
-         *     error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs find
-         *     out what is in it. Files that it refers to must be packed, or lie on storage that all workers share. */
+         *     error. Also uploads a Blender file, as `application/x-blender`: the service does not open it, so its jobs
+         *     find out what is in it. Files that it refers to must be packed, or lie on storage that all workers share. */
         post: operations["bundle_upload"];
         delete?: never;
         options?: never;
@@ -194,6 +228,8 @@ export interface paths {
         /**
          * The farm at one instant: counts, open jobs by risk, money, nodes, next bookings, newest events.
          * @description It is short on farms of any size. `/v1/jobs`, `/v1/nodes`, `/v1/timeline` and `/v1/events` have the rest.
+         *     Who reaches some projects only, sees the jobs, bookings, events and money of these; counts are of the
+         *     whole farm.
          */
         get: operations["dashboard_get"];
         put?: never;
@@ -647,28 +683,6 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/v1/jobs/{id}/left-out": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        get?: never;
-        /**
-         * Takes a job out of the track record, for example because a node lied about it.
-         * @description Neither the record nor calibration counts it any more, and nodes forget what it taught about their speed.
-         *     The record lists it with the reason. Repeating the request replaces the reason.
-         */
-        put: operations["job_leave_out"];
-        post?: never;
-        /** Puts a job back into the track record. */
-        delete: operations["job_put_back"];
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/v1/jobs/{id}/price-curve.svg": {
         parameters: {
             query?: never;
@@ -801,13 +815,8 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /**
-         * Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
-         *     harmless.
-         * @description A result that is not possible is refused as `implausible-result`: CPU time that the lease leaves no room
-         *     for, work that no machine does in that time, or a file that is not the image that it should be. The lease
-         *     has failed then, the task is done elsewhere, and the refusal is held against the node.
-         */
+        /** Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
+         *     harmless. */
         post: operations["lease_result"];
         delete?: never;
         options?: never;
@@ -825,7 +834,10 @@ export interface paths {
         /** The nodes, oldest first unless another order is asked for. */
         get: operations["node_list"];
         put?: never;
-        /** Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator. */
+        /**
+         * Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator.
+         * @description A worker's word about the price counts for a new node. Later, only an operator changes it.
+         */
         post: operations["node_register"];
         delete?: never;
         options?: never;
@@ -865,13 +877,19 @@ export interface paths {
         get: operations["node_get"];
         put?: never;
         post?: never;
-        delete?: never;
+        /**
+         * Removes a node and its own token. Its bookings are planned anew.
+         * @description 409 while it holds a task, unless `cancel_task` is true. A machine that registers under its name brings it
+         *     back, so a shared token of its worker has to be revoked too.
+         */
+        delete: operations["node_remove"];
         options?: never;
         head?: never;
         /**
          * Gives a node orders, or sets its speed, price, calendar or terms.
          * @description The worker gets an order at the next renewal of its lease; the node's `state` shows whether it has obeyed.
-         *     A speed or price set here survives a new registration; `null` removes it.
+         *     A speed or price set here survives a new registration; `null` removes it. A worker's token may drain,
+         *     pause, resume and schedule its node, take its task away, and set it aside; the rest is for operators.
          */
         patch: operations["node_change"];
         trace?: never;
@@ -959,7 +977,8 @@ export interface paths {
          *     share goes first. */
         get: operations["project_list"];
         put?: never;
-        /** Sets a project's share and plans the farm anew. Setting it again replaces it, so repeating is harmless. */
+        /** Makes a project, or sets its share, and plans the farm anew. Setting it again replaces it, so repeating is
+         *     harmless. */
         post: operations["project_set"];
         delete?: never;
         options?: never;
@@ -1041,6 +1060,60 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/sign-in": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** How people may sign in, besides codes and tokens. */
+        get: operations["sign_in_ways"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/sign-in/begin": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Sends a browser to the sign-in provider. 404 if there is none. */
+        get: operations["sign_in_begin"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/sign-in/callback": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Takes a browser that comes back from the sign-in provider, and signs its person in.
+         * @description The answer sets the cookie `forelight_session` and leads to the page. Other sessions of the person end.
+         */
+        get: operations["sign_in_finish"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/tasks/{id}/log": {
         parameters: {
             query?: never;
@@ -1070,6 +1143,65 @@ export interface paths {
         get: operations["timeline"];
         put?: never;
         post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/tokens": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The tokens, oldest first. A token that expired is listed for thirty days more. */
+        get: operations["token_list"];
+        put?: never;
+        /** Makes a token. The answer has its secret, which is shown only once. Repeating the request makes another
+         *     one. */
+        post: operations["token_create"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/tokens/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One token. */
+        get: operations["token_get"];
+        put?: never;
+        post?: never;
+        /** Revokes a token at once. Its requests that are under way, its streams of events and its sessions end. */
+        delete: operations["token_revoke"];
+        options?: never;
+        head?: never;
+        /** Changes a token's name, when it expires, or which projects it reaches. */
+        patch: operations["token_change"];
+        trace?: never;
+    };
+    "/v1/tokens/{id}/rotate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Replaces a token by a new one with the same rights. The answer has its secret, which is shown only once.
+         * @description The replaced token, and the sessions that began with it, end at once, or after the grace. Repeating the
+         *     request without a grace gives 404.
+         */
+        post: operations["token_rotate"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1281,6 +1413,41 @@ export interface components {
              * @description Length in bytes.
              */
             size: number;
+        };
+        /**
+         * @description What somebody did.
+         * @enum {string}
+         */
+        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "budget_set" | "webhook_added" | "webhook_removed";
+        /** @description One entry: who did what, when, and from where. Entries never change. */
+        AuditEntry: {
+            /** @description What was done. */
+            action: components["schemas"]["AuditAction"];
+            /** @description Who: the name of the token, or `this machine` for what was done beside the service. */
+            actor: string;
+            /** @description When. */
+            at: components["schemas"]["Timestamp"];
+            /** @description What was asked for, without secrets. */
+            detail?: Record<string, never> | null;
+            /** @description Address of the connection's other end. Behind a proxy, that of the proxy. */
+            from?: string | null;
+            /**
+             * Format: int64
+             * @description Its place in the order of all entries.
+             */
+            id: number;
+            /** @description The project that it concerns. */
+            project?: string | null;
+            role?: components["schemas"]["Role"] | null;
+            /** @description With what: an id, or the name of a project. */
+            target: string;
+            token_id?: components["schemas"]["TokenId"] | null;
+        };
+        /** @description One page of entries, newest first. */
+        AuditPage: {
+            /** @description The entries. */
+            items: components["schemas"]["AuditEntry"][];
+            next_page_token?: components["schemas"]["PageToken"] | null;
         };
         /** @description What is booked for a job. The live estimate is compared with it. */
         Booked: {
@@ -2148,7 +2315,7 @@ export interface components {
              * @description Progress of the task, 0 to 1.
              */
             progress?: number | null;
-            /** @description The project, of an event about a budget. */
+            /** @description The project of the job, or of the budget. */
             project?: string | null;
             promise?: components["schemas"]["Promise"] | null;
             task_id?: components["schemas"]["TaskId"] | null;
@@ -2158,7 +2325,7 @@ export interface components {
          * @description Kind of an event. It is also the `event:` field of the server-sent events.
          * @enum {string}
          */
-        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "result_refused" | "task_late" | "task_stalled" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe";
+        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "node_removed" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe";
         /** @description Fields of each event on the stream. */
         EventMessage: {
             /** @description The event, an `Event` in JSON. */
@@ -2196,11 +2363,6 @@ export interface components {
              */
             work: number;
         };
-        /**
-         * @description Where the cause of a failure lies, as far as the worker knows. It decides whose fault the failure is.
-         * @enum {string}
-         */
-        FailureKind: "unknown" | "node" | "input" | "task";
         /** @description An instant that is not known for sure. */
         FinishQuantiles: {
             /** @description Median. */
@@ -2896,28 +3058,12 @@ export interface components {
          * @enum {string}
          */
         LeaseOrder: "continue" | "stop" | "pause";
-        /** @description An operator's request to take a job out of the track record. */
-        LeaveOutRequest: {
-            /** @description Why: 1 to 500 characters. */
-            reason: string;
-        };
         /** @description A light or an object that provably does not affect an image. */
         LeftOut: {
             /** @description Why it has no effect. */
             reason: string;
             /** @description Name or number of it. */
             what: string;
-        };
-        /** @description A job that an operator took out of the track record. Nothing is learnt from it. */
-        LeftOutJob: {
-            /** @description Since when. */
-            at: components["schemas"]["Timestamp"];
-            /** @description The job. */
-            job_id: components["schemas"]["JobId"];
-            /** @description Its name. */
-            name: string;
-            /** @description Why. */
-            reason: string;
         };
         /** @description One number of the live estimate, beside the quote. */
         LiveFigure: {
@@ -3102,6 +3248,13 @@ export interface components {
             later_ms: number;
             /** @description Its name. */
             name: string;
+        };
+        /** @description A new token. Its secret is shown only once. */
+        NewToken: {
+            /** @description What to send: `Authorization: Bearer …`. */
+            secret: string;
+            /** @description The token. */
+            token: components["schemas"]["Token"];
         };
         /** @description Comparison of a rung with the next better one. */
         NextRung: {
@@ -4468,6 +4621,14 @@ export interface components {
          * @enum {string}
          */
         Role: "submitter" | "worker" | "operator" | "viewer";
+        /** @description Replaces a token by a new one with the same name, role and end. */
+        RotateRequest: {
+            /**
+             * Format: int32
+             * @description How long the replaced token is still valid, in seconds: 0 to 604800, a week. Its sessions end with it.
+             */
+            grace_seconds?: number;
+        };
         /** @description Measured cost of a part of a frame. */
         SampleCost: {
             /**
@@ -4552,6 +4713,10 @@ export interface components {
             last_used_at?: components["schemas"]["Timestamp"] | null;
             /** @description Name of its token. */
             name: string;
+            /** @description The projects that it reaches, with a role in each. Absent if it reaches all of them. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
             /** @description What it may do. */
             role: components["schemas"]["Role"];
         };
@@ -4687,6 +4852,11 @@ export interface components {
              */
             width?: number | null;
         };
+        /** @description How people may sign in with a browser. */
+        SignInWays: {
+            /** @description Name of the studio's sign-in provider, to which `/v1/sign-in/begin` leads. Absent if there is none. */
+            provider?: string | null;
+        };
         /**
          * @description What a node does in a stretch of time.
          * @enum {string}
@@ -4810,13 +4980,10 @@ export interface components {
         };
         /** @description An error of the worker. */
         TaskError: {
-            /** @description Where the cause lies. */
-            kind?: components["schemas"]["FailureKind"];
             limit?: components["schemas"]["TaskLimit"] | null;
             /** @description The error as one line of text, 1 to 2000 characters. */
             message: string;
-            /** @description Whether every attempt would fail like this, as with a malformed scene. The job fails once a second
-             *     node says so, or after three attempts if there is no other node. */
+            /** @description Whether every attempt would fail like this, as with a malformed scene. The job then fails at once. */
             permanent?: boolean;
         };
         /**
@@ -4970,6 +5137,66 @@ export interface components {
          * @example 2026-03-01T18:00:00.000000Z
          */
         Timestamp: string;
+        /** @description A bearer token. The token itself is not shown: the farm keeps only its hash. */
+        Token: {
+            /** @description When it was made. */
+            created_at: components["schemas"]["Timestamp"];
+            expires_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Its id. */
+            id: components["schemas"]["TokenId"];
+            /** @description Whom it belongs to. */
+            kind?: components["schemas"]["TokenKind"];
+            last_used_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Name of the person or service. */
+            name: string;
+            node_id?: components["schemas"]["NodeId"] | null;
+            /** @description The projects that it reaches, with a role in each. Absent if it reaches all of them. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
+            /** @description What it allows: in all projects, or the most that it allows in one of `projects`. */
+            role: components["schemas"]["Role"];
+        };
+        /** @description Changes a token. Absent fields stay as they are. */
+        TokenChange: {
+            expires_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Another name, 1 to 200 characters. */
+            name?: string | null;
+            /** @description Other projects, with a role in each. Only for a token that reaches some projects and not all. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
+        };
+        /**
+         * Format: uuid
+         * @description Id of a bearer token. It is no secret.
+         */
+        TokenId: string;
+        /**
+         * @description Whom a token belongs to.
+         * @enum {string}
+         */
+        TokenKind: "person" | "service";
+        /** @description One page of tokens, oldest first. */
+        TokenPage: {
+            /** @description The tokens. */
+            items: components["schemas"]["Token"][];
+            next_page_token?: components["schemas"]["PageToken"] | null;
+        };
+        /** @description Makes a token. Exactly one of `role` and `projects` must be given. */
+        TokenRequest: {
+            expires_at?: components["schemas"]["Timestamp"] | null;
+            /** @description Whom it belongs to. */
+            kind?: components["schemas"]["TokenKind"];
+            /** @description Name of the person or service, 1 to 200 characters. */
+            name: string;
+            /** @description The projects that it reaches, with a role in each: `viewer` or `submitter`. They must exist. `*`
+             *     stands for all projects that are not named. */
+            projects?: {
+                [key: string]: components["schemas"]["Role"];
+            } | null;
+            role?: components["schemas"]["Role"] | null;
+        };
         /** @description Track record over all finished frames, and one page of the frames, newest first. */
         TrackRecord: {
             /**
@@ -4993,8 +5220,6 @@ export interface components {
             items: components["schemas"]["TrackRecordRow"][];
             /** @description The same by kind and calibration. Sorted by renderer, feature class and calibration. */
             kinds?: components["schemas"]["TrackRecordKind"][];
-            /** @description Jobs that an operator took out of the record: none of the numbers counts them. The newest first. */
-            left_out?: components["schemas"]["LeftOutJob"][];
             next_page_token?: components["schemas"]["PageToken"] | null;
             /**
              * Format: double
@@ -5386,10 +5611,7 @@ export interface operations {
     artifact_get: {
         parameters: {
             query?: never;
-            header?: {
-                /** @description One range of bytes */
-                Range?: string | null;
-            };
+            header?: never;
             path: {
                 blake3: components["schemas"]["ArtifactHash"];
             };
@@ -5405,22 +5627,6 @@ export interface operations {
                 content: {
                     "application/octet-stream": string;
                 };
-            };
-            /** @description The range of them */
-            206: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/octet-stream": string;
-                };
-            };
-            /** @description The client has them */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -5514,12 +5720,106 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description The client has it */
-            304: {
+            /** @description The request is refused; `type` says why */
+            "4XX": {
                 headers: {
                     [name: string]: unknown;
                 };
-                content?: never;
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    audit_list: {
+        parameters: {
+            query?: {
+                /** @description Only what this person or service did, by the name of the token. */
+                actor?: string;
+                /** @description Only this action. */
+                action?: components["schemas"]["AuditAction"];
+                /** @description Only what was done with this: the id of a job, node or token, or the name of a project. */
+                target?: string;
+                /** @description Only what concerns this project. */
+                project?: string;
+                /** @description Only what was done at this instant or later. */
+                from?: string;
+                /** @description Only what was done before this instant. */
+                to?: string;
+                /** @description `next_page_token` of the previous page. */
+                page_token?: string;
+                /** @description Number of items on a page: 1 to 200, default 50. */
+                page_size?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A page of entries */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["AuditPage"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    audit_export: {
+        parameters: {
+            query?: {
+                /** @description The form. Default: `ndjson`. */
+                format?: "ndjson" | "csv";
+                /** @description Only what was done at this instant or later. */
+                from?: string;
+                /** @description Only what was done before this instant. */
+                to?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The entries */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/x-ndjson": string;
+                    "text/csv": string;
+                };
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -5942,13 +6242,6 @@ export interface operations {
                     "application/json": components["schemas"]["TrackRecord"];
                 };
             };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -5986,13 +6279,6 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
-            };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6318,13 +6604,6 @@ export interface operations {
                     "application/json": components["schemas"]["AccuracyDoc"];
                 };
             };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6369,13 +6648,6 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["AnswersDoc"];
                 };
-            };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6512,13 +6784,6 @@ export interface operations {
                     "application/json": components["schemas"]["Explanation"];
                 };
             };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6606,13 +6871,6 @@ export interface operations {
                     "application/json": components["schemas"]["ForecastHistory"];
                 };
             };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6652,13 +6910,6 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
-            };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6864,10 +7115,7 @@ export interface operations {
     frame_cost_map_png: {
         parameters: {
             query?: never;
-            header?: {
-                /** @description One range of bytes */
-                Range?: string | null;
-            };
+            header?: never;
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -6878,15 +7126,6 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "image/png": string;
-                };
-            };
-            /** @description The range of it */
-            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6924,10 +7163,7 @@ export interface operations {
     frame_image_exr: {
         parameters: {
             query?: never;
-            header?: {
-                /** @description One range of bytes */
-                Range?: string | null;
-            };
+            header?: never;
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -6938,15 +7174,6 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "image/x-exr": string;
-                };
-            };
-            /** @description The range of it */
-            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6984,10 +7211,7 @@ export interface operations {
     frame_image_png: {
         parameters: {
             query?: never;
-            header?: {
-                /** @description One range of bytes */
-                Range?: string | null;
-            };
+            header?: never;
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -6998,15 +7222,6 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "image/png": string;
-                };
-            };
-            /** @description The range of it */
-            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -7044,10 +7259,7 @@ export interface operations {
     frame_preview_png: {
         parameters: {
             query?: never;
-            header?: {
-                /** @description One range of bytes */
-                Range?: string | null;
-            };
+            header?: never;
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -7065,99 +7277,8 @@ export interface operations {
                     "image/png": string;
                 };
             };
-            /** @description The range of it */
-            206: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "image/png": string;
-                };
-            };
             /** @description The picture is still that of `If-None-Match` */
             304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
-            /** @description The request is refused; `type` says why */
-            "4XX": {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description The service cannot do it now; 503 has `Retry-After` */
-            "5XX": {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    job_leave_out: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                id: components["schemas"]["JobId"];
-            };
-            cookie?: never;
-        };
-        requestBody: {
-            content: {
-                "application/json": components["schemas"]["LeaveOutRequest"];
-            };
-        };
-        responses: {
-            /** @description It is out of the record */
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["LeftOutJob"];
-                };
-            };
-            /** @description The request is refused; `type` says why */
-            "4XX": {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            /** @description The service cannot do it now; 503 has `Retry-After` */
-            "5XX": {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    job_put_back: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                id: components["schemas"]["JobId"];
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            /** @description It is in the record */
-            204: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -7202,13 +7323,6 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
-            };
-            /** @description It is still that of `If-None-Match` */
-            304: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -7773,6 +7887,47 @@ export interface operations {
             };
         };
     };
+    node_remove: {
+        parameters: {
+            query?: {
+                /** @description Whether the node's task may be taken away. Any node may then start it again. */
+                cancel_task?: boolean;
+            };
+            header?: never;
+            path: {
+                id: components["schemas"]["NodeId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is removed */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     node_change: {
         parameters: {
             query?: never;
@@ -8299,6 +8454,125 @@ export interface operations {
             };
         };
     };
+    sign_in_ways: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The ways */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SignInWays"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    sign_in_begin: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description To the provider */
+            303: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    sign_in_finish: {
+        parameters: {
+            query?: {
+                /** @description A code, to be exchanged for the person's identity. */
+                code?: string;
+                /** @description The state with which the browser was sent. */
+                state?: string;
+                /** @description Why there is no code. */
+                error?: string;
+                /** @description The same for people. */
+                error_description?: string;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description To the page */
+            303: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     task_log: {
         parameters: {
             query?: never;
@@ -8376,6 +8650,257 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_list: {
+        parameters: {
+            query?: {
+                /** @description `next_page_token` of the previous page. */
+                page_token?: string;
+                /** @description Number of items on a page: 1 to 200, default 50. */
+                page_size?: number;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A page of tokens */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TokenPage"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_create: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["TokenRequest"];
+            };
+        };
+        responses: {
+            /** @description The token with its secret */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["NewToken"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_get: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The token */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Token"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_revoke: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is revoked */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_change: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["TokenChange"];
+            };
+        };
+        responses: {
+            /** @description The token */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Token"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    token_rotate: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["TokenId"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RotateRequest"];
+            };
+        };
+        responses: {
+            /** @description The new token with its secret */
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["NewToken"];
+                };
             };
             /** @description The request is refused; `type` says why */
             "4XX": {

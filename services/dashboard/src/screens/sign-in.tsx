@@ -1,12 +1,12 @@
 // Signing in: by the link that `forelight dashboard` prints, or by pasting a token.
 
 import { useEffect, useState } from "preact/hooks";
-import { Refused } from "../api/client";
+import { get, Refused } from "../api/client";
 import { go, route } from "../state/route";
 import { ended, session, signIn } from "../state/session";
 import { titled } from "../state/tab";
 import { Field, Trouble, Waiting } from "../ui/parts";
-import { asError } from "../ui/resource";
+import { asError, useResource } from "../ui/resource";
 
 export function SignIn() {
   const code = route.value.path[0] === "sign-in" ? route.value.query.get("code") : null;
@@ -16,6 +16,7 @@ export function SignIn() {
   });
   const [text, setText] = useState("");
   useEffect(() => titled("Sign in"), []);
+  const ways = useResource((signal) => get("/v1/sign-in", { signal }), []);
 
   const enter = async (secret: { code: string } | { token: string }) => {
     setState({ busy: true, error: null });
@@ -48,6 +49,13 @@ export function SignIn() {
       <h1>forelight</h1>
       <p>Sign in to the farm at {location.host}.</p>
       {ended.value && <p>{ended.value}</p>}
+      {ways.data?.provider && (
+        <p>
+          <a class="button primary" href="/v1/sign-in/begin">
+            Sign in with {ways.data.provider}
+          </a>
+        </p>
+      )}
       <form
         onSubmit={(event) => {
           event.preventDefault();

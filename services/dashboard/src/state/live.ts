@@ -37,6 +37,7 @@ const KINDS: Record<EventKind, true> = {
   node_registered: true,
   node_changed: true,
   node_set_aside: true,
+  node_removed: true,
   budget: true,
   engine_state: true,
   job_promise_at_risk: true,

@@ -15,6 +15,12 @@ export const maySubmit = computed(
   () => session.value?.role === "operator" || session.value?.role === "submitter",
 );
 
+/** Whether the session sees what belongs to all projects. */
+export const seesAll = computed(() => {
+  const projects = session.value?.projects;
+  return !projects || "*" in projects;
+});
+
 /** Whether nodes may be changed. */
 export const mayOperate = computed(() => session.value?.role === "operator");
 

@@ -1,7 +1,8 @@
 //! Accepting quotes, and changing the terms of jobs: deadline, budget and confidence.
 
-use forelight_protocol::{Event, EventKind, Job, JobChange, JobId, JobState, Money, Timestamp};
+use forelight_protocol::{AuditAction, Event, EventKind, Job, JobChange, JobId, JobState, Money, Timestamp};
 
+use crate::audit::{Deed, note};
 use crate::columns::{Id, Time};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
@@ -39,6 +40,8 @@ impl Store {
         run!(write, "UPDATE jobs SET hold = 0 WHERE id = ?", job.0);
         set_terms(&mut write, job, change).await?;
         tell(&mut write, job, "its quote was accepted", now);
+        let deed = Deed::new(AuditAction::JobAccepted, job).of_project(&current.project);
+        note(&mut write, deed, Some(change), now);
         let accepted = read(write.connection().await?, job).await?;
         self.commit(write).await?;
         Ok(accepted)
@@ -65,6 +68,8 @@ impl Store {
         let what = in_words(&changed);
         replans::want(&mut write, &format!("job {} has {what}", current.name)).await?;
         tell(&mut write, job, &what, now);
+        let deed = Deed::new(AuditAction::JobChanged, job).of_project(&current.project);
+        note(&mut write, deed, Some(change), now);
         let changed = read(write.connection().await?, job).await?;
         self.commit(write).await?;
         Ok(changed)

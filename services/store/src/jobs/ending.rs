@@ -1,7 +1,8 @@
 //! Jobs that end before their last frame: cancelled or failed.
 
-use forelight_protocol::{Job, JobId, JobState, TaskKind, Timestamp};
+use forelight_protocol::{AuditAction, Job, JobId, JobState, TaskKind, Timestamp};
 
+use crate::audit::{Deed, note_only};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::job_state;
@@ -33,6 +34,7 @@ impl Store {
             | JobState::Rendering => {}
         }
         cancel(&mut write, &current, now).await?;
+        note_only(&mut write, Deed::new(AuditAction::JobCancelled, job).of_project(&current.project), now);
         let cancelled = read(write.connection().await?, job).await?;
         self.commit(write).await?;
         Ok(cancelled)

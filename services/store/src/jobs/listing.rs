@@ -4,6 +4,7 @@ use forelight_protocol::{Job, JobId, JobState, Timestamp};
 use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
+use crate::columns::Json;
 use crate::database::Store;
 use crate::error::Result;
 use crate::jobs::read;
@@ -17,6 +18,8 @@ pub struct JobFilter {
     pub state: Option<JobState>,
     /// Only jobs of this project.
     pub project: Option<String>,
+    /// Only jobs of one of these projects.
+    pub projects: Option<Vec<String>>,
     /// Only jobs with exactly this name.
     pub name: Option<String>,
     /// Only jobs with this text in the names of job or project, whatever its case in ASCII.
@@ -78,13 +81,15 @@ fn is_at_risk(job: &Job) -> bool {
 }
 
 /// Ids of a page of jobs: `?1` to `?4` are the filter, `?5` to `?8` the place after which it begins, `?9` is
-/// the number of rows. Only ids are sorted: the rows of jobs are long.
+/// the number of rows, `?10` the projects that the caller sees. Only ids are sorted: the rows of jobs are
+/// long.
 macro_rules! ids {
     (($connection:expr, $filter:expr, $after:expr, $limit:expr), $from:literal, $order:literal) => {
         sqlx::query_scalar!(
             "SELECT id FROM jobs " + $from
                 + " AND (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR project = ?2) AND (?3 IS NULL OR name = ?3) \
-                   AND (?4 IS NULL OR instr(lower(name), ?4) > 0 OR instr(lower(project), ?4) > 0) "
+                   AND (?4 IS NULL OR instr(lower(name), ?4) > 0 OR instr(lower(project), ?4) > 0) \
+                   AND (?10 IS NULL OR project IN (SELECT value FROM json_each(?10))) "
                 + $order,
             $filter.state.map(JobState::name),
             $filter.project,
@@ -94,7 +99,8 @@ macro_rules! ids {
             $after.due,
             $after.name,
             $after.id.0,
-            $limit
+            $limit,
+            $filter.projects.as_ref().map(Json)
         )
         .fetch_all(&mut *$connection)
         .await?

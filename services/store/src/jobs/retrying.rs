@@ -4,8 +4,9 @@
 //! again loses its result. Its fencing token grows with the next lease as always, and a late message about
 //! the old result is refused.
 
-use forelight_protocol::{FrameSet, Job, JobId, JobState, LeaseId, Timestamp};
+use forelight_protocol::{AuditAction, FrameSet, Job, JobId, JobState, LeaseId, Timestamp};
 
+use crate::audit::{Deed, note};
 use crate::columns::Id;
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
@@ -65,6 +66,8 @@ impl Store {
         replans::want(&mut write, &format!("frames of job {} are rendered again", current.name)).await?;
         living::update(&mut write, job, Occasion::Booked, now).await?;
         tell(&mut write, job, &format!("frames {frames} are rendered again"), now);
+        let deed = Deed::new(AuditAction::FramesRetried, job).of_project(&current.project);
+        note(&mut write, deed, Some(frames), now);
         let going_on = read(write.connection().await?, job).await?;
         self.commit(write).await?;
         Ok(going_on)
@@ -97,6 +100,8 @@ impl Store {
             run!(write, "UPDATE frames SET dropped = 1 WHERE job_id = ? AND frame = ?", job.0, row.frame);
         }
         tell(&mut write, job, &format!("frames {frames} were cancelled"), now);
+        let deed = Deed::new(AuditAction::FramesCancelled, job).of_project(&current.project);
+        note(&mut write, deed, Some(frames), now);
         let is_any_left = rows.iter().filter(is_open).count() > open.len();
         if is_any_left {
             living::update(&mut write, job, Occasion::Booked, now).await?;

@@ -2,16 +2,18 @@
 
 use forelight_forecast::FIRST_FRAMES;
 use forelight_protocol::{
-    BundleSource, Event, EventKind, Job, JobId, JobRequest, JobSettings, JobState, Money, SceneSummary,
-    Timestamp,
+    AuditAction, BundleSource, Event, EventKind, Job, JobId, JobRequest, JobSettings, JobState, Money, Role,
+    SceneSummary, Timestamp,
 };
 
+use crate::audit::{Deed, note};
 use crate::columns::Json;
 use crate::database::Store;
 use crate::error::Result;
 use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::jobs::read;
+use crate::projects;
 use crate::tasks::Common;
 use crate::writing::run;
 
@@ -41,6 +43,11 @@ impl Store {
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
         }
+        // Operators make projects. Whoever else could would avoid a budget by another name.
+        if write.actor().is_none_or(|actor| actor.role == Role::Operator) {
+            projects::make(&mut write, &request.project, now).await?;
+        }
+        projects::check_exists(write.connection().await?, &request.project).await?;
         let job_id = JobId::new();
         run!(
             write,
@@ -98,6 +105,8 @@ impl Store {
             },
         );
         let job = read(write.connection().await?, job_id).await?;
+        let deed = Deed::new(AuditAction::JobSubmitted, job_id).of_project(&job.project);
+        note(&mut write, deed, Some(request), now);
         record(&mut write, key, 201, &job, now);
         self.commit(write).await?;
         Ok(Answered::Fresh(job))

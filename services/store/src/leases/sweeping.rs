@@ -14,7 +14,9 @@ use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
 use crate::living;
 use crate::nodes::changing::stop_after_windows;
 use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
+use crate::rights::forget_ended_rights;
 use crate::sessions::forget_ended_sessions;
+use crate::tokens::forget_expired_tokens;
 use crate::webhooks::forget_old_deliveries;
 use crate::writing::run;
 
@@ -39,6 +41,8 @@ impl Store {
         forget_old(&mut write, now).await?;
         forget_old_progress(&mut write, now).await?;
         forget_ended_sessions(&mut write, now).await?;
+        forget_expired_tokens(&mut write, now).await?;
+        forget_ended_rights(&mut write).await?;
         forget_old_deliveries(&mut write, now).await?;
         self.commit(write).await?;
         self.forget_checkpoints().await?;

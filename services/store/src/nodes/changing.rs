@@ -1,9 +1,11 @@
 //! Registering nodes and changing them.
 
 use forelight_protocol::{
-    EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, RendererId, Timestamp,
+    AuditAction, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, RendererId, Role,
+    Timestamp,
 };
 
+use crate::audit::{Deed, note};
 use crate::columns::Json;
 use crate::database::{Store, Write};
 use crate::error::Result;
@@ -18,7 +20,8 @@ use crate::writing::run;
 
 impl Store {
     /// Registers a node. A node of the same name is updated and keeps its id: a restarted worker is the same
-    /// node. A speed or price that was set by hand stays in force.
+    /// node. A speed or price that was set by hand stays in force. A worker says a price only for a new node:
+    /// later, only an operator changes it.
     pub async fn register_node(
         &self,
         registration: &NodeRegistration,
@@ -64,6 +67,7 @@ impl Store {
         }
         let changed = read(write.connection().await?, node).await?;
         node_event(&mut write, EventKind::NodeChanged, &changed, changed.name.clone(), now);
+        note(&mut write, Deed::new(AuditAction::NodeChanged, node), Some(change), now);
         // Waiting claims should look again.
         write.made_work |= may_take_tasks_again(change);
         if let Some(cause) = cause_of(change) {
@@ -87,15 +91,17 @@ pub(crate) async fn upsert(
         }
         _ => false,
     };
+    let may_price = write.actor().is_none_or(|actor| actor.role == Role::Operator);
     let renderers: Vec<String> =
         registration.capabilities.renderers.iter().flat_map(RendererId::answers_to).collect();
     let node_id: NodeId = sqlx::query_scalar!(
         "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, \
          capabilities, schedule, worker, renderers) VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (name) \
-         DO UPDATE SET speed = excluded.speed, price_per_hour = excluded.price_per_hour, cores = \
+         DO UPDATE SET speed = excluded.speed, price_per_hour = \
+         CASE WHEN ?11 OR removed_at IS NOT NULL THEN excluded.price_per_hour ELSE price_per_hour END, cores = \
          excluded.cores, last_seen_at = excluded.last_seen_at, capabilities = excluded.capabilities, \
          schedule = excluded.schedule, worker = coalesce(excluded.worker, worker), paused = 0, \
-         renderers = excluded.renderers \
+         renderers = excluded.renderers, removed_at = NULL \
          RETURNING id",
         NodeId::new().0,
         registration.name,
@@ -106,7 +112,8 @@ pub(crate) async fn upsert(
         Json(&registration.capabilities),
         registration.schedule.as_ref().map(Json),
         registration.worker,
-        Json(&renderers)
+        Json(&renderers),
+        may_price
     )
     .fetch_one(write.connection().await?)
     .await?

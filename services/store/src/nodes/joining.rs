@@ -8,12 +8,19 @@
 //! * A machine uses another machine's name: it replaces that node only with a one-time token made for the
 //!   name.
 
-use forelight_protocol::{ArtifactHash, JoinRequest, JoinToken, Node, Timestamp};
+use std::net::IpAddr;
+use std::sync::Arc;
 
+use forelight_protocol::{ArtifactHash, AuditAction, JoinRequest, JoinToken, Node, Role, Timestamp, TokenId};
+
+use crate::audit::{Actor, Deed, note, note_only};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::writing::run;
 use crate::{nodes, tokens};
+
+const REMOVED: &str =
+    "the node that joined with this one-time token was removed; ask an operator for a new one";
 
 impl Store {
     /// Makes a one-time token that is valid for so many microseconds from `now`.
@@ -36,12 +43,19 @@ impl Store {
             now.micros(),
             expires_at.micros()
         );
+        note_only(&mut write, Deed::new(AuditAction::JoinTokenCreated, name), now);
         self.commit(write).await?;
         Ok(JoinToken { token, expires_at })
     }
 
     /// Uses a one-time token up: makes the node, and its bearer token with the hash that the machine chose.
-    pub async fn join(&self, token: &str, request: &JoinRequest, now: Timestamp) -> Result<Node> {
+    pub async fn join(
+        &self,
+        token: &str,
+        request: &JoinRequest,
+        from: Option<IpAddr>,
+        now: Timestamp,
+    ) -> Result<Node> {
         let burnt = tokens::hash(token);
         let mut write = self.write().await?;
         let row = sqlx::query!(
@@ -52,7 +66,10 @@ impl Store {
         .await?
         .ok_or_else(|| StoreError::JoinRefused("this one-time token is unknown".to_owned()))?;
         if let (Some(node), Some(chosen)) = (row.node_id, row.used_for.map(ArtifactHash::from)) {
-            let node = nodes::read(write.connection().await?, node.into()).await?;
+            let node = match nodes::read(write.connection().await?, node.into()).await {
+                Err(StoreError::NotFound(_)) => return Err(StoreError::JoinRefused(REMOVED.to_owned())),
+                node => node?,
+            };
             if chosen == request.token_hash && node.name == request.node.name {
                 return Ok(node);
             }
@@ -97,9 +114,11 @@ impl Store {
         run!(write, "DELETE FROM tokens WHERE node_id = ?", node.id.0);
         let inserted = run!(
             write,
-            "INSERT INTO tokens (hash, name, role, created_at, node_id) VALUES (?, ?, 'worker', ?, ?) \
+            "INSERT INTO tokens (hash, id, name, kind, role, created_at, node_id) \
+             VALUES (?, ?, ?, 'service', 'worker', ?, ?) \
              ON CONFLICT DO NOTHING",
             &request.token_hash.0[..],
+            TokenId::new().0,
             node.name,
             now.micros(),
             node.id.0
@@ -107,6 +126,10 @@ impl Store {
         if inserted == 0 {
             return Err(StoreError::Conflict("the hash belongs to a token that is in use".to_owned()));
         }
+        let actor = Actor { name: made_for, role: Role::Worker, token: None, from };
+        let mut write = write.by(Some(Arc::new(actor)));
+        let detail = serde_json::json!({"name": node.name});
+        note(&mut write, Deed::new(AuditAction::NodeJoined, node.id), Some(&detail), now);
         self.commit(write).await?;
         Ok(node)
     }

@@ -106,7 +106,7 @@ pub(crate) async fn without_capabilities(connection: &mut SqliteConnection) -> R
                   n.last_seen_at,
                   (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active'
                    ORDER BY l.granted_at DESC, l.id LIMIT 1) AS "task_id?: crate::columns::Id"
-           FROM nodes n ORDER BY n.id"#
+           FROM nodes n WHERE n.removed_at IS NULL ORDER BY n.id"#
     )
     .fetch_all(connection)
     .await?;

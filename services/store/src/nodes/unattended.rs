@@ -70,7 +70,7 @@ pub(crate) async fn unattended(
 /// Whether some node certainly takes tasks. Ignores nodes with calendars; this is enough on most farms.
 async fn somebody_is_there(connection: &mut SqliteConnection, ttl: Duration, now: Timestamp) -> Result<bool> {
     Ok(sqlx::query_scalar!(
-        r#"SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT (drain OR pause OR set_aside IS NOT NULL)
+        r#"SELECT EXISTS (SELECT 1 FROM nodes WHERE NOT (drain OR pause OR set_aside IS NOT NULL) AND removed_at IS NULL
                   AND last_seen_at >= ? AND coalesce(schedule_set, schedule) IS NULL
                           AND coalesce(json_array_length(terms, '$.maintenance'), 0) = 0) AS "is_there!: bool""#,
         now.plus_micros(-silent_after(ttl)).micros()

@@ -1,9 +1,10 @@
 //! Jobs that an operator took out of the track record: neither the record nor calibration counts them, and
 //! nodes forget what they taught. The reason is kept. A job can be put back.
 
-use forelight_protocol::{JobId, LeftOutJob, Timestamp};
+use forelight_protocol::{AuditAction, JobId, LeftOutJob, Timestamp};
 use sqlx::SqliteConnection;
 
+use crate::audit::{Deed, note, note_only};
 use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::jobs;
@@ -26,6 +27,8 @@ impl Store {
             reason,
             now.micros()
         );
+        let deed = Deed::new(AuditAction::JobLeftOut, job).of_project(&found.project);
+        note(&mut write, deed, Some(&reason), now);
         learn_anew(&mut write, job).await?;
         tell(&mut write, job, &format!("it was taken out of the track record: {reason}"), now);
         self.commit(write).await?;
@@ -35,9 +38,10 @@ impl Store {
     /// Puts a job back into the track record. Does nothing if it is there.
     pub async fn put_back(&self, job: JobId, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
-        jobs::state(write.connection().await?, job).await?;
+        let found = jobs::read(write.connection().await?, job).await?;
         let was_out = run!(write, "DELETE FROM left_out_jobs WHERE job_id = ?", job.0) > 0;
         if was_out {
+            note_only(&mut write, Deed::new(AuditAction::JobCounted, job).of_project(&found.project), now);
             learn_anew(&mut write, job).await?;
             tell(&mut write, job, "it was put back into the track record", now);
         }

@@ -1,7 +1,8 @@
 //! Deletes images, profiles, and all the rest of jobs that have ended.
 
-use forelight_protocol::{JobId, RetentionKind, Timestamp};
+use forelight_protocol::{AuditAction, JobId, RetentionKind, Timestamp};
 
+use crate::audit::{Deed, note_only};
 use crate::budgets::past;
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
@@ -27,6 +28,7 @@ impl Store {
         if !found.state.is_final() {
             return Err(StoreError::Conflict(format!("the job is {}; cancel it first", found.state)));
         }
+        note_only(&mut write, Deed::new(AuditAction::JobDeleted, job).of_project(&found.project), now);
         delete(&mut write, job, now).await?;
         self.commit(write).await
     }

@@ -130,10 +130,10 @@ async fn a_backup_is_whole_while_others_write_and_is_what_a_farm_can_go_on_from(
 async fn a_token_is_known_by_its_hash_alone() {
     let farm = Farm::new().await;
     let token = tokens::create(&farm.store, Role::Worker, "rack 3", at(0)).await.unwrap();
-    let principal = tokens::find(&farm.store, &token).await.unwrap().unwrap();
+    let principal = tokens::find(&farm.store, &token, at(0)).await.unwrap().unwrap();
     assert_eq!((principal.role, principal.name.as_str()), (Role::Worker, "rack 3"));
-    assert_eq!(tokens::find(&farm.store, &token[..token.len() - 1]).await.unwrap(), None);
-    assert_eq!(tokens::find(&farm.store, "").await.unwrap(), None);
+    assert_eq!(tokens::find(&farm.store, &token[..token.len() - 1], at(0)).await.unwrap(), None);
+    assert_eq!(tokens::find(&farm.store, "", at(0)).await.unwrap(), None);
     farm.store.close().await;
     for file in ["forelight.sqlite", "forelight.sqlite-wal"] {
         let Ok(bytes) = std::fs::read(farm.folder.path().join(file)) else { continue };

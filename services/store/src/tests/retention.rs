@@ -19,7 +19,7 @@ async fn done_job(farm: &Farm) -> JobId {
 
 async fn set(farm: &Farm, kind: RetentionKind, project: Option<&str>, days: Option<u32>) {
     let rule = RetentionRule { project: project.map(str::to_owned), kind, days };
-    farm.store.set_retention(&rule).await.unwrap();
+    farm.store.set_retention(&rule, at(0)).await.unwrap();
 }
 
 fn number(pruned: &forelight_protocol::Pruned, kind: RetentionKind) -> u64 {

@@ -6,7 +6,7 @@ use forelight_protocol::{AcceptRequest, FrameSet, FramesRequest, Job, JobChange,
 
 use super::request_checks::check_terms;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{JsonBody, Segment, Submitter};
+use crate::extract::{JsonBody, OwnJob};
 use crate::state::App;
 
 /// Accepts the quote of a job on hold, which is then booked. Cancel the job to drop the quote.
@@ -17,12 +17,11 @@ use crate::state::App;
     responses((status = 200, description = "The job", body = Job), Problems))]
 pub(crate) async fn accept(
     State(app): State<App>,
-    _: Submitter,
-    Segment(job): Segment<JobId>,
+    OwnJob(caller, job): OwnJob,
     JsonBody { value: request, .. }: JsonBody<AcceptRequest>,
 ) -> ApiResult<Json<Job>> {
     check_terms(&app, request.deadline, request.budget)?;
-    let accepted = app.store.accept_job(job, &request.into(), app.now()).await?;
+    let accepted = app.by(&caller).accept_job(job, &request.into(), app.now()).await?;
     // The conductor ends with the service, and looks for accepted jobs when it starts.
     let _ = app.conductor.send(job);
     Ok(Json(accepted))
@@ -34,12 +33,11 @@ pub(crate) async fn accept(
     responses((status = 200, description = "The job", body = Job), Problems))]
 pub(crate) async fn change(
     State(app): State<App>,
-    _: Submitter,
-    Segment(job): Segment<JobId>,
+    OwnJob(caller, job): OwnJob,
     JsonBody { value: change, .. }: JsonBody<JobChange>,
 ) -> ApiResult<Json<Job>> {
     check_terms(&app, change.deadline.flatten(), change.budget.flatten())?;
-    Ok(Json(app.store.change_job(job, &change, app.now()).await?))
+    Ok(Json(app.by(&caller).change_job(job, &change, app.now()).await?))
 }
 
 /// Renders frames again, finished ones too, and forgives their failures.
@@ -51,12 +49,11 @@ pub(crate) async fn change(
     responses((status = 200, description = "The job", body = Job), Problems))]
 pub(crate) async fn retry_frames(
     State(app): State<App>,
-    _: Submitter,
-    Segment(job): Segment<JobId>,
+    OwnJob(caller, job): OwnJob,
     JsonBody { value: request, .. }: JsonBody<FramesRequest>,
 ) -> ApiResult<Json<Job>> {
     check_frames(&app, job, &request.frames).await?;
-    Ok(Json(app.store.retry_frames(job, &request.frames, app.now()).await?))
+    Ok(Json(app.by(&caller).retry_frames(job, &request.frames, app.now()).await?))
 }
 
 /// Cancels frames of a job, which is done without them. Finished frames stay.
@@ -68,12 +65,11 @@ pub(crate) async fn retry_frames(
     responses((status = 200, description = "The job", body = Job), Problems))]
 pub(crate) async fn cancel_frames(
     State(app): State<App>,
-    _: Submitter,
-    Segment(job): Segment<JobId>,
+    OwnJob(caller, job): OwnJob,
     JsonBody { value: request, .. }: JsonBody<FramesRequest>,
 ) -> ApiResult<Json<Job>> {
     check_frames(&app, job, &request.frames).await?;
-    Ok(Json(app.store.drop_frames(job, &request.frames, app.now()).await?))
+    Ok(Json(app.by(&caller).drop_frames(job, &request.frames, app.now()).await?))
 }
 
 async fn check_frames(app: &App, job: JobId, frames: &FrameSet) -> ApiResult<()> {

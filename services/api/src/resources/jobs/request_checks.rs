@@ -4,6 +4,7 @@ use forelight_protocol::{
     BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, JobSettings, Ladders, Money,
     RenderSettings, RenderSettingsRequest, SceneSummary, Timestamp,
 };
+use forelight_store::tokens::Principal;
 use forelight_store::{NewJob, StoreError};
 
 use crate::bundle_inspection;
@@ -14,7 +15,7 @@ use crate::state::App;
 /// Latest deadline: ten years from now, in microseconds. It catches a wrong digit in the year.
 const LATEST_DEADLINE: i64 = 3653 * 86_400_000_000;
 
-pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
+pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobRequest) -> ApiResult<NewJob> {
     check_name("/name", &request.name, 200)?;
     check_name("/project", &request.project, 200)?;
     within("/samples", i64::from(request.samples), 16..=1_000_000)?;
@@ -49,7 +50,7 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
         renderer
             .check()
             .map_err(|(field, reason)| ApiError::invalid(format!("/renderer/{field}"), reason))?;
-        return other_renderer(app, request).await;
+        return other_renderer(app, caller, request).await;
     }
     check_settings(&request.settings)?;
     if request.cache == CacheSharing::Shared && request.settings.complete((1, 1)).cache == CacheMode::Off {
@@ -64,7 +65,7 @@ pub(crate) async fn checked(app: &App, mut request: JobRequest) -> ApiResult<New
         let reason = "camera samples are chosen for a limit here, not by what they cost: leave out `ladders` or `within`";
         return Err(ApiError::invalid("/ladders", reason));
     }
-    let (source, scene) = find_bundle(app, &mut request).await?;
+    let (source, scene) = find_bundle(app, caller, &mut request).await?;
     if bundle_inspection::is_unknown(&scene) {
         let reason = "only another renderer can open this scene: name it in `renderer`";
         return Err(ApiError::invalid("/bundle", reason));
@@ -98,7 +99,7 @@ pub(super) fn check_terms(app: &App, deadline: Option<Timestamp>, budget: Option
 
 /// Checks a job of a renderer other than our own. Its scene is not opened here: the job's first task does
 /// that.
-async fn other_renderer(app: &App, mut request: JobRequest) -> ApiResult<NewJob> {
+async fn other_renderer(app: &App, caller: &Principal, mut request: JobRequest) -> ApiResult<NewJob> {
     let settings = request.settings.of_shot().map_err(bad_setting)?;
     if let Some(pixels) = settings.pixels().filter(|&pixels| pixels > app.limits.pixels) {
         let reason = format!("{pixels} pixels; an image has at most {}", app.limits.pixels);
@@ -116,7 +117,7 @@ async fn other_renderer(app: &App, mut request: JobRequest) -> ApiResult<NewJob>
     }
     let (source, scene) = match (&request.bundle.id, &request.bundle.path) {
         (Some(_), None) => {
-            let (source, scene) = find_bundle(app, &mut request).await?;
+            let (source, scene) = find_bundle(app, caller, &mut request).await?;
             if !bundle_inspection::is_unknown(&scene) {
                 let reason = "forelight's own renderer renders this bundle: leave out `renderer`";
                 return Err(ApiError::invalid("/bundle/id", reason));
@@ -163,8 +164,15 @@ fn check_size(app: &App, settings: &RenderSettings) -> ApiResult<()> {
 }
 
 /// Finds the bundle and inspects it. A path is replaced by its canonical form.
-async fn find_bundle(app: &App, request: &mut JobRequest) -> ApiResult<(BundleSource, SceneSummary)> {
+async fn find_bundle(
+    app: &App,
+    caller: &Principal,
+    request: &mut JobRequest,
+) -> ApiResult<(BundleSource, SceneSummary)> {
     match (&request.bundle.id, &request.bundle.path) {
+        (Some(id), None) if !app.store.sees_bundle(caller, *id).await? => {
+            Err(ApiError::invalid("/bundle/id", "there is no such bundle"))
+        }
         (Some(id), None) => match app.store.bundle(*id).await {
             Ok(bundle) => Ok((BundleSource::Artifact(bundle.hash), bundle.scene)),
             Err(StoreError::NotFound(_)) => Err(ApiError::invalid("/bundle/id", "there is no such bundle")),

@@ -1,10 +1,11 @@
 //! Checks of node registrations and of changes by operators.
 
 use forelight_protocol::{
-    Capabilities, MOST_WINDOWS, Money, NodeCalendar, NodeCalibration, NodeChange, NodeRegistration, NodeTerms,
+    Capabilities, MOST_WINDOWS, Money, NodeCalendar, NodeCalibration, NodeChange, NodeRegistration,
+    NodeTerms, ProblemKind,
 };
 
-use crate::error::{ApiError, ApiResult};
+use crate::error::{ApiError, ApiResult, WRONG_ROLE};
 use crate::resources::checks::check_name;
 
 /// Most renderers of a node.
@@ -19,6 +20,24 @@ pub(super) fn check_change(change: &NodeChange) -> ApiResult<()> {
         .and_then(Option::as_ref)
         .map_or(Ok(()), |schedule| check_schedule("/schedule", schedule))?;
     change.terms.as_ref().map_or(Ok(()), check_terms)
+}
+
+/// Refuses what only an operator may change: what a node costs, how fast it is said to be, its terms, and
+/// whether it is trusted again.
+pub(super) fn check_own_change(change: &NodeChange) -> ApiResult<()> {
+    let refused = [
+        ("/price_per_hour", change.price_per_hour.is_some()),
+        ("/speed", change.speed.is_some()),
+        ("/terms", change.terms.is_some()),
+        ("/set_aside", change.set_aside == Some(false)),
+    ];
+    match refused.into_iter().find(|(_, is_changed)| *is_changed) {
+        Some((field, _)) => {
+            let reason = "only an operator may change this; a worker's token may not";
+            Err(ApiError::new(ProblemKind::Forbidden, reason).authenticate(WRONG_ROLE).at(field))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Checks a node's registration. `place` is the JSON pointer to it.

@@ -50,7 +50,7 @@ fn utilisation(area: &Area<'_>, name: &str, reports: &[Report]) -> Drawn {
     chart
         .configure_mesh()
         .x_desc("days")
-        .y_label_formatter(&|share| format!("{:.0} %", share * 100.0))
+        .y_label_formatter(&|share: &f64| format!("{:.0} %", share * 100.0))
         .light_line_style(TRANSPARENT)
         .bold_line_style(GREY.mix(0.18))
         .axis_style(GREY)
@@ -87,7 +87,7 @@ fn cost(area: &Area<'_>, reports: &[Report]) -> Drawn {
     chart
         .configure_mesh()
         .x_desc("cost over bound")
-        .y_label_formatter(&|share| format!("{:.1} %", share * 100.0))
+        .y_label_formatter(&|share: &f64| format!("{:.1} %", share * 100.0))
         .light_line_style(TRANSPARENT)
         .bold_line_style(GREY.mix(0.18))
         .axis_style(GREY)

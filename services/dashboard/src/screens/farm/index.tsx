@@ -5,7 +5,7 @@ import { useCallback, useEffect, useMemo, useState } from "preact/hooks";
 import type { NodeState } from "../../api/types";
 import { farm, farmError, now } from "../../state/farm";
 import { href, param, setQuery } from "../../state/route";
-import { mayOperate } from "../../state/session";
+import { mayOperate, seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
 import { clean, grouped } from "../../ui/format";
 import { Mark } from "../../ui/mark";
@@ -202,7 +202,7 @@ function ChartView(props: { state: NodeState | ""; search: string; total: number
             Tonight
           </button>
         </span>
-        <Plans rows={rows.rows} play={setPlaying} />
+        {seesAll.value && <Plans rows={rows.rows} play={setPlaying} />}
       </div>
       <Chart
         rows={rows}

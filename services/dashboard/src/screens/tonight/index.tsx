@@ -13,6 +13,7 @@ import { asError, useResource, useWidth } from "../../ui/resource";
 import { Events } from "./events";
 import { FirstSteps } from "./first-steps";
 import { JobTable, Risks, spreadOf, troubleOf } from "./jobs";
+import { seesAll } from "../../state/session";
 import { Spend } from "./spend";
 
 const SHOWN = [
@@ -49,7 +50,7 @@ export function Tonight() {
       {empty ? <p class="summary">The farm is empty: it has no jobs.</p> : <Summary doc={doc} />}
       {empty ? <FirstSteps farm={doc} /> : <Jobs doc={doc} />}
       <div class="side">
-        {!empty && <Spend version={Math.floor(now.value / 900_000)} />}
+        {!empty && seesAll.value && <Spend version={Math.floor(now.value / 900_000)} />}
         <Events />
       </div>
     </div>

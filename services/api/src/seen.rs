@@ -1,0 +1,143 @@
+//! What a caller who reaches some projects only is shown of documents about the whole farm.
+//!
+//! The rule: no id, name or figure of another project's job. Node times that such jobs take are shown as
+//! taken.
+
+use std::collections::BTreeSet;
+
+use forelight_protocol::{
+    AnswersDoc, Dashboard, Event, EventKind, JobId, Node, PlanChange, PlanEffect, Promise, TimelinePage,
+    Waits,
+};
+use forelight_store::tokens::Principal;
+
+use crate::error::ApiResult;
+use crate::state::App;
+
+/// Which of some jobs a caller sees.
+pub(crate) enum Seen {
+    All,
+    Some(BTreeSet<JobId>),
+}
+
+impl App {
+    /// Which of these jobs the caller sees.
+    pub async fn seen(&self, caller: &Principal, jobs: impl IntoIterator<Item = JobId>) -> ApiResult<Seen> {
+        if caller.reaches_all() {
+            return Ok(Seen::All);
+        }
+        Ok(Seen::Some(self.store.seen_jobs(caller, jobs).await?))
+    }
+}
+
+impl Seen {
+    pub fn sees(&self, job: JobId) -> bool {
+        match self {
+            Seen::All => true,
+            Seen::Some(jobs) => jobs.contains(&job),
+        }
+    }
+
+    fn sees_effect(&self, effect: &PlanEffect) -> bool {
+        in_effect(effect).all(|job| self.sees(job))
+    }
+
+    /// Leaves out of a job what it says of others.
+    pub fn show(&self, waits: &mut Option<Waits>, promise: &mut Option<Promise>) {
+        if let Some(waits) = waits
+            && waits.behind.iter().any(|job| !self.sees(*job))
+        {
+            waits.behind.retain(|job| self.sees(*job));
+            waits.because = "waits because jobs of other projects go first".to_owned();
+        }
+        if let Some(promise) = promise
+            && promise.rescue.as_ref().is_some_and(|rescue| !self.sees_effect(rescue))
+        {
+            promise.rescue = None;
+        }
+    }
+
+    /// Leaves out of the answers about a job what they say of others.
+    pub fn show_answers(&self, mut answers: AnswersDoc) -> AnswersDoc {
+        if let Seen::Some(_) = self {
+            answers.what_if.retain(|effect| self.sees_effect(effect));
+            answers.ways_out.retain(|effect| self.sees_effect(effect));
+            answers.pushes_back.retain(|moved| self.sees(moved.job_id));
+            answers.why_not.clear();
+        }
+        answers
+    }
+
+    /// Leaves other projects' jobs out of a timeline. Their nodes are taken by a job without a name.
+    pub fn show_timeline(&self, page: &mut TimelinePage) {
+        if let Seen::Some(_) = self {
+            page.items.iter_mut().for_each(|node| node.idle_because = None);
+        }
+        page.jobs.retain(|job| self.sees(job.id));
+        for span in page.items.iter_mut().flat_map(|node| &mut node.spans) {
+            if span.job_id.is_some_and(|job| !self.sees(job)) {
+                span.job_id = None;
+                span.frames = None;
+            }
+        }
+    }
+}
+
+/// The jobs that a job's documents mention.
+pub(crate) fn mentioned<'a>(
+    waits: &'a Option<Waits>,
+    promise: &'a Option<Promise>,
+) -> impl Iterator<Item = JobId> + 'a {
+    let behind = waits.iter().flat_map(|waits| waits.behind.iter().copied());
+    behind.chain(promise.iter().flat_map(|promise| promise.rescue.iter()).flat_map(in_effect))
+}
+
+/// The jobs that an effect mentions.
+pub(crate) fn in_effect(effect: &PlanEffect) -> impl Iterator<Item = JobId> + '_ {
+    let about = match &effect.change {
+        PlanChange::Later { job_id, .. }
+        | PlanChange::Confidence { job_id, .. }
+        | PlanChange::MakeWay { job_id }
+        | PlanChange::WithoutJob { job_id } => Some(*job_id),
+        PlanChange::MoreNodes { .. } | PlanChange::NodeGone { .. } | PlanChange::Quality { .. } => None,
+    };
+    about.into_iter().chain(effect.moved.iter().map(|moved| moved.job_id))
+}
+
+/// An event without what it may say of other projects' jobs.
+pub(crate) fn without_others(event: &Event) -> Event {
+    // What is about no project may name anything.
+    let is_of_many = event.project.is_none() || event.kind == EventKind::PlanStored;
+    let promise = event.promise.clone().map(|promise| Promise { rescue: None, ..promise });
+    let message = event.message.clone().filter(|_| !is_of_many);
+    let task_id = event.task_id.filter(|_| event.project.is_some());
+    Event { promise, message, task_id, ..event.clone() }
+}
+
+/// A node as the caller sees it. Why it is idle or was set aside may name any job.
+pub(crate) fn shown_node(caller: &Principal, node: Node) -> Node {
+    if caller.reaches_all() {
+        return node;
+    }
+    let set_aside = node.set_aside.map(|_| "its reason is for those who see all projects".to_owned());
+    Node { idle_reason: None, set_aside, ..node }
+}
+
+/// A dashboard for a caller who reaches some projects only. `jobs` are those of his that it mentions.
+pub(crate) fn show_dashboard(mut farm: Dashboard, caller: &Principal, seen: &Seen) -> Dashboard {
+    farm.jobs.retain(|job| caller.sees(&job.project));
+    for job in &mut farm.jobs {
+        seen.show(&mut job.waits, &mut job.promise);
+    }
+    farm.bookings.retain(|booking| seen.sees(booking.job_id));
+    farm.spending.retain(|spending| caller.sees(&spending.project));
+    farm.events.retain(|event| match &event.project {
+        Some(project) => caller.sees(project),
+        None => event.job_id.is_none(),
+    });
+    farm.events = farm.events.iter().map(without_others).collect();
+    for node in &mut farm.nodes {
+        node.activity = node.activity.take().filter(|activity| seen.sees(activity.job_id));
+    }
+    farm
+}
