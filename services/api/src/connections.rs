@@ -16,6 +16,7 @@ mod held;
 mod tls;
 
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
@@ -118,7 +119,10 @@ async fn answer(
     }
     let mut stream = TimeoutWriter::new(stream);
     stream.set_timeout(Some(limits.answer_silence));
-    let router = service_fn(|mut request: Request<Incoming>| {
+    let stream = Box::pin(stream);
+    let gives_way = guest.gives_way.clone();
+    let guest = Arc::new(guest);
+    let router = service_fn(move |mut request: Request<Incoming>| {
         let holds = Holds::new(guest.request());
         request.extensions_mut().insert(peer);
         request.extensions_mut().insert(holds.clone());
@@ -135,7 +139,11 @@ async fn answer(
             None => return,
             Some(stream) if speaks_http_2(&stream) => {
                 // Few connections are browsers', so those of workers need no room for this.
-                return Box::pin(answer_http_2(stream, service, stopping)).await;
+                let answered = Box::pin(answer_http_2(stream, service, stopping));
+                return tokio::select! {
+                    () = answered => {}
+                    () = gives_way.cancelled() => {}
+                };
             }
             Some(stream) => Either::Right(Box::new(stream)),
         },
@@ -145,11 +153,11 @@ async fn answer(
             .max_buf_size(BUFFER)
             .timer(TokioTimer::new())
             .header_read_timeout(limits.head_time)
-            .serve_connection(TokioIo::new(Box::pin(stream)), service)
+            .serve_connection(TokioIo::new(stream), service)
     );
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
-        () = guest.gives_way.cancelled() => return,
+        () = gives_way.cancelled() => return,
         () = stopping.cancelled() => {
             connection.as_mut().graceful_shutdown();
             connection.await

@@ -86,11 +86,24 @@ impl Quotas {
 
 #[cfg(test)]
 mod tests {
+    use forelight_protocol::TokenId;
+
     use super::*;
 
     fn caller(role: Role, token: u8) -> Principal {
         let hash = [token; 32];
-        Principal { role, name: "a".to_owned(), hash, token: hash, session: None, node: None }
+        Principal {
+            role,
+            projects: None,
+            name: "a".to_owned(),
+            hash,
+            token: hash,
+            session: None,
+            node: None,
+            token_id: TokenId::new(),
+            expires_at: None,
+            from: None,
+        }
     }
 
     #[test]

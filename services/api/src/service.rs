@@ -154,7 +154,7 @@ impl Service {
         };
         // From here on, no right ends unseen.
         app.end_rights().await;
-        let router = router(app.clone());
+        let router = router(app.clone(), &allowed_origins);
         let mut tasks = vec![
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
@@ -166,12 +166,12 @@ impl Service {
         let mut home = address;
         if let Some((listener, address)) = at_home {
             home = address;
-            tasks.push(tokio::spawn(serve(listener, router.clone(), None, stopping.clone())));
+            tasks.push(tokio::spawn(serve(listener, router.clone(), None, connections, stopping.clone())));
         }
         if let Some(tls) = &tls {
             tasks.push(tokio::spawn(tls.clone().follow_files(stopping.clone())));
         }
-        tasks.push(tokio::spawn(serve(listener, router, tls, stopping.clone())));
+        tasks.push(tokio::spawn(serve(listener, router, tls, connections, stopping.clone())));
         Ok(Self { address, home, store, stopping, tasks })
     }
 
