@@ -79,14 +79,14 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** An artefact's bytes. */
+        /** An artefact's bytes, or a range of them. They are verified first: 500 if they are not what was stored. */
         get: operations["artifact_get"];
         /** Stores bytes under their hash. Repeating the request changes nothing; bytes with another hash are refused. */
         put: operations["artifact_put"];
         post?: never;
         delete?: never;
         options?: never;
-        /** Checks that an artefact exists, and gives its length. */
+        /** Checks that an artefact exists and is whole, and gives its length. */
         head: operations["artifact_head"];
         patch?: never;
         trace?: never;
@@ -356,7 +356,9 @@ export interface paths {
         get: operations["job_get"];
         put?: never;
         post?: never;
-        delete?: never;
+        /** Deletes a job that has ended, with its images, logs and events. What it cost stays in the books of its
+         *     project. A job that is done is part of the track record, so only an operator may delete it. */
+        delete: operations["job_delete"];
         options?: never;
         head?: never;
         /** Changes deadline, budget or confidence of a job. The farm is then planned again. */
@@ -683,6 +685,28 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/jobs/{id}/left-out": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Takes a job out of the track record, for example because a node lied about it.
+         * @description Neither the record nor calibration counts it any more, and nodes forget what it taught about their speed.
+         *     The record lists it with the reason. Repeating the request replaces the reason.
+         */
+        put: operations["job_leave_out"];
+        post?: never;
+        /** Puts a job back into the track record. */
+        delete: operations["job_put_back"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/jobs/{id}/price-curve.svg": {
         parameters: {
             query?: never;
@@ -815,8 +839,13 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /** Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
-         *     harmless. */
+        /**
+         * Ends a task with its result or an error. It is on disk when this answers. Repeating the request is
+         *     harmless.
+         * @description A result that is not possible is refused as `implausible-result`: CPU time that the lease leaves no room
+         *     for, work that no machine does in that time, or a file that is not the image that it should be. The lease
+         *     has failed then, the task is done elsewhere, and the refusal is held against the node.
+         */
         post: operations["lease_result"];
         delete?: never;
         options?: never;
@@ -980,6 +1009,42 @@ export interface paths {
         /** Makes a project, or sets its share, and plans the farm anew. Setting it again replaces it, so repeating is
          *     harmless. */
         post: operations["project_set"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/prune": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Deletes now what is past its time, or only says what that is. The farm does this by itself every night. */
+        post: operations["prune"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/retention": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** How long things are kept, and what was deleted last. */
+        get: operations["retention_get"];
+        put?: never;
+        /** Sets how long something is kept. The next night deletes by it. Setting it again replaces the rule, so
+         *     repeating is harmless. */
+        post: operations["retention_set"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1418,7 +1483,7 @@ export interface components {
          * @description What somebody did.
          * @enum {string}
          */
-        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "budget_set" | "webhook_added" | "webhook_removed";
+        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "job_deleted" | "job_left_out" | "job_counted" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "retention_set" | "budget_set" | "webhook_added" | "webhook_removed";
         /** @description One entry: who did what, when, and from where. Entries never change. */
         AuditEntry: {
             /** @description What was done. */
@@ -2325,7 +2390,7 @@ export interface components {
          * @description Kind of an event. It is also the `event:` field of the server-sent events.
          * @enum {string}
          */
-        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "node_removed" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe";
+        EventKind: "job_created" | "job_state" | "job_changed" | "forecast_ready" | "job_off_forecast" | "job_on_forecast" | "plan_stored" | "task_leased" | "task_submitted" | "submission_lost" | "task_progress" | "task_done" | "task_failed" | "result_refused" | "task_late" | "task_stalled" | "lease_expired" | "lease_released" | "lease_lost" | "node_registered" | "node_changed" | "node_set_aside" | "node_removed" | "budget" | "engine_state" | "job_promise_at_risk" | "job_promise_safe" | "artifact_damaged";
         /** @description Fields of each event on the stream. */
         EventMessage: {
             /** @description The event, an `Event` in JSON. */
@@ -2362,6 +2427,24 @@ export interface components {
              * @description All work, without building an irradiance cache that frames share.
              */
             work: number;
+        };
+        /**
+         * @description Where the cause of a failure lies, as far as the worker knows. It decides whose fault the failure is.
+         * @enum {string}
+         */
+        FailureKind: "unknown" | "node" | "input" | "task";
+        /** @description Numbers of files, and their size. */
+        Files: {
+            /**
+             * Format: int64
+             * @description Their bytes.
+             */
+            bytes: number;
+            /**
+             * Format: int64
+             * @description Number of files.
+             */
+            number: number;
         };
         /** @description An instant that is not known for sure. */
         FinishQuantiles: {
@@ -3058,12 +3141,28 @@ export interface components {
          * @enum {string}
          */
         LeaseOrder: "continue" | "stop" | "pause";
+        /** @description An operator's request to take a job out of the track record. */
+        LeaveOutRequest: {
+            /** @description Why: 1 to 500 characters. */
+            reason: string;
+        };
         /** @description A light or an object that provably does not affect an image. */
         LeftOut: {
             /** @description Why it has no effect. */
             reason: string;
             /** @description Name or number of it. */
             what: string;
+        };
+        /** @description A job that an operator took out of the track record. Nothing is learnt from it. */
+        LeftOutJob: {
+            /** @description Since when. */
+            at: components["schemas"]["Timestamp"];
+            /** @description The job. */
+            job_id: components["schemas"]["JobId"];
+            /** @description Its name. */
+            name: string;
+            /** @description Why. */
+            reason: string;
         };
         /** @description One number of the live estimate, beside the quote. */
         LiveFigure: {
@@ -4158,6 +4257,39 @@ export interface components {
             /** @description Since when the promise is in this state. */
             since: components["schemas"]["Timestamp"];
         };
+        /** @description Asks for things that are past their time to be deleted. */
+        PruneRequest: {
+            /** @description Only says what would be deleted. */
+            dry_run?: boolean;
+        };
+        /** @description What was deleted, or would be. */
+        Pruned: {
+            /** @description When. */
+            at: components["schemas"]["Timestamp"];
+            /** @description Files of artefacts that nothing had referred to for a day. */
+            deleted: components["schemas"]["Files"];
+            /** @description Whether nothing was deleted. */
+            dry_run: boolean;
+            /** @description By kind. */
+            items: components["schemas"]["PrunedKind"][];
+            /** @description Files of artefacts that nothing refers to, and that wait for this day to pass. */
+            waiting: components["schemas"]["Files"];
+        };
+        /** @description What was deleted of one kind. */
+        PrunedKind: {
+            /**
+             * Format: int64
+             * @description Size of the files that nothing may refer to now. They are deleted after a day of that.
+             */
+            bytes: number;
+            /** @description The kind. */
+            kind: components["schemas"]["RetentionKind"];
+            /**
+             * Format: int64
+             * @description How much: jobs for images, profiles and jobs; scenes, lines, events, plans.
+             */
+            number: number;
+        };
         /** @description The job at another quality, estimated from its own profile. */
         QualityOffer: {
             /** @description Whether these are the job's own settings. */
@@ -4616,6 +4748,29 @@ export interface components {
             log?: components["schemas"]["LogLine"][];
             result?: components["schemas"]["TaskResult"] | null;
         };
+        /** @description How long things are kept. */
+        Retention: {
+            /** @description The rules of the farm, one for each kind, then those of projects. */
+            items: components["schemas"]["RetentionRule"][];
+            last?: components["schemas"]["Pruned"] | null;
+        };
+        /**
+         * @description What is deleted with time.
+         * @enum {string}
+         */
+        RetentionKind: "images" | "profiles" | "scenes" | "logs" | "events" | "plans" | "jobs";
+        /** @description Sets how long something is kept. */
+        RetentionRule: {
+            /**
+             * Format: int32
+             * @description Days, 0 to 36,500. Absent: it is kept for ever.
+             */
+            days?: number | null;
+            /** @description What the rule is about. */
+            kind: components["schemas"]["RetentionKind"];
+            /** @description The project; absent for the whole farm. Projects can have rules for images, profiles and jobs. */
+            project?: string | null;
+        };
         /**
          * @description What the holder of a token may do.
          * @enum {string}
@@ -4980,10 +5135,13 @@ export interface components {
         };
         /** @description An error of the worker. */
         TaskError: {
+            /** @description Where the cause lies. */
+            kind?: components["schemas"]["FailureKind"];
             limit?: components["schemas"]["TaskLimit"] | null;
             /** @description The error as one line of text, 1 to 2000 characters. */
             message: string;
-            /** @description Whether every attempt would fail like this, as with a malformed scene. The job then fails at once. */
+            /** @description Whether every attempt would fail like this, as with a malformed scene. The job fails once a second
+             *     node says so, or after three attempts if there is no other node. */
             permanent?: boolean;
         };
         /**
@@ -5220,6 +5378,8 @@ export interface components {
             items: components["schemas"]["TrackRecordRow"][];
             /** @description The same by kind and calibration. Sorted by renderer, feature class and calibration. */
             kinds?: components["schemas"]["TrackRecordKind"][];
+            /** @description Jobs that an operator took out of the record: none of the numbers counts them. The newest first. */
+            left_out?: components["schemas"]["LeftOutJob"][];
             next_page_token?: components["schemas"]["PageToken"] | null;
             /**
              * Format: double
@@ -5611,7 +5771,10 @@ export interface operations {
     artifact_get: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 blake3: components["schemas"]["ArtifactHash"];
             };
@@ -5627,6 +5790,22 @@ export interface operations {
                 content: {
                     "application/octet-stream": string;
                 };
+            };
+            /** @description The range of them */
+            206: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/octet-stream": string;
+                };
+            };
+            /** @description The client has them */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -5715,6 +5894,13 @@ export interface operations {
         responses: {
             /** @description It exists */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The client has it */
+            304: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -6242,6 +6428,13 @@ export interface operations {
                     "application/json": components["schemas"]["TrackRecord"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6279,6 +6472,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6496,6 +6696,44 @@ export interface operations {
             };
         };
     };
+    job_delete: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is deleted */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     job_change: {
         parameters: {
             query?: never;
@@ -6604,6 +6842,13 @@ export interface operations {
                     "application/json": components["schemas"]["AccuracyDoc"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6648,6 +6893,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["AnswersDoc"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -6784,6 +7036,13 @@ export interface operations {
                     "application/json": components["schemas"]["Explanation"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6871,6 +7130,13 @@ export interface operations {
                     "application/json": components["schemas"]["ForecastHistory"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6910,6 +7176,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -7115,7 +7388,10 @@ export interface operations {
     frame_cost_map_png: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -7126,6 +7402,15 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": string;
+                };
+            };
+            /** @description The range of it */
+            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -7163,7 +7448,10 @@ export interface operations {
     frame_image_exr: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -7174,6 +7462,15 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/x-exr": string;
+                };
+            };
+            /** @description The range of it */
+            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -7211,7 +7508,10 @@ export interface operations {
     frame_image_png: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -7222,6 +7522,15 @@ export interface operations {
         responses: {
             /** @description The picture */
             200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": string;
+                };
+            };
+            /** @description The range of it */
+            206: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -7259,7 +7568,10 @@ export interface operations {
     frame_preview_png: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description One range of bytes */
+                Range?: string | null;
+            };
             path: {
                 id: components["schemas"]["JobId"];
                 frame: number;
@@ -7277,8 +7589,99 @@ export interface operations {
                     "image/png": string;
                 };
             };
+            /** @description The range of it */
+            206: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": string;
+                };
+            };
             /** @description The picture is still that of `If-None-Match` */
             304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    job_leave_out: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LeaveOutRequest"];
+            };
+        };
+        responses: {
+            /** @description It is out of the record */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LeftOutJob"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    job_put_back: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is in the record */
+            204: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -7323,6 +7726,13 @@ export interface operations {
                 content: {
                     "image/svg+xml": string;
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -8195,6 +8605,128 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["ProjectShare"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    prune: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PruneRequest"];
+            };
+        };
+        responses: {
+            /** @description What was deleted, or would be */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Pruned"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    retention_get: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The rules */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Retention"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    retention_set: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["RetentionRule"];
+            };
+        };
+        responses: {
+            /** @description The rules */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Retention"];
                 };
             };
             /** @description The request is refused; `type` says why */

@@ -42,6 +42,7 @@ const KINDS: Record<EventKind, true> = {
   engine_state: true,
   job_promise_at_risk: true,
   job_promise_safe: true,
+  artifact_damaged: true,
 };
 
 const HIDDEN_FOR = 20_000;

@@ -26,6 +26,7 @@ const TOLD: Partial<Record<Event["kind"], [glyph: string, tone: Tone]>> = {
   job_promise_at_risk: ["⚠", "bad"],
   job_promise_safe: ["✓", "good"],
   submission_lost: ["⚠", "warn"],
+  artifact_damaged: ["⚠", "bad"],
 };
 
 export function Events() {
