@@ -43,9 +43,11 @@ export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
 token=$(cat "$work/data/tokens/operator.token")
 "$environment/bin/python" "$here/schemathesis_things.py" "$url" "$token" "$work/job.json" >"$work/things.json"
 "$environment/bin/python" "$here/schemathesis_config.py" "$work/things.json" >"$work/schemathesis.toml"
+own_token=$("$environment/bin/python" -c 'import json, sys; print(json.load(sys.stdin)["own_tokens"][0])' <"$work/things.json")
 bundle=$("$environment/bin/python" -c 'import json, sys; print(json.load(sys.stdin)["job"]["bundle"]["id"])' <"$work/job.json")
 
-export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle
+export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle \
+  FORELIGHT_OWN_TOKEN=$own_token
 cd "$work"
 "$environment/bin/schemathesis" --config-file "$work/schemathesis.toml" run "$url/openapi.yaml" \
   --header "Authorization: Bearer $token" \

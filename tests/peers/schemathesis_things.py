@@ -40,6 +40,9 @@ for _ in range(100):
     time.sleep(0.1)
 ask("POST", f"/v1/jobs/{second_job}/cancel")
 ask("PATCH", f"/v1/nodes/{node}", {"pause": False})
+tokens = ask("GET", "/v1/tokens?page_size=200")["items"]
+own_token = next(found["id"] for found in tokens if found["name"] == "first operator")
+made_token = ask("POST", "/v1/tokens", {"name": "guest", "role": "viewer"})["token"]["id"]
 webhook = ask("POST", "/v1/webhooks", {"url": "http://127.0.0.1:9/"})["id"]
 ask("POST", "/v1/budgets", {"project": "default", "period": "month", "amount": 1_000_000_000, "zone": "UTC"})
 
@@ -54,6 +57,8 @@ print(
             "nodes": [node, second, absent],
             "leases": [lease["lease_id"], absent],
             "tasks": [lease["task_id"], absent],
+            "tokens": [made_token, absent],
+            "own_tokens": [own_token],
             "webhooks": [webhook, absent],
             "artifacts": [frames[0]["artifacts"]["image_png"], frames[0]["artifacts"]["image_exr"], "0" * 64],
         }

@@ -1,6 +1,7 @@
 //! The running service: start, background work, and shutdown.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -20,7 +21,7 @@ use crate::costly::Costly;
 use crate::feed::Feed;
 use crate::inspector::Inspector;
 use crate::metrics::Metrics;
-use crate::oidc::SignIn;
+use crate::oidc::{SignIn, SignInProvider};
 use crate::quotas::Quotas;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
@@ -89,23 +90,9 @@ impl Service {
             clock,
         } = config;
         let tls = tls.map(Tls::new).transpose()?;
-        let sign_in = match sign_in {
-            None => None,
-            Some(provider) => {
-                provider.check().map_err(ServiceError::SignIn)?;
-                let origin = public_origin.as_deref().ok_or_else(|| {
-                    ServiceError::SignIn("it needs the address at which people reach the service".to_owned())
-                })?;
-                Some(Arc::new(SignIn::new(provider, origin).map_err(ServiceError::SignIn)?))
-            }
-        };
-        let roots = bundle_roots
-            .into_iter()
-            .map(|root| {
-                root.canonicalize()
-                    .map_err(|source| ServiceError::BundleRoot { path: root.display().to_string(), source })
-            })
-            .collect::<Result<Arc<[_]>, _>>()?;
+        let sign_in =
+            sign_in.map(|provider| sign_in_through(provider, public_origin.as_deref())).transpose()?;
+        let roots = bundle_roots.into_iter().map(bundle_root).collect::<Result<Arc<[_]>, _>>()?;
         let clock = Arc::new(SteadyClock::new(clock));
         let store = Store::open_with(&data_dir, &artifacts, artifacts_moved).await?;
         let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
@@ -201,6 +188,19 @@ impl Service {
         }
         self.store.close().await;
     }
+}
+
+fn sign_in_through(provider: SignInProvider, origin: Option<&str>) -> Result<Arc<SignIn>, ServiceError> {
+    provider.check().map_err(ServiceError::SignIn)?;
+    let origin = origin.ok_or_else(|| {
+        ServiceError::SignIn("it needs the address at which people reach the service".to_owned())
+    })?;
+    Ok(Arc::new(SignIn::new(provider, origin).map_err(ServiceError::SignIn)?))
+}
+
+fn bundle_root(root: PathBuf) -> Result<PathBuf, ServiceError> {
+    root.canonicalize()
+        .map_err(|source| ServiceError::BundleRoot { path: root.display().to_string(), source })
 }
 
 /// Listens on an address. Port 0 picks a free port.

@@ -96,7 +96,7 @@ pub(crate) struct ExportQuery {
 #[utoipa::path(get, path = "/v1/audit/export", operation_id = "audit_export", tag = "people",
     params(ExportQuery),
     responses((status = 200, description = "The entries", content(
-        (inline(FileContent) = "application/x-ndjson"), (inline(FileContent) = "text/csv"))), Problems))]
+        (inline(FileContent) = "application/x-ndjson"), (inline(String) = "text/csv"))), Problems))]
 pub(crate) async fn export(
     State(app): State<App>,
     _: Operator,

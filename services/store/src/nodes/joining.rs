@@ -11,10 +11,12 @@
 use std::net::IpAddr;
 use std::sync::Arc;
 
-use forelight_protocol::{ArtifactHash, AuditAction, JoinRequest, JoinToken, Node, Role, Timestamp, TokenId};
+use forelight_protocol::{
+    ArtifactHash, AuditAction, JoinRequest, JoinToken, Node, NodeId, Role, Timestamp, TokenId,
+};
 
 use crate::audit::{Actor, Deed, note, note_only};
-use crate::database::Store;
+use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::writing::run;
 use crate::{nodes, tokens};
@@ -66,25 +68,8 @@ impl Store {
         .await?
         .ok_or_else(|| StoreError::JoinRefused("this one-time token is unknown".to_owned()))?;
         if let (Some(node), Some(chosen)) = (row.node_id, row.used_for.map(ArtifactHash::from)) {
-            let node = match nodes::read(write.connection().await?, node.into()).await {
-                Err(StoreError::NotFound(_)) => return Err(StoreError::JoinRefused(REMOVED.to_owned())),
-                node => node?,
-            };
-            if chosen == request.token_hash && node.name == request.node.name {
-                return Ok(node);
-            }
-            if chosen == request.token_hash {
-                return Err(StoreError::Conflict(format!(
-                    "this machine joined as the node {:?} with this one-time token; join under that name, \
-                     or ask an operator for a new token",
-                    node.name
-                )));
-            }
-            let used_at = row.used_at.map_or(String::new(), |at| format!(" at {}", Timestamp::from(at)));
-            return Err(StoreError::Conflict(format!(
-                "this one-time token was used{used_at} by another machine; ask an operator for a new one, \
-                 and to take that machine's node out of service if it is unknown"
-            )));
+            let used_at = row.used_at.map(Timestamp::from);
+            return joined_before(&mut write, node.into(), (chosen, used_at), request).await;
         }
         let expires_at = Timestamp::from(row.expires_at);
         if expires_at <= now {
@@ -133,6 +118,34 @@ impl Store {
         self.commit(write).await?;
         Ok(node)
     }
+}
+
+/// The answer to a one-time token that was used: the node, if the same machine asks again.
+async fn joined_before(
+    write: &mut Write,
+    node: NodeId,
+    (chosen, used_at): (ArtifactHash, Option<Timestamp>),
+    request: &JoinRequest,
+) -> Result<Node> {
+    let node = match nodes::read(write.connection().await?, node).await {
+        Err(StoreError::NotFound(_)) => return Err(StoreError::JoinRefused(REMOVED.to_owned())),
+        node => node?,
+    };
+    if chosen == request.token_hash && node.name == request.node.name {
+        return Ok(node);
+    }
+    if chosen == request.token_hash {
+        return Err(StoreError::Conflict(format!(
+            "this machine joined as the node {:?} with this one-time token; join under that name, \
+             or ask an operator for a new token",
+            node.name
+        )));
+    }
+    let used_at = used_at.map_or(String::new(), |at| format!(" at {at}"));
+    Err(StoreError::Conflict(format!(
+        "this one-time token was used{used_at} by another machine; ask an operator for a new one, \
+         and to take that machine's node out of service if it is unknown"
+    )))
 }
 
 /// The hash of a token that a machine made for itself.
