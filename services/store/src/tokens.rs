@@ -1,7 +1,7 @@
 //! Bearer tokens.
 //!
 //! A token is dead as soon as its row is gone, or its time is over: every request looks for it in the
-//! database. Requests that take long, such as streams of events, are told by [`crate::rights`].
+//! database. Requests that take long, such as streams of events, are told by `rights`.
 
 use std::collections::BTreeMap;
 use std::net::IpAddr;
@@ -28,7 +28,7 @@ const LISTED_AFTER_ITS_END: i64 = 30 * 86_400_000_000;
 pub struct Principal {
     /// What the token allows in all projects, or the most that it allows in one of `projects`.
     pub role: Role,
-    /// The projects that the caller reaches, with a role in each; `None` for all, see [`crate::reach`].
+    /// The projects that the caller reaches, with a role in each; `None` for all, see `reach`.
     pub projects: Option<BTreeMap<String, Role>>,
     /// The token's name.
     pub name: String,
