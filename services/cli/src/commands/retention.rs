@@ -3,7 +3,8 @@
 use super::cancel::find_any;
 use crate::connection::{ConnectionOptions, connect};
 use anyhow::{Context, Result};
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use forelight_protocol::{Files, PruneRequest, Pruned, Retention, RetentionKind, RetentionRule};
 use forelight_terminal::output;
 use forelight_terminal::quantities::bytes;
@@ -38,8 +39,8 @@ enum What {
 #[derive(Debug, clap::Args)]
 struct SetArgs {
     /// What the rule is about
-    #[arg(value_enum)]
-    kind: Kind,
+    #[arg(value_parser = kinds())]
+    kind: RetentionKind,
     /// Days after the end of the job, or `forever`
     #[arg(value_parser = parse_days)]
     days: Days,
@@ -50,36 +51,12 @@ struct SetArgs {
     connection: ConnectionOptions,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Kind {
-    /// Images, previews and cost maps
-    Images,
-    /// Profiles and irradiance caches
-    Profiles,
-    /// Uploaded scenes
-    Scenes,
-    /// Lines of logs
-    Logs,
-    /// Events
-    Events,
-    /// Plans that a newer one has replaced
-    Plans,
-    /// Everything about a job, except what it cost
-    Jobs,
-}
-
-impl From<Kind> for RetentionKind {
-    fn from(kind: Kind) -> Self {
-        match kind {
-            Kind::Images => RetentionKind::Images,
-            Kind::Profiles => RetentionKind::Profiles,
-            Kind::Scenes => RetentionKind::Scenes,
-            Kind::Logs => RetentionKind::Logs,
-            Kind::Events => RetentionKind::Events,
-            Kind::Plans => RetentionKind::Plans,
-            Kind::Jobs => RetentionKind::Jobs,
-        }
-    }
+fn kinds() -> impl TypedValueParser<Value = RetentionKind> {
+    let names = PossibleValuesParser::new(RetentionKind::ALL.map(RetentionKind::name));
+    names.try_map(|text| {
+        let known = RetentionKind::ALL.into_iter().find(|kind| kind.name() == text);
+        known.ok_or("not a kind of thing that is kept")
+    })
 }
 
 /// Number of days; `None` for ever.
@@ -133,7 +110,7 @@ pub struct DeleteArgs {
 pub async fn run(args: Args) -> Result<()> {
     let retention = match args.what {
         Some(What::Set(set)) => {
-            let rule = RetentionRule { project: set.project, kind: set.kind.into(), days: set.days.0 };
+            let rule = RetentionRule { project: set.project, kind: set.kind, days: set.days.0 };
             let client = connect(&set.connection)?;
             client.set_retention(&rule).await.context("cannot set the rule")?
         }
