@@ -67,6 +67,9 @@ pub(crate) async fn update_after(
         let stretch = baseline.stretch(frames.share_left, expected);
         expected_finish(write.connection().await?, job, &frames, stretch, now).await?
     };
+    // What was said last, also of an earlier plan, so that events about a quantity alternate. A new plan is
+    // compared with afresh.
+    let was_told = before.estimate.as_ref().map(|kept| kept.was_off).unwrap_or_default();
     let was_off = before.estimate.filter(|kept| kept.plan == quoted.plan).map(|kept| kept.was_off);
     let was_off = was_off.unwrap_or_default();
     let booked = quoted.booked(&baseline);
@@ -75,7 +78,7 @@ pub(crate) async fn update_after(
     let frames_done = frames.done;
     let live = Comparison { at: now, frames_done, estimate, cost, finish, booked, delay, was_off }.live();
     if !is_given_up {
-        tell(write, job, quoted.plan, &live, was_off);
+        tell(write, job, quoted.plan, &live, was_told);
     }
     if !is_over && let Some(cause) = living::cause_of_plan(&live, was_off, quoted.factor, &quoted.job_name) {
         replans::want(write, &cause).await?;
