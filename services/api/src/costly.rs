@@ -11,21 +11,15 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, ETAG};
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
-use axum::response::{IntoResponse, Response};
-use bytes::Bytes;
 use forelight_protocol::ProblemKind;
 use parking_lot::Mutex;
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use tokio::sync::{Semaphore, watch};
 
-use crate::delivery::is_known;
+use crate::document::Document;
 use crate::error::{ApiError, ApiResult};
-use crate::resources::responses::svg_headers;
 
 /// Bytes of all answers that are kept.
 const KEPT_BYTES: u64 = 16 << 20;
@@ -48,45 +42,12 @@ pub(crate) fn key(rests_on: &impl Serialize) -> Key {
     *blake3::hash(&serde_json::to_vec(rests_on).unwrap_or_default()).as_bytes()
 }
 
-/// A finished answer.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Document {
-    Json(Bytes),
-    Svg(Bytes),
-}
-
-impl Document {
-    pub fn json(value: &impl Serialize) -> ApiResult<Self> {
-        match serde_json::to_vec(value) {
-            Ok(bytes) => Ok(Self::Json(bytes.into())),
-            Err(error) => {
-                tracing::error!(%error, "an answer could not be written");
-                Err(failed())
-            }
-        }
-    }
-
-    /// The value that was written as JSON.
-    pub fn parsed<T: DeserializeOwned>(&self) -> ApiResult<T> {
-        serde_json::from_slice(self.bytes()).map_err(|error| {
-            tracing::error!(%error, "an answer could not be read");
-            failed()
-        })
-    }
-
-    fn bytes(&self) -> &Bytes {
-        match self {
-            Document::Json(bytes) | Document::Svg(bytes) => bytes,
-        }
-    }
-}
-
 #[derive(Clone)]
 struct Length;
 
 impl Weighter<Key, Document> for Length {
     fn weight(&self, _: &Key, document: &Document) -> u64 {
-        document.bytes().len() as u64 + 64
+        document.len() as u64 + 64
     }
 }
 
@@ -173,24 +134,11 @@ fn failed() -> ApiError {
     ApiError::new(ProblemKind::Internal, "the answer could not be computed; the service's log says more")
 }
 
-/// The answer, or 304 if the client has it already.
-pub(crate) fn respond(headers: &HeaderMap, document: Document) -> ApiResult<Response> {
-    let tag = blake3::hash(document.bytes()).to_hex();
-    let etag = HeaderValue::from_str(&format!("W/\"{}\"", &tag[..32])).map_err(|_| failed())?;
-    let own = [(ETAG, etag.clone()), (CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))];
-    if is_known(headers, &etag) {
-        return Ok((StatusCode::NOT_MODIFIED, own).into_response());
-    }
-    Ok(match document {
-        Document::Json(json) => (own, [(CONTENT_TYPE, "application/json")], json).into_response(),
-        Document::Svg(svg) => (own, svg_headers(), svg).into_response(),
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
 
+    use axum::response::IntoResponse as _;
     use tokio::sync::Notify;
 
     use super::*;
@@ -216,7 +164,7 @@ mod tests {
     }
 
     fn number(document: ApiResult<Document>) -> u32 {
-        serde_json::from_slice(document.unwrap().bytes()).unwrap()
+        document.unwrap().parsed().unwrap()
     }
 
     #[tokio::test]

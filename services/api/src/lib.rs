@@ -17,6 +17,7 @@ mod cookies;
 mod costly;
 mod delivery;
 mod disk_space;
+mod document;
 mod error;
 mod extract;
 mod feed;

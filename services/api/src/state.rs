@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use forelight_protocol::{Dashboard, JobId, ProblemKind, Timestamp};
+use forelight_protocol::{JobId, ProblemKind, Timestamp};
 use forelight_store::tokens::Principal;
 use forelight_store::{IdempotencyKey, Projection, Store, project};
 use tokio::sync::{mpsc, watch};
@@ -14,6 +14,7 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::Clock;
 use crate::config::{Evidence, Limits};
 use crate::costly::Costly;
+use crate::document::Document;
 use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
 use crate::inspector::Inspector;
@@ -61,7 +62,7 @@ pub(crate) struct App {
     /// Disk space that uploads have reserved.
     pub reserved: Reserved,
     pub feed: Arc<Feed>,
-    pub dashboard: Arc<Shared<Dashboard>>,
+    pub dashboard: Arc<Shared<Document>>,
     /// Expected course of the open bookings.
     pub projected: Arc<Shared<Projection>>,
     /// When a person last changed something.

@@ -18,7 +18,8 @@ use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::job_profile::JobProfile;
 use crate::conductor::what_if::what_if;
 use crate::conductor::{AdvanceError, compute};
-use crate::costly::{Document, Key, key, respond};
+use crate::costly::{Key, key};
+use crate::document::Document;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{FarmReader, JsonBody, QueryParameters, Reader, SeenJob, number_if_any};
 use crate::resources::checks::HIGHEST_SUM;
@@ -68,7 +69,7 @@ pub(crate) async fn of_job(
     let effects = answers.what_if.iter().chain(&answers.ways_out).flat_map(in_effect);
     let moved = answers.pushes_back.iter().map(|moved| moved.job_id);
     let seen = app.seen(&caller, effects.chain(moved).chain([job])).await?;
-    respond(&headers, Document::json(&seen.show_answers(answers))?)
+    Ok(Document::json(&seen.show_answers(answers))?.respond(&headers))
 }
 
 /// A job's price against its deadline, as a picture: the cheapest plan found, and dashed a lower bound.
@@ -82,7 +83,7 @@ pub(crate) async fn price_curve(
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let answers = answered(&app, job, AnswersQuery::default()).await?;
-    respond(&headers, svg(curve_svg(&answers.parsed()?))?)
+    Ok(svg(curve_svg(&answers.parsed()?))?.respond(&headers))
 }
 
 /// The answers about a job's plan. They are made once a minute, or when something is planned anew.
@@ -174,7 +175,7 @@ pub(crate) async fn plan_what_if(
             Err(reason) => Err(ApiError::invalid("/change", reason)),
         }
     };
-    respond(&headers, costly.answer(key, make).await?)
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 fn refused(error: AdvanceError) -> ApiError {

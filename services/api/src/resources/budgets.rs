@@ -10,7 +10,8 @@ use forelight_protocol::{
 
 use super::checks::{HIGHEST_SUM, check_name};
 use crate::budget_forecast::{BudgetForecastError, budget_forecast};
-use crate::costly::{Document, key, respond};
+use crate::costly::key;
+use crate::document::Document;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{FarmReader, JsonBody, Operator, Reader};
 use crate::state::App;
@@ -81,7 +82,7 @@ pub(crate) async fn forecast(
         let made = budget_forecast(&app.store, &request, now).await;
         Document::json(&made.map_err(refused)?)
     };
-    respond(&headers, costly.answer(key, make).await?)
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 fn refused(error: BudgetForecastError) -> ApiError {

@@ -1,13 +1,11 @@
 //! The document for a farm dashboard.
 
-use std::sync::Arc;
-
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
 use forelight_protocol::{Dashboard, Timestamp};
 
-use super::responses::tagged_by;
+use crate::document::Document;
 use crate::error::{ApiResult, Problems};
 use crate::extract::Reader;
 use crate::seen::{mentioned, show_dashboard};
@@ -26,21 +24,22 @@ pub(crate) async fn get(
     Reader(caller): Reader,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let changed = app.changed();
-    let farm = match caller.project_names() {
-        None => app.dashboard.get(changed, of_projects(&app, None)).await?,
-        Some(projects) => {
-            let farm = of_projects(&app, Some(projects)).await?;
-            let bookings = farm.bookings.iter().map(|booking| booking.job_id);
-            let active = farm.nodes.iter().filter_map(|node| Some(node.activity.as_ref()?.job_id));
-            let mentioned = farm.jobs.iter().flat_map(|job| mentioned(&job.waits, &job.promise));
-            let seen = app.seen(&caller, bookings.chain(active).chain(mentioned)).await?;
-            Arc::new(show_dashboard(farm, &caller, &seen))
-        }
+    let Some(projects) = caller.project_names() else {
+        let make = async { written(&of_projects(&app, None).await?) };
+        return Ok(app.dashboard.get(app.changed(), make).await?.respond(&headers));
     };
-    // The time alone is no news.
-    let timeless = Dashboard { at: Timestamp::from_micros(0), ..(*farm).clone() };
-    tagged_by(&headers, &timeless, &*farm)
+    let farm = of_projects(&app, Some(projects)).await?;
+    let bookings = farm.bookings.iter().map(|booking| booking.job_id);
+    let active = farm.nodes.iter().filter_map(|node| Some(node.activity.as_ref()?.job_id));
+    let mentioned = farm.jobs.iter().flat_map(|job| mentioned(&job.waits, &job.promise));
+    let seen = app.seen(&caller, bookings.chain(active).chain(mentioned)).await?;
+    Ok(written(&show_dashboard(farm, &caller, &seen))?.respond(&headers))
+}
+
+/// The document. The time alone is no news.
+fn written(farm: &Dashboard) -> ApiResult<Document> {
+    let timeless = Dashboard { at: Timestamp::from_micros(0), ..farm.clone() };
+    Document::json_tagged_by(&timeless, farm)
 }
 
 /// The dashboard with the open jobs of these projects, or of all.

@@ -16,7 +16,8 @@ use utoipa::IntoParams;
 
 use crate::conductor::AdvanceError;
 use crate::conductor::job_profile::JobProfile;
-use crate::costly::{Document, key, respond};
+use crate::costly::key;
+use crate::document::Document;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{FarmReader, QueryParameters, Reader, SeenJob, number_if_any};
 use crate::page::{PageQuery, cut};
@@ -64,7 +65,7 @@ pub(crate) async fn accuracy_of_job(
         let measured = profile(&app, &job).await?;
         Document::json(&measured.qualities().await.map_err(uncovered)?)
     };
-    respond(&headers, costly.answer(key, make).await?)
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 fn uncovered(reason: AdvanceError) -> ApiError {
@@ -107,7 +108,7 @@ pub(crate) async fn explanation_of_job(
         let measured = profile(&app, &job).await?;
         Document::json(&measured.explanation(frame).await.map_err(uncovered)?)
     };
-    respond(&headers, costly.answer(key, make).await?)
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
@@ -132,7 +133,8 @@ pub(crate) async fn history_of_job(
 ) -> ApiResult<Response> {
     let key = key(&("history", job, app.store.last_event_id().await?));
     let costly = app.costly.clone();
-    respond(&headers, costly.answer(key, async move { Document::json(&history(&app, job).await?) }).await?)
+    let make = async move { Document::json(&history(&app, job).await?) };
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 /// The job's estimate over time as a picture: expected cost and end, next to the booking.
@@ -148,7 +150,7 @@ pub(crate) async fn history_of_job_svg(
     let key = key(&("picture of history", job, app.store.last_event_id().await?));
     let costly = app.costly.clone();
     let make = async move { svg(plot::forecast_history(&history(&app, job).await?)) };
-    respond(&headers, costly.answer(key, make).await?)
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
@@ -163,7 +165,7 @@ async fn history(app: &App, job: JobId) -> ApiResult<ForecastHistory> {
 
 pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Document> {
     let svg = drawn.map_err(|error| ApiError::new(ProblemKind::Internal, error.to_string()))?;
-    Ok(Document::Svg(svg.into()))
+    Document::svg(svg)
 }
 
 /// Forecasts against actual costs of all finished frames, also by kind of quote. Newest frames first.
@@ -187,7 +189,7 @@ pub(crate) async fn track_record(
             cut(&mut record.items, size, "track-record", |row| (row.finished, row.job_id, row.frame));
         Document::json(&record)
     };
-    respond(&headers, costly.answer(key, make).await?)
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 const SHOWN_JOBS: u32 = 500;
@@ -209,7 +211,7 @@ pub(crate) async fn track_record_svg(
         let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
         svg(plot::track_record(&record, &jobs))
     };
-    respond(&headers, costly.answer(key, make).await?)
+    Ok(costly.answer(key, make).await?.respond(&headers))
 }
 
 /// Calibration learned from finished jobs, by renderer and class of features. `forelight forecast
