@@ -35,19 +35,18 @@ fn cookie<'a>(headers: &'a HeaderMap, wanted: &str) -> Option<&'a str> {
 
 /// `Set-Cookie` that gives the browser a secret for so many seconds. Scripts cannot read it.
 pub(crate) fn set_session(secret: &str, seconds: u64, over_tls: bool) -> ApiResult<HeaderValue> {
-    let secure = if over_tls { "; Secure" } else { "" };
-    let text = format!("{NAME}={secret}; HttpOnly; SameSite=Strict; Path=/; Max-Age={seconds}{secure}");
-    HeaderValue::from_str(&text)
-        .map_err(|_| ApiError::new(ProblemKind::Internal, "the session's cookie could not be written"))
+    set(&format!("{NAME}={secret}; HttpOnly; SameSite=Strict; Path=/"), seconds, over_tls)
 }
 
 /// `Set-Cookie` that binds a sign-in at a provider to this browser for so many seconds. 0 ends it.
 pub(crate) fn set_sign_in(state: &str, seconds: u64, over_tls: bool) -> ApiResult<HeaderValue> {
+    set(&format!("{SIGN_IN}={state}; HttpOnly; SameSite=Lax; Path=/v1/sign-in"), seconds, over_tls)
+}
+
+fn set(cookie: &str, seconds: u64, over_tls: bool) -> ApiResult<HeaderValue> {
     let secure = if over_tls { "; Secure" } else { "" };
-    let text =
-        format!("{SIGN_IN}={state}; HttpOnly; SameSite=Lax; Path=/v1/sign-in; Max-Age={seconds}{secure}");
-    HeaderValue::from_str(&text)
-        .map_err(|_| ApiError::new(ProblemKind::Internal, "the sign-in's cookie could not be written"))
+    HeaderValue::from_str(&format!("{cookie}; Max-Age={seconds}{secure}"))
+        .map_err(|_| ApiError::new(ProblemKind::Internal, "a cookie could not be written"))
 }
 
 /// `Set-Cookie` that makes the browser forget the secret.
