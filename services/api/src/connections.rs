@@ -16,6 +16,8 @@ mod held;
 mod tls;
 
 use std::convert::Infallible;
+use std::fmt::Display;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,6 +26,7 @@ use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::server::graceful::GracefulConnection;
 use hyper_util::service::TowerToHyperService;
 use rustix::process::{Resource, getrlimit};
 use tokio::net::{TcpListener, TcpStream};
@@ -120,7 +123,7 @@ async fn answer(
     let mut stream = TimeoutWriter::new(stream);
     stream.set_timeout(Some(limits.answer_silence));
     let stream = Box::pin(stream);
-    let gives_way = guest.gives_way.clone();
+    let ends = Ends { gives_way: guest.gives_way.clone(), stopping };
     let guest = Arc::new(guest);
     let router = service_fn(move |mut request: Request<Incoming>| {
         let holds = Holds::new(guest.request());
@@ -139,32 +142,43 @@ async fn answer(
             None => return,
             Some(stream) if speaks_http_2(&stream) => {
                 // Few connections are browsers', so those of workers need no room for this.
-                let answered = Box::pin(answer_http_2(stream, service, stopping));
-                return tokio::select! {
-                    () = answered => {}
-                    () = gives_way.cancelled() => {}
-                };
+                return Box::pin(answer_http_2(stream, service, ends)).await;
             }
             Some(stream) => Either::Right(Box::new(stream)),
         },
     };
-    let mut connection = std::pin::pin!(
+    let connection = std::pin::pin!(
         http1::Builder::new()
             .max_buf_size(BUFFER)
             .timer(TokioTimer::new())
             .header_read_timeout(limits.head_time)
             .serve_connection(TokioIo::new(stream), service)
     );
-    let ended = tokio::select! {
-        ended = connection.as_mut() => ended,
-        () = gives_way.cancelled() => return,
-        () = stopping.cancelled() => {
-            connection.as_mut().graceful_shutdown();
-            connection.await
+    ends.wait(connection).await;
+}
+
+/// What ends a connection besides its client.
+struct Ends {
+    /// Cancelled when it has to give way to another one.
+    gives_way: CancellationToken,
+    /// Cancelled when the service stops: running requests are answered first.
+    stopping: CancellationToken,
+}
+
+impl Ends {
+    /// Serves a connection to its end. It is pinned by the caller, so it is not moved into here.
+    async fn wait<C: GracefulConnection<Error: Display>>(&self, mut connection: Pin<&mut C>) {
+        let ended = tokio::select! {
+            ended = connection.as_mut() => ended,
+            () = self.gives_way.cancelled() => return,
+            () = self.stopping.cancelled() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+        };
+        if let Err(error) = ended {
+            tracing::debug!(%error, "a connection broke");
         }
-    };
-    if let Err(error) = ended {
-        tracing::debug!(%error, "a connection broke");
     }
 }
 

@@ -9,8 +9,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use hyper::server::conn::http2;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
-use hyper_util::server::conn::auto;
 use parking_lot::RwLock;
 use rustls::ServerConfig;
 use rustls::crypto::CryptoProvider;
@@ -24,6 +24,7 @@ use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 use tokio_util::sync::CancellationToken;
 
+use super::Ends;
 use crate::config::TlsFiles;
 
 /// Longest time of a handshake.
@@ -172,7 +173,7 @@ pub(crate) fn speaks_http_2<S>(stream: &TlsStream<S>) -> bool {
 
 /// Answers an HTTP/2 connection, which browsers use. Workers have one request at a time and stay with
 /// HTTP/1.1.
-pub(crate) async fn answer_http_2<I, S>(stream: TlsStream<I>, service: S, stopping: CancellationToken)
+pub(crate) async fn answer_http_2<I, S>(stream: TlsStream<I>, service: S, ends: Ends)
 where
     I: AsyncRead + AsyncWrite + Unpin + Send + 'static,
     S: hyper::service::Service<
@@ -184,17 +185,7 @@ where
         + 'static,
     S::Future: Send + 'static,
 {
-    let mut builder = auto::Builder::new(TokioExecutor::new()).http2_only();
-    builder.http2().timer(TokioTimer::new()).max_concurrent_streams(STREAMS);
-    let mut connection = std::pin::pin!(builder.serve_connection(TokioIo::new(stream), service));
-    let ended = tokio::select! {
-        ended = connection.as_mut() => ended,
-        () = stopping.cancelled() => {
-            connection.as_mut().graceful_shutdown();
-            connection.await
-        }
-    };
-    if let Err(error) = ended {
-        tracing::debug!(%error, "a connection broke");
-    }
+    let mut builder = http2::Builder::new(TokioExecutor::new());
+    builder.timer(TokioTimer::new()).max_concurrent_streams(STREAMS);
+    ends.wait(std::pin::pin!(builder.serve_connection(TokioIo::new(stream), service))).await;
 }
