@@ -10,6 +10,23 @@ use crate::writing::run;
 /// Most rows that one write deletes.
 const SLICE: i64 = 5000;
 
+/// Deletes one slice after another, each in a write of its own, until nothing is left. The last parameter of the
+/// statement is the length of a slice. Gives how many rows were deleted.
+macro_rules! delete_in_slices {
+    ($store:expr, $statement:literal, $value:expr $(,)?) => {{
+        let mut deleted = 0;
+        loop {
+            let mut write = $store.write().await?;
+            let number = run!(write, $statement, $value, SLICE);
+            $store.commit(write).await?;
+            deleted += number;
+            if number == 0 {
+                break Ok(deleted);
+            }
+        }
+    }};
+}
+
 impl Store {
     /// Deletes logs, events or plans. Returns how many.
     pub(super) async fn prune_records(
@@ -39,22 +56,12 @@ impl Store {
     }
 
     async fn prune_logs(&self, cut: Timestamp) -> Result<u64> {
-        let mut deleted = 0;
-        loop {
-            let mut write = self.write().await?;
-            let number = run!(
-                write,
-                "DELETE FROM task_logs WHERE (task_id, fence, number) IN \
-                 (SELECT task_id, fence, number FROM task_logs WHERE at < ? ORDER BY at LIMIT ?)",
-                cut.micros(),
-                SLICE
-            );
-            self.commit(write).await?;
-            deleted += number;
-            if number == 0 {
-                return Ok(deleted);
-            }
-        }
+        delete_in_slices!(
+            self,
+            "DELETE FROM task_logs WHERE (task_id, fence, number) IN \
+             (SELECT task_id, fence, number FROM task_logs WHERE at < ? ORDER BY at LIMIT ?)",
+            cut.micros()
+        )
     }
 
     /// The first event that stays, if any is older. Events are numbered in the order of time.
@@ -76,21 +83,11 @@ impl Store {
 
     async fn prune_events(&self, cut: Timestamp) -> Result<u64> {
         let first = self.first_event(cut).await?;
-        let mut deleted = 0;
-        loop {
-            let mut write = self.write().await?;
-            let number = run!(
-                write,
-                "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE id < ? ORDER BY id LIMIT ?)",
-                first,
-                SLICE
-            );
-            self.commit(write).await?;
-            deleted += number;
-            if number == 0 {
-                return Ok(deleted);
-            }
-        }
+        delete_in_slices!(
+            self,
+            "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE id < ? ORDER BY id LIMIT ?)",
+            first
+        )
     }
 
     /// Old plans that no job and no estimate refers to, oldest first; never the newest.
