@@ -41,11 +41,7 @@ pub(crate) async fn look_at_running(write: &mut Write, now: Timestamp) -> Result
     .fetch_all(write.connection().await?)
     .await?;
     for row in rows {
-        let times = AttemptTimes {
-            began: row.granted_at.into(),
-            counts_from: row.counts_from.map(Into::into),
-            progress_at: row.progress_at.map(Into::into),
-        };
+        let times = AttemptTimes::new(row.granted_at, row.counts_from, row.progress_at);
         match (times.attempt(row.progress, row.p95).lateness(now), row.lateness.as_deref()) {
             (Lateness::Over, _) => end_for_time(write, row.id.into(), now).await?,
             (Lateness::Stalled, Some("stalled")) | (Lateness::OnTime, _) => {}

@@ -32,13 +32,8 @@ impl From<Row> for OpenBooking {
         let is_leased = row.state == "leased";
         let held = row.holder.zip(row.started_at).filter(|_| is_leased);
         let holder = held.map(|(node, started)| {
-            let times = AttemptTimes {
-                began: started.into(),
-                counts_from: row.counts_from.map(Into::into),
-                progress_at: row.progress_at.map(Into::into),
-            };
-            let attempt = times.attempt(row.progress, row.p95);
-            Holder { node_id: node.into(), started: started.into(), attempt }
+            let times = AttemptTimes::new(started, row.counts_from, row.progress_at);
+            Holder::new(node.into(), times, row.progress, row.p95)
         });
         let booking = Booking {
             id: row.id.into(),

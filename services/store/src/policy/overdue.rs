@@ -61,6 +61,11 @@ pub(crate) struct AttemptTimes {
 }
 
 impl AttemptTimes {
+    pub(crate) fn new<T: Into<Timestamp>>(began: T, counts_from: Option<T>, progress_at: Option<T>) -> Self {
+        let [counts_from, progress_at] = [counts_from, progress_at].map(|at| at.map(Into::into));
+        Self { began: began.into(), counts_from, progress_at }
+    }
+
     pub(crate) fn attempt(&self, progress: f64, p95: Option<i64>) -> TaskAttempt {
         let since = self.counts_from.map_or(self.began, |from| from.max(self.began));
         let sign = self.progress_at.map_or(since, |at| at.max(since));

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use forelight_protocol::{Booking, Job, JobId, NodeId, SharedCacheBooking, Timestamp, Waits};
 
-use crate::policy::overdue::TaskAttempt;
+use crate::policy::overdue::{AttemptTimes, TaskAttempt};
 
 /// A booking whose frame is not rendered yet.
 #[derive(Clone, PartialEq, Debug)]
@@ -28,6 +28,12 @@ pub struct Holder {
     pub started: Timestamp,
     /// What is known of its attempt.
     pub attempt: TaskAttempt,
+}
+
+impl Holder {
+    pub(crate) fn new(node_id: NodeId, times: AttemptTimes, progress: f64, p95: Option<i64>) -> Self {
+        Self { node_id, started: times.began, attempt: times.attempt(progress, p95) }
+    }
 }
 
 /// A booked part of an irradiance cache that the frames of a job share and wait for, and that is not full

@@ -59,13 +59,8 @@ impl From<Row> for OpenCachePart {
             part_done((row.parts, row.levels), row.round, is_filled, row.progress);
         let held = row.holder.zip(row.started_at).filter(|_| is_leased);
         let holder = held.map(|(node, started)| {
-            let times = AttemptTimes {
-                began: started.into(),
-                counts_from: row.counts_from.map(Into::into),
-                progress_at: row.progress_at.map(Into::into),
-            };
-            let attempt = times.attempt(with_worker, None);
-            Holder { node_id: node.into(), started: started.into(), attempt }
+            let times = AttemptTimes::new(started, row.counts_from, row.progress_at);
+            Holder::new(node.into(), times, with_worker, None)
         });
         let booking = SharedCacheBooking {
             job_id: row.job_id.into(),
