@@ -248,6 +248,7 @@ fn planner_job(
             .map(|each| frame(each.number, each.p50 * factor, each.p80 * factor))
             .collect(),
         done: farm_job.frames.iter().filter(|each| !each.waits).map(|each| i64::from(each.number)).collect(),
+        part_overhead: 0,
         budget: job.budget.map(|budget| budget.micro_units().saturating_sub(asked.spent)),
     }
 }
@@ -434,7 +435,12 @@ pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
 }
 
 pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
-    planner::Frame { number: i64::from(number), work: units(p50).max(1), work_p80: units(p80).max(1) }
+    planner::Frame {
+        number: i64::from(number),
+        work: units(p50).max(1),
+        work_p80: units(p80).max(1),
+        ..planner::Frame::default()
+    }
 }
 
 pub(crate) fn speed(node: &Node) -> u64 {
