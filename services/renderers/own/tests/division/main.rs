@@ -1,0 +1,3 @@
+//! Frames divided into parts.
+
+mod costs;
