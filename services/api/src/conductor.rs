@@ -19,6 +19,7 @@ pub(crate) mod book;
 pub(crate) mod effects;
 pub(crate) mod farm;
 pub(crate) mod job_profile;
+pub(crate) mod numbers;
 mod qualities;
 mod replan;
 mod risks;

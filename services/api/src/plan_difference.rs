@@ -10,6 +10,7 @@ use forelight_protocol::{
 use forelight_store::{Store, StoreError};
 
 use crate::conductor::effects::priced;
+use crate::conductor::numbers::{frame_part, number};
 use crate::conductor::settle::stayed;
 
 const MOST_LINES: usize = 50;
@@ -87,7 +88,7 @@ impl Places {
                 start: booking.start.micros(),
                 node: self.nodes.binary_search(&booking.node_id).ok()? as u64,
                 job: self.jobs.binary_search(&booking.job_id).ok()? as u64,
-                task: planner::Task::Frame(i64::from(booking.frame)),
+                task: planner::Task::Frame(number(booking.frame_part())),
                 end: booking.end.micros(),
             })
         };
@@ -110,9 +111,12 @@ impl Places {
             })
         };
         let one = new.or(old)?;
+        let part = frame_part(one.task)?;
         Some(FrameMove {
             job_id: *self.jobs.get(usize::try_from(one.job).ok()?)?,
-            frame: u32::try_from(one.task.frame()?).ok()?,
+            frame: part.frame,
+            part: part.part,
+            parts: part.parts,
             before: old.and_then(place),
             after: new.and_then(place),
         })

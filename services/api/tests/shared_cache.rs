@@ -171,6 +171,8 @@ async fn assert_offline_images_are_the_same(
             work: None,
             profile: None,
             cache: Some(name),
+            frame_cache: None,
+            parts: Vec::new(),
             shares: Vec::new(),
         };
         let assignment = Assignment {

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::model::{
-    Confidence, FixedBooking, Input, InputError, Interval, Job, JobPlan, Node, Plan, Verdict,
+    Confidence, Division, FixedBooking, Input, InputError, Interval, Job, JobPlan, Node, Plan, Verdict,
 };
 use crate::schedule::plan;
 
@@ -76,6 +76,13 @@ pub enum Change {
     MakeWay {
         /// The job.
         job: u64,
+    },
+    /// The frames of a job may be divided. Frames that must have a number of parts keep it.
+    Parts {
+        /// The job.
+        job: u64,
+        /// The most parts of a frame.
+        parts: u32,
     },
     /// A job is added.
     NewJob {
@@ -325,6 +332,13 @@ pub fn changed(input: &Input, change: &Change) -> Result<Input, InputError> {
         }
         Change::Confidence { job, confidence } => own_job(&mut new, *job)?.confidence = *confidence,
         Change::MakeWay { job } => own_job(&mut new, *job)?.deadline = None,
+        Change::Parts { job, parts } => {
+            for frame in &mut own_job(&mut new, *job)?.frames {
+                if frame.division.allows(1) && frame.division.most() < *parts {
+                    frame.division = Division::UpTo(*parts);
+                }
+            }
+        }
         Change::NewJob { job } => new.jobs.push((**job).clone()),
     }
     Ok(new)

@@ -6,9 +6,10 @@ use crate::problem::{Problem, Work};
 
 /// The earliest possible end of this job, if it had the farm to itself.
 ///
-/// The frames' work must come out of the nodes' free time after the release. The longest frame needs an
-/// unbroken stretch of one node after the shared cache, which takes at least as long as its longest part.
-/// Without calendars the first bound is Σ w / Σ s, the second max w / max s (Graham 1969).
+/// The frames' work must come out of the nodes' free time after the release. The longest frame, or the part
+/// of it if it has as many as it may have, needs an unbroken stretch of one node after the shared cache,
+/// which takes at least as long as its longest part. Without calendars the first bound is Σ w / Σ s, the
+/// second max w / max s (Graham 1969).
 pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let job = work.job;
     let release = work.release(problem.input.now);
@@ -25,7 +26,8 @@ pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
         None => Some(release),
         Some((cache, amount)) => earliest(&work.shared_cache_classes, cache.class, release, amount),
     };
-    let Some(longest) = work.frames.iter().map(|frame| frame.work).max() else {
+    let longest = work.frames.iter().map(|frame| job.longest_part(frame.work, frame.division)).max();
+    let Some(longest) = longest else {
         return Bound { by_capacity: cached, by_longest_frame: cached };
     };
     Bound {

@@ -345,7 +345,7 @@ mod tests {
             deadline: Some(deadline),
             confidence: Confidence::P50,
             total: WorkTotal { p50: 7200, p80: 7200, p95: 7200 },
-            frames: vec![Frame { number: 0, work: 7200, work_p80: 0 }],
+            frames: vec![Frame { number: 0, work: 7200, ..Frame::default() }],
             ..Job::default()
         };
         let input = Input {
@@ -384,7 +384,7 @@ mod tests {
             calendar: vec![Interval { start: 0, end: Some(9 * HOUR) }],
             ..Node::default()
         };
-        let frame = |number: i64, work: u64| Frame { number, work, work_p80: 0 };
+        let frame = |number: i64, work: u64| Frame { number, work, ..Frame::default() };
         let job = Job {
             id: 1,
             deadline: Some(9 * HOUR),

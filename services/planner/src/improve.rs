@@ -163,7 +163,7 @@ mod tests {
             deadline: Some(100_000_000),
             confidence: Confidence::P50,
             total: WorkTotal { p50: 10, p80: 10, p95: 10 },
-            frames: vec![Frame { number: 0, work: 10, work_p80: 0 }],
+            frames: vec![Frame { number: 0, work: 10, ..Frame::default() }],
             ..Job::default()
         };
         let input =

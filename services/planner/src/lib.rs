@@ -73,9 +73,9 @@ pub use explain::{Explanation, Precedence, Reason, explain};
 pub use fairness::decayed_usage;
 pub use least::least_cost;
 pub use model::{
-    Booking, Bound, Confidence, FixedBooking, Frame, Infeasible, Input, InputError, Interval, Job, JobPlan,
-    Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, SharedCache, Task, Usage, Verdict,
-    WorkTotal,
+    Booking, Bound, Confidence, Division, FixedBooking, Frame, Infeasible, Input, InputError, Interval, Job,
+    JobPlan, Node, Plan, PlanId, Power, Prices, Project, Proof, Rental, Reserved, SharedCache, Task, Usage,
+    Verdict, WorkTotal,
 };
 pub use replan::{AtRisk, Event, Replanned, mend, replan};
 pub use schedule::{plan, plan_quickly};

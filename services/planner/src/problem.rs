@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::calendar::{Window, windows};
-use crate::model::{FixedBooking, Frame, Input, Job, Node, Task};
+use crate::model::{Division, FixedBooking, Frame, Input, Job, Node, Task};
 
 /// An input, sorted by id.
 pub(crate) struct Problem<'a> {
@@ -32,6 +32,7 @@ pub(crate) struct Work<'a> {
 pub(crate) struct FrameWork {
     pub number: i64,
     pub work: u64,
+    pub division: Division,
 }
 
 impl<'a> Problem<'a> {
@@ -79,9 +80,7 @@ impl<'a> Problem<'a> {
 
 impl<'a> Work<'a> {
     fn new(job: &'a Job, nodes: &[&Node], classes: &[Vec<usize>]) -> Self {
-        let open: BTreeMap<i64, u64> = job.open_work().collect();
-        let mut frames: Vec<(&Frame, u64)> =
-            job.frames.iter().filter_map(|frame| Some((frame, *open.get(&frame.number)?))).collect();
+        let mut frames: Vec<(&Frame, u64)> = job.open_frames().collect();
         // Without a P80 of its own, a frame counts with its booked work.
         frames.sort_unstable_by_key(|(frame, work)| {
             (std::cmp::Reverse(frame.work_p80.max(*work)), std::cmp::Reverse(*work), frame.number)
@@ -95,7 +94,7 @@ impl<'a> Work<'a> {
             shared_cache: job.bought_shared_cache(),
             frames: frames
                 .iter()
-                .map(|(frame, work)| FrameWork { number: frame.number, work: *work })
+                .map(|&(frame, work)| FrameWork { number: frame.number, work, division: frame.division })
                 .collect(),
             classes: able(job.class),
             shared_cache_classes: job.shared_cache.map_or_else(Vec::new, |cache| able(cache.class)),
@@ -108,17 +107,28 @@ impl<'a> Work<'a> {
             Task::SharedCache | Task::SharedCachePart { .. } => {
                 node.duration(self.job.shared_cache_work(task)?, self.job.shared_cache?.class)
             }
-            Task::Frame(number) => node.duration(self.work_of(number)?, self.job.class),
+            Task::Frame(_) | Task::Part { .. } => node.duration(self.work_of(task)?, self.job.class),
         }
+    }
+
+    /// Work of a frame or a part of one. `None` if the job has no such task, or the frame may not be divided
+    /// like this.
+    pub fn work_of(&self, task: Task) -> Option<u64> {
+        let frame = self.frame(task.frame()?)?;
+        match task {
+            Task::Part { part, parts, .. } => (part < parts && parts > 1 && frame.division.allows(parts))
+                .then(|| self.job.part_work(frame.work, parts)),
+            _ => frame.division.allows(1).then_some(frame.work),
+        }
+    }
+
+    pub fn frame(&self, number: i64) -> Option<&FrameWork> {
+        self.frames.iter().find(|frame| frame.number == number)
     }
 
     /// Work of each part of the shared cache, or of all of it if it is not split.
     pub fn shared_cache_part(&self) -> Option<u64> {
         self.job.shared_cache_work(self.job.shared_cache?.tasks().next()?)
-    }
-
-    fn work_of(&self, number: i64) -> Option<u64> {
-        self.frames.iter().find(|frame| frame.number == number).map(|frame| frame.work)
     }
 
     /// Whether some nodes can render its frames, and some can do its shared cache.
@@ -128,8 +138,9 @@ impl<'a> Work<'a> {
             && can(self.shared_cache.is_some(), &self.shared_cache_classes)
     }
 
+    /// The least work of its frames together.
     pub fn total(&self) -> u128 {
-        self.frames.iter().map(|frame| u128::from(frame.work)).sum()
+        self.frames.iter().map(|frame| self.job.least_work(frame.work, frame.division)).sum()
     }
 
     pub fn release(&self, now: i64) -> i64 {

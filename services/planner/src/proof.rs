@@ -40,7 +40,7 @@ pub(crate) fn value(
             Counted::By(deadline) => deadline,
         };
         let start = job.release.max(input.now);
-        let frames: u128 = job.open_work().map(|(_, work)| u128::from(work)).sum();
+        let frames: u128 = job.open_frames().map(|(frame, work)| job.least_work(work, frame.division)).sum();
         let cache = job
             .shared_cache
             .zip(job.bought_shared_cache())

@@ -27,7 +27,7 @@ fn job(id: u64, deadline: Option<i64>, works: &[u64]) -> Job {
         deadline,
         confidence: Confidence::P50,
         total: WorkTotal { p50: total, p80: total, p95: total },
-        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work, work_p80: 0 }).collect(),
+        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work, ..Frame::default() }).collect(),
         ..Job::default()
     }
 }
@@ -188,7 +188,7 @@ fn input_without_a_meaning_is_named() {
     let one = || node(1, 10);
     let two = || job(2, None, &[1]);
     let reversed = Node { calendar: vec![Interval { start: 3, end: Some(2) }], ..one() };
-    let twice = Job { frames: vec![Frame { number: 4, work: 1, work_p80: 0 }; 2], ..two() };
+    let twice = Job { frames: vec![Frame { number: 4, work: 1, ..Frame::default() }; 2], ..two() };
     let falling = Job { total: WorkTotal { p50: 3, p80: 2, p95: 4 }, ..two() };
     let fixed = |node, start, end| Input {
         nodes: vec![one()],

@@ -37,7 +37,7 @@ prop_compose! {
         let p50 = works.iter().fold(0u64, |sum, &work| sum.saturating_add(work));
         let p80 = p50.saturating_add(margin.0);
         let total = WorkTotal { p50, p80, p95: p80.saturating_add(margin.1) };
-        let frames = works.iter().zip(0..).map(|(&work, number)| Frame { number: 3 * number - 5, work, work_p80: 0 }).collect();
+        let frames = works.iter().zip(0..).map(|(&work, number)| Frame { number: 3 * number - 5, work, ..Frame::default() }).collect();
         Job { release, deadline, priority, confidence, total, frames, budget, ..Job::default() }
     }
 }
@@ -75,7 +75,7 @@ fn identical(nodes: u64, works: &[u64], deadline: Option<i64>) -> Input {
             frames: works
                 .iter()
                 .zip(0..)
-                .map(|(&work, number)| Frame { number, work, work_p80: 0 })
+                .map(|(&work, number)| Frame { number, work, ..Frame::default() })
                 .collect(),
             ..Job::default()
         }],

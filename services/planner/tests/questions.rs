@@ -27,7 +27,10 @@ fn job(id: u64, deadline: Option<i64>, hours: &[u64]) -> Job {
         deadline: deadline.map(|hours| hours * HOUR),
         confidence: Confidence::P50,
         total: WorkTotal { p50: total, p80: total, p95: total },
-        frames: (0..).zip(hours).map(|(number, &h)| Frame { number, work: h * 3600, work_p80: 0 }).collect(),
+        frames: (0..)
+            .zip(hours)
+            .map(|(number, &h)| Frame { number, work: h * 3600, ..Frame::default() })
+            .collect(),
         ..Job::default()
     }
 }

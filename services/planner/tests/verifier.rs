@@ -21,7 +21,7 @@ fn input() -> Input {
         deadline,
         confidence: Confidence::P80,
         total: WorkTotal { p50: 0, p80: works.iter().sum(), p95: u64::MAX },
-        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work, work_p80: 0 }).collect(),
+        frames: (0..).zip(works).map(|(number, &work)| Frame { number, work, ..Frame::default() }).collect(),
         budget: Some(1000),
         ..Job::default()
     };

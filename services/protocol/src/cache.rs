@@ -60,7 +60,7 @@ pub struct CachePlanSpec {
     pub settings: RenderSettings,
 }
 
-/// Task: gather the light for one part of a shared irradiance cache.
+/// Task: gather the light for one part of an irradiance cache: a shared one, or that of a divided frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct CacheFillSpec {
     /// The job.
@@ -69,6 +69,9 @@ pub struct CacheFillSpec {
     pub bundle: BundleSource,
     /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
+    /// The divided frame whose own cache it is. Absent for a shared cache.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<u32>,
     /// The job's settings.
     pub settings: RenderSettings,
     /// The cache so far: the planned one in the first round, the merged one in later rounds.
@@ -91,6 +94,9 @@ pub struct CacheMergeSpec {
     pub bundle: BundleSource,
     /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
     pub digest: SceneDigest,
+    /// The divided frame whose own cache it is. Absent for a shared cache.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<u32>,
     /// The round, from 0.
     pub round: u32,
     /// The results of the parts, in order.

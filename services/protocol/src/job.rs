@@ -5,8 +5,8 @@ use utoipa::ToSchema;
 
 use crate::node::given;
 use crate::{
-    ArtifactHash, BundleRef, CacheSharing, Confidence, FrameForecast, FrameSet, JobId, JobSettings, JobState,
-    JobVerdict, Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles,
+    ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FrameForecast, FrameSet, JobId, JobSettings,
+    JobState, JobVerdict, Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles,
     RenderSettingsRequest, RenderStats, RendererRequest, SceneSummary, SharedCacheProgress, TaskLimits,
     Timestamp, Waits,
 };
@@ -35,6 +35,9 @@ pub struct JobRequest {
     /// Whether the frames share one irradiance cache. No effect without caches.
     #[serde(default)]
     pub cache: CacheSharing,
+    /// Whether frames are divided into parts that several nodes render at the same time.
+    #[serde(default, skip_serializing_if = "Division::is_auto")]
+    pub division: Division,
     /// Number of pixels to profile per profiled frame, 16 to 1,000,000.
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
@@ -197,6 +200,9 @@ pub struct Job {
     /// Progress of the irradiance cache that its frames share. Absent if they do not share one.
     #[serde(default, skip_serializing_if = "Option::is_none", alias = "seed")]
     pub shared_cache: Option<SharedCacheProgress>,
+    /// Whether frames are divided into parts that several nodes render at the same time.
+    #[serde(default, skip_serializing_if = "Division::is_auto")]
+    pub division: Division,
     /// Number of pixels to profile per profiled frame.
     pub samples: u32,
     /// Largest number of frames to profile. Absent if the service decides.

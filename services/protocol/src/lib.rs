@@ -23,6 +23,7 @@ mod calendar;
 mod calibration;
 mod confidence;
 mod dashboard;
+mod division;
 mod event;
 mod explanation;
 mod fixed_costs;
@@ -87,6 +88,10 @@ pub use confidence::Confidence;
 pub use dashboard::{
     Dashboard, DashboardCounts, DashboardJob, DashboardNode, FinishQuantiles, JobCounts, NodeActivity,
     NodeCounts, ProjectSpending, TaskCounts,
+};
+pub use division::{
+    DivideResult, DivideSpec, Division, FinishedPart, FrameCache, FramePart, MOST_PARTS, PartCount,
+    PartPixels, PartRange, PixelRange, RenderPartResult, RenderPartSpec, SampleRange,
 };
 pub use event::{Event, EventKind, FrameCost};
 pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};

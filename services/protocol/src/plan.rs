@@ -3,7 +3,10 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{BookingId, Confidence, JobId, Money, NodeId, PageToken, PlanEffect, PlanId, Timestamp};
+use crate::division::{is_first, is_one, one};
+use crate::{
+    BookingId, Confidence, FramePart, JobId, Money, NodeId, PageToken, PlanEffect, PlanId, Timestamp,
+};
 
 /// Why a plan was made.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
@@ -71,7 +74,7 @@ pub struct JobVerdict {
     pub ways_out: Vec<PlanEffect>,
 }
 
-/// A node that is reserved for a frame for a period of time.
+/// A node that is reserved for a frame, or a part of one, for a period of time.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Booking {
     /// Its id.
@@ -82,12 +85,26 @@ pub struct Booking {
     pub job_id: JobId,
     /// The frame.
     pub frame: u32,
+    /// The part of the frame, from 0.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub part: u32,
+    /// Number of parts of the frame. 1 or absent: it is booked as a whole.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[schema(default = 1, minimum = 1, maximum = 512)]
+    pub parts: u32,
     /// The node.
     pub node_id: NodeId,
     /// Start of the booking.
     pub start: Timestamp,
     /// End of the booking (exclusive).
     pub end: Timestamp,
+}
+
+impl Booking {
+    /// What is booked.
+    pub const fn frame_part(&self) -> FramePart {
+        FramePart { frame: self.frame, part: self.part, parts: self.parts }
+    }
 }
 
 /// A node that is reserved for a part of a job's shared irradiance cache, before its frames.
@@ -179,13 +196,20 @@ pub struct FramePlace {
     pub end: Timestamp,
 }
 
-/// A frame whose booking a plan moves, adds or removes.
+/// A frame or a part of one whose booking a plan moves, adds or removes.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct FrameMove {
     /// The job.
     pub job_id: JobId,
     /// The frame.
     pub frame: u32,
+    /// The part of the frame, from 0.
+    #[serde(default, skip_serializing_if = "is_first")]
+    pub part: u32,
+    /// Number of parts of the frame. 1 or absent: it is booked as a whole.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[schema(default = 1, minimum = 1, maximum = 512)]
+    pub parts: u32,
     /// The earlier booking. Absent if it had none.
     pub before: Option<FramePlace>,
     /// The new booking. Absent if it has none any more.

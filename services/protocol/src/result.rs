@@ -4,8 +4,9 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, PlanCount, ProfileResult, RenderStats,
-    RendererId, SampleShare, SceneSummary, ShotSettings, Spent, Stratum, TaskKind,
+    ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, DivideResult, PlanCount, ProfileResult,
+    RenderPartResult, RenderStats, RendererId, SampleShare, SceneSummary, ShotSettings, Spent, Stratum,
+    TaskKind,
 };
 
 /// Result of a task. In JSON an object with one key: `{"preview": {…}}`.
@@ -24,6 +25,10 @@ pub enum TaskResult {
     CacheFill(CacheFillResult),
     /// Result of merging the parts of the cache.
     CacheMerge(CacheMergeResult),
+    /// Result of dividing a frame into parts.
+    Divide(DivideResult),
+    /// Result of rendering a part of a frame.
+    RenderPart(RenderPartResult),
     /// Result of a render.
     Render(RenderResult),
 }
@@ -37,6 +42,8 @@ impl TaskResult {
             TaskResult::CachePlan(_) => TaskKind::CachePlan,
             TaskResult::CacheFill(_) => TaskKind::CacheFill,
             TaskResult::CacheMerge(_) => TaskKind::CacheMerge,
+            TaskResult::Divide(_) => TaskKind::Divide,
+            TaskResult::RenderPart(_) => TaskKind::RenderPart,
             TaskResult::Render(_) => TaskKind::Render,
         }
     }
@@ -54,6 +61,8 @@ impl TaskResult {
             TaskResult::CachePlan(result) => result.cache.into_iter().collect(),
             TaskResult::CacheFill(result) => vec![result.cache],
             TaskResult::CacheMerge(result) => vec![result.cache],
+            TaskResult::Divide(result) => result.cache.map(|cache| cache.hash).into_iter().collect(),
+            TaskResult::RenderPart(result) => vec![result.finished.hash()],
             TaskResult::Render(result) => {
                 let RenderArtifacts { image_exr, image_png, cost_map_png, preview_png } = result.artifacts;
                 [image_exr, image_png, cost_map_png].into_iter().chain(preview_png).collect()

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, JobSettings,
-    RendererRequest, SceneDigest,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, JobId, JobSettings,
+    RenderPartSpec, RendererRequest, SceneDigest,
 };
 
 /// Kind of a task.
@@ -24,18 +24,24 @@ pub enum TaskKind {
     CacheFill,
     /// Merge the parts of the shared cache.
     CacheMerge,
-    /// Render one frame.
+    /// Find parts of equal cost in one frame.
+    Divide,
+    /// Render one part of a frame.
+    RenderPart,
+    /// Render one frame, or put it together from its parts.
     Render,
 }
 
 impl TaskKind {
     /// All kinds, in the order of a job's life.
-    pub const ALL: [TaskKind; 6] = [
+    pub const ALL: [TaskKind; 8] = [
         TaskKind::Preview,
         TaskKind::Profile,
         TaskKind::CachePlan,
         TaskKind::CacheFill,
         TaskKind::CacheMerge,
+        TaskKind::Divide,
+        TaskKind::RenderPart,
         TaskKind::Render,
     ];
 
@@ -47,13 +53,15 @@ impl TaskKind {
             TaskKind::CachePlan => "cache_plan",
             TaskKind::CacheFill => "cache_fill",
             TaskKind::CacheMerge => "cache_merge",
+            TaskKind::Divide => "divide",
+            TaskKind::RenderPart => "render_part",
             TaskKind::Render => "render",
         }
     }
 
     /// Whether plans book this kind of task. Other tasks are steps that plans or booked tasks wait for.
     pub const fn is_booked(self) -> bool {
-        matches!(self, TaskKind::CacheFill | TaskKind::Render)
+        matches!(self, TaskKind::CacheFill | TaskKind::RenderPart | TaskKind::Render)
     }
 
     /// The kind of this name.
@@ -82,7 +90,11 @@ pub enum TaskSpec {
     CacheFill(CacheFillSpec),
     /// Merge the parts of the shared cache.
     CacheMerge(CacheMergeSpec),
-    /// Render one frame.
+    /// Find parts of equal cost in one frame.
+    Divide(DivideSpec),
+    /// Render one part of a frame.
+    RenderPart(RenderPartSpec),
+    /// Render one frame, or put it together from its parts.
     Render(RenderSpec),
 }
 
@@ -95,6 +107,8 @@ impl TaskSpec {
             TaskSpec::CachePlan(_) => TaskKind::CachePlan,
             TaskSpec::CacheFill(_) => TaskKind::CacheFill,
             TaskSpec::CacheMerge(_) => TaskKind::CacheMerge,
+            TaskSpec::Divide(_) => TaskKind::Divide,
+            TaskSpec::RenderPart(_) => TaskKind::RenderPart,
             TaskSpec::Render(_) => TaskKind::Render,
         }
     }
@@ -102,16 +116,17 @@ impl TaskSpec {
     /// The frame of the task. `None` for previews and the shared cache, which are about all frames.
     pub const fn frame(&self) -> Option<u32> {
         match self {
-            TaskSpec::Preview(_)
-            | TaskSpec::CachePlan(_)
-            | TaskSpec::CacheFill(_)
-            | TaskSpec::CacheMerge(_) => None,
+            TaskSpec::Preview(_) | TaskSpec::CachePlan(_) => None,
+            TaskSpec::CacheFill(spec) => spec.frame,
+            TaskSpec::CacheMerge(spec) => spec.frame,
             TaskSpec::Profile(spec) => Some(spec.frame),
+            TaskSpec::Divide(spec) => Some(spec.frame),
+            TaskSpec::RenderPart(spec) => Some(spec.frame),
             TaskSpec::Render(spec) => Some(spec.frame),
         }
     }
 
-    /// The round of filling the shared cache. `None` for other tasks.
+    /// The round of filling a cache. `None` for other tasks.
     pub const fn round(&self) -> Option<u32> {
         match self {
             TaskSpec::CacheFill(spec) => Some(spec.round),
@@ -120,22 +135,35 @@ impl TaskSpec {
         }
     }
 
-    /// The part of the shared cache that the task fills. `None` for other tasks.
+    /// The part of the cache that the task fills, or of the frame that it renders. `None` for other tasks.
     pub const fn part(&self) -> Option<u32> {
         match self {
             TaskSpec::CacheFill(spec) => Some(spec.part),
+            TaskSpec::RenderPart(spec) => Some(spec.part),
             _ => None,
         }
     }
 
-    /// The irradiance caches that the task reads, in its order.
+    /// The irradiance caches that the task reads, in its order: that of a frame follows the shared one.
     pub fn caches(&self) -> Vec<ArtifactHash> {
         match self {
             TaskSpec::Preview(_) | TaskSpec::CachePlan(_) => Vec::new(),
             TaskSpec::Profile(spec) => spec.cache.into_iter().collect(),
             TaskSpec::CacheFill(spec) => vec![spec.cache],
             TaskSpec::CacheMerge(spec) => spec.parts.clone(),
-            TaskSpec::Render(spec) => spec.cache.into_iter().collect(),
+            TaskSpec::Divide(spec) => spec.cache.into_iter().collect(),
+            TaskSpec::RenderPart(spec) => spec.cache.into_iter().chain(spec.frame_cache).collect(),
+            TaskSpec::Render(spec) => spec.cache.into_iter().chain(spec.frame_cache).collect(),
+        }
+    }
+
+    /// Finished pixels of the frame's profile that the task takes over.
+    pub const fn profile(&self) -> Option<ArtifactHash> {
+        match self {
+            TaskSpec::Divide(spec) => spec.profile,
+            TaskSpec::RenderPart(spec) => spec.profile,
+            TaskSpec::Render(spec) => spec.profile,
+            _ => None,
         }
     }
 
@@ -147,6 +175,8 @@ impl TaskSpec {
             TaskSpec::CachePlan(spec) => &spec.bundle,
             TaskSpec::CacheFill(spec) => &spec.bundle,
             TaskSpec::CacheMerge(spec) => &spec.bundle,
+            TaskSpec::Divide(spec) => &spec.bundle,
+            TaskSpec::RenderPart(spec) => &spec.bundle,
             TaskSpec::Render(spec) => &spec.bundle,
         }
     }
@@ -156,8 +186,12 @@ impl TaskSpec {
         match self {
             TaskSpec::Preview(PreviewSpec { renderer, .. })
             | TaskSpec::Profile(ProfileSpec { renderer, .. })
+            | TaskSpec::RenderPart(RenderPartSpec { renderer, .. })
             | TaskSpec::Render(RenderSpec { renderer, .. }) => renderer.as_ref(),
-            TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => None,
+            TaskSpec::CachePlan(_)
+            | TaskSpec::CacheFill(_)
+            | TaskSpec::CacheMerge(_)
+            | TaskSpec::Divide(_) => None,
         }
     }
 
@@ -169,6 +203,8 @@ impl TaskSpec {
             TaskSpec::CachePlan(spec) => spec.digest,
             TaskSpec::CacheFill(spec) => spec.digest,
             TaskSpec::CacheMerge(spec) => spec.digest,
+            TaskSpec::Divide(spec) => spec.digest,
+            TaskSpec::RenderPart(spec) => spec.digest,
             TaskSpec::Render(spec) => spec.digest,
         }
     }
@@ -222,7 +258,7 @@ pub struct ProfileSpec {
     pub cache: Option<ArtifactHash>,
 }
 
-/// Task: render one frame.
+/// Task: render one frame, or put it together from its finished parts.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct RenderSpec {
     /// The job.
@@ -247,6 +283,12 @@ pub struct RenderSpec {
     /// The complete shared irradiance cache. Absent without one, and while the task waits for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
+    /// The complete irradiance cache of a divided frame. Absent if the frame makes its own, or needs none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_cache: Option<ArtifactHash>,
+    /// Finished pixels of the frame's parts, to take over, in their order. Empty if it is not divided.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<ArtifactHash>,
     /// Finished shares of this frame's samples, to take over, in the order of their samples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shares: Vec<SampleShare>,

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use forelight_forecast::{Corrections, Costs, Measure, Quantity, shot_times};
 use forelight_protocol::{
     ArtifactHash, ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut,
-    MoneyQuantiles, NodeSeconds, ProcessCosts, Profiled, Quantiles, QuotedShot, RayQuantiles, RenderSettings,
-    RendererId, Spent, SpentOnForecast,
+    MOST_PARTS, MoneyQuantiles, NodeSeconds, ProcessCosts, Profiled, Quantiles, QuotedShot, RayQuantiles,
+    RenderSettings, RendererId, Spent, SpentOnForecast,
 };
 use serde::{Deserialize, Serialize};
 
@@ -35,6 +35,9 @@ pub struct JobForecast {
     /// Camera samples that were chosen to fit a limit of time or money.
     #[serde(default)]
     pub chosen_spp: Option<u32>,
+    /// Largest number of parts into which a frame can be divided. 0 or 1: frames are not divided.
+    #[serde(default)]
+    pub most_parts: u32,
     /// Fixed costs of a frame: the mean of the profiled frames.
     #[serde(default)]
     pub fixed: Option<FixedCosts>,
@@ -231,6 +234,7 @@ impl Measured<'_> {
             effects: effects.into_iter().cloned().collect(),
             left_out: LeftOut::of_all(self.profiles.iter().map(|profile| &profile.result.left_out[..])),
             chosen_spp: None,
+            most_parts: MOST_PARTS,
             fixed: self.fixed_costs(None),
             once: ProcessCosts::mean(&self.profiles.iter().filter_map(once).collect::<Vec<_>>()),
             work_by_class: by_class.reduce(ByClass::plus),

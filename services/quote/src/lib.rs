@@ -31,6 +31,7 @@
 //! | `qualities/` | cost and error of other qualities |
 
 mod choose;
+pub mod division;
 mod error;
 mod estimate;
 mod explanation;

@@ -8,10 +8,11 @@ use forelight_forecast::{
     SampledShotForecast, Strategy, Stratum, forecast_sampled_shot, shot_times, size_power, straightened,
 };
 use forelight_protocol::{
-    FixedCosts, ForecastTotals, FrameForecast, MeasuredFrame, PreviewResult, Profiled, Quantiles,
-    RayQuantiles, Spent, Varied, at_speed_one,
+    FixedCosts, ForecastTotals, FrameForecast, MOST_PARTS, MeasuredFrame, MeasuredShare, PreviewResult,
+    Profiled, Quantiles, RayQuantiles, SampleShare, Spent, Varied, at_speed_one,
 };
 
+use crate::division::finished_samples;
 use crate::error::QuoteError;
 use crate::job_forecast::{JobForecast, Quote, Spreads, quantiles, spent_on};
 use crate::populations::Populations;
@@ -68,6 +69,7 @@ pub fn quote_sampled(
         spent: spent_on(spent.fold(preview.spent, Spent::plus), total.work.mean),
         total,
         calibrated: shot.calibrated,
+        most_parts: most_parts(profiles),
         fixed: Some(fixed(&shot)),
         lights: Populations::lights(&frames),
         clock,
@@ -149,6 +151,19 @@ fn profiled(preview: &PreviewResult, profiles: &[SampledProfile]) -> Profiled {
         frame.pixels.iter().map(|&count| u64::from(count)).sum::<u64>() + u64::from(frame.background)
     });
     Profiled { pixels: pixels * frames.len() as u64, frames }
+}
+
+/// A renderer whose renders take over samples can divide a frame by them, after those that are finished.
+fn most_parts(profiles: &[SampledProfile]) -> u32 {
+    let left = |profile: &SampledProfile| {
+        let taken_over: Option<Vec<SampleShare>> =
+            profile.result.shares.iter().map(MeasuredShare::taken_over).collect();
+        let taken_over =
+            taken_over.filter(|shares| !shares.is_empty() && profile.result.varied == Varied::Samples)?;
+        Some(profile.result.whole.saturating_sub(finished_samples(&taken_over)))
+    };
+    let least = profiles.iter().map(left).collect::<Option<Vec<u32>>>().unwrap_or_default();
+    least.into_iter().min().unwrap_or(1).clamp(1, MOST_PARTS)
 }
 
 /// Mean cost of a frame that does not depend on its samples.

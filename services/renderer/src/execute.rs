@@ -22,6 +22,8 @@ pub struct Assignment {
     pub profile: Option<Bytes>,
     /// The irradiance caches that the task names, in its order.
     pub caches: Vec<Bytes>,
+    /// Finished pixels of the frame's parts that the task names, in its order.
+    pub parts: Vec<Bytes>,
     /// Finished shares of the samples that the task names, in its order.
     pub shares: Vec<Bytes>,
     /// Tiles that an earlier worker finished before it was lost.
@@ -40,6 +42,7 @@ impl Assignment {
             bundle,
             profile: None,
             caches: Vec::new(),
+            parts: Vec::new(),
             shares: Vec::new(),
             checkpoint: None,
             limits: TaskLimits::default(),

@@ -98,6 +98,10 @@ impl Execute for ShotRunner {
             TaskSpec::Preview(spec) => task.preview(spec, control),
             TaskSpec::Profile(spec) => task.measure(spec),
             TaskSpec::Render(spec) => task.render(spec),
+            TaskSpec::Divide(_) | TaskSpec::RenderPart(_) => {
+                let reason = format!("{} cannot divide a frame", self.renderer.id());
+                Err(RendererError::Unsupported(reason))
+            }
             TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
                 let reason = format!("{} has no irradiance cache to share", self.renderer.id());
                 Err(RendererError::Unsupported(reason))

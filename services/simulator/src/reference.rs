@@ -111,7 +111,7 @@ fn studio_job(size: Size, seed: u64, id: u64, frames: u64) -> Job {
     let typical = 2.0 * libm::exp(0.4 * normal(seed, &[12, id])) * WORK_OF_AN_HOUR;
     let frame = |number: u64| {
         let work = (typical * libm::exp(0.3 * normal(seed, &[13, id, number]))).round() as u64;
-        Frame { number: number as i64, work, work_p80: work + work / 5 }
+        Frame { number: number as i64, work, work_p80: work + work / 5, ..Frame::default() }
     };
     let frames: Vec<Frame> = (0..frames).map(frame).collect();
     let total: u64 = frames.iter().map(|frame| frame.work).sum();
@@ -175,8 +175,9 @@ pub fn tiny(seed: u64, in_steps: bool) -> Input {
         frames_left -= count;
         // On a node of speed two, half of this is still a multiple of a quarter of an hour.
         let work = |n: u64| 1800 * draw(10 + n, 1, 8) as u64;
-        let frames: Vec<Frame> =
-            (0..count as u64).map(|n| Frame { number: n as i64, work: work(n), work_p80: 0 }).collect();
+        let frames: Vec<Frame> = (0..count as u64)
+            .map(|n| Frame { number: n as i64, work: work(n), ..Frame::default() })
+            .collect();
         let total = frames.iter().map(|frame| frame.work).sum();
         let release = draw(1, 0, 7);
         Job {

@@ -177,7 +177,11 @@ impl World {
                 match task.task.frame() {
                     None => before = before.saturating_add(task.work),
                     Some(number) => {
-                        frames.push(forelight_planner::Frame { number, work: task.work, work_p80: 0 });
+                        frames.push(forelight_planner::Frame {
+                            number,
+                            work: task.work,
+                            ..forelight_planner::Frame::default()
+                        });
                     }
                 }
             }

@@ -220,7 +220,9 @@ fn eight_hours(
         deadline: Some(deadline * HOUR),
         confidence: Confidence::P80,
         total: WorkTotal { p50: work, p80: work, p95: work },
-        frames: (0..frames).map(|number| Frame { number, work: 8 * 3600, work_p80: 8 * 3600 }).collect(),
+        frames: (0..frames)
+            .map(|number| Frame { number, work: 8 * 3600, work_p80: 8 * 3600, ..Frame::default() })
+            .collect(),
         shared_cache,
         ..Job::default()
     };

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use forelight_protocol::{
-    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskKind, Timestamp,
+    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskSpec, Timestamp,
 };
 use sqlx::{FromRow, SqliteConnection};
 
@@ -179,7 +179,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at, beside, p95) \
          VALUES (?, ?, ?, ?, ?, 'active', ?, ?, \
          coalesce((SELECT 1 - o.beside FROM leases o WHERE o.task_id = ? AND o.state = 'active'), 0), \
-         (SELECT CAST(f.cpu_p95 * j.factor / ? * 1000000 AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
+         (SELECT CAST(f.cpu_p95 / f.parts * j.factor / ? * 1000000 AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
          WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0))",
         lease.lease_id.0,
         task_id.0,
@@ -191,8 +191,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         task_id.0,
         speed * f64::from(node.cores),
         job_id.0,
-        // Only renders have a forecast of their own.
-        lease.spec.frame().filter(|_| lease.spec.kind() == TaskKind::Render)
+        lease.spec.frame().filter(|_| has_forecast(&lease.spec))
     );
     if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
         later!(write, "UPDATE jobs SET stage = 'rendering' WHERE id = ?", job_id.0);
@@ -210,6 +209,16 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
     };
     append(write, leased);
     lease
+}
+
+/// Whether a task has a forecast of its own: frames and their parts have. A frame is put together from its
+/// parts in a time that is not forecast.
+fn has_forecast(spec: &TaskSpec) -> bool {
+    match spec {
+        TaskSpec::RenderPart(_) => true,
+        TaskSpec::Render(spec) => spec.parts.is_empty(),
+        _ => false,
+    }
 }
 
 /// What a claim reads before it looks for a task. One query answers all three, because the last two are
@@ -352,25 +361,25 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
 pub(crate) const NEXT: &str = concat!(
     "SELECT ",
     task_columns!(),
-    ", again = 1 AND state = 'leased' AS is_again, state = 'ready' AND kind IN ('cache_fill', 'render') \
+    ", again = 1 AND state = 'leased' AS is_again, state = 'ready' AND kind IN ('cache_fill', 'render_part', 'render') \
      AND booked_rate IS NOT NULL AND booked_node IS NOT ?1 AS is_booked_elsewhere FROM tasks WHERE id = coalesce((",
     next_stalled_task!(),
     "), (",
     next_task!(
         "tasks_ready_quotes",
-        "kind NOT IN ('cache_fill', 'render')",
+        "kind NOT IN ('cache_fill', 'render_part', 'render')",
         "priority DESC, due_at, job_id, frame"
     ),
     "), (",
     next_task!(
         "tasks_ready_booked",
-        "kind IN ('cache_fill', 'render') AND booked_node = ?1",
+        "kind IN ('cache_fill', 'render_part', 'render') AND booked_node = ?1",
         "booked_at, job_id, frame, part"
     ),
     "), (",
     next_task!(
         "tasks_ready_any",
-        "kind IN ('cache_fill', 'render')",
+        "kind IN ('cache_fill', 'render_part', 'render')",
         "due_at, priority DESC, job_id, frame, part"
     ),
     "))"

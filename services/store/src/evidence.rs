@@ -140,21 +140,29 @@ impl Store {
     }
 }
 
-/// CPU time of what a frame takes over, in nanoseconds: that of its profile, and of its shares of samples.
+/// CPU time of what a frame or a part takes over, in nanoseconds: that of its profile, of its shares of
+/// samples, and of the tasks of its parts.
 async fn taken_over(connection: &mut sqlx::SqliteConnection, info: &LeaseInfo) -> Result<u64> {
-    let TaskSpec::Render(spec) = &info.spec else { return Ok(0) };
-    let shares = spec.shares.iter().fold(0u64, |sum, share| sum.saturating_add(share.cpu_nanos));
-    if spec.profile.is_none() {
-        return Ok(shares);
-    }
-    let profile = sqlx::query_scalar!(
-        "SELECT json_extract(r.body, '$.profile.spent.cpu_nanos') AS \"nanos?: i64\" FROM tasks t \
-         JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.kind = 'profile' AND t.frame = ?",
+    let (frame, is_whole) = match &info.spec {
+        TaskSpec::Render(spec) => (spec.frame, true),
+        TaskSpec::RenderPart(spec) => (spec.frame, false),
+        _ => return Ok(0),
+    };
+    let shares = match &info.spec {
+        TaskSpec::Render(spec) => &spec.shares[..],
+        _ => &[],
+    };
+    let shares = shares.iter().fold(0u64, |sum, share| sum.saturating_add(share.cpu_nanos));
+    let before = sqlx::query_scalar!(
+        "SELECT sum(json_extract(r.body, '$.' || t.kind || '.spent.cpu_nanos')) AS \"nanos?: i64\" FROM tasks t \
+         JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.frame = ? \
+         AND (t.kind = 'profile' OR ? AND t.kind IN ('divide', 'cache_fill', 'cache_merge', 'render_part'))",
         info.job_id.0,
-        spec.frame
+        frame,
+        is_whole
     )
-    .fetch_optional(connection)
+    .fetch_one(connection)
     .await?;
-    let profile = profile.flatten().and_then(|nanos| u64::try_from(nanos).ok()).unwrap_or(0);
-    Ok(shares.saturating_add(profile))
+    let taken_over = before.and_then(|nanos| u64::try_from(nanos).ok()).unwrap_or(0);
+    Ok(shares.saturating_add(taken_over))
 }

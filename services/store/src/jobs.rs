@@ -12,7 +12,7 @@ pub(crate) mod strip;
 pub(crate) mod submitting;
 
 use forelight_protocol::{
-    BundleRef, BundleSource, CacheSharing, Confidence, FrameSet, Job, JobId, JobSettings, JobState,
+    BundleRef, BundleSource, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobSettings, JobState,
     JobVerdict, Ladders, Money, RendererRequest, SceneSummary, TaskLimits, Within,
 };
 use sqlx::SqliteConnection;
@@ -43,6 +43,7 @@ pub(crate) struct JobRow {
     pub profiles_more: bool,
     pub ladders: Word<Ladders>,
     pub cache: Word<CacheSharing>,
+    pub division: Json<Division>,
     pub within: Option<Json<Within>>,
     pub limits: Json<TaskLimits>,
     pub deadline_at: Option<Time>,
@@ -69,7 +70,7 @@ macro_rules! job_rows {
         sqlx::query_as!(
             $crate::jobs::JobRow,
             "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
-             frames_total, renderer, settings, samples, profile_frames, profiles_more, ladders, cache, within, limits, \
+             frames_total, renderer, settings, samples, profile_frames, profiles_more, ladders, cache, division, within, limits, \
              deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
              hold, terms, terms_planned, error, created_at, finished_at FROM jobs "
                 + $rest
@@ -138,6 +139,7 @@ impl JobRow {
             frames,
             settings: self.settings.0,
             cache: self.cache.0,
+            division: self.division.0,
             shared_cache: progress.shared_cache,
             samples: self.samples,
             profile_frames: (!self.profiles_more).then_some(self.profile_frames),

@@ -26,6 +26,7 @@ mod claims;
 mod columns;
 mod dashboard;
 mod database;
+mod division;
 mod error;
 mod events;
 mod evidence;

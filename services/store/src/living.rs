@@ -25,7 +25,7 @@ use crate::database::Write;
 use crate::error::Result;
 use crate::events::{append, event};
 use crate::plans::{bookings, replans};
-use crate::policy::projection::{project, stretched};
+use crate::policy::projection::{frames_of, project, stretched};
 use crate::shared_cache::parts;
 use forelight_quote::JobForecast;
 
@@ -161,7 +161,7 @@ async fn expected_finish(
     now: Timestamp,
 ) -> Result<Option<Timestamp>> {
     let bookings = bookings::open_of(connection, job).await?;
-    if bookings.len() + (frames.done as usize) < frames.count() {
+    if frames_of(&bookings) + (frames.done as usize) < frames.count() {
         return Ok(None);
     }
     let parts = parts::open_of(connection, job).await?;

@@ -127,7 +127,7 @@ pub(crate) async fn gone(
     let rows = node_rows!(
         "WHERE (drain OR pause OR set_aside IS NOT NULL OR n.last_seen_at < ?) AND EXISTS (SELECT 1 \
          FROM tasks t INDEXED BY tasks_ready_booked WHERE t.state = 'ready' \
-         AND t.kind IN ('cache_fill', 'render') AND t.booked_node = n.id) ORDER BY n.id",
+         AND t.kind IN ('cache_fill', 'render_part', 'render') AND t.booked_node = n.id) ORDER BY n.id",
         now.plus_micros(-LOST).micros()
     )
     .fetch_all(connection)

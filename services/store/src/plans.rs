@@ -8,8 +8,8 @@ pub(crate) mod replans;
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
-    BookingId, Event, EventKind, FrameForecast, JobId, JobSettings, JobState, JobVerdict, NodeId, PlanId,
-    PlanReason, Timestamp,
+    BookingId, Event, EventKind, FrameForecast, FramePart, JobId, JobSettings, JobState, JobVerdict, NodeId,
+    PlanId, PlanReason, Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 
@@ -26,7 +26,7 @@ use crate::quotes;
 use crate::shared_cache::{self, NewSharedCache, parts};
 use crate::tasks::{Common, Finished, RenderAsked, Slot, rates};
 use crate::writing::run;
-use crate::{jobs, nodes};
+use crate::{division, jobs, nodes};
 
 /// A plan to store.
 #[derive(Clone, PartialEq, Debug)]
@@ -54,8 +54,8 @@ pub struct NewJobPlan {
     pub verdict: JobVerdict,
     /// Bookings of its frames that wait for a worker. All other frames keep their bookings.
     pub bookings: Vec<NewBooking>,
-    /// Its frames that had begun when the plan was made. One that waits again by now keeps its booking.
-    pub begun: BTreeSet<u32>,
+    /// Its frames, and parts of frames, that had begun when the plan was made. One that waits again by now keeps its booking.
+    pub begun: BTreeSet<FramePart>,
     /// The factor that the plan applies to its forecast.
     pub factor: f64,
     /// The version of its terms that the plan was made for, see [`crate::FarmJob::terms`].
@@ -190,25 +190,22 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
 /// Books one job of a plan: waiting frames as the plan says, all others as before.
 async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<()> {
     let job_id = job.verdict.job_id;
+    division::divide_as_planned(write, job_id, &job.bookings).await?;
     let before = bookings_before(write, job_id).await?;
-    let waiting: Vec<u32> = sqlx::query_scalar!(
-        "SELECT frame AS \"frame!\" FROM tasks WHERE job_id = ? AND kind = 'render' \
-         AND state IN ('waiting', 'ready') AND frame IS NOT NULL",
-        job_id.0
-    )
-    .fetch_all(write.connection().await?)
-    .await?;
+    let waiting = waiting(write, job_id).await?;
     let Rebooked { bookings, tasks } = rebook(before, &waiting, &job.bookings, &job.begun);
     book_tasks(write, job_id, tasks).await?;
     for NewBooking { frame, node, start, end } in bookings.into_values() {
         run!(
             write,
-            "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at) \
-             VALUES (?, ?, ?, ?, ?, ?, ?)",
+            "INSERT INTO bookings (id, plan_id, job_id, frame, part, parts, node_id, start_at, end_at) \
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
             BookingId::new().0,
             plan.0,
             job_id.0,
-            frame,
+            frame.frame,
+            frame.part,
+            frame.parts,
             node.0,
             start.micros(),
             end.micros()
@@ -235,24 +232,42 @@ async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<(
     Ok(())
 }
 
-/// The bookings of the job's present plan, by frame.
-async fn bookings_before(write: &mut Write, job: JobId) -> Result<BTreeMap<u32, NewBooking>> {
-    let rows = sqlx::query_as!(
-        NewBooking,
-        "SELECT b.frame, b.node_id AS node, b.start_at AS start, b.end_at AS \"end\" FROM bookings b \
-         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id WHERE j.id = ?",
+/// A job's frames and parts of frames that wait for a worker.
+async fn waiting(write: &mut Write, job: JobId) -> Result<Vec<FramePart>> {
+    let rows = sqlx::query!(
+        r#"SELECT t.frame AS "frame!: u32", t.place AS "part!: u32", f.parts AS "parts!: u32" FROM tasks t
+           JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
+           WHERE t.job_id = ? AND t.place IS NOT NULL AND t.state IN ('waiting', 'ready') ORDER BY t.frame, t.place"#,
         job.0
     )
     .fetch_all(write.connection().await?)
     .await?;
-    Ok(rows.into_iter().map(|booking| (booking.frame, booking)).collect())
+    Ok(rows.into_iter().map(|row| FramePart { frame: row.frame, part: row.part, parts: row.parts }).collect())
 }
 
-/// Writes to the tasks of these frames where they are booked, with the job's rate on each node.
+/// The bookings of the job's present plan. Those of a frame that was divided since are left out.
+async fn bookings_before(write: &mut Write, job: JobId) -> Result<BTreeMap<FramePart, NewBooking>> {
+    let rows = sqlx::query!(
+        "SELECT b.frame, b.part, b.parts, b.node_id, b.start_at, b.end_at FROM bookings b \
+         JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id \
+         JOIN frames f ON f.job_id = b.job_id AND f.frame = b.frame AND f.parts = b.parts WHERE j.id = ?",
+        job.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    let bookings = rows.into_iter().map(|row| {
+        let (node, start, end) = (row.node_id.into(), row.start_at.into(), row.end_at.into());
+        let frame = FramePart { frame: row.frame, part: row.part, parts: row.parts };
+        (frame, NewBooking { frame, node, start, end })
+    });
+    Ok(bookings.collect())
+}
+
+/// Writes to the tasks of these frames and parts where they are booked, with the job's rate on each node.
 pub(crate) async fn book_tasks(
     write: &mut Write,
     job: JobId,
-    tasks: Vec<(u32, Option<NewBooking>)>,
+    tasks: Vec<(FramePart, Option<NewBooking>)>,
 ) -> Result<()> {
     let of_job = rates(write.connection().await?, job).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
@@ -272,12 +287,13 @@ pub(crate) async fn book_tasks(
         run!(
             write,
             "UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? \
-             AND kind = 'render' AND frame = ?",
+             AND frame = ? AND place = ?",
             slot.map(|slot| slot.node.0),
             slot.map(|slot| slot.start.micros()),
             slot.and_then(|slot| slot.rate),
             job.0,
-            frame
+            frame.frame,
+            frame.part
         );
     }
     Ok(())

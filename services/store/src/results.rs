@@ -12,6 +12,7 @@ use sqlx::FromRow;
 
 use crate::columns::{Id, Json, corrupt};
 use crate::database::{Store, Write};
+use crate::division;
 use crate::error::{Result, StoreError};
 use crate::events::{append, job_state};
 use crate::jobs;
@@ -316,6 +317,11 @@ async fn keep(
             shared_cache::merged(write, row, merged, now).await?;
             living::update(write, row.job_id, Occasion::Meanwhile, now).await?;
         }
+        TaskResult::Divide(result) => division::divided(write, row, result).await?,
+        TaskResult::RenderPart(result) => {
+            division::part_rendered(write, row, result).await?;
+            living::update(write, row.job_id, Occasion::Meanwhile, now).await?;
+        }
         TaskResult::Render(render) => {
             let is_last = keep_render(write, row, node, render, now).await?;
             return Ok(if is_last { JobState::Done } else { row.job_state });
@@ -365,6 +371,7 @@ async fn keep_render(
     // Renderers that count no work have CPU time instead, see `quote_sampled`.
     let actual_work = if row.renderer.is_some() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };
     learning::learn(write, row, node, stats).await?;
+    division::forget_parts(write, row.job_id, stats.frame);
     later!(
         write,
         "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \

@@ -10,6 +10,8 @@
 //! merge, full ──► frames (ready), with the cache's name in their specification
 //! ```
 //!
+//! A divided frame's own cache is filled in the same rounds, see [`crate::division`].
+//!
 //! Every arrow is part of the transaction that commits the result before it, and a job has each task once. So
 //! a restarted service continues where it stopped, and a repeated result changes nothing.
 
@@ -25,6 +27,7 @@ use sqlx::SqliteConnection;
 use self::parts::NewPartBooking;
 use crate::columns::{Id, Json, corrupt};
 use crate::database::{Store, Write};
+use crate::division;
 use crate::error::{Result, StoreError};
 use crate::jobs::ending::fail_task_and_job;
 use crate::leases::LeaseRow;
@@ -108,7 +111,7 @@ pub(crate) async fn begin(write: &mut Write, common: &Common, new: &NewSharedCac
             }
             None => None,
         };
-        common.cache_fill(write, new.cache, 0, (part, new.parts), booked).await?;
+        common.cache_fill(write, (new.cache, None), 0, (part, new.parts), booked).await?;
     }
     Ok(())
 }
@@ -127,8 +130,9 @@ async fn make_ready(
 ) -> Result<()> {
     run!(
         write,
-        "UPDATE tasks SET state = 'ready', spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) \
-         WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
+        // The render task of a divided frame waits for its parts.
+        "UPDATE tasks SET state = iif(kind = 'render' AND place IS NULL, state, 'ready'), \
+         spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
         cache.map(|cache| cache.to_string()),
         place,
         job.0,
@@ -153,8 +157,9 @@ pub(crate) async fn part_filled(
     }
     let results = sqlx::query_scalar!(
         r#"SELECT r.body AS "body?: Json<TaskResult>" FROM tasks t LEFT JOIN results r ON r.task_id = t.id
-           WHERE t.job_id = ? AND t.kind = 'cache_fill' AND t.round = ? ORDER BY t.part"#,
+           WHERE t.job_id = ? AND t.kind = 'cache_fill' AND t.frame IS ? AND t.round = ? ORDER BY t.part"#,
         row.job_id.0,
+        spec.frame,
         spec.round
     )
     .fetch_all(write.connection().await?)
@@ -170,7 +175,7 @@ pub(crate) async fn part_filled(
         }
     }
     let common = Common::read(write.connection().await?, row.job_id).await?;
-    common.cache_merge(write, spec.round, parts).await
+    common.cache_merge(write, spec.frame, spec.round, parts).await
 }
 
 /// Continues after merged parts.
@@ -198,7 +203,7 @@ async fn go_on(
 ) -> Result<()> {
     let next = match after_round(round, full) {
         Next::Frames => {
-            return make_ready(write, row.job_id, ("render", "$.render.cache"), Some(cache)).await;
+            return filled(write, row, cache).await;
         }
         Next::GiveUp(error) => return fail_task_and_job(write, row, &error, now).await,
         Next::Round(next) => next,
@@ -206,21 +211,39 @@ async fn go_on(
     let common = Common::read(write.connection().await?, row.job_id).await?;
     let before = sqlx::query!(
         r#"SELECT part AS "part!", booked_node, booked_at, booked_rate FROM tasks
-           WHERE job_id = ? AND kind = 'cache_fill' AND round = ? ORDER BY part"#,
+           WHERE job_id = ? AND kind = 'cache_fill' AND frame IS ? AND round = ? ORDER BY part"#,
         row.job_id.0,
+        row.frame,
         round
     )
     .fetch_all(write.connection().await?)
     .await?;
-    for row in before {
+    for filled in before {
         // Each part stays on the node of its last round.
-        let booked = row.booked_node.zip(row.booked_at).map(|(node, start)| Slot {
+        let booked = filled.booked_node.zip(filled.booked_at).map(|(node, start)| Slot {
             node: node.into(),
             start: start.into(),
-            rate: row.booked_rate,
+            rate: filled.booked_rate,
         });
-        common.cache_fill(write, cache, next, (row.part, parts), booked).await?;
+        common.cache_fill(write, (cache, row.frame), next, (filled.part, parts), booked).await?;
     }
+    Ok(())
+}
+
+/// Continues once a cache is full: with the frames that share it, or with the parts of the frame that it is of.
+async fn filled(write: &mut Write, row: &LeaseRow, cache: ArtifactHash) -> Result<()> {
+    if let Some(frame) = row.frame {
+        return division::begin_parts(write, row.job_id, frame, Some(cache)).await;
+    }
+    for waiting in [("divide", "$.divide.cache"), ("render", "$.render.cache")] {
+        make_ready(write, row.job_id, waiting, Some(cache)).await?;
+    }
+    run!(
+        write,
+        "UPDATE tasks SET spec = json_set(spec, '$.render_part.cache', ?) WHERE job_id = ? AND kind = 'render_part'",
+        cache.to_string(),
+        row.job_id.0
+    );
     Ok(())
 }
 

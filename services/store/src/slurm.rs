@@ -149,15 +149,16 @@ impl Store {
                       coalesce(b.start_at, s.start_at) AS "start_at?: Time", coalesce(b.end_at, s.end_at) AS "end_at?: Time",
                       CASE t.kind WHEN 'cache_fill' THEN json_extract(j.forecast, '$.cache.shared_cache.cpu_seconds.p95')
                                                          / json_extract(t.spec, '$.cache_fill.parts')
-                           ELSE f.cpu_p95 END AS "cpu_p95?: f64",
+                           WHEN 'render_part' THEN f.cpu_p95 / f.parts
+                           WHEN 'render' THEN iif(f.parts = 1, f.cpu_p95, NULL) ELSE f.cpu_p95 END AS "cpu_p95?: f64",
                       (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements
                        WHERE task_id = t.id) AS "lost?: String",
                       (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS "lost_at?: Time"
                FROM tasks t JOIN jobs j ON j.id = t.job_id
                LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
-               LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND t.kind = 'render' AND b.frame = t.frame
+               LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND b.frame = t.frame AND b.part = t.place
                LEFT JOIN shared_cache_bookings s
-                    ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND s.part = t.part
+                    ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND t.frame IS NULL AND s.part = t.part
                LEFT JOIN nodes n ON n.id = coalesce(b.node_id, s.node_id)
                WHERE t.state = 'ready' AND t.held = 0
                      AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL)

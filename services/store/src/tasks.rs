@@ -1,13 +1,13 @@
 //! Makes a job's tasks, and takes them all back.
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, JobId, JobSettings, Money,
-    NodeId, PreviewSpec, ProfileSpec, RenderSettings, RenderSpec, RendererRequest, SampleShare, SceneDigest,
-    TaskId, TaskLimits, TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, JobId, JobSettings,
+    Money, NodeId, PartRange, PreviewSpec, ProfileSpec, RenderPartSpec, RenderSettings, RenderSpec,
+    RendererRequest, SampleShare, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
 };
 use sqlx::SqliteConnection;
 
-use crate::columns::Json;
+use crate::columns::{Id, Json};
 use crate::database::Write;
 use crate::error::{Result, StoreError};
 use crate::jobs::{self, JobRow};
@@ -50,6 +50,21 @@ pub(crate) struct ProfileAsked {
     /// Whether to measure the ladders of qualities, too.
     pub ladders: bool,
     /// A planned shared cache: the pixels are also measured with it.
+    pub cache: Option<ArtifactHash>,
+}
+
+/// A part of a frame to render.
+#[derive(Clone, Copy)]
+pub(crate) struct PartAsked {
+    pub frame: u32,
+    pub part: u32,
+    /// Number of parts of the frame.
+    pub parts: u32,
+    /// What belongs to the part. `None` until the frame is divided: the part waits for that.
+    pub range: Option<PartRange>,
+    /// Finished pixels of the frame's profile.
+    pub profile: Option<ArtifactHash>,
+    /// The complete shared irradiance cache.
     pub cache: Option<ArtifactHash>,
 }
 
@@ -133,11 +148,11 @@ impl Common {
         self.insert(write, TaskSpec::CachePlan(spec), READY, None).await
     }
 
-    /// Makes the task of one of `parts` equal parts of a round, from 0.
+    /// Makes the task of one of `parts` equal parts of a round, from 0. The cache is shared, or of one frame.
     pub(crate) async fn cache_fill(
         &self,
         write: &mut Write,
-        cache: ArtifactHash,
+        (cache, frame): (ArtifactHash, Option<u32>),
         round: u32,
         (part, parts): (u32, u32),
         booked: Option<Slot>,
@@ -146,6 +161,7 @@ impl Common {
             job_id: self.job,
             bundle: self.bundle.clone(),
             digest: self.digest,
+            frame,
             settings: self.own_settings()?,
             cache,
             round,
@@ -158,6 +174,7 @@ impl Common {
     pub(crate) async fn cache_merge(
         &self,
         write: &mut Write,
+        frame: Option<u32>,
         round: u32,
         parts: Vec<ArtifactHash>,
     ) -> Result<()> {
@@ -165,6 +182,7 @@ impl Common {
             job_id: self.job,
             bundle: self.bundle.clone(),
             digest: self.digest,
+            frame,
             round,
             parts,
         };
@@ -191,9 +209,48 @@ impl Common {
             work,
             profile,
             cache: None,
+            frame_cache: None,
+            parts: Vec::new(),
             shares,
         };
         self.insert(write, TaskSpec::Render(spec), if waits { WAITING } else { READY }, None).await
+    }
+
+    /// Makes the task that finds the parts of a frame. With `waits`, it waits for the shared cache.
+    pub(crate) async fn divide(&self, write: &mut Write, asked: PartAsked, waits: bool) -> Result<()> {
+        let PartAsked { frame, parts, profile, cache, .. } = asked;
+        let spec = DivideSpec {
+            job_id: self.job,
+            bundle: self.bundle.clone(),
+            digest: self.digest,
+            frame,
+            settings: self.own_settings()?,
+            parts,
+            profile,
+            cache,
+        };
+        self.insert(write, TaskSpec::Divide(spec), if waits { WAITING } else { READY }, None).await
+    }
+
+    /// Makes the task of a part of a frame.
+    pub(crate) async fn render_part(&self, write: &mut Write, asked: PartAsked) -> Result<()> {
+        let PartAsked { frame, part, parts, range, profile, cache } = asked;
+        let spec = RenderPartSpec {
+            job_id: self.job,
+            bundle: self.bundle.clone(),
+            digest: self.digest,
+            frame,
+            settings: self.settings.clone(),
+            renderer: self.renderer.clone(),
+            part,
+            parts,
+            range,
+            profile,
+            cache,
+            frame_cache: None,
+        };
+        let state = if range.is_some() { READY } else { WAITING };
+        self.insert(write, TaskSpec::RenderPart(spec), state, None).await
     }
 
     async fn insert(
@@ -203,17 +260,24 @@ impl Common {
         state: &'static str,
         booked: Option<Slot>,
     ) -> Result<()> {
+        // Frames and parts have places among the bookings.
+        let place = match &spec {
+            TaskSpec::RenderPart(spec) => Some(spec.part),
+            TaskSpec::Render(_) => Some(0),
+            _ => None,
+        };
         run!(
             write,
-            "INSERT INTO tasks (id, job_id, kind, frame, round, part, state, spec, due_at, priority, \
+            "INSERT INTO tasks (id, job_id, kind, frame, round, part, place, state, spec, due_at, priority, \
              booked_node, booked_at, booked_rate, limits, renderer) \
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
             TaskId::new().0,
             self.job.0,
             spec.kind().name(),
             spec.frame(),
             spec.round(),
             spec.part(),
+            place,
             state,
             Json(&spec),
             self.deadline.map_or(i64::MAX, Timestamp::micros),
@@ -245,6 +309,20 @@ pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> R
          AND state IN ('waiting', 'ready', 'leased')",
         now.micros(),
         job.0
+    );
+    Ok(())
+}
+
+/// Makes a task as if it had never been handed out, except for its fencing token. A budget in force holds it.
+pub(crate) async fn begin_again(write: &mut Write, task: Id, state: &'static str) -> Result<()> {
+    run!(
+        write,
+        "UPDATE tasks SET state = ?1, failures = 0, expiries = 0, progress = 0, error = NULL, not_before = 0, \
+         node_id = NULL, started_at = NULL, finished_at = NULL, pixels_share = NULL, pixels_work = NULL, \
+         pixels_cpu = NULL, held = EXISTS (SELECT 1 FROM budgets b JOIN jobs j ON j.project = b.project \
+         WHERE j.id = tasks.job_id AND b.action IN ('drain', 'stop')) WHERE id = ?2",
+        state,
+        task
     );
     Ok(())
 }

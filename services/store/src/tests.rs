@@ -5,10 +5,11 @@ use std::time::Duration;
 
 use forelight_protocol::{
     ArtifactHash, BundleRef, BundleSource, CacheFillResult, CacheMergeResult, CachePlanResult, Capabilities,
-    Event, EventKind, FixedCosts, ForecastTotals, FrameForecast, FrameStrata, Job, JobId, JobRequest,
-    JobVerdict, Lease, Node, NodeId, NodeRegistration, PlanReason, PreviewBackend, PreviewResult,
-    ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, RayQuantiles, Rays, RenderArtifacts,
-    RenderResult, RenderStats, RenewRequest, SceneDigest, SceneSummary, Spent, Stratum, StratumName,
+    DivideResult, Event, EventKind, FinishedPart, FixedCosts, ForecastTotals, FrameForecast, FrameStrata,
+    Job, JobId, JobRequest, JobVerdict, Lease, Node, NodeId, NodeRegistration, PartPixels, PartRange,
+    PlanReason, PreviewBackend, PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample, Profiled,
+    Quantiles, RayQuantiles, Rays, RenderArtifacts, RenderPartResult, RenderResult, RenderStats,
+    RenewRequest, SampleRange, SampleShare, SceneDigest, SceneSummary, Spent, Stratum, StratumName,
     TaskResult, TaskSpec, Timestamp, Verdict,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
@@ -19,6 +20,7 @@ use crate::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store, StoreError
 mod artifacts;
 mod calibration;
 mod claims;
+mod division;
 mod failures;
 mod fencing;
 mod jobs;
@@ -126,6 +128,26 @@ impl Farm {
             TaskSpec::Profile(spec) => {
                 TaskResult::Profile(profile_result(spec.frame, self.artifact("a profile").await))
             }
+            TaskSpec::Divide(spec) => TaskResult::Divide(DivideResult {
+                ends: (1..=spec.parts).map(|part| part * 100).collect(),
+                work: vec![10; spec.parts as usize],
+                cache: None,
+                spent: Spent { work: 10, cpu_nanos: 500 },
+            }),
+            TaskSpec::RenderPart(spec) => {
+                let hash = self.artifact("a part").await;
+                let cost = Spent { work: 10, cpu_nanos: 500 };
+                TaskResult::RenderPart(RenderPartResult {
+                    finished: match spec.range {
+                        Some(PartRange::Samples(SampleRange { offset, count })) => {
+                            FinishedPart::Samples(SampleShare { offset, count, cpu_nanos: 500, hash })
+                        }
+                        _ => FinishedPart::Pixels(PartPixels { hash, count: 100, cost }),
+                    },
+                    spent: cost,
+                    peak_memory_bytes: 0,
+                })
+            }
             TaskSpec::CachePlan(_) => TaskResult::CachePlan(CachePlanResult {
                 cache: Some(self.artifact("a plan").await),
                 bytes: 6,
@@ -193,7 +215,7 @@ impl Farm {
             .iter()
             .zip(0i64..)
             .map(|(frame, i)| NewBooking {
-                frame,
+                frame: frame.into(),
                 node,
                 start: start.plus_micros(i * 10 * SECOND),
                 end: start.plus_micros((i + 1) * 10 * SECOND),

@@ -120,7 +120,8 @@ async fn past(
             let start = Timestamp::from(row.from_at);
             let (kind, end) = stretch(row.until_at, start);
             // A frame that is being rendered is among the bookings.
-            let is_booked = kind == SpanKind::Running && row.kind.0 == TaskKind::Render;
+            let is_booked =
+                kind == SpanKind::Running && matches!(row.kind.0, TaskKind::Render | TaskKind::RenderPart);
             let is_seen = end > from && !is_booked;
             is_seen.then(|| Stretch { job: row.job_id.into(), kind, frame: row.frame, start, end })
         })

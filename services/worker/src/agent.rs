@@ -91,10 +91,12 @@ pub enum Errand {
 }
 
 /// The inputs of a task, on this machine.
+#[derive(Default)]
 struct Fetched {
     bundle: PathBuf,
     profile: Option<Bytes>,
     caches: Vec<Bytes>,
+    parts: Vec<Bytes>,
     shares: Vec<Bytes>,
 }
 
@@ -341,7 +343,7 @@ impl Agent {
             let missing = error.is(ProblemKind::NotFound) || error.is(ProblemKind::ArtifactLost);
             if missing { ExecuteError::Input(message) } else { ExecuteError::Transient(message) }
         };
-        let Fetched { bundle, profile, caches, shares } = loop {
+        let Fetched { bundle, profile, caches, parts, shares } = loop {
             match self.fetch(lease).await {
                 Ok(fetched) => break fetched,
                 // A short outage of the service or its artefact store is not the task's fault.
@@ -358,7 +360,7 @@ impl Agent {
         control.log(LogLevel::Info, "bundle fetched");
         let checkpoint = match &lease.spec {
             // Only an earlier attempt can have left a checkpoint. It is optional.
-            TaskSpec::Render(_) if lease.fence > 1 => {
+            TaskSpec::Render(_) | TaskSpec::RenderPart(_) if lease.fence > 1 => {
                 self.client.checkpoint(lease.lease_id).await.unwrap_or_default()
             }
             _ => None,
@@ -368,6 +370,7 @@ impl Agent {
             bundle,
             profile,
             caches,
+            parts,
             shares,
             checkpoint,
             limits: lease.limits.and(self.limits),
@@ -375,16 +378,19 @@ impl Agent {
         })
     }
 
-    /// Fetches the bundle, the profile, the irradiance caches and the shares of samples of a task.
+    /// Fetches the bundle, the profile, the irradiance caches, and the parts and shares of samples of a task.
     async fn fetch(&self, lease: &Lease) -> Result<Fetched, ClientError> {
         let bundle = self.bundles.locate(&self.client, lease.spec.bundle()).await?;
-        let (profile, shares) = match &lease.spec {
-            TaskSpec::Render(spec) => (spec.profile, &spec.shares[..]),
-            _ => (None, &[][..]),
+        let (parts, shares) = match &lease.spec {
+            TaskSpec::Render(spec) => (&spec.parts[..], &spec.shares[..]),
+            _ => (&[][..], &[][..]),
         };
-        let mut fetched = Fetched { bundle, profile: None, caches: Vec::new(), shares: Vec::new() };
-        if let Some(hash) = profile {
+        let mut fetched = Fetched { bundle, ..Fetched::default() };
+        if let Some(hash) = lease.spec.profile() {
             fetched.profile = Some(self.client.artifact(hash, CACHE_BYTES).await?);
+        }
+        for &hash in parts {
+            fetched.parts.push(self.client.artifact(hash, CACHE_BYTES).await?);
         }
         for hash in lease.spec.caches() {
             fetched.caches.push(self.client.artifact(hash, CACHE_BYTES).await?);

@@ -22,7 +22,11 @@ fn job(id: u64, works: &[u64], deadline: Option<i64>) -> Job {
         deadline,
         confidence: Confidence::P50,
         total: WorkTotal { p50: total, p80: total, p95: total },
-        frames: works.iter().zip(0..).map(|(&work, number)| Frame { number, work, work_p80: 0 }).collect(),
+        frames: works
+            .iter()
+            .zip(0..)
+            .map(|(&work, number)| Frame { number, work, ..Frame::default() })
+            .collect(),
         ..Job::default()
     }
 }

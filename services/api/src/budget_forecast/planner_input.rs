@@ -6,6 +6,7 @@ use forelight_planner::{self as planner, Interval};
 use forelight_protocol::{JobId, NodeId};
 
 use crate::conductor::farm::{Farm, Snapshot};
+use crate::conductor::numbers::number;
 
 /// The farm and the open bookings of jobs not held back. Nodes are numbered by their place in the snapshot,
 /// jobs in `jobs`.
@@ -53,7 +54,7 @@ fn under_way(
         let left = frame.end.micros().saturating_sub(now).max(1) as f64;
         // Speeds are above zero.
         let left = left * booked.speed_of(class) as f64 / own.speed_of(class) as f64;
-        let task = planner::Task::Frame(i64::from(frame.booking.frame));
+        let task = planner::Task::Frame(number(frame.booking.frame_part()));
         Some(planner::Booking { start: now, node, job, task, end: now.saturating_add(left.ceil() as i64) })
     });
     frames.chain(cache_parts(snapshot, nodes, places, true)).collect()

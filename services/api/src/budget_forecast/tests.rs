@@ -90,6 +90,8 @@ fn booking(frame: u32, node: u128, start: i64, end: i64) -> Booking {
         plan_id: PlanId(Uuid::from_u128(1)),
         job_id: job_id(),
         frame,
+        part: 0,
+        parts: 1,
         node_id: node_id(node),
         start: at(start),
         end: at(end),
@@ -105,11 +107,12 @@ fn forecast_of(
     let numbers: Vec<u32> = bookings.iter().map(|open| open.booking.frame).collect();
     let frames = FrameSet::range(0, numbers.len() as u32 - 1).to_string();
     let frame = |open: &OpenBooking| FarmFrame {
-        number: open.booking.frame,
+        frame: open.booking.frame_part(),
         p50: FRAME,
         p80: FRAME,
         p95: FRAME,
         waits: open.holder.is_none(),
+        untouched: false,
     };
     let farm_job = FarmJob {
         job: job(&frames),

@@ -125,11 +125,12 @@ fn fresh((job, terms): (Job, i64), kept: &JobForecast, frames: &[FrameForecast],
         frames: frames
             .iter()
             .map(|each| FarmFrame {
-                number: each.frame,
+                frame: each.frame.into(),
                 p50: each.cpu_seconds.p50,
                 p80: each.cpu_seconds.p80,
                 p95: each.cpu_seconds.p95,
                 waits: true,
+                untouched: true,
             })
             .collect(),
         spent,

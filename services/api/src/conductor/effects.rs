@@ -169,6 +169,8 @@ impl Farm {
                 let other = other(*id)?;
                 (PlanChange::MakeWay { job_id: other.id }, format!("{} gives up its deadline", other.name))
             }
+            // The service renders every frame whole.
+            Change::Parts { .. } => return None,
             Change::NewJob { job } => {
                 let other = other(job.id)?;
                 (PlanChange::WithoutJob { job_id: other.id }, format!("without {}", other.name))

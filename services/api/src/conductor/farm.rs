@@ -4,14 +4,17 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
-    CacheQuote, Confidence, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
+    CacheQuote, Confidence, FramePart, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
 };
 use forelight_quote::JobForecast;
+use forelight_quote::division::{Parts, overhead_seconds, parts};
 use forelight_quote::living::is_news;
 use forelight_store::{
-    FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError, Wanted,
-    free_time_of, opening, project, silence,
+    FarmFrame, FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError,
+    Wanted, free_time_of, opening, project, silence,
 };
+
+use super::numbers::number;
 
 pub(super) const MOST_NODES: u32 = 10_000;
 
@@ -94,7 +97,7 @@ pub(crate) struct Asked {
     pub terms: i64,
     /// Whether they were changed since its newest plan, so that it is placed anew.
     pub has_new_terms: bool,
-    pub begun: BTreeSet<u32>,
+    pub begun: BTreeSet<FramePart>,
 }
 
 impl Asked {
@@ -208,7 +211,7 @@ fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64, now: Timesta
         held: farm_job.held,
         terms: farm_job.terms,
         has_new_terms: farm_job.has_new_terms,
-        begun: begun.map(|frame| frame.number).collect(),
+        begun: begun.map(|frame| frame.frame).collect(),
     }
 }
 
@@ -230,6 +233,8 @@ fn planner_job(
     let factor = asked.factor;
     // The shared cache of a booked job stands. That of a new job is planned with its frames.
     let is_new = job.plan_id.is_none();
+    let parts = farm_job.frames.iter().filter(|each| each.frame.parts > 1).count();
+    let of_parts = parts as f64 * overhead_seconds(forecast);
     planner::Job {
         id,
         class: class(id),
@@ -241,13 +246,10 @@ fn planner_job(
         priority: job.priority,
         weight: job.weight,
         confidence: confidence(job.confidence),
-        total: total(&times(&forecast.total.cpu_seconds, factor)),
-        frames: farm_job
-            .frames
-            .iter()
-            .map(|each| frame(each.number, each.p50 * factor, each.p80 * factor))
-            .collect(),
-        done: farm_job.frames.iter().filter(|each| !each.waits).map(|each| i64::from(each.number)).collect(),
+        total: total(&times(&forecast.total.cpu_seconds, factor).plus(&Quantiles::known(of_parts))),
+        frames: farm_job.frames.iter().map(|each| planner_frame(each, farm_job, forecast, factor)).collect(),
+        part_overhead: units(overhead_seconds(forecast)),
+        done: farm_job.frames.iter().filter(|each| !each.waits).map(|each| number(each.frame)).collect(),
         budget: job.budget.map(|budget| budget.micro_units().saturating_sub(asked.spent)),
     }
 }
@@ -288,8 +290,8 @@ fn spare_work(snapshot: &Snapshot, jobs: &[planner::Job]) -> u64 {
         let bought: BTreeMap<i64, u64> = job.open_work().collect();
         let factor = learned(farm_job);
         for frame in &farm_job.frames {
-            if let Some(bought) = bought.get(&i64::from(frame.number)) {
-                most = most.max(units(frame.p95 * factor).saturating_sub(*bought));
+            if let Some(bought) = bought.get(&number(frame.frame)) {
+                most = most.max(units(share(frame.p95, frame.frame) * factor).saturating_sub(*bought));
             }
         }
     }
@@ -374,7 +376,7 @@ fn standing(
         let Some((&node, &job)) = nodes.get(&frame.node_id).zip(jobs.get(&frame.booking.job_id)) else {
             continue;
         };
-        let number = i64::from(frame.booking.frame);
+        let number = number(frame.booking.frame_part());
         let duration = work[job as usize]
             .get(&number)
             .and_then(|&work| input.nodes[node as usize].duration(work, class(job)));
@@ -397,7 +399,7 @@ fn booked(
     waiting
         .filter_map(|frame| {
             let (&node, &job) = nodes.get(&frame.node_id).zip(jobs.get(&frame.booking.job_id))?;
-            let task = planner::Task::Frame(i64::from(frame.booking.frame));
+            let task = planner::Task::Frame(number(frame.booking.frame_part()));
             let (start, end) = (frame.booking.start.micros(), frame.booking.end.micros());
             Some(planner::Booking { start, node, job, task, end })
         })
@@ -433,8 +435,40 @@ pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
     planner::WorkTotal { p50, p80: p80.max(p50), p95: p95.max(p80).max(p50) }
 }
 
-pub(crate) fn frame(number: u32, p50: f64, p80: f64) -> planner::Frame {
-    planner::Frame { number: i64::from(number), work: units(p50).max(1), work_p80: units(p80).max(1) }
+/// A frame, or a part of one, as the planner knows it. A frame that no worker has had may still be divided.
+fn planner_frame(
+    each: &FarmFrame,
+    farm_job: &FarmJob,
+    forecast: &JobForecast,
+    factor: f64,
+) -> planner::Frame {
+    let (p50, p80) = (share(each.p50, each.frame), share(each.p80, each.frame));
+    let overhead = overhead_seconds(forecast);
+    let own = if each.frame.parts > 1 { overhead } else { 0.0 };
+    let frame = frame(number(each.frame), p50 * factor + own, p80 * factor + own);
+    if !each.untouched {
+        return frame;
+    }
+    let division = match parts(farm_job.job.division, each.p50 * factor, overhead, forecast.most_parts) {
+        Parts::UpTo(0 | 1) | Parts::Exactly(0 | 1) => planner::Division::Whole,
+        Parts::UpTo(most) => planner::Division::UpTo(most),
+        Parts::Exactly(parts) => planner::Division::Into(parts),
+    };
+    planner::Frame { division, ..frame }
+}
+
+/// The share of a frame's cost that one of its parts has.
+fn share(seconds: f64, frame: FramePart) -> f64 {
+    seconds / f64::from(frame.parts.max(1))
+}
+
+pub(crate) fn frame(number: i64, p50: f64, p80: f64) -> planner::Frame {
+    planner::Frame {
+        number,
+        work: units(p50).max(1),
+        work_p80: units(p80).max(1),
+        ..planner::Frame::default()
+    }
 }
 
 pub(crate) fn speed(node: &Node) -> u64 {

@@ -20,6 +20,7 @@ use forelight_store::{FinishSpread, HALF_LIFE, JobOutlook, NewBooking, NewJobPla
 use super::AdvanceError;
 use super::effects::duration;
 use super::farm::{Asked, Farm, with_spent};
+use super::numbers::frame_part;
 use super::risks::risks;
 
 /// With more waiting frames than this, whole plans are made the quick way.
@@ -171,7 +172,7 @@ pub(crate) fn end(farm: &Farm, plan: &planner::Plan, job: usize) -> Option<i64> 
 fn own_booking(farm: &Farm, booking: &Booking) -> Option<NewBooking> {
     let node: NodeId = farm.nodes.get(usize::try_from(booking.node).ok()?)?.id;
     Some(NewBooking {
-        frame: u32::try_from(booking.task.frame()?).ok()?,
+        frame: frame_part(booking.task)?,
         node,
         start: Timestamp::from_micros(booking.start),
         end: Timestamp::from_micros(booking.end),

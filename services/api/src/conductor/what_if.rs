@@ -5,7 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner as planner;
 use forelight_planner::Change;
-use forelight_protocol::{AccuracyRung, JobId, MovedJob, NodeId, PlanChange, Promise, VerdictChange, WhatIf};
+use forelight_protocol::{
+    AccuracyRung, FramePart, JobId, MovedJob, NodeId, PlanChange, Promise, VerdictChange, WhatIf,
+};
 use forelight_store::FarmJob;
 
 use super::AdvanceError;
@@ -136,11 +138,11 @@ fn apply(farm: &mut Snapshot, change: &PlanChange) -> Result<(), String> {
 /// Takes a node away. Frames under way on it wait again.
 fn take_away(farm: &mut Snapshot, node: NodeId) {
     let lost = farm.projected.frames.iter().filter(|frame| frame.under_way && frame.node_id == node);
-    let lost: BTreeSet<(JobId, u32)> =
-        lost.map(|frame| (frame.booking.job_id, frame.booking.frame)).collect();
+    let lost: BTreeSet<(JobId, FramePart)> =
+        lost.map(|frame| (frame.booking.job_id, frame.booking.frame_part())).collect();
     for job in &mut farm.jobs {
         for frame in &mut job.frames {
-            frame.waits |= lost.contains(&(job.job.id, frame.number));
+            frame.waits |= lost.contains(&(job.job.id, frame.frame));
         }
     }
     farm.projected.frames.retain(|frame| frame.node_id != node);

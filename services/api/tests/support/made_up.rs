@@ -3,12 +3,13 @@
 
 use super::Farm;
 use forelight_protocol::{
-    AccuracyDoc, AccuracyRung, AllottedStats, ByClass, Described, FixedCosts, FrameStrata, ImageError,
-    LadderKind, Lease, MeasuredFrame, MeasuredShare, MissingLadder, NoiseCell, NoiseSample, PreviewBackend,
-    PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled,
-    Quantiles, Rays, RenderArtifacts, RenderResult, RenderSpec, RenderStats, RendererId, SampleCost,
-    SceneSummary, ShotSettings, Spent, SpentOnForecast, Stratum, StratumName, StratumTime, TaskResult,
-    TaskSpec, Varied,
+    AccuracyDoc, AccuracyRung, AllottedStats, ByClass, Described, DivideResult, DivideSpec, FinishedPart,
+    FixedCosts, FrameStrata, ImageError, LadderKind, Lease, MeasuredFrame, MeasuredShare, MissingLadder,
+    NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange, PreviewBackend, PreviewResult, PreviewSpec,
+    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled, Quantiles, Rays, RenderArtifacts,
+    RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, RendererId, SampleCost,
+    SampleRange, SampleShare, SceneSummary, ShotSettings, Spent, SpentOnForecast, Stratum, StratumName,
+    StratumTime, TaskResult, TaskSpec, Varied,
 };
 
 impl Farm {
@@ -23,6 +24,8 @@ impl Farm {
             TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
                 panic!("these scenes have no irradiance caches")
             }
+            TaskSpec::Divide(spec) => TaskResult::Divide(divide(spec)),
+            TaskSpec::RenderPart(spec) => TaskResult::RenderPart(self.render_part(spec).await),
             TaskSpec::Render(spec) => TaskResult::Render(self.render(spec).await),
         }
     }
@@ -43,6 +46,23 @@ impl Farm {
             spent: Spent { work: 18_000, cpu_nanos: 18_000_000 },
             peak_memory_bytes: 1 << 20,
         }
+    }
+
+    /// A part whose pixels cost their share of the frame's work.
+    async fn render_part(&self, spec: &RenderPartSpec) -> RenderPartResult {
+        let name = format!("part {} of frame {}", spec.part, spec.frame);
+        let hash = self.artifact(name.as_bytes()).await;
+        let work = frame_work(spec.frame) / u64::from(spec.parts);
+        let cost = Spent { work, cpu_nanos: work * 1_000_000 };
+        let finished = match spec.range.expect("a part is handed out once it is known") {
+            PartRange::Pixels(PixelRange { from, to }) => {
+                FinishedPart::Pixels(PartPixels { hash, count: to - from, cost })
+            }
+            PartRange::Samples(SampleRange { offset, count }) => {
+                FinishedPart::Samples(SampleShare { offset, count, cpu_nanos: cost.cpu_nanos, hash })
+            }
+        };
+        RenderPartResult { finished, spent: cost, peak_memory_bytes: 1 << 20 }
     }
 
     async fn profile(&self, spec: &ProfileSpec) -> ProfileResult {
@@ -85,7 +105,7 @@ impl Farm {
 
     async fn render(&self, spec: &RenderSpec) -> RenderResult {
         let work = match spec.renderer {
-            None => 48 * pixel_work(spec.frame) + 16 * 10 + 5,
+            None => frame_work(spec.frame) + 5,
             // CPU time in microseconds.
             Some(_) => 10_000 + 32 * (2000 + 20 * u64::from(spec.frame)),
         };
@@ -237,6 +257,22 @@ fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
         profiled: Profiled { frames: vec![spec.frame], pixels: 99 },
         spent: SpentOnForecast { work: 400, cpu_seconds: 1e-4, fraction_of_forecast: 0.5 },
         calibrated: false,
+    }
+}
+
+/// Work of all pixels of a frame.
+fn frame_work(frame: u32) -> u64 {
+    48 * pixel_work(frame) + 16 * 10
+}
+
+/// Parts of equally many of the 64 pixels.
+fn divide(spec: &DivideSpec) -> DivideResult {
+    let work = frame_work(spec.frame) / u64::from(spec.parts);
+    DivideResult {
+        ends: (1..=spec.parts).map(|part| 64 * part / spec.parts).collect(),
+        work: vec![work; spec.parts as usize],
+        cache: None,
+        spent: Spent { work: 10, cpu_nanos: 10_000_000 },
     }
 }
 

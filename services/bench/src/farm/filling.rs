@@ -54,7 +54,7 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
         let bookings: Vec<_> = (job.frames.iter().zip(i64::from(frames - left - count)..))
             .map(|(frame, place)| {
                 let start = now.plus_micros((3600 + place) * SECOND);
-                NewBooking { frame, node: node.id, start, end: start.plus_micros(SECOND) }
+                NewBooking { frame: frame.into(), node: node.id, start, end: start.plus_micros(SECOND) }
             })
             .collect();
         let finish = bookings.last().map(|booking| booking.end);

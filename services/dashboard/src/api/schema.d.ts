@@ -1531,7 +1531,7 @@ export interface components {
          * @enum {string}
          */
         BookedQuantity: "cost" | "finish";
-        /** @description A node that is reserved for a frame for a period of time. */
+        /** @description A node that is reserved for a frame, or a part of one, for a period of time. */
         Booking: {
             /** @description End of the booking (exclusive). */
             end: components["schemas"]["Timestamp"];
@@ -1546,6 +1546,17 @@ export interface components {
             job_id: components["schemas"]["JobId"];
             /** @description The node. */
             node_id: components["schemas"]["NodeId"];
+            /**
+             * Format: int32
+             * @description The part of the frame, from 0.
+             */
+            part?: number;
+            /**
+             * Format: int32
+             * @description Number of parts of the frame. 1 or absent: it is booked as a whole.
+             * @default 1
+             */
+            parts: number;
             /** @description The plan that made it. */
             plan_id: components["schemas"]["PlanId"];
             /** @description Start of the booking. */
@@ -1825,7 +1836,7 @@ export interface components {
             /** @description Cost of gathering these records. */
             spent: components["schemas"]["Spent"];
         };
-        /** @description Task: gather the light for one part of a shared irradiance cache. */
+        /** @description Task: gather the light for one part of an irradiance cache: a shared one, or that of a divided frame. */
         CacheFillSpec: {
             /** @description Its bundle. */
             bundle: components["schemas"]["BundleSource"];
@@ -1833,6 +1844,11 @@ export interface components {
             cache: components["schemas"]["ArtifactHash"];
             /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
             digest: components["schemas"]["SceneDigest"];
+            /**
+             * Format: int32
+             * @description The divided frame whose own cache it is. Absent for a shared cache.
+             */
+            frame?: number | null;
             /** @description The job. */
             job_id: components["schemas"]["JobId"];
             /**
@@ -1895,6 +1911,11 @@ export interface components {
             bundle: components["schemas"]["BundleSource"];
             /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
             digest: components["schemas"]["SceneDigest"];
+            /**
+             * Format: int32
+             * @description The divided frame whose own cache it is. Absent for a shared cache.
+             */
+            frame?: number | null;
             /** @description The job. */
             job_id: components["schemas"]["JobId"];
             /** @description The results of the parts, in order. */
@@ -2348,6 +2369,44 @@ export interface components {
             /** @description The complete settings: the scene's, changed by the job's. */
             settings: components["schemas"]["ShotSettings"];
         };
+        /** @description Result of dividing a frame. */
+        DivideResult: {
+            cache?: components["schemas"]["FrameCache"] | null;
+            /** @description Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels. */
+            ends: number[];
+            /** @description Cost of the task. */
+            spent: components["schemas"]["Spent"];
+            /** @description Forecast work of each part, without what every part pays for itself. */
+            work: number[];
+        };
+        /** @description Task: find parts of equal forecast cost in one frame. */
+        DivideSpec: {
+            /** @description Its bundle. */
+            bundle: components["schemas"]["BundleSource"];
+            cache?: components["schemas"]["ArtifactHash"] | null;
+            /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
+            digest: components["schemas"]["SceneDigest"];
+            /**
+             * Format: int32
+             * @description The frame.
+             */
+            frame: number;
+            /** @description The job. */
+            job_id: components["schemas"]["JobId"];
+            /**
+             * Format: int32
+             * @description Number of parts.
+             */
+            parts: number;
+            profile?: components["schemas"]["ArtifactHash"] | null;
+            /** @description The job's settings. */
+            settings: components["schemas"]["RenderSettings"];
+        };
+        /** @description Whether the frames of a job are divided. In JSON `"auto"`, `"whole"` or `{"into": 8}`. */
+        Division: "auto" | "whole" | {
+            /** @description Every frame is divided into this many parts, 2 to 512. */
+            into: components["schemas"]["PartCount"];
+        };
         /** @description One event. Fields that do not apply to its kind are absent. */
         Event: {
             /** @description When it happened. */
@@ -2454,6 +2513,14 @@ export interface components {
             p80: components["schemas"]["Timestamp"];
             /** @description 95 % quantile. */
             p95: components["schemas"]["Timestamp"];
+        };
+        /** @description A finished part of a frame. */
+        FinishedPart: {
+            /** @description Finished pixels. */
+            pixels: components["schemas"]["PartPixels"];
+        } | {
+            /** @description A share of the samples. */
+            samples: components["schemas"]["SampleShare"];
         };
         /** @description Finished pixels of a frame and their cost. A filled irradiance cache counts as a number of pixels, with
          *     its work. */
@@ -2569,6 +2636,18 @@ export interface components {
             /** @description Start of the booking. */
             start: components["schemas"]["Timestamp"];
         };
+        /** @description The irradiance cache of a divided frame. */
+        FrameCache: {
+            /**
+             * Format: int64
+             * @description Its size in bytes.
+             */
+            bytes: number;
+            /** @description Whether all of its records are filled. */
+            full: boolean;
+            /** @description The cache. */
+            hash: components["schemas"]["ArtifactHash"];
+        };
         /** @description What a finished frame cost. */
         FrameCost: {
             /**
@@ -2613,7 +2692,7 @@ export interface components {
             /** @description Deterministic count of operations. */
             work: components["schemas"]["Quantiles"];
         };
-        /** @description A frame whose booking a plan moves, adds or removes. */
+        /** @description A frame or a part of one whose booking a plan moves, adds or removes. */
         FrameMove: {
             after?: components["schemas"]["FramePlace"] | null;
             before?: components["schemas"]["FramePlace"] | null;
@@ -2624,6 +2703,17 @@ export interface components {
             frame: number;
             /** @description The job. */
             job_id: components["schemas"]["JobId"];
+            /**
+             * Format: int32
+             * @description The part of the frame, from 0.
+             */
+            part?: number;
+            /**
+             * Format: int32
+             * @description Number of parts of the frame. 1 or absent: it is booked as a whole.
+             * @default 1
+             */
+            parts: number;
         };
         /** @description One page of frames, ascending. */
         FramePage: {
@@ -2825,6 +2915,8 @@ export interface components {
             /** @description When it was submitted. */
             created_at: components["schemas"]["Timestamp"];
             deadline?: components["schemas"]["Timestamp"] | null;
+            /** @description Whether frames are divided into parts that several nodes render at the same time. */
+            division?: components["schemas"]["Division"];
             /** @description Why the job failed. Absent if it did not. */
             error?: string | null;
             eta?: components["schemas"]["Timestamp"] | null;
@@ -2991,6 +3083,8 @@ export interface components {
             /** @description Probability with which the plan must keep deadline and budget. */
             confidence?: components["schemas"]["Confidence"];
             deadline?: components["schemas"]["Timestamp"] | null;
+            /** @description Whether frames are divided into parts that several nodes render at the same time. */
+            division?: components["schemas"]["Division"];
             /** @description The frames to render. */
             frames: components["schemas"]["FrameSet"];
             /** @description Whether to wait with the complete quote until somebody accepts it. Nothing is booked before. */
@@ -3804,6 +3898,31 @@ export interface components {
         };
         /** @description Position of the next page. Opaque: clients send it back unchanged as `page_token`. */
         PageToken: string;
+        /**
+         * Format: int32
+         * @description Number of parts of a frame: 2 to 512.
+         */
+        PartCount: number;
+        /** @description Finished pixels of a part, for the task that puts the image together. */
+        PartPixels: {
+            /** @description Cost of these pixels alone. */
+            cost: components["schemas"]["Spent"];
+            /**
+             * Format: int32
+             * @description Number of pixels.
+             */
+            count: number;
+            /** @description The file with these pixels. */
+            hash: components["schemas"]["ArtifactHash"];
+        };
+        /** @description What belongs to one part of a frame. */
+        PartRange: {
+            /** @description A range of the image's pixels, in their order along the curve. */
+            pixels: components["schemas"]["PixelRange"];
+        } | {
+            /** @description A range of the samples of every pixel. */
+            samples: components["schemas"]["SampleRange"];
+        };
         /** @description A kind of work. */
         PartShare: {
             /** @description Its name. */
@@ -3824,6 +3943,19 @@ export interface components {
          * @enum {string}
          */
         Per: "job" | "frame";
+        /** @description Pixels by their place along the curve. */
+        PixelRange: {
+            /**
+             * Format: int32
+             * @description Place of the first pixel.
+             */
+            from: number;
+            /**
+             * Format: int32
+             * @description Place after the last pixel.
+             */
+            to: number;
+        };
         /** @description A plan. It never changes. It contains the jobs that it books; for all others, earlier plans apply. */
         Plan: {
             /** @description Bookings of all frames of its jobs, by start. Finished and leased frames keep their earlier bookings. */
@@ -4450,6 +4582,49 @@ export interface components {
             image_png: components["schemas"]["ArtifactHash"];
             preview_png?: components["schemas"]["ArtifactHash"] | null;
         };
+        /** @description Result of rendering one part of a frame. */
+        RenderPartResult: {
+            /** @description What is finished. */
+            finished: components["schemas"]["FinishedPart"];
+            /**
+             * Format: int64
+             * @description Largest resident memory in bytes. 0 if unknown.
+             */
+            peak_memory_bytes?: number;
+            /** @description Cost of the task, including what each part pays for itself: loading, its acceleration structure. */
+            spent: components["schemas"]["Spent"];
+        };
+        /** @description Task: render one part of a frame. */
+        RenderPartSpec: {
+            /** @description Its bundle. */
+            bundle: components["schemas"]["BundleSource"];
+            cache?: components["schemas"]["ArtifactHash"] | null;
+            /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
+            digest: components["schemas"]["SceneDigest"];
+            /**
+             * Format: int32
+             * @description The frame.
+             */
+            frame: number;
+            frame_cache?: components["schemas"]["ArtifactHash"] | null;
+            /** @description The job. */
+            job_id: components["schemas"]["JobId"];
+            /**
+             * Format: int32
+             * @description The part, from 0.
+             */
+            part: number;
+            /**
+             * Format: int32
+             * @description Number of parts of the frame.
+             */
+            parts: number;
+            profile?: components["schemas"]["ArtifactHash"] | null;
+            range?: components["schemas"]["PartRange"] | null;
+            renderer?: components["schemas"]["RendererRequest"] | null;
+            /** @description The job's settings. */
+            settings: components["schemas"]["JobSettings"];
+        };
         /** @description The result of a render. */
         RenderResult: {
             /** @description Its artefacts. */
@@ -4581,7 +4756,7 @@ export interface components {
              */
             width: number | null;
         };
-        /** @description Task: render one frame. */
+        /** @description Task: render one frame, or put it together from its finished parts. */
         RenderSpec: {
             /** @description Its bundle. */
             bundle: components["schemas"]["BundleSource"];
@@ -4593,8 +4768,11 @@ export interface components {
              * @description The frame.
              */
             frame: number;
+            frame_cache?: components["schemas"]["ArtifactHash"] | null;
             /** @description The job. */
             job_id: components["schemas"]["JobId"];
+            /** @description Finished pixels of the frame's parts, to take over, in their order. Empty if it is not divided. */
+            parts?: components["schemas"]["ArtifactHash"][];
             profile?: components["schemas"]["ArtifactHash"] | null;
             renderer?: components["schemas"]["RendererRequest"] | null;
             /** @description The job's settings. */
@@ -4796,6 +4974,19 @@ export interface components {
              * @description CPU time over all threads, in nanoseconds.
              */
             cpu_nanos: number;
+        };
+        /** @description Samples of every pixel. */
+        SampleRange: {
+            /**
+             * Format: int32
+             * @description Number of samples.
+             */
+            count: number;
+            /**
+             * Format: int32
+             * @description Number of samples before it.
+             */
+            offset: number;
         };
         /** @description A share of a frame's samples that is finished. */
         SampleShare: {
@@ -5153,7 +5344,7 @@ export interface components {
          * @description Kind of a task.
          * @enum {string}
          */
-        TaskKind: "preview" | "profile" | "cache_plan" | "cache_fill" | "cache_merge" | "render";
+        TaskKind: "preview" | "profile" | "cache_plan" | "cache_fill" | "cache_merge" | "divide" | "render_part" | "render";
         /**
          * @description The limit that a task exceeded.
          * @enum {string}
@@ -5218,6 +5409,12 @@ export interface components {
             /** @description Result of merging the parts of the cache. */
             cache_merge: components["schemas"]["CacheMergeResult"];
         } | {
+            /** @description Result of dividing a frame into parts. */
+            divide: components["schemas"]["DivideResult"];
+        } | {
+            /** @description Result of rendering a part of a frame. */
+            render_part: components["schemas"]["RenderPartResult"];
+        } | {
             /** @description Result of a render. */
             render: components["schemas"]["RenderResult"];
         };
@@ -5238,7 +5435,13 @@ export interface components {
             /** @description Merge the parts of the shared cache. */
             cache_merge: components["schemas"]["CacheMergeSpec"];
         } | {
-            /** @description Render one frame. */
+            /** @description Find parts of equal cost in one frame. */
+            divide: components["schemas"]["DivideSpec"];
+        } | {
+            /** @description Render one part of a frame. */
+            render_part: components["schemas"]["RenderPartSpec"];
+        } | {
+            /** @description Render one frame, or put it together from its parts. */
             render: components["schemas"]["RenderSpec"];
         };
         /** @description A time span from `start` to just before `end`. */

@@ -180,7 +180,7 @@ fn job(
     let mut frames = Vec::with_capacity(listed.len());
     for (number, hours) in listed {
         let p80 = work(hours * entry.frame_spread * entry.spread, "hours")?;
-        frames.push(Frame { number, work: work(hours, "hours")?, work_p80: p80 });
+        frames.push(Frame { number, work: work(hours, "hours")?, work_p80: p80, ..Frame::default() });
     }
     let p50 = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
     // For a lognormal factor: z of 95 % over z of 80 %.
@@ -212,6 +212,7 @@ fn job(
         },
         frames,
         done: Vec::new(),
+        part_overhead: 0,
         budget: entry.budget.map(|budget| money(budget, &at, "budget")).transpose()?,
     })
 }

@@ -41,6 +41,9 @@ pub struct Job {
     pub frames: Vec<Frame>,
     /// Numbers of the frames that need no booking: they are done, or run as fixed bookings.
     pub done: Vec<i64>,
+    /// Work that each part of a divided frame costs on top of its share of the frame: loading, building the
+    /// tree, uploading, and its share of dividing and assembling. Zero: nothing is known of dividing.
+    pub part_overhead: u64,
     /// The most that the job may cost, in micro-units.
     pub budget: Option<i64>,
 }
@@ -55,6 +58,45 @@ pub struct Frame {
     pub work: u64,
     /// P80 of its work. Zero: only the median is known.
     pub work_p80: u64,
+    /// Whether it may be divided.
+    pub division: Division,
+}
+
+/// How a frame may be divided into parts that different nodes render at the same time. All parts of a frame
+/// have the same forecast work; see [`Job::part_work`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Division {
+    /// One node renders all of it.
+    #[default]
+    Whole,
+    /// Whole, or in at most so many parts where that helps. 0 or 1: whole.
+    UpTo(u32),
+    /// In exactly so many parts. 0 or 1: whole.
+    Into(u32),
+}
+
+impl Division {
+    /// The fewest parts that it allows. One stands for the whole frame.
+    pub fn fewest(self) -> u32 {
+        match self {
+            Division::Whole | Division::UpTo(_) => 1,
+            Division::Into(parts) => parts.max(1),
+        }
+    }
+
+    /// The most parts that it allows. One stands for the whole frame.
+    pub fn most(self) -> u32 {
+        match self {
+            Division::Whole => 1,
+            Division::UpTo(parts) | Division::Into(parts) => parts.max(1),
+        }
+    }
+
+    /// Whether a frame may be done in so many parts. One stands for the whole frame.
+    pub fn allows(self, parts: u32) -> bool {
+        (self.fewest()..=self.most()).contains(&parts)
+    }
 }
 
 /// Work that comes before all frames of a job, such as a shared irradiance cache or a simulation.
@@ -205,9 +247,36 @@ impl Job {
 
     /// Number and booked work of the frames that still need a booking.
     pub fn open_work(&self) -> impl Iterator<Item = (i64, u64)> {
+        self.open_frames().map(|(frame, work)| (frame.number, work))
+    }
+
+    /// The frames that still need a booking, and the work to book for each as a whole.
+    pub fn open_frames(&self) -> impl Iterator<Item = (&Frame, u64)> {
         let done: std::collections::BTreeSet<i64> = self.done.iter().copied().collect();
-        let all = self.frames.iter().map(|frame| frame.number).zip(self.bought_work());
-        all.filter(move |(number, _)| !done.contains(number))
+        self.frames.iter().zip(self.bought_work()).filter(move |(frame, _)| !done.contains(&frame.number))
+    }
+
+    /// Work to book for each part of a frame that is divided into so many: its share of the frame's booked
+    /// work, rounded up, and [`Job::part_overhead`]. A whole frame has no overhead.
+    pub fn part_work(&self, frame_work: u64, parts: u32) -> u64 {
+        frame_work.div_ceil(u64::from(parts.max(1))).saturating_add(self.part_overhead)
+    }
+
+    /// The least work that a plan can book for a frame with this booked work: that of its fewest parts.
+    pub fn least_work(&self, frame_work: u64, division: Division) -> u128 {
+        match division.fewest() {
+            1 => u128::from(frame_work),
+            parts => u128::from(self.part_work(frame_work, parts)) * u128::from(parts),
+        }
+    }
+
+    /// Work of the longest task of a frame with this booked work, if it has as many parts as help.
+    pub fn longest_part(&self, frame_work: u64, division: Division) -> u64 {
+        let divided = match division.most() {
+            1 => frame_work,
+            parts => self.part_work(frame_work, parts),
+        };
+        if division.allows(1) { divided.min(frame_work) } else { divided }
     }
 
     /// Work to book for the whole shared cache: its median, scaled as the frames are.

@@ -13,7 +13,7 @@ mod units;
 pub use check::InputError;
 pub use farm::{FixedBooking, Interval, Node, Power};
 pub use input::Input;
-pub use job::{Confidence, Frame, Job, Project, SharedCache, Usage, WorkTotal};
+pub use job::{Confidence, Division, Frame, Job, Project, SharedCache, Usage, WorkTotal};
 pub use plan::{
     Booking, Bound, Infeasible, JobPlan, Plan, PlanId, Prices, Proof, Rental, Reserved, Task, Verdict,
 };

@@ -47,6 +47,7 @@ impl Plan {
                 Task::SharedCache => (0u32, 0, 0, 0),
                 Task::SharedCachePart { part, parts } => (3, 0, part, parts),
                 Task::Frame(frame) => (1, frame, 0, 1),
+                Task::Part { frame, part, parts } => (2, frame, part, parts),
             };
             digest.update(&booking.start.to_le_bytes());
             digest.update(&booking.end.to_le_bytes());
@@ -86,8 +87,17 @@ pub enum Task {
         /// The number of parts.
         parts: u32,
     },
-    /// A frame, by its number.
+    /// A whole frame, by its number.
     Frame(i64),
+    /// A part of a frame.
+    Part {
+        /// Number of the frame.
+        frame: i64,
+        /// Which part, from zero.
+        part: u32,
+        /// The number of parts, at least two.
+        parts: u32,
+    },
 }
 
 impl Task {
@@ -95,7 +105,7 @@ impl Task {
     pub fn frame(self) -> Option<i64> {
         match self {
             Task::SharedCache | Task::SharedCachePart { .. } => None,
-            Task::Frame(frame) => Some(frame),
+            Task::Frame(frame) | Task::Part { frame, .. } => Some(frame),
         }
     }
 
@@ -111,6 +121,7 @@ impl std::fmt::Display for Task {
             Task::SharedCache => write!(f, "shared cache"),
             Task::SharedCachePart { part, parts } => write!(f, "shared cache, part {} of {parts}", part + 1),
             Task::Frame(frame) => write!(f, "frame {frame}"),
+            Task::Part { frame, part, parts } => write!(f, "frame {frame}, part {} of {parts}", part + 1),
         }
     }
 }

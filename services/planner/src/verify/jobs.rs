@@ -1,7 +1,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::violation::Violation;
-use crate::model::{Booking, Bound, Input, Job, JobPlan, Node, SharedCache, Task, Verdict};
+use crate::model::{Booking, Bound, Division, Input, Job, JobPlan, Node, SharedCache, Task, Verdict};
+
+/// By number of a frame that needs a booking: its work as a whole, and how it may be divided.
+type Frames = BTreeMap<i64, (u64, Division)>;
 
 /// Checks every task and the job's entry. Returns the end of the last task, or `None` if one is unplaced.
 pub(super) fn check_job(
@@ -13,7 +16,8 @@ pub(super) fn check_job(
     cost: i128,
     found: &mut Vec<Violation>,
 ) -> Option<i64> {
-    let works: BTreeMap<i64, u64> = job.open_work().collect();
+    let frames: Frames =
+        job.open_frames().map(|(frame, work)| (frame.number, (work, frame.division))).collect();
     let (unplaced, cache_unplaced) = match &entry.verdict {
         Verdict::Unplaced { frames, shared_cache } => (&frames[..], *shared_cache),
         _ => (&[][..], false),
@@ -27,7 +31,10 @@ pub(super) fn check_job(
             task @ (Task::SharedCache | Task::SharedCachePart { .. }) => {
                 job.shared_cache.zip(job.shared_cache_work(task)).map(|(cache, work)| (cache.class, work))
             }
-            Task::Frame(frame) => works.get(&frame).map(|&work| (job.class, work)),
+            Task::Frame(frame) => frames.get(&frame).map(|&(work, _)| (job.class, work)),
+            Task::Part { frame, parts, .. } => {
+                frames.get(&frame).map(|&(work, _)| (job.class, job.part_work(work, parts)))
+            }
         };
         let Some((class, work)) = work else {
             found.push(Violation::Unknown(booking));
@@ -53,7 +60,8 @@ pub(super) fn check_job(
             }
         }
     }
-    check_complete(job, &tasks, unplaced, cache_unplaced, &works, found);
+    check_frames(job, &frames, &tasks, bookings, unplaced, found);
+    check_shared_cache(job, &tasks, cache_unplaced, found);
 
     let finish = bookings.iter().map(|booking| booking.end).max().unwrap_or(release);
     if !is_true(job, entry, finish) {
@@ -70,31 +78,73 @@ pub(super) fn check_job(
     is_placed.then_some(finish)
 }
 
-/// Every frame and every part of the shared cache is either booked or listed as unplaced.
-fn check_complete(
+/// Every frame is booked as it may be divided, or listed as unplaced.
+fn check_frames(
     job: &Job,
+    frames: &Frames,
     tasks: &BTreeSet<Task>,
+    bookings: &[Booking],
     unplaced: &[i64],
-    cache_unplaced: bool,
-    works: &BTreeMap<i64, u64>,
     found: &mut Vec<Violation>,
 ) {
+    let mut by_frame: BTreeMap<i64, Vec<Booking>> = BTreeMap::new();
+    for &booking in bookings {
+        if let Some(frame) = booking.task.frame() {
+            by_frame.entry(frame).or_default().push(booking);
+        }
+    }
     let mut called = BTreeSet::new();
     for &frame in unplaced {
         let task = Task::Frame(frame);
-        if !works.contains_key(&frame) {
+        if !frames.contains_key(&frame) {
             found.push(Violation::UnknownUnplaced { job: job.id, task });
-        } else if !called.insert(frame) || tasks.contains(&task) {
+        } else if !called.insert(frame) || by_frame.contains_key(&frame) {
             found.push(Violation::Twice { job: job.id, task });
         }
     }
-    let missing = works.keys().filter(|frame| !called.contains(frame)).map(|&frame| Task::Frame(frame));
-    for task in missing.filter(|task| !tasks.contains(task)) {
-        found.push(Violation::Missing { job: job.id, task });
+    for (&frame, &(_, division)) in frames.iter().filter(|(frame, _)| !called.contains(frame)) {
+        match by_frame.get(&frame) {
+            None => found.push(Violation::Missing { job: job.id, task: Task::Frame(frame) }),
+            Some(bookings) => check_parts(job, division, tasks, bookings, found),
+        }
     }
+}
+
+/// The bookings of a frame are one of all of it, or one of each of its parts. They have a number that the
+/// division allows.
+fn check_parts(
+    job: &Job,
+    division: Division,
+    tasks: &BTreeSet<Task>,
+    bookings: &[Booking],
+    found: &mut Vec<Violation>,
+) {
+    let Some(&Booking { task: first, .. }) = bookings.first() else { return };
+    let parts_of = |task: Task| match task {
+        Task::Part { parts, .. } => parts,
+        _ => 1,
+    };
+    let is_right = |task: Task| match task {
+        Task::Part { part, parts, .. } => part < parts && parts > 1 && parts == parts_of(first),
+        _ => parts_of(first) == 1,
+    };
+    let wrong = |booking: &&Booking| !is_right(booking.task) || !division.allows(parts_of(booking.task));
+    let before = found.len();
+    found.extend(bookings.iter().filter(wrong).map(|&booking| Violation::Division(booking)));
+    if let Task::Part { frame, parts, .. } = first
+        && found.len() == before
+    {
+        let missing =
+            (0..parts).map(|part| Task::Part { frame, part, parts }).find(|part| !tasks.contains(part));
+        found.extend(missing.map(|task| Violation::Missing { job: job.id, task }));
+    }
+}
+
+/// Every part of the shared cache is booked, or it is listed as unplaced.
+fn check_shared_cache(job: &Job, tasks: &BTreeSet<Task>, unplaced: bool, found: &mut Vec<Violation>) {
     let mut parts = job.shared_cache.into_iter().flat_map(SharedCache::tasks);
     let missing = parts.find(|part| !tasks.contains(part));
-    match (job.shared_cache.is_some(), missing, cache_unplaced) {
+    match (job.shared_cache.is_some(), missing, unplaced) {
         (true, Some(task), false) => found.push(Violation::Missing { job: job.id, task }),
         (true, None, true) => found.push(Violation::Twice { job: job.id, task: Task::SharedCache }),
         (false, _, true) => found.push(Violation::UnknownUnplaced { job: job.id, task: Task::SharedCache }),

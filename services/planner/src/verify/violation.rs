@@ -36,6 +36,9 @@ pub enum Violation {
         /// The task.
         task: Task,
     },
+    /// A frame has a number of parts that it may not have, or one that other parts of it do not have.
+    #[error("job {}, {} on node {}: the frame may not be divided like this", .0.job, .0.task, .0.node)]
+    Division(Booking),
     /// The node cannot do work of this class.
     #[error("job {}, {} on node {}: the node cannot do this class of work", .0.job, .0.task, .0.node)]
     Unfit(Booking),

@@ -229,7 +229,7 @@ impl Planned {
                 shared_cache = Some(SharedCache { class: task.class, work, parts: parts + 1 });
                 continue;
             }
-            frames.push(Frame { number: place as i64, work: bought(task.median), work_p80: 0 });
+            frames.push(Frame { number: place as i64, work: bought(task.median), ..Frame::default() });
         }
         if frames.is_empty() && shared_cache.is_none() {
             return None;
@@ -304,7 +304,7 @@ impl Planned {
             let task = match booking.task {
                 Task::SharedCache => part_of_cache(0),
                 Task::SharedCachePart { part, .. } => part_of_cache(part),
-                Task::Frame(place) => usize::try_from(place).ok(),
+                Task::Frame(place) | Task::Part { frame: place, .. } => usize::try_from(place).ok(),
             };
             if let Some(task) = task {
                 let length = booking.end.saturating_sub(booking.start);

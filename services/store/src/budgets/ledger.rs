@@ -75,7 +75,7 @@ pub(crate) async fn payments(
     now: Timestamp,
 ) -> Result<Vec<Payment>> {
     let rows = rows!(
-        ", t.kind, t.frame, l.state = 'active' AS \"is_active!: bool\"",
+        ", t.kind, t.frame, t.part, l.state = 'active' AS \"is_active!: bool\"",
         "JOIN tasks t ON t.id = l.task_id WHERE t.job_id = ?",
         job.0
     )
@@ -86,6 +86,7 @@ pub(crate) async fn payments(
         .map(|row| Payment {
             kind: row.kind.0,
             frame: row.frame,
+            part: row.part,
             is_active: row.is_active,
             line: line!(row, now),
         })
@@ -121,10 +122,10 @@ pub(crate) async fn committed(
     now: Timestamp,
 ) -> Result<Money> {
     let rows = rows!(
-        ", f.cpu_p50 AS \"cpu_p50!\", l.node_speed * n.cores AS \"speed!: f64\"",
+        ", f.cpu_p50 / f.parts AS \"cpu_p50!: f64\", l.node_speed * n.cores AS \"speed!: f64\"",
         "JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
-         WHERE d.project = ? AND d.until_at IS NULL AND t.kind = 'render' AND f.cpu_p50 IS NOT NULL",
+         WHERE d.project = ? AND d.until_at IS NULL AND t.place IS NOT NULL AND f.cpu_p50 IS NOT NULL",
         project
     )
     .fetch_all(connection)

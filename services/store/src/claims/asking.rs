@@ -130,6 +130,6 @@ pub(crate) use task_columns;
 pub(crate) const NEXT_BOOKED: &str = next_task!(
     task_columns!(),
     "tasks_ready_booked",
-    "kind IN ('cache_fill', 'render') AND booked_node = ?5",
+    "kind IN ('cache_fill', 'render_part', 'render') AND booked_node = ?5",
     "booked_at, job_id, frame, part"
 );

@@ -105,7 +105,7 @@ async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<V
 pub(crate) const NEXT_OF_JOB: &str = next_task!(
     task_columns!(),
     "tasks_ready_any",
-    "kind IN ('cache_fill', 'render') AND due_at = ?5 AND priority = ?6 AND job_id = ?7",
+    "kind IN ('cache_fill', 'render_part', 'render') AND due_at = ?5 AND priority = ?6 AND job_id = ?7",
     "frame, part"
 );
 
@@ -129,13 +129,13 @@ pub(crate) const NEXT_NO_DEARER: &str = concat!(
     "), (",
     next_task!(
         "tasks_ready_booked",
-        "kind IN ('cache_fill', 'render') AND booked_node IS NULL AND booked_at IS NULL AND job_id = ?5",
+        "kind IN ('cache_fill', 'render_part', 'render') AND booked_node IS NULL AND booked_at IS NULL AND job_id = ?5",
         "frame, part"
     ),
     "), (",
     next_task!(
         "tasks_backing_off",
-        "not_before > 0 AND kind IN ('cache_fill', 'render') AND failures > 0 AND job_id = ?5",
+        "not_before > 0 AND kind IN ('cache_fill', 'render_part', 'render') AND failures > 0 AND job_id = ?5",
         "not_before"
     ),
     "))"

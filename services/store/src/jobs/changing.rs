@@ -1,6 +1,8 @@
 //! Accepting quotes, and changing the terms of jobs: deadline, budget and confidence.
 
-use forelight_protocol::{AuditAction, Event, EventKind, Job, JobChange, JobId, JobState, Money, Timestamp};
+use forelight_protocol::{
+    AuditAction, Event, EventKind, FramePart, Job, JobChange, JobId, JobState, Money, Timestamp,
+};
 
 use crate::audit::{Deed, note};
 use crate::columns::{Id, Time};
@@ -110,17 +112,19 @@ async fn set_terms(write: &mut Write, job: JobId, change: &JobChange) -> Result<
 /// budget. They stay where they are booked until the new plan.
 async fn rebook_rates(write: &mut Write, job: JobId) -> Result<()> {
     let rows = sqlx::query!(
-        r#"SELECT frame AS "frame!", booked_node AS "node!: Id", booked_at AS "start!: Time" FROM tasks
-           WHERE job_id = ? AND kind = 'render' AND state IN ('waiting', 'ready') AND booked_node IS NOT NULL
-           AND frame IS NOT NULL"#,
+        r#"SELECT t.frame AS "frame!: u32", t.place AS "part!: u32", f.parts AS "parts!: u32",
+                  t.booked_node AS "node!: Id", t.booked_at AS "start!: Time"
+           FROM tasks t JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
+           WHERE t.job_id = ? AND t.place IS NOT NULL AND t.state IN ('waiting', 'ready')
+           AND t.booked_node IS NOT NULL"#,
         job.0
     )
     .fetch_all(write.connection().await?)
     .await?;
     let booked = rows.into_iter().map(|row| {
         let start = Timestamp::from(row.start);
-        let booking = NewBooking { frame: row.frame, node: row.node.into(), start, end: start };
-        (row.frame, Some(booking))
+        let frame = FramePart { frame: row.frame, part: row.part, parts: row.parts };
+        (frame, Some(NewBooking { frame, node: row.node.into(), start, end: start }))
     });
     book_tasks(write, job, booked.collect()).await
 }

@@ -28,11 +28,11 @@ pub(crate) struct Progress {
 pub(crate) async fn of_job(connection: &mut SqliteConnection, job: JobId) -> Result<Progress> {
     let row = sqlx::query!(
         r#"SELECT coalesce(sum(f.actual IS NOT NULL), 0) AS "done!: u32",
-                  coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased', 0)), 0) AS "begun!: bool",
+                  coalesce(max(f.actual IS NOT NULL OR coalesce(t.state = 'leased' OR f.parts > 1 AND t.progress > 0, 0)), 0) AS "begun!: bool",
                   coalesce(sum(f.dropped), 0) AS "dropped!: u32",
                   total(CASE WHEN f.dropped THEN 0.0 ELSE coalesce(f.work_mean, 1.0) END) AS "weight!: f64",
                   total(coalesce(f.work_mean, 1.0) * CASE WHEN f.actual IS NOT NULL THEN 1.0
-                        WHEN t.state = 'leased' THEN t.progress ELSE 0.0 END) AS "reached!: f64"
+                        WHEN t.state = 'leased' OR f.parts > 1 THEN t.progress ELSE 0.0 END) AS "reached!: f64"
            FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames
                 ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
            WHERE f.job_id = ?"#,

@@ -9,6 +9,7 @@ use forelight_protocol::{AuditAction, FrameSet, Job, JobId, JobState, LeaseId, T
 use crate::audit::{Deed, note};
 use crate::columns::Id;
 use crate::database::{Store, Write};
+use crate::division;
 use crate::error::{Result, StoreError};
 use crate::events::job_state;
 use crate::jobs::changing::tell;
@@ -18,6 +19,7 @@ use crate::living::{self, Occasion};
 use crate::plans::replans;
 use crate::quotes::calibration;
 use crate::shared_cache::parts;
+use crate::tasks::begin_again;
 use crate::writing::run;
 
 /// A frame with its task.
@@ -56,7 +58,8 @@ impl Store {
             let is_asked = frames.contains(row.frame);
             let is_left = !row.dropped && ["failed", "cancelled"].contains(&row.state.as_str());
             if is_asked || is_left && current.state == JobState::Failed {
-                begin_again(&mut write, row.task, state).await?;
+                let is_divided = division::begin_again(&mut write, job, row.frame, state, now).await?;
+                begin_again(&mut write, row.task, if is_divided { "waiting" } else { state }).await?;
             }
         }
         if current.state.is_final() {
@@ -91,6 +94,7 @@ impl Store {
         }
         take_all_back(&mut write, open.iter().copied(), now).await?;
         for row in &open {
+            division::cancel_parts(&mut write, job, row.frame, now).await?;
             run!(
                 write,
                 "UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE id = ?",
@@ -192,24 +196,10 @@ async fn forget_result(write: &mut Write, job: JobId, row: &Row) -> Result<()> {
     Ok(())
 }
 
-/// Makes a task as if it had never been handed out, except for its fencing token. A budget in force holds it.
-async fn begin_again(write: &mut Write, task: Id, state: &'static str) -> Result<()> {
-    run!(
-        write,
-        "UPDATE tasks SET state = ?1, failures = 0, expiries = 0, progress = 0, error = NULL, not_before = 0, \
-         node_id = NULL, started_at = NULL, finished_at = NULL, pixels_share = NULL, pixels_work = NULL, \
-         pixels_cpu = NULL, held = EXISTS (SELECT 1 FROM budgets b JOIN jobs j ON j.project = b.project \
-         WHERE j.id = tasks.job_id AND b.action IN ('drain', 'stop')) WHERE id = ?2",
-        state,
-        task
-    );
-    Ok(())
-}
-
 /// Opens a job that is done or failed. Parts of its shared cache that failed or were withdrawn go on too.
 async fn go_on(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
     let of_cache = sqlx::query_scalar!(
-        "SELECT id FROM tasks WHERE job_id = ? AND kind IN ('cache_fill', 'cache_merge') \
+        "SELECT id FROM tasks WHERE job_id = ? AND frame IS NULL AND kind IN ('cache_fill', 'cache_merge') \
          AND state IN ('failed', 'cancelled')",
         job.id.0
     )

@@ -119,7 +119,7 @@ async fn in_money(connection: &mut SqliteConnection, job: JobId, rows: &mut [Row
     let paid = sqlx::query!(
         r#"SELECT t.frame AS "frame!: u32", d.price_per_hour, d.until_at - d.from_at AS "length!: i64"
            FROM tasks t JOIN leases l ON l.task_id = t.id JOIN ledger d ON d.lease_id = l.id
-           WHERE t.job_id = ? AND t.kind = 'render' AND d.until_at IS NOT NULL"#,
+           WHERE t.job_id = ? AND t.frame IS NOT NULL AND t.kind <> 'profile' AND d.until_at IS NOT NULL"#,
         job.0
     )
     .fetch_all(connection)

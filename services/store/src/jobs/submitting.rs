@@ -53,8 +53,8 @@ impl Store {
             write,
             "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
              frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
-             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             job_id.0,
             request.name,
             request.project,
@@ -79,7 +79,8 @@ impl Store {
             request.profile_frames.is_none(),
             request.ladders.name(),
             request.renderer.as_ref().map(Json),
-            request.hold
+            request.hold,
+            Json(&request.division)
         );
         for frame in request.frames.iter() {
             run!(write, "INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame);

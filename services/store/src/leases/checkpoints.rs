@@ -26,7 +26,7 @@ impl Store {
         if row.fence != fence || row.state != LeaseState::Active {
             return Err(StoreError::LeaseLost);
         }
-        if row.kind != TaskKind::Render {
+        if !matches!(row.kind, TaskKind::Render | TaskKind::RenderPart) {
             return Err(StoreError::Conflict(format!("a {} has no tiles", row.kind)));
         }
         let (folder, task) = (self.checkpoints(), row.task_id);

@@ -3,10 +3,11 @@
 use std::time::Duration;
 
 use forelight_protocol::{
-    Event, EventKind, FinishedPixels, LeaseId, LeaseOrder, RenewRequest, Renewal, Timestamp,
+    Event, EventKind, FinishedPixels, LeaseId, LeaseOrder, RenewRequest, Renewal, TaskKind, Timestamp,
 };
 
 use crate::database::Store;
+use crate::division;
 use crate::error::Result;
 use crate::events::append;
 use crate::leases::{LeaseState, back_to_ready, end, logs, read_in};
@@ -81,6 +82,9 @@ impl Store {
                 row.task_id.0,
                 fence as i64
             );
+            if let Some(frame) = row.frame.filter(|_| row.kind == TaskKind::RenderPart) {
+                division::add_up(&mut write, row.job_id, frame).await?;
+            }
             living::update(&mut write, row.job_id, Occasion::Meanwhile, now).await?;
         }
         logs::keep(&mut write, &row, log).await?;

@@ -1,4 +1,4 @@
-//! Bookings of frames that are not rendered yet.
+//! Bookings of frames, and of parts of frames, that are not rendered yet.
 
 use forelight_protocol::{Booking, BookingId, JobId, Timestamp};
 use sqlx::SqliteConnection;
@@ -9,12 +9,14 @@ use crate::error::Result;
 use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenBooking};
 
-/// A booking with its frame's task.
+/// A booking with its task.
 struct Row {
     id: Id,
     plan_id: Id,
     job_id: Id,
     frame: u32,
+    part: u32,
+    parts: u32,
     node_id: Id,
     start_at: Time,
     end_at: Time,
@@ -40,6 +42,8 @@ impl From<Row> for OpenBooking {
             plan_id: row.plan_id.into(),
             job_id: row.job_id.into(),
             frame: row.frame,
+            part: row.part,
+            parts: row.parts,
             node_id: row.node_id.into(),
             start: row.start_at.into(),
             end: row.end_at.into(),
@@ -53,12 +57,12 @@ macro_rules! rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT b.id, b.plan_id, b.job_id, b.frame, b.node_id, b.start_at, b.end_at, \
+            "SELECT b.id, b.plan_id, b.job_id, b.frame, b.part, b.parts, b.node_id, b.start_at, b.end_at, \
              t.state, t.node_id AS holder, t.started_at, t.progress, l.progress_at AS \"progress_at?\", \
              l.counts_from AS \"counts_from?\", l.p95 AS \"p95?\" FROM jobs j \
              JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             JOIN tasks t INDEXED BY tasks_of_frames \
-             ON t.job_id = b.job_id AND t.kind = 'render' AND t.frame = b.frame \
+             JOIN tasks t INDEXED BY tasks_of_bookings \
+             ON t.job_id = b.job_id AND t.frame = b.frame AND t.place = b.part \
              LEFT JOIN leases l ON t.state = 'leased' AND l.task_id = t.id AND l.fence = t.fence \
              WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') "
                 + $rest

@@ -1,6 +1,6 @@
 //! The farm's booked jobs, as input of a plan.
 
-use forelight_protocol::{Job, JobId, Money, Timestamp};
+use forelight_protocol::{FramePart, Job, JobId, Money, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::budgets::ledger;
@@ -18,7 +18,7 @@ pub struct FarmJob {
     pub job: Job,
     /// Its forecast; `None` for a job that was booked before forecasts were stored.
     pub forecast: Option<JobForecast>,
-    /// All its frames, ascending.
+    /// All its frames, or the parts of those that are divided, ascending.
     pub frames: Vec<FarmFrame>,
     /// Its cost so far, including its quote and lost work, and the booked rest of work under way: frames with
     /// a worker, and the shared irradiance cache.
@@ -33,12 +33,12 @@ pub struct FarmJob {
     pub has_new_terms: bool,
 }
 
-/// A frame of such a job. CPU seconds are those of a node of speed 1.
+/// A frame of such a job, or a part of one. CPU seconds are those of a node of speed 1.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub struct FarmFrame {
-    /// Its number.
-    pub number: u32,
-    /// Forecast CPU seconds, median.
+    /// Which one.
+    pub frame: FramePart,
+    /// Forecast CPU seconds of the whole frame, median.
     pub p50: f64,
     /// Forecast CPU seconds, 80 % quantile.
     pub p80: f64,
@@ -46,6 +46,8 @@ pub struct FarmFrame {
     pub p95: f64,
     /// Whether it waits for a worker: neither done nor with one.
     pub waits: bool,
+    /// Whether no worker ever had it, so that the frame may still be divided.
+    pub untouched: bool,
 }
 
 impl Store {
@@ -70,30 +72,34 @@ async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Times
     let done = progress::of_job(connection, job).await?;
     // The job's frames that have a forecast, with their bookings.
     let rows = sqlx::query!(
-        r#"SELECT f.frame, f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
-                  t.state NOT IN ('leased', 'done') AND NOT f.dropped AS "waits!: bool", t.held,
+        r#"SELECT f.frame, f.parts AS "parts!: u32", coalesce(p.part, 0) AS "part!: u32", f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
+                  coalesce(p.state, t.state) NOT IN ('leased', 'done') AND NOT f.dropped AS "waits!: bool",
+                  coalesce(p.held, t.held) AS "held!: bool", p.id IS NULL AND t.fence = 0 AS "untouched!: bool",
                   b.end_at - b.start_at AS "length?: i64",
                   coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
            FROM frames f JOIN jobs j ON j.id = f.job_id
            JOIN tasks t INDEXED BY tasks_of_frames
                 ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
-           LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame
+           LEFT JOIN tasks p INDEXED BY tasks_of_parts
+                ON p.job_id = f.job_id AND p.kind = 'render_part' AND p.frame = f.frame
+           LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame AND b.part = coalesce(p.part, 0)
            LEFT JOIN nodes n ON n.id = b.node_id
-           WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame"#,
+           WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame, p.part"#,
         job.0
     )
     .fetch_all(&mut *connection)
     .await?;
     let held = rows.iter().any(|row| row.waits && row.held);
-    let booked = rows.iter().map(|row| (row.frame, booked_cost(row.length, row.price))).collect();
+    let booked = rows.iter().map(|row| ((row.frame, row.part), booked_cost(row.length, row.price))).collect();
     let frames = rows
         .into_iter()
         .map(|row| FarmFrame {
-            number: row.frame,
+            frame: FramePart { frame: row.frame, part: row.part, parts: row.parts },
             p50: row.cpu_p50,
             p80: row.cpu_p80,
             p95: row.cpu_p95,
             waits: row.waits,
+            untouched: row.untouched,
         })
         .collect();
     let is_to_be_filled = done.shared_cache.as_ref().is_some_and(|cache| !cache.ready);

@@ -74,7 +74,7 @@ impl Store {
         let row = row.ok_or(StoreError::NotFound("plan"))?;
         let bookings = sqlx::query_as!(
             Booking,
-            r#"SELECT id, plan_id, job_id, frame, node_id, start_at AS start, end_at AS "end" FROM bookings
+            r#"SELECT id, plan_id, job_id, frame, part, parts, node_id, start_at AS start, end_at AS "end" FROM bookings
                WHERE plan_id = ? ORDER BY start_at, id"#,
             plan.0
         )
@@ -109,7 +109,7 @@ pub(crate) async fn bookings_of(
 ) -> Result<Vec<Booking>> {
     Ok(sqlx::query_as!(
         Booking,
-        r#"SELECT id, plan_id, job_id, frame, node_id, start_at AS start, end_at AS "end" FROM bookings
+        r#"SELECT id, plan_id, job_id, frame, part, parts, node_id, start_at AS start, end_at AS "end" FROM bookings
            WHERE plan_id = ? AND job_id = ?"#,
         plan.0,
         job.0

@@ -95,25 +95,28 @@ pub(crate) struct Payment {
     pub line: LedgerLine,
     pub kind: TaskKind,
     pub frame: Option<u32>,
+    /// The part of the frame, or of a cache.
+    pub part: Option<u32>,
     /// Whether the lease goes on.
     pub is_active: bool,
 }
 
 /// What a job has cost, and what work under way will still cost: the rest of the bookings of frames that are
-/// with a worker, and of the shared cache. Bookings are costs in micro-units, by frame.
+/// with a worker, and of the shared cache. Bookings are costs in micro-units, by frame and part.
 pub(crate) fn spent_and_under_way(
     payments: &[Payment],
-    booked: &BTreeMap<u32, i64>,
+    booked: &BTreeMap<(u32, u32), i64>,
     booked_cache: i64,
 ) -> Money {
     let (mut spent, mut on_cache, mut left) = (0i64, 0i64, 0i64);
-    for Payment { line, kind, frame, is_active } in payments {
+    for Payment { line, kind, frame, part, is_active } in payments {
         let paid = paid(line, line.from).0;
         spent = spent.saturating_add(paid);
         match kind {
             TaskKind::CacheFill | TaskKind::CacheMerge => on_cache = on_cache.saturating_add(paid),
-            TaskKind::Render if *is_active => {
-                let booked = frame.and_then(|frame| booked.get(&frame).copied()).unwrap_or_default();
+            TaskKind::Render | TaskKind::RenderPart if *is_active => {
+                let place = frame.map(|frame| (frame, part.unwrap_or(0)));
+                let booked = place.and_then(|place| booked.get(&place).copied()).unwrap_or_default();
                 left = left.saturating_add(booked.saturating_sub(paid).max(0));
             }
             _ => {}
@@ -220,13 +223,16 @@ mod tests {
 
     #[test]
     fn what_is_under_way_counts_with_the_rest_of_its_booking() {
-        let payment = |kind, frame, is_active| Payment { line: line(0, Some(HOUR)), kind, frame, is_active };
+        let payment = |kind, frame: Option<u32>, is_active| {
+            let line = line(0, Some(HOUR));
+            Payment { line, kind, frame, part: None, is_active }
+        };
         let payments = [
             payment(TaskKind::Profile, Some(3), false),
             payment(TaskKind::Render, Some(3), true),
             payment(TaskKind::CacheFill, None, false),
         ];
-        let booked = BTreeMap::from([(3, 250), (4, 1000)]);
+        let booked = BTreeMap::from([((3, 0), 250), ((4, 0), 1000)]);
         // 300 are paid; 150 are left of frame 3's booking and 50 of the cache's.
         assert_eq!(spent_and_under_way(&payments, &booked, 150), Money(500));
         assert_eq!(spent_and_under_way(&payments, &booked, 20), Money(450));

@@ -5,8 +5,8 @@
 //! within them is believed.
 
 use forelight_protocol::{
-    ArtifactHash, FinishedPixels, FixedCosts, ProcessCosts, ProfileResult, RenderArtifacts, RenderStats,
-    Spent, TaskResult, TaskSpec,
+    ArtifactHash, FinishedPart, FinishedPixels, FixedCosts, ProcessCosts, ProfileResult, RenderArtifacts,
+    RenderStats, Spent, TaskResult, TaskSpec,
 };
 use imagesize::ImageType;
 
@@ -128,6 +128,14 @@ fn claims(result: &TaskResult) -> Vec<Claim> {
         TaskResult::CachePlan(result) => vec![spent("/result/cache_plan/spent", result.spent)],
         TaskResult::CacheFill(result) => vec![spent("/result/cache_fill/spent", result.spent)],
         TaskResult::CacheMerge(result) => vec![spent("/result/cache_merge/spent", result.spent)],
+        TaskResult::Divide(result) => vec![spent("/result/divide/spent", result.spent)],
+        TaskResult::RenderPart(result) => {
+            let mut claims = vec![paid_once("/result/render_part/spent".to_owned(), result.spent)];
+            if let FinishedPart::Pixels(pixels) = &result.finished {
+                claims.push(spent("/result/render_part/finished/pixels/cost", pixels.cost));
+            }
+            claims
+        }
         TaskResult::Render(result) => render(&result.stats),
     }
 }

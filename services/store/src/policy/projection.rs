@@ -4,7 +4,7 @@
 //! frames over. Plans never change. So what needs to know when a node is free, or a job done, projects the
 //! open bookings from now.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{Booking, Job, JobId, NodeId, SharedCacheBooking, Timestamp, Waits};
 
@@ -85,10 +85,10 @@ enum Waiting<'a> {
 
 impl Waiting<'_> {
     /// Parts come before the frames that wait for them, even where they are booked at the same instant.
-    fn order(&self) -> (Timestamp, JobId, bool, u32) {
+    fn order(&self) -> (Timestamp, JobId, bool, u32, u32) {
         match self {
-            Waiting::Part(part) => (part.booking.start, part.booking.job_id, false, part.booking.part),
-            Waiting::Frame(booking) => (booking.start, booking.job_id, true, booking.frame),
+            Waiting::Part(part) => (part.booking.start, part.booking.job_id, false, 0, part.booking.part),
+            Waiting::Frame(booking) => (booking.start, booking.job_id, true, booking.frame, booking.part),
         }
     }
 }
@@ -171,9 +171,15 @@ pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) ->
         }
     }
     let Projection { frames, cache_parts } = &mut projection;
-    frames.sort_by_key(|frame| (frame.start, frame.node_id, frame.booking.job_id, frame.booking.frame));
+    frames
+        .sort_by_key(|frame| (frame.start, frame.node_id, frame.booking.job_id, frame.booking.frame_part()));
     cache_parts.sort_by_key(|part| (part.start, part.node_id, part.booking.job_id, part.booking.part));
     projection
+}
+
+/// Number of frames that these bookings are of: a divided frame has several.
+pub(crate) fn frames_of(bookings: &[OpenBooking]) -> usize {
+    bookings.iter().map(|open| (open.booking.job_id, open.booking.frame)).collect::<BTreeSet<_>>().len()
 }
 
 /// An expected instant, rounded up: to the second if it is within ten minutes, else to the minute. What waits
@@ -213,7 +219,8 @@ impl Projection {
     /// When the last of a job's frames is expected; `None` if some are booked nowhere, or if a budget holds
     /// the job.
     pub fn eta(&self, job: &Job) -> Option<Timestamp> {
-        let booked = self.frames.iter().filter(|frame| frame.booking.job_id == job.id).count();
+        let own = self.frames.iter().filter(|frame| frame.booking.job_id == job.id);
+        let booked = own.map(|frame| frame.booking.frame).collect::<BTreeSet<_>>().len();
         let open = job.frames_total.saturating_sub(job.frames_done + job.frames_cancelled);
         let waits_for_money = job.waits.as_ref().is_some_and(Waits::is_for_money);
         self.finish_of(job.id).filter(|_| !waits_for_money && booked >= open as usize)
@@ -222,11 +229,14 @@ impl Projection {
     /// When each job ends, for lists of many jobs.
     pub fn ends(&self) -> JobEnds {
         let mut ends: BTreeMap<JobId, (usize, Timestamp)> = BTreeMap::new();
-        let frames = self.frames.iter().map(|frame| (frame.booking.job_id, 1, frame.end));
-        let parts = self.cache_parts.iter().map(|part| (part.booking.job_id, 0, part.end));
-        for (job, count, end) in frames.chain(parts) {
+        let mut seen = BTreeSet::new();
+        let frames =
+            self.frames.iter().map(|frame| (frame.booking.job_id, Some(frame.booking.frame), frame.end));
+        let parts = self.cache_parts.iter().map(|part| (part.booking.job_id, None, part.end));
+        for (job, frame, end) in frames.chain(parts) {
             let (booked, last) = ends.entry(job).or_insert((0, end));
-            *booked += count;
+            // The parts of a divided frame are one frame.
+            *booked += usize::from(frame.is_some_and(|frame| seen.insert((job, frame))));
             *last = (*last).max(end);
         }
         JobEnds(ends)
@@ -290,6 +300,8 @@ mod tests {
                 plan_id: self.plan,
                 job_id: self.job,
                 frame,
+                part: 0,
+                parts: 1,
                 node_id: self.nodes[node],
                 start: at(start),
                 end: at(end),

@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use forelight_protocol::{EventKind, NodeId, Promise, Timestamp};
+use forelight_protocol::{EventKind, FramePart, NodeId, Promise, Timestamp};
 
 /// A booking of a plan to be kept.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct NewBooking {
-    /// The frame.
-    pub frame: u32,
+    /// The frame, or the part of one.
+    pub frame: FramePart,
     /// The node.
     pub node: NodeId,
     /// From when.
@@ -20,10 +20,10 @@ pub struct NewBooking {
 /// A job's bookings under a new plan.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct Rebooked {
-    /// All bookings that the job has from now on, by frame.
-    pub bookings: BTreeMap<u32, NewBooking>,
+    /// All bookings that the job has from now on.
+    pub bookings: BTreeMap<FramePart, NewBooking>,
     /// The frames whose tasks are told where they are booked now; `None`: nowhere.
-    pub tasks: Vec<(u32, Option<NewBooking>)>,
+    pub tasks: Vec<(FramePart, Option<NewBooking>)>,
 }
 
 /// Books the frames that wait for a worker as the plan says, and leaves every other frame where it was.
@@ -31,12 +31,12 @@ pub(crate) struct Rebooked {
 /// `begun` are the frames that were done or with a worker when the plan was made. One of them that waits
 /// again by now keeps the booking that it had.
 pub(crate) fn rebook(
-    before: BTreeMap<u32, NewBooking>,
-    waiting: &[u32],
+    before: BTreeMap<FramePart, NewBooking>,
+    waiting: &[FramePart],
     planned: &[NewBooking],
-    begun: &BTreeSet<u32>,
+    begun: &BTreeSet<FramePart>,
 ) -> Rebooked {
-    let planned: BTreeMap<u32, &NewBooking> =
+    let planned: BTreeMap<FramePart, &NewBooking> =
         planned.iter().map(|booking| (booking.frame, booking)).collect();
     let mut rebooked = Rebooked { bookings: before, tasks: Vec::with_capacity(waiting.len()) };
     for &frame in waiting {
@@ -87,14 +87,19 @@ mod tests {
     #[test]
     fn a_plan_moves_what_waits_and_leaves_what_has_begun() {
         let (old, new) = (NodeId::new(), NodeId::new());
-        let booking = |frame, node| NewBooking { frame, node, start: at(0), end: at(1) };
-        let before = (0..4).map(|frame| (frame, booking(frame, old))).collect();
+        let booking = |frame: u32, node| NewBooking { frame: frame.into(), node, start: at(0), end: at(1) };
+        let before = (0..4).map(|frame| (frame.into(), booking(frame, old))).collect();
         // Frame 0 is with a worker. Frame 1 was when the plan was made. The plan has no node for frame 3.
         let planned = [booking(2, new)];
-        let found = rebook(before, &[1, 2, 3], &planned, &BTreeSet::from([0, 1]));
-        let nodes: Vec<(u32, NodeId)> = found.bookings.values().map(|it| (it.frame, it.node)).collect();
+        let found = rebook(
+            before,
+            &[1, 2, 3].map(FramePart::from),
+            &planned,
+            &BTreeSet::from([0, 1].map(FramePart::from)),
+        );
+        let nodes: Vec<(u32, NodeId)> = found.bookings.values().map(|it| (it.frame.frame, it.node)).collect();
         assert_eq!(nodes, [(0, old), (1, old), (2, new)]);
-        assert_eq!(found.tasks, [(2, Some(booking(2, new))), (3, None)]);
+        assert_eq!(found.tasks, [(2.into(), Some(booking(2, new))), (3.into(), None)]);
     }
 
     #[test]

@@ -86,11 +86,11 @@ macro_rules! rows {
              (SELECT count(*) FROM json_each(j.forecast, '$.cache.shared_cache.records') \
               WHERE value > 0) AS \"levels!: u32\" \
              FROM jobs j JOIN shared_cache_bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
-             JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.part = b.part AND t.round = \
-             (SELECT max(l.round) FROM tasks l WHERE l.job_id = j.id AND l.kind = 'cache_fill' AND l.part = b.part) \
+             JOIN tasks t ON t.job_id = j.id AND t.kind = 'cache_fill' AND t.frame IS NULL AND t.part = b.part AND t.round = \
+             (SELECT max(l.round) FROM tasks l WHERE l.job_id = j.id AND l.kind = 'cache_fill' AND l.frame IS NULL AND l.part = b.part) \
              LEFT JOIN leases h ON t.state = 'leased' AND h.task_id = t.id AND h.fence = t.fence \
              WHERE j.state IN ('booked', 'rendering') AND EXISTS (SELECT 1 FROM tasks o WHERE o.job_id = j.id \
-             AND o.kind IN ('cache_fill', 'cache_merge') AND o.state IN ('ready', 'leased')) "
+             AND o.frame IS NULL AND o.kind IN ('cache_fill', 'cache_merge') AND o.state IN ('ready', 'leased')) "
                 + $which
                 + " ORDER BY b.start_at, b.job_id, b.part"
             $(, $value)*
@@ -164,10 +164,10 @@ pub(crate) async fn progress(
                   total(json_extract(r.body, '$.cache_fill.spent.work')) AS "work!: f64",
                   (SELECT total(json_extract(r.body, '$.' || t.kind || '.spent.cpu_nanos') * l.node_speed) FROM tasks t
                    JOIN results r ON r.task_id = t.id JOIN leases l ON l.id = r.lease_id
-                   WHERE t.job_id = ?1 AND t.kind IN ('cache_fill', 'cache_merge')) AS "cpu_nanos!: f64",
-                  EXISTS (SELECT 1 FROM tasks w WHERE w.job_id = ?1 AND w.kind = 'render'
+                   WHERE t.job_id = ?1 AND t.frame IS NULL AND t.kind IN ('cache_fill', 'cache_merge')) AS "cpu_nanos!: f64",
+                  EXISTS (SELECT 1 FROM tasks w WHERE w.job_id = ?1 AND w.kind IN ('divide', 'render')
                           AND w.state NOT IN ('waiting', 'cancelled')) AS "ready!: bool"
-           FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = ?1 AND t.kind = 'cache_fill'"#,
+           FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = ?1 AND t.frame IS NULL AND t.kind = 'cache_fill'"#,
         job.0
     )
     .fetch_one(connection)

@@ -217,12 +217,13 @@ async fn a_claim_finds_its_task_by_index_alone_however_many_there_are() {
 async fn frames_find_their_tasks_one_by_one_however_many_the_job_has() {
     let farm = Farm::new().await;
     let statements = super::statements::checked();
-    let of_frames = statements.iter().filter(|statement| statement.contains("INDEXED BY tasks_of_frames"));
-    assert_eq!(of_frames.clone().count(), 10);
-    for query in of_frames {
+    let by = |index: &'static str| statements.iter().filter(move |statement| statement.contains(index));
+    let (of_frames, of_bookings) = (by("INDEXED BY tasks_of_frames"), by("INDEXED BY tasks_of_bookings"));
+    assert_eq!((of_frames.clone().count(), of_bookings.clone().count()), (7, 3));
+    for query in of_frames.chain(of_bookings) {
         let steps = steps_of(&farm, query).await;
         let task = steps.iter().find(|step| step.starts_with("SEARCH t "));
-        assert!(task.is_some_and(|step| step.contains("(job_id=? AND frame=?)")), "{query}: {steps:?}");
+        assert!(task.is_some_and(|step| step.contains("(job_id=? AND frame=?")), "{query}: {steps:?}");
         assert!(!steps.iter().any(|step| step.starts_with("SCAN")), "{query}: {steps:?}");
     }
 }

@@ -124,6 +124,8 @@ fn booking(frame: u32, node: u8, start: i64, end: i64) -> Booking {
         plan_id: PlanId(uuid::Uuid::nil()),
         job_id: JobId(uuid::Uuid::nil()),
         frame,
+        part: 0,
+        parts: 1,
         node_id: NodeId(uuid::Uuid::from_u128(u128::from(node))),
         start: at(start),
         end: at(end),
@@ -236,7 +238,7 @@ async fn what_calls_for_a_plan_is_remembered_until_a_plan_knows_it() {
 impl Farm {
     /// A plan that books frames of a job anew, of which the first one has begun.
     async fn plan_after_events(&self, job: JobId, bookings: Vec<NewBooking>, factor: f64) -> NewPlan {
-        let begun = BTreeSet::from([0]);
+        let begun = BTreeSet::from([0.into()]);
         NewPlan {
             parent: self.store.newest_plan().await.unwrap(),
             reason: PlanReason::Events,
@@ -255,7 +257,7 @@ async fn a_frame_that_comes_back_while_a_plan_is_made_has_its_place_still() {
     let node = farm.node("a").await;
     let job = farm.booked_job(request("0-1"), node.id, at(10)).await;
     let lease = farm.claim(node.id, at(10)).await.unwrap();
-    let stays = NewBooking { frame: 1, node: node.id, start: at(50), end: at(60) };
+    let stays = NewBooking { frame: 1.into(), node: node.id, start: at(50), end: at(60) };
     let plan = farm.plan_after_events(job, vec![stays], 1.0).await;
     farm.store.release(lease.lease_id, lease.fence, at(11)).await.unwrap();
     farm.store.replan(&plan, at(12)).await.unwrap();
@@ -281,7 +283,7 @@ async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
     let lease = farm.claim(a.id, at(10)).await.unwrap();
     farm.commit(&lease, at(20)).await;
     let said = farm.store.job(job).await.unwrap();
-    let move_to_b = |frame: u32| NewBooking { frame, node: b.id, start: at(50), end: at(60) };
+    let move_to_b = |frame: u32| NewBooking { frame: frame.into(), node: b.id, start: at(50), end: at(60) };
     let plan = farm.plan_after_events(job, vec![move_to_b(0), move_to_b(1)], 1.5).await;
     let second = farm.store.replan(&plan, at(21)).await.unwrap();
     let kept = farm.store.plan(second).await.unwrap();

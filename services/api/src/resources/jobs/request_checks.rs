@@ -1,8 +1,8 @@
 //! Checks of a job request. Each error names its field.
 
 use forelight_protocol::{
-    BadSetting, BundleSource, CacheMode, CacheSharing, JobRequest, JobSettings, Ladders, Money,
-    RenderSettings, RenderSettingsRequest, SceneSummary, Timestamp,
+    BadSetting, BundleSource, CacheMode, CacheSharing, Division, JobRequest, JobSettings, Ladders,
+    MOST_PARTS, Money, PartCount, RenderSettings, RenderSettingsRequest, SceneSummary, Timestamp,
 };
 use forelight_store::tokens::Principal;
 use forelight_store::{NewJob, StoreError};
@@ -56,6 +56,18 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
     if request.cache == CacheSharing::Shared && request.settings.complete((1, 1)).cache == CacheMode::Off {
         let reason = "a cache cannot be shared where there is none: set `settings.cache` to `on`";
         return Err(ApiError::invalid("/cache", reason));
+    }
+    if let Division::Into(PartCount(parts)) = request.division
+        && !(2..=MOST_PARTS).contains(&parts)
+    {
+        return Err(ApiError::invalid(
+            "/division/into",
+            format!("{parts} parts; 2 to {MOST_PARTS} are possible"),
+        ));
+    }
+    if matches!(request.division, Division::Into(_)) && request.within.is_some() {
+        let reason = "frames whose camera samples are chosen for a limit cannot be divided: leave out `division` or `within`";
+        return Err(ApiError::invalid("/division", reason));
     }
     if request.cache == CacheSharing::Shared && request.within.is_some() {
         let reason = "frames whose camera samples are chosen for a limit make their own caches: leave out `cache` or `within`";

@@ -161,7 +161,7 @@ mod tests {
             calendar: vec![Interval { start: 0, end: None }],
             ..Node::default()
         };
-        let frame = |number| Frame { number, work: 3600, work_p80: 3600 };
+        let frame = |number| Frame { number, work: 3600, work_p80: 3600, ..Frame::default() };
         let job = Job {
             name: "<a & b>".into(),
             deadline: Some(9_000_000_000),

@@ -346,6 +346,9 @@ fn describe(input: &Input, effect: &Effect) -> String {
         }
         Change::Confidence { job, confidence } => format!("{} at {confidence:?}", job_name(input, *job)),
         Change::MakeWay { job } => format!("{} gives up its deadline", job_name(input, *job)),
+        Change::Parts { job, parts } => {
+            format!("frames of {} in up to {parts} parts", job_name(input, *job))
+        }
         Change::NewJob { job } => format!("with {}", job.name),
     };
     let sign = if effect.added_cost < 0 { "" } else { "+" };

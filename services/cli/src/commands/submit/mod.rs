@@ -11,8 +11,9 @@ use crate::connection::connect;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
-    BundleRef, CacheSharing, Confidence, FrameSet, Job, JobId, JobRequest, JobState, Ladders, Money, Per,
-    RenderSettingsRequest, RendererRequest, SceneSummary, Timestamp, Within,
+    BundleRef, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobRequest, JobState, Ladders,
+    MOST_PARTS, Money, PartCount, Per, RenderSettingsRequest, RendererRequest, SceneSummary, Timestamp,
+    Within,
 };
 use forelight_renderer::scene_name;
 use forelight_terminal::failure::BadInput;
@@ -108,6 +109,11 @@ pub struct Args {
     /// Share one irradiance cache between frames. Needs --cache on
     #[arg(long, value_name = "WAY", default_value = "auto")]
     cache_sharing: CacheSharing,
+    /// Divide frames into parts that several nodes render at the same time: auto divides long frames where
+    /// that keeps the deadline or ends the job earlier; a number divides every frame into as many parts; 1
+    /// divides none
+    #[arg(long, value_name = "auto|N", default_value = "auto", value_parser = division)]
+    parts: Division,
     /// Renderer other than forelight's own, with its version or the beginning of it, such as "cycles 5.0"
     /// [default: any version of cycles for a .blend file, and of radiance for a .rif file or octree]. The
     /// version that previews the job also renders it
@@ -287,6 +293,7 @@ fn request(
         frames,
         settings,
         cache: args.cache_sharing,
+        division: args.parts,
         samples: args.samples,
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },
@@ -299,6 +306,16 @@ fn request(
         limits: task_limits(args.task_memory, args.task_time),
         hold: args.hold,
     })
+}
+
+/// Into how many parts frames are divided, as `--parts` has it.
+fn division(text: &str) -> Result<Division, String> {
+    match text.parse() {
+        _ if text == "auto" => Ok(Division::Auto),
+        Ok(1) => Ok(Division::Whole),
+        Ok(parts) if (2..=MOST_PARTS).contains(&parts) => Ok(Division::Into(PartCount(parts))),
+        _ => Err(format!("use auto or a number from 1 to {MOST_PARTS}")),
+    }
 }
 
 /// The limit on the cost of the frames, if one sets the samples.

@@ -60,6 +60,9 @@ impl Execute for TaskRunner {
             TaskSpec::CachePlan(spec) => cache::plan(shot, spec, control),
             TaskSpec::CacheFill(spec) => cache::fill(shot, spec, assignment, control),
             TaskSpec::CacheMerge(spec) => cache::merge(spec, assignment, control),
+            TaskSpec::Divide(_) | TaskSpec::RenderPart(_) => {
+                Err(ExecuteError::Permanent("this renderer cannot divide a frame".to_owned()))
+            }
             TaskSpec::Render(spec) => render(shot, spec, assignment, control),
         }
     }

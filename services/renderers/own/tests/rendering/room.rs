@@ -151,6 +151,8 @@ impl Rig {
             work: None,
             profile: None,
             cache: None,
+            frame_cache: None,
+            parts: Vec::new(),
             shares: Vec::new(),
         })
     }

@@ -1,0 +1,117 @@
+-- Frames that are divided into parts, which several nodes render at the same time. Conventions as in 0001.
+
+-- Whether a job's frames are divided: `"auto"`, `"whole"` or `{"into": n}`.
+ALTER TABLE jobs ADD COLUMN division TEXT NOT NULL DEFAULT '"auto"' CHECK (json_valid(division));
+
+-- Into how many parts a frame is divided. 1: it is rendered by one node.
+ALTER TABLE frames ADD COLUMN parts INTEGER NOT NULL DEFAULT 1 CHECK (parts BETWEEN 1 AND 512);
+
+-- New kinds of tasks are in constraints of the table, so it is made again under its name, as in 0009.
+PRAGMA defer_foreign_keys = ON;
+CREATE TABLE tasks_before AS SELECT * FROM tasks;
+DROP TABLE tasks;
+
+-- `round` and `part` are those of an irradiance cache; `part` is also that of a frame. A cache is of one frame or, without a
+-- frame, shared by all.
+-- `place` is the part in the frame's bookings that the task has: 0 of a whole frame. The `render` task of a divided frame has
+-- none until its parts are done. Then it has place 0, to put the frame together, and the parts have none.
+CREATE TABLE tasks (
+    id            BLOB PRIMARY KEY CHECK (length(id) = 16),
+    job_id        BLOB NOT NULL REFERENCES jobs (id),
+    kind          TEXT NOT NULL CHECK (kind IN ('preview', 'profile', 'cache_plan', 'cache_fill', 'cache_merge', 'divide', 'render_part', 'render')),
+    frame         INTEGER CHECK (frame >= 0),
+    round         INTEGER CHECK (round >= 0),
+    part          INTEGER CHECK (part >= 0),
+    place         INTEGER CHECK (place >= 0),
+    state         TEXT NOT NULL CHECK (state IN ('waiting', 'ready', 'leased', 'done', 'failed', 'cancelled')),
+    spec          TEXT NOT NULL CHECK (json_valid(spec)),
+    fence         INTEGER NOT NULL DEFAULT 0 CHECK (fence >= 0),
+    failures      INTEGER NOT NULL DEFAULT 0 CHECK (failures >= 0),
+    expiries      INTEGER NOT NULL DEFAULT 0 CHECK (expiries >= 0),
+    progress      REAL NOT NULL DEFAULT 0 CHECK (progress BETWEEN 0 AND 1),
+    error         TEXT,
+    due_at        INTEGER NOT NULL,
+    priority      INTEGER NOT NULL,
+    booked_node   BLOB REFERENCES nodes (id),
+    booked_at     INTEGER,
+    node_id       BLOB REFERENCES nodes (id),
+    started_at    INTEGER,
+    finished_at   INTEGER,
+    held          INTEGER NOT NULL DEFAULT 0 CHECK (held IN (0, 1)),
+    limits        TEXT NOT NULL DEFAULT '{}' CHECK (json_valid(limits)),
+    not_before    INTEGER NOT NULL DEFAULT 0,
+    pixels_share  REAL CHECK (pixels_share BETWEEN 0 AND 1),
+    pixels_work   REAL,
+    pixels_cpu    REAL,
+    booked_rate   INTEGER CHECK (booked_rate >= 0),
+    renderer      TEXT,
+    again         INTEGER NOT NULL DEFAULT 0 CHECK (again IN (0, 1)),
+    CHECK (kind NOT IN ('profile', 'divide', 'render_part', 'render') OR frame IS NOT NULL),
+    CHECK (kind NOT IN ('preview', 'cache_plan') OR frame IS NULL),
+    CHECK ((kind IN ('cache_fill', 'cache_merge')) = (round IS NOT NULL)),
+    CHECK ((kind IN ('cache_fill', 'render_part')) = (part IS NOT NULL)),
+    CHECK (place IS NULL OR kind IN ('render_part', 'render')),
+    CHECK ((booked_node IS NULL) = (booked_at IS NULL))
+) STRICT;
+INSERT INTO tasks (id, job_id, kind, frame, round, part, place, state, spec, fence, failures, expiries, progress, error, due_at,
+                   priority, booked_node, booked_at, node_id, started_at, finished_at, held, limits, not_before, pixels_share,
+                   pixels_work, pixels_cpu, booked_rate, renderer, again)
+SELECT id, job_id, kind, frame, round, part, iif(kind = 'render', 0, NULL), state, spec, fence, failures, expiries, progress,
+       error, due_at, priority, booked_node, booked_at, node_id, started_at, finished_at, held, limits, not_before, pixels_share,
+       pixels_work, pixels_cpu, booked_rate, renderer, again
+FROM tasks_before;
+DROP TABLE tasks_before;
+
+-- A job has each task once: creating them twice, as after a restart, does nothing.
+CREATE UNIQUE INDEX tasks_once ON tasks (job_id, kind, ifnull(frame, -1), ifnull(round, -1), ifnull(part, -1));
+-- What others wait for and takes little; what is booked: frames and their parts, and parts of shared caches.
+CREATE INDEX tasks_ready_quotes ON tasks (priority DESC, due_at, job_id, frame)
+    WHERE state = 'ready' AND kind NOT IN ('cache_fill', 'render_part', 'render');
+CREATE INDEX tasks_ready_booked ON tasks (booked_node, booked_at, job_id, frame, part)
+    WHERE state = 'ready' AND kind IN ('cache_fill', 'render_part', 'render');
+CREATE INDEX tasks_ready_any ON tasks (due_at, priority DESC, job_id, frame, part)
+    WHERE state = 'ready' AND kind IN ('cache_fill', 'render_part', 'render');
+CREATE INDEX tasks_ready_rates ON tasks (job_id, booked_rate DESC, frame, part) WHERE state = 'ready' AND booked_rate IS NOT NULL;
+CREATE INDEX tasks_ready_starts ON tasks (job_id, booked_at, frame, part) WHERE state = 'ready' AND booked_rate IS NOT NULL;
+CREATE INDEX tasks_by_state ON tasks (state);
+CREATE INDEX tasks_by_node ON tasks (node_id) WHERE state = 'leased';
+CREATE INDEX tasks_held ON tasks (job_id) WHERE held = 1;
+CREATE INDEX tasks_backing_off ON tasks (not_before) WHERE state = 'ready' AND not_before > 0;
+CREATE INDEX tasks_again ON tasks (due_at, priority DESC, job_id, frame) WHERE state = 'leased' AND again = 1;
+CREATE UNIQUE INDEX tasks_of_frames ON tasks (job_id, frame) WHERE kind = 'render';
+-- From a booking to its task.
+CREATE UNIQUE INDEX tasks_of_bookings ON tasks (job_id, frame, place) WHERE place IS NOT NULL;
+-- From a divided frame to its parts.
+CREATE INDEX tasks_of_parts ON tasks (job_id, frame, part) WHERE kind = 'render_part';
+CREATE TRIGGER tasks_begin_held AFTER INSERT ON tasks
+WHEN EXISTS (SELECT 1 FROM budgets b JOIN jobs j ON j.project = b.project WHERE j.id = NEW.job_id AND b.action IN ('drain', 'stop'))
+BEGIN UPDATE tasks SET held = 1 WHERE id = NEW.id; END;
+
+-- Bookings are of frames, or of parts of them: the key has the part.
+CREATE TABLE bookings_before AS SELECT * FROM bookings;
+DROP TABLE bookings;
+CREATE TABLE bookings (
+    id       BLOB PRIMARY KEY CHECK (length(id) = 16),
+    plan_id  BLOB NOT NULL REFERENCES plans (id),
+    job_id   BLOB NOT NULL REFERENCES jobs (id),
+    frame    INTEGER NOT NULL CHECK (frame >= 0),
+    part     INTEGER NOT NULL DEFAULT 0 CHECK (part >= 0),
+    parts    INTEGER NOT NULL DEFAULT 1 CHECK (parts BETWEEN 1 AND 512),
+    node_id  BLOB NOT NULL REFERENCES nodes (id),
+    start_at INTEGER NOT NULL,
+    end_at   INTEGER NOT NULL,
+    CHECK (start_at < end_at),
+    CHECK (part < parts),
+    UNIQUE (plan_id, job_id, frame, part)
+) STRICT, WITHOUT ROWID;
+INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at)
+SELECT id, plan_id, job_id, frame, node_id, start_at, end_at FROM bookings_before;
+DROP TABLE bookings_before;
+CREATE INDEX bookings_by_node ON bookings (node_id, start_at);
+CREATE INDEX bookings_by_job ON bookings (job_id, frame);
+CREATE TRIGGER bookings_are_never_changed BEFORE UPDATE ON bookings
+BEGIN SELECT RAISE(ABORT, 'a booking never changes'); END;
+CREATE TRIGGER bookings_are_never_deleted BEFORE DELETE ON bookings
+WHEN NOT EXISTS (SELECT 1 FROM deleted_jobs WHERE id = OLD.job_id)
+ AND NOT EXISTS (SELECT 1 FROM deleted_plans WHERE id = OLD.plan_id)
+BEGIN SELECT RAISE(ABORT, 'a booking never changes'); END;

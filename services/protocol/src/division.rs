@@ -1,0 +1,244 @@
+//! Frames that are divided into parts, which different nodes render at the same time.
+//!
+//! A *part* is pixels or samples of one frame. Parts of pixels have equal forecast cost, not equal area. The
+//! pixels of an image have a fixed order along a space-filling curve, and a part is a range of it, so each
+//! part is compact. The image of a divided frame has the same bits as that of a whole one.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::{
+    ArtifactHash, BundleSource, JobId, JobSettings, RenderSettings, RendererRequest, SampleShare,
+    SceneDigest, Spent,
+};
+
+/// Largest number of parts of a frame.
+pub const MOST_PARTS: u32 = 512;
+
+/// Whether the frames of a job are divided. In JSON `"auto"`, `"whole"` or `{"into": 8}`.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Division {
+    /// The plan divides long frames where that keeps a deadline or ends the job earlier.
+    #[default]
+    Auto,
+    /// Every frame is rendered by one node.
+    Whole,
+    /// Every frame is divided into this many parts, 2 to 512.
+    Into(PartCount),
+}
+
+impl Division {
+    /// Whether it is the default.
+    pub fn is_auto(&self) -> bool {
+        *self == Self::Auto
+    }
+}
+
+/// Number of parts of a frame: 2 to 512.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[schema(minimum = 2, maximum = 512)]
+pub struct PartCount(pub u32);
+
+/// A frame, or one part of it: what a plan books on one node.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub struct FramePart {
+    /// The frame.
+    pub frame: u32,
+    /// The part, from 0.
+    pub part: u32,
+    /// Number of parts of the frame. 1: it is the whole frame.
+    pub parts: u32,
+}
+
+impl From<u32> for FramePart {
+    /// The whole frame.
+    fn from(frame: u32) -> Self {
+        Self { frame, part: 0, parts: 1 }
+    }
+}
+
+impl fmt::Display for FramePart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.parts {
+            1 => write!(f, "frame {}", self.frame),
+            parts => write!(f, "frame {}, part {} of {parts}", self.frame, self.part + 1),
+        }
+    }
+}
+
+/// What belongs to one part of a frame.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PartRange {
+    /// A range of the image's pixels, in their order along the curve.
+    Pixels(PixelRange),
+    /// A range of the samples of every pixel.
+    Samples(SampleRange),
+}
+
+/// Pixels by their place along the curve.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PixelRange {
+    /// Place of the first pixel.
+    pub from: u32,
+    /// Place after the last pixel.
+    pub to: u32,
+}
+
+/// Samples of every pixel.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SampleRange {
+    /// Number of samples before it.
+    pub offset: u32,
+    /// Number of samples.
+    pub count: u32,
+}
+
+/// Task: find parts of equal forecast cost in one frame.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct DivideSpec {
+    /// The job.
+    pub job_id: JobId,
+    /// Its bundle.
+    pub bundle: BundleSource,
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
+    pub digest: SceneDigest,
+    /// The frame.
+    pub frame: u32,
+    /// The job's settings.
+    pub settings: RenderSettings,
+    /// Number of parts.
+    pub parts: u32,
+    /// Finished pixels of this frame's profile. They cost nothing more. Absent if it was not profiled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<ArtifactHash>,
+    /// The complete shared irradiance cache. Absent without one, and while the task waits for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<ArtifactHash>,
+}
+
+/// Result of dividing a frame.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DivideResult {
+    /// Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels.
+    #[schema(max_items = 512)]
+    pub ends: Vec<u32>,
+    /// Forecast work of each part, without what every part pays for itself.
+    #[schema(max_items = 512)]
+    pub work: Vec<u64>,
+    /// The irradiance cache of the frame, planned. Its missing records are gathered before the parts start.
+    /// Absent without a cache, and if the shared cache is all that the frame needs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<FrameCache>,
+    /// Cost of the task.
+    pub spent: Spent,
+}
+
+/// The irradiance cache of a divided frame.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FrameCache {
+    /// The cache.
+    pub hash: ArtifactHash,
+    /// Its size in bytes.
+    pub bytes: u64,
+    /// Whether all of its records are filled.
+    pub full: bool,
+}
+
+/// Task: render one part of a frame.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct RenderPartSpec {
+    /// The job.
+    pub job_id: JobId,
+    /// Its bundle.
+    pub bundle: BundleSource,
+    /// Expected hash of the scene's files. A worker that finds other files fails the task permanently.
+    pub digest: SceneDigest,
+    /// The frame.
+    pub frame: u32,
+    /// The job's settings.
+    pub settings: JobSettings,
+    /// The renderer. Absent for forelight's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub renderer: Option<RendererRequest>,
+    /// The part, from 0.
+    pub part: u32,
+    /// Number of parts of the frame.
+    pub parts: u32,
+    /// What belongs to the part. Absent while the frame is being divided.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<PartRange>,
+    /// Finished pixels of this frame's profile, to take over. Absent if it was not profiled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<ArtifactHash>,
+    /// The complete shared irradiance cache. Absent without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache: Option<ArtifactHash>,
+    /// The complete irradiance cache of the frame. Absent without one, and if the shared one is enough.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_cache: Option<ArtifactHash>,
+}
+
+/// Result of rendering one part of a frame.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RenderPartResult {
+    /// What is finished.
+    pub finished: FinishedPart,
+    /// Cost of the task, including what each part pays for itself: loading, its acceleration structure.
+    pub spent: Spent,
+    /// Largest resident memory in bytes. 0 if unknown.
+    #[serde(default)]
+    pub peak_memory_bytes: u64,
+}
+
+/// A finished part of a frame.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FinishedPart {
+    /// Finished pixels.
+    Pixels(PartPixels),
+    /// A share of the samples.
+    Samples(SampleShare),
+}
+
+/// Finished pixels of a part, for the task that puts the image together.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PartPixels {
+    /// The file with these pixels.
+    pub hash: ArtifactHash,
+    /// Number of pixels.
+    pub count: u32,
+    /// Cost of these pixels alone.
+    pub cost: Spent,
+}
+
+impl FinishedPart {
+    /// The file.
+    pub const fn hash(&self) -> ArtifactHash {
+        match self {
+            FinishedPart::Pixels(pixels) => pixels.hash,
+            FinishedPart::Samples(share) => share.hash,
+        }
+    }
+}
+
+pub(crate) fn one() -> u32 {
+    1
+}
+
+pub(crate) fn is_one(parts: &u32) -> bool {
+    *parts == 1
+}
+
+pub(crate) fn is_first(part: &u32) -> bool {
+    *part == 0
+}

@@ -1,0 +1,106 @@
+//! Into how many parts a frame may be divided, and what each part has.
+
+use forelight_protocol::{
+    Division, FixedCosts, MOST_PARTS, PartCount, ProcessCosts, SampleRange, SampleShare,
+};
+
+use crate::job_forecast::JobForecast;
+
+/// No frame is divided into parts shorter than this, unless somebody asks for it: CPU seconds.
+const LEAST_PART_SECONDS: f64 = 60.0;
+
+/// What a part pays for itself is at most this share of it, unless somebody asks for more parts.
+const MOST_OVERHEAD: f64 = 0.02;
+
+/// How many parts a frame gets.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Parts {
+    /// As many as help the plan, up to this number. 1: the frame is rendered as a whole.
+    UpTo(u32),
+    /// Exactly as many.
+    Exactly(u32),
+}
+
+/// What every part of a frame pays for itself, in CPU seconds at speed 1: opening the scene, setting up the
+/// frame, building acceleration structures, writing its file.
+pub fn overhead_seconds(forecast: &JobForecast) -> f64 {
+    let ProcessCosts { load, build } = forecast.once.unwrap_or_default();
+    let FixedCosts { load: setup, build: own_build, write, .. } = forecast.fixed.unwrap_or_default();
+    let nanos =
+        [load, build, setup, own_build, write].iter().map(|cost| cost.cpu_nanos).fold(0, u64::saturating_add);
+    nanos as f64 * 1e-9
+}
+
+/// How many parts a frame of so many CPU seconds gets. `most` is what its renderer allows.
+pub fn parts(asked: Division, frame_seconds: f64, overhead_seconds: f64, most: u32) -> Parts {
+    let most = most.clamp(1, MOST_PARTS);
+    match asked {
+        Division::Whole => Parts::UpTo(1),
+        Division::Into(PartCount(parts)) => Parts::Exactly(parts.clamp(1, most)),
+        Division::Auto => {
+            let least = LEAST_PART_SECONDS.max(overhead_seconds / MOST_OVERHEAD);
+            // The conversion saturates, and what is no number is 0.
+            Parts::UpTo(((frame_seconds / least) as u32).clamp(1, most))
+        }
+    }
+}
+
+/// The samples of each part of a frame that has `samples` in every pixel, after those that are finished. They
+/// differ by at most one in number, and there are no more of them than samples.
+pub fn sample_ranges(samples: u32, finished: &[SampleShare], parts: u32) -> Vec<SampleRange> {
+    let first = finished_samples(finished).min(samples);
+    let left = u64::from(samples - first);
+    let parts = u64::from(parts).min(left);
+    // At most `samples`.
+    let end = |part: u64| first + (left * part / parts) as u32;
+    (0..parts).map(|part| SampleRange { offset: end(part), count: end(part + 1) - end(part) }).collect()
+}
+
+/// Number of samples up to the last that is finished.
+pub(crate) fn finished_samples(finished: &[SampleShare]) -> u32 {
+    finished.iter().map(|share| share.offset.saturating_add(share.count)).max().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use forelight_protocol::ArtifactHash;
+
+    use super::*;
+
+    #[test]
+    fn ranges_cover_the_samples_that_are_left_once() {
+        let share = |offset, count| SampleShare { offset, count, cpu_nanos: 1, hash: ArtifactHash([0; 32]) };
+        for (samples, finished, parts) in [
+            (64, vec![], 7),
+            (64, vec![share(0, 1), share(1, 3)], 8),
+            (5, vec![share(0, 2)], 8),
+            (1, vec![], 1),
+        ] {
+            let ranges = sample_ranges(samples, &finished, parts);
+            let mut next = finished_samples(&finished);
+            for range in &ranges {
+                assert_eq!(range.offset, next);
+                assert!(range.count > 0);
+                next += range.count;
+            }
+            assert_eq!(next, samples);
+            assert!(ranges.len() <= parts as usize);
+            let counts = ranges.iter().map(|range| range.count);
+            assert!(counts.clone().max() <= counts.min().map(|least| least + 1));
+        }
+        assert!(sample_ranges(4, &[share(0, 4)], 3).is_empty());
+    }
+
+    #[test]
+    fn long_frames_are_divided_where_a_part_costs_much_more_than_what_it_pays_for_itself() {
+        let auto = |seconds, overhead| parts(Division::Auto, seconds, overhead, MOST_PARTS);
+        assert_eq!(auto(100.0, 0.1), Parts::UpTo(1));
+        assert_eq!(auto(144_000.0, 0.1), Parts::UpTo(MOST_PARTS));
+        assert_eq!(auto(3_600.0, 0.1), Parts::UpTo(60));
+        assert_eq!(auto(3_600.0, 6.0), Parts::UpTo(12));
+        assert_eq!(auto(f64::NAN, 0.0), Parts::UpTo(1));
+        assert_eq!(parts(Division::Whole, 1e9, 0.0, MOST_PARTS), Parts::UpTo(1));
+        assert_eq!(parts(Division::Into(PartCount(8)), 1.0, 1.0, MOST_PARTS), Parts::Exactly(8));
+        assert_eq!(parts(Division::Into(PartCount(8)), 1.0, 1.0, 3), Parts::Exactly(3));
+    }
+}

@@ -1,0 +1,358 @@
+//! Frames that are divided into parts, which several nodes render at the same time.
+//!
+//! ```text
+//! plan books parts ──► divide (ready), parts (waiting), the frame's render task (waiting)
+//! divide ──► parts (ready), with their pixels in their specification
+//!        ──► parts of the frame's irradiance cache (ready), if it has one that is not full
+//! merge, full ──► parts (ready), with the cache's name in their specification
+//! last part ──► the frame's render task (ready), with the finished parts in its specification
+//! ```
+//!
+//! A renderer that divides a frame by its samples needs no `divide` task: its parts are ready at once. With a
+//! shared cache, `divide` waits for it. As in [`crate::shared_cache`], every arrow is part of the transaction
+//! that commits the result before it.
+//!
+//! A frame is divided only while no worker has had it. Once it is, it stays so.
+
+use std::collections::BTreeMap;
+
+use forelight_protocol::{
+    ArtifactHash, DivideResult, FinishedPart, FrameCache, JobId, JobSettings, LeaseId, PartRange, PixelRange,
+    RenderPartResult, RenderSpec, TaskKind, TaskResult, TaskSpec, Timestamp,
+};
+use forelight_quote::division::sample_ranges;
+
+use crate::columns::{Id, Json, corrupt};
+use crate::database::Write;
+use crate::error::{Result, StoreError};
+use crate::leases::{LeaseRow, take_back};
+use crate::policy::rebooking::NewBooking;
+use crate::tasks::{self, Common, PartAsked};
+use crate::writing::{later, run};
+
+/// Divides the frames that the plan books in parts, and that no worker has had yet.
+pub(crate) async fn divide_as_planned(write: &mut Write, job: JobId, planned: &[NewBooking]) -> Result<()> {
+    let in_parts = planned.iter().filter(|booking| booking.frame.parts > 1);
+    let parts: BTreeMap<u32, u32> =
+        in_parts.map(|booking| (booking.frame.frame, booking.frame.parts)).collect();
+    if parts.is_empty() {
+        return Ok(());
+    }
+    let common = Common::read(write.connection().await?, job).await?;
+    for (frame, parts) in parts {
+        let whole = sqlx::query!(
+            "SELECT t.id, t.spec, t.state FROM tasks t JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame \
+             WHERE t.job_id = ? AND t.kind = 'render' AND t.frame = ? AND f.parts = 1 AND t.fence = 0 \
+             AND t.state IN ('waiting', 'ready')",
+            job.0,
+            frame
+        )
+        .fetch_optional(write.connection().await?)
+        .await?;
+        let Some(whole) = whole else { continue };
+        let TaskSpec::Render(spec) = whole.spec.0 else {
+            return Err(corrupt("spec", "not that of a render task"));
+        };
+        run!(
+            write,
+            "UPDATE tasks SET state = 'waiting', place = NULL, booked_node = NULL, booked_at = NULL, \
+             booked_rate = NULL WHERE id = ?",
+            whole.id
+        );
+        run!(write, "UPDATE frames SET parts = ? WHERE job_id = ? AND frame = ?", parts, job.0, frame);
+        begin(write, &common, &spec, parts, whole.state == "waiting").await?;
+    }
+    Ok(())
+}
+
+/// Makes the tasks of a frame's parts. With `waits`, they wait for the job's shared cache.
+async fn begin(
+    write: &mut Write,
+    common: &Common,
+    whole: &RenderSpec,
+    parts: u32,
+    waits: bool,
+) -> Result<()> {
+    let RenderSpec { frame, profile, cache, .. } = *whole;
+    let asked = |part, range| PartAsked { frame, part, parts, range, profile, cache };
+    match &common.settings {
+        JobSettings::Own(_) => {
+            common.divide(write, asked(0, None), waits).await?;
+            for part in 0..parts {
+                common.render_part(write, asked(part, None)).await?;
+            }
+        }
+        JobSettings::Shot(settings) => {
+            let samples = settings.samples.unwrap_or(1);
+            for (part, range) in (0..).zip(sample_ranges(samples, &whole.shares, parts)) {
+                common.render_part(write, asked(part, Some(PartRange::Samples(range)))).await?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Continues after a frame was divided.
+pub(crate) async fn divided(write: &mut Write, row: &LeaseRow, result: &DivideResult) -> Result<()> {
+    let frame = frame_of(row)?;
+    let mut from = 0;
+    for (part, &to) in (0u32..).zip(&result.ends) {
+        let range = PartRange::Pixels(PixelRange { from, to });
+        run!(
+            write,
+            "UPDATE tasks SET spec = json_set(spec, '$.render_part.range', json(?)) \
+             WHERE job_id = ? AND kind = 'render_part' AND frame = ? AND part = ?",
+            Json(&range),
+            row.job_id.0,
+            frame,
+            part
+        );
+        from = to;
+    }
+    match result.cache {
+        Some(FrameCache { hash, full: false, .. }) => {
+            let common = Common::read(write.connection().await?, row.job_id).await?;
+            let parts = u32::try_from(result.ends.len()).unwrap_or(u32::MAX);
+            for part in 0..parts {
+                common.cache_fill(write, (hash, Some(frame)), 0, (part, parts), None).await?;
+            }
+            Ok(())
+        }
+        Some(FrameCache { hash, .. }) => begin_parts(write, row.job_id, frame, Some(hash)).await,
+        None => begin_parts(write, row.job_id, frame, None).await,
+    }
+}
+
+/// Makes the parts of a divided frame ready. Its own irradiance cache, if it has one, is full.
+pub(crate) async fn begin_parts(
+    write: &mut Write,
+    job: JobId,
+    frame: u32,
+    cache: Option<ArtifactHash>,
+) -> Result<()> {
+    let cache = cache.map(|cache| cache.to_string());
+    run!(
+        write,
+        "UPDATE tasks SET state = 'ready', spec = iif(?1 IS NULL, spec, json_set(spec, '$.render_part.frame_cache', ?1)) \
+         WHERE job_id = ?2 AND kind = 'render_part' AND frame = ?3 AND state = 'waiting'",
+        cache,
+        job.0,
+        frame
+    );
+    run!(
+        write,
+        "UPDATE tasks SET spec = json_set(spec, '$.render.frame_cache', ?1) \
+         WHERE ?1 IS NOT NULL AND job_id = ?2 AND kind = 'render' AND frame = ?3",
+        cache,
+        job.0,
+        frame
+    );
+    write.made_work = true;
+    Ok(())
+}
+
+/// Continues after a part was rendered: after the last one, the frame is put together.
+pub(crate) async fn part_rendered(
+    write: &mut Write,
+    row: &LeaseRow,
+    result: &RenderPartResult,
+) -> Result<()> {
+    let frame = frame_of(row)?;
+    if let FinishedPart::Pixels(pixels) = &result.finished {
+        run!(
+            write,
+            "UPDATE tasks SET pixels_share = 1, pixels_work = ?, pixels_cpu = ? WHERE id = ?",
+            pixels.cost.work as f64,
+            pixels.cost.cpu_nanos as f64 * 1e-9 * row.node_speed,
+            row.task_id.0
+        );
+    }
+    add_up(write, row.job_id, frame).await?;
+    let results = sqlx::query_scalar!(
+        r#"SELECT r.body AS "body?: Json<TaskResult>" FROM tasks t LEFT JOIN results r ON r.task_id = t.id
+           WHERE t.job_id = ? AND t.kind = 'render_part' AND t.frame = ? ORDER BY t.part"#,
+        row.job_id.0,
+        frame
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    let mut finished = Vec::with_capacity(results.len());
+    for result in results {
+        match result.map(|it| it.0) {
+            None => return Ok(()),
+            Some(TaskResult::RenderPart(result)) => finished.push(result.finished),
+            Some(other) => {
+                return Err(corrupt("body", format!("a {} result of a render_part task", other.kind())));
+            }
+        }
+    }
+    put_together(write, row, frame, &finished).await
+}
+
+/// Makes the frame's render task ready, with its finished parts. The node that did the last one has the scene
+/// open, so it does this next; any other node may do it too.
+async fn put_together(
+    write: &mut Write,
+    row: &LeaseRow,
+    frame: u32,
+    finished: &[FinishedPart],
+) -> Result<()> {
+    let job = row.job_id;
+    let task = sqlx::query!(
+        "SELECT id, spec FROM tasks WHERE job_id = ? AND kind = 'render' AND frame = ?",
+        job.0,
+        frame
+    )
+    .fetch_optional(write.connection().await?)
+    .await?
+    .ok_or(StoreError::NotFound("task"))?;
+    let TaskSpec::Render(mut spec) = task.spec.0 else {
+        return Err(corrupt("spec", "not that of a render task"));
+    };
+    let first = finished.iter().filter_map(|part| match part {
+        FinishedPart::Samples(share) => Some(share.offset),
+        FinishedPart::Pixels(_) => None,
+    });
+    // Of an earlier attempt at the frame, only what its profile has finished counts.
+    let first = first.min().unwrap_or(u32::MAX);
+    spec.shares.retain(|share| share.offset < first);
+    spec.parts.clear();
+    for part in finished {
+        match part {
+            FinishedPart::Pixels(pixels) => spec.parts.push(pixels.hash),
+            FinishedPart::Samples(share) => spec.shares.push(*share),
+        }
+    }
+    run!(
+        write,
+        "UPDATE tasks SET place = NULL WHERE job_id = ? AND kind = 'render_part' AND frame = ?",
+        job.0,
+        frame
+    );
+    run!(
+        write,
+        "UPDATE tasks SET state = 'ready', place = 0, booked_node = ?, booked_at = 0, spec = ? WHERE id = ?",
+        row.node_id.0,
+        Json(&TaskSpec::Render(spec)),
+        task.id
+    );
+    write.made_work = true;
+    Ok(())
+}
+
+/// Writes to the frame's render task how far its parts are: they have equal forecast cost.
+pub(crate) async fn add_up(write: &mut Write, job: JobId, frame: u32) -> Result<()> {
+    run!(
+        write,
+        "UPDATE tasks SET (progress, pixels_share, pixels_work, pixels_cpu) = \
+         (SELECT avg(CASE p.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN p.progress ELSE 0.0 END), \
+                 min(avg(ifnull(p.pixels_share, 0.0)), 1.0), total(p.pixels_work), total(p.pixels_cpu) \
+          FROM tasks p WHERE p.job_id = ?1 AND p.kind = 'render_part' AND p.frame = ?2) \
+         WHERE job_id = ?1 AND kind = 'render' AND frame = ?2 AND state = 'waiting'",
+        job.0,
+        frame
+    );
+    Ok(())
+}
+
+/// Forgets the pixels of a finished frame's parts: its image has them.
+pub(crate) fn forget_parts(write: &mut Write, job: JobId, frame: u32) {
+    later!(
+        write,
+        "DELETE FROM result_artifacts WHERE task_id IN \
+         (SELECT id FROM tasks WHERE job_id = ? AND frame = ? AND kind = 'render_part')",
+        job.0,
+        frame
+    );
+}
+
+/// Lets the parts of a frame begin again, if it is divided. What comes before them stays, as far as it is
+/// done; `state` is that of its division otherwise. Returns whether the frame is divided.
+pub(crate) async fn begin_again(
+    write: &mut Write,
+    job: JobId,
+    frame: u32,
+    state: &'static str,
+    now: Timestamp,
+) -> Result<bool> {
+    take_parts_back(write, job, frame, now).await?;
+    let tasks = tasks_of(write, job, frame).await?;
+    let is_before = |task: &&PartTask| task.kind != TaskKind::RenderPart;
+    let is_prepared = tasks.iter().filter(is_before).all(|task| task.state == "done");
+    for task in tasks.iter().filter(is_before).filter(|task| task.state != "done") {
+        let state = if task.kind == TaskKind::Divide { state } else { "ready" };
+        tasks::begin_again(write, task.id, state).await?;
+    }
+    for task in tasks.iter().filter(|task| task.kind == TaskKind::RenderPart) {
+        run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", task.id);
+        run!(write, "DELETE FROM results WHERE task_id = ?", task.id);
+        tasks::begin_again(write, task.id, if is_prepared { "ready" } else { "waiting" }).await?;
+    }
+    let is_divided = !tasks.is_empty();
+    if is_divided {
+        run!(
+            write,
+            "UPDATE tasks SET place = NULL WHERE job_id = ? AND frame = ? AND kind = 'render'",
+            job.0,
+            frame
+        );
+        run!(
+            write,
+            "UPDATE tasks SET place = part WHERE job_id = ? AND frame = ? AND kind = 'render_part'",
+            job.0,
+            frame
+        );
+    }
+    Ok(is_divided)
+}
+
+/// Cancels the tasks of a frame's parts, if it is divided.
+pub(crate) async fn cancel_parts(write: &mut Write, job: JobId, frame: u32, now: Timestamp) -> Result<()> {
+    take_parts_back(write, job, frame, now).await?;
+    run!(
+        write,
+        "UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? AND frame = ? \
+         AND kind IN ('divide', 'cache_fill', 'cache_merge', 'render_part') AND state IN ('waiting', 'ready')",
+        now.micros(),
+        job.0,
+        frame
+    );
+    Ok(())
+}
+
+/// Takes the tasks of a frame's parts back from all workers that have them.
+async fn take_parts_back(write: &mut Write, job: JobId, frame: u32, now: Timestamp) -> Result<()> {
+    let held = sqlx::query_scalar!(
+        "SELECT l.id FROM tasks t JOIN leases l ON l.task_id = t.id AND l.state = 'active' \
+         WHERE t.job_id = ? AND t.frame = ? AND t.state = 'leased' \
+         AND t.kind IN ('divide', 'cache_fill', 'cache_merge', 'render_part') ORDER BY l.id",
+        job.0,
+        frame
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    take_back(write, held.into_iter().map(LeaseId::from), now).await
+}
+
+/// A task of a divided frame, besides its render task.
+struct PartTask {
+    id: Id,
+    kind: TaskKind,
+    state: String,
+}
+
+async fn tasks_of(write: &mut Write, job: JobId, frame: u32) -> Result<Vec<PartTask>> {
+    let rows = sqlx::query!(
+        "SELECT id, kind, state FROM tasks WHERE job_id = ? AND frame = ? \
+         AND kind IN ('divide', 'cache_fill', 'cache_merge', 'render_part') ORDER BY kind, round, part",
+        job.0,
+        frame
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    Ok(rows.into_iter().map(|row| PartTask { id: row.id, kind: row.kind.0, state: row.state }).collect())
+}
+
+fn frame_of(row: &LeaseRow) -> Result<u32> {
+    row.frame.ok_or_else(|| corrupt("frame", format!("a {} task has none", row.kind)))
+}

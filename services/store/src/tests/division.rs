@@ -1,0 +1,185 @@
+//! Frames that are divided into parts.
+
+use forelight_protocol::{
+    DivideResult, FrameCache, FramePart, FrameSet, FrameState, JobState, PartRange, PixelRange, TaskKind,
+};
+
+use super::*;
+
+impl Farm {
+    /// A booked job whose first frame is divided into so many parts, all booked on `node` one after the
+    /// other from second 10. Its other frames come after them.
+    async fn divided_job(&self, request: JobRequest, node: NodeId, parts: u32) -> JobId {
+        let job = self.profiled_job(request, node).await;
+        let plan = self.plan_in_parts(&job, node, parts).await;
+        let frames = frame_forecasts(&job);
+        self.store.book(job.id, &job_forecast(), &frames, None, &plan, at(0)).await.unwrap();
+        job.id
+    }
+
+    async fn profiled_job(&self, request: JobRequest, node: NodeId) -> Job {
+        let job = self.submit(request).await;
+        let preview = self.claim(node, at(0)).await.unwrap();
+        self.commit(&preview, at(0)).await;
+        self.store.start_profiling(job.id, &[0], false, at(0)).await.unwrap();
+        let profile = self.claim(node, at(0)).await.unwrap();
+        self.commit(&profile, at(0)).await;
+        job
+    }
+
+    async fn plan_in_parts(&self, job: &Job, node: NodeId, parts: u32) -> NewPlan {
+        let mut plan = self.plan_for(job, node, at(10 + 10 * i64::from(parts))).await;
+        let bookings = &mut plan.jobs[0].bookings;
+        bookings.remove(0);
+        bookings.extend((0..parts).map(|part| {
+            let start = at(10 + 10 * i64::from(part));
+            let frame = FramePart { frame: 0, part, parts };
+            NewBooking { frame, node, start, end: start.plus_micros(10 * SECOND) }
+        }));
+        plan
+    }
+
+    /// Kind and part of the next tasks of a node, which does them.
+    async fn done(&self, node: NodeId, count: usize) -> Vec<(TaskKind, Option<u32>)> {
+        let mut done = Vec::new();
+        for _ in 0..count {
+            let Some(lease) = self.claim(node, at(20)).await else { break };
+            done.push((lease.spec.kind(), lease.spec.part()));
+            self.commit(&lease, at(20)).await;
+        }
+        done
+    }
+}
+
+#[tokio::test]
+async fn a_frame_is_divided_then_its_parts_are_rendered_and_it_is_put_together() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.divided_job(request("0-1"), node, 3).await;
+    let frame = async || farm.store.frame(job, 0).await.unwrap();
+    assert_eq!(farm.store.open_bookings().await.unwrap().len(), 4, "three parts and a frame");
+    assert_eq!(farm.done(node, 1).await, [(TaskKind::Divide, None)]);
+    for part in 0..3 {
+        let lease = farm.claim(node, at(20)).await.unwrap();
+        let TaskSpec::RenderPart(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+        let pixels = PixelRange { from: part * 100, to: (part + 1) * 100 };
+        assert_eq!((spec.part, spec.range), (part, Some(PartRange::Pixels(pixels))));
+        assert!(spec.profile.is_some(), "a part takes the frame's profiled pixels over");
+        farm.commit(&lease, at(20)).await;
+        assert!((frame().await.progress - f64::from(part + 1) / 3.0).abs() < 1e-9);
+        assert_ne!(frame().await.state, FrameState::Done);
+    }
+    let lease = farm.claim(node, at(20)).await.unwrap();
+    let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+    assert_eq!((spec.frame, spec.parts.len()), (0, 3));
+    farm.commit(&lease, at(20)).await;
+    assert_eq!(frame().await.state, FrameState::Done);
+    assert_eq!(farm.done(node, 9).await, [(TaskKind::Render, None)], "the other frame is whole");
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+    assert!(farm.store.open_bookings().await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn the_cache_of_a_divided_frame_is_filled_before_its_parts_are_rendered() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    farm.divided_job(request("0"), node, 2).await;
+    let lease = farm.claim(node, at(20)).await.unwrap();
+    let hash = farm.artifact("a plan").await;
+    let result = TaskResult::Divide(DivideResult {
+        ends: vec![150, 200],
+        work: vec![10, 10],
+        cache: Some(FrameCache { hash, bytes: 6, full: false }),
+        spent: Spent::default(),
+    });
+    farm.store.commit_result(lease.lease_id, lease.fence, &result, at(20)).await.unwrap();
+    let (fill, part, render) = (TaskKind::CacheFill, TaskKind::RenderPart, TaskKind::Render);
+    // Each round fills one of two levels.
+    let round = [(fill, Some(0)), (fill, Some(1)), (TaskKind::CacheMerge, None)];
+    assert_eq!(farm.done(node, 3).await, round);
+    assert_eq!(farm.done(node, 3).await, round);
+    let lease = farm.claim(node, at(20)).await.unwrap();
+    let TaskSpec::RenderPart(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+    assert!(spec.frame_cache.is_some() && spec.cache.is_none());
+    farm.commit(&lease, at(20)).await;
+    assert_eq!(farm.done(node, 1).await, [(part, Some(1))]);
+    let lease = farm.claim(node, at(20)).await.unwrap();
+    assert_eq!((lease.spec.kind(), lease.spec.caches().len()), (render, 1));
+}
+
+#[tokio::test]
+async fn parts_of_lost_workers_are_leased_again_and_the_others_stay_done() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await.id, farm.node("b").await.id);
+    let job = farm.divided_job(request("0"), a, 3).await;
+    farm.done(a, 2).await;
+    let lost = farm.claim(a, at(20)).await.unwrap();
+    assert_eq!(lost.spec.part(), Some(1));
+    // The service dies, and the worker with it.
+    let farm = farm.restarted().await;
+    let again = farm.claim(b, at(1000)).await.unwrap();
+    assert_eq!((again.task_id, again.fence), (lost.task_id, lost.fence + 1));
+    farm.commit(&again, at(1000)).await;
+    let late = farm.result_for(&lost).await;
+    let refused = farm.store.commit_result(lost.lease_id, lost.fence, &late, at(1001)).await;
+    assert!(matches!(refused, Err(StoreError::LeaseLost)), "{refused:?}");
+    assert_eq!(farm.done(b, 9).await, [(TaskKind::RenderPart, Some(2)), (TaskKind::Render, None)]);
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+}
+
+#[tokio::test]
+async fn a_plan_divides_only_frames_that_no_worker_has_had() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.booked_job(request("0-1"), node, at(10)).await;
+    let lease = farm.claim(node, at(10)).await.unwrap();
+    farm.store.release(lease.lease_id, lease.fence, at(11)).await.unwrap();
+    let current = farm.store.job(job).await.unwrap();
+    let mut plan = farm.plan_in_parts(&current, node, 2).await;
+    plan.reason = PlanReason::Events;
+    plan.jobs[0].bookings.retain(|booking| booking.frame.frame == 0);
+    let second = |frame| NewBooking { frame, node, start: at(90), end: at(99) };
+    plan.jobs[0].bookings.extend([0, 1].map(|part| second(FramePart { frame: 1, part, parts: 2 })));
+    farm.store.replan(&plan, at(12)).await.unwrap();
+    let open = farm.store.open_bookings().await.unwrap();
+    let parts: Vec<FramePart> = open.iter().map(|open| open.booking.frame_part()).collect();
+    // The first frame was with a worker, so the plan's bookings of its parts are void.
+    assert_eq!(
+        parts,
+        [1, 1]
+            .into_iter()
+            .zip(0..)
+            .map(|(frame, part)| FramePart { frame, part, parts: 2 })
+            .collect::<Vec<_>>()
+    );
+    assert_eq!(farm.done(node, 1).await, [(TaskKind::Divide, None)]);
+}
+
+#[tokio::test]
+async fn a_divided_frame_is_rendered_again_in_its_parts() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.divided_job(request("0"), node, 2).await;
+    let (part, render) = (TaskKind::RenderPart, TaskKind::Render);
+    let all = [(part, Some(0)), (part, Some(1)), (render, None)];
+    assert_eq!(farm.done(node, 9).await[1..], all);
+    farm.store.retry_frames(job, &FrameSet::range(0, 0), at(30)).await.unwrap();
+    assert_eq!(farm.done(node, 9).await, all, "what divides it is known");
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+}
+
+#[tokio::test]
+async fn cancelling_a_divided_frame_takes_its_parts_from_all_workers() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await.id, farm.node("b").await.id);
+    let job = farm.divided_job(request("0-1"), a, 2).await;
+    farm.done(a, 1).await;
+    let first = farm.claim(a, at(20)).await.unwrap();
+    farm.store.drop_frames(job, &FrameSet::range(0, 0), at(21)).await.unwrap();
+    let renewal = RenewRequest { fence: first.fence, ..RenewRequest::default() };
+    let told = farm.store.renew(first.lease_id, &renewal, TTL, at(22)).await.unwrap();
+    assert_eq!(told.order, forelight_protocol::LeaseOrder::Stop);
+    assert_eq!(farm.done(b, 9).await, [(TaskKind::Render, None)]);
+    let found = farm.store.job(job).await.unwrap();
+    assert_eq!((found.state, found.frames_cancelled), (JobState::Done, 1));
+}
