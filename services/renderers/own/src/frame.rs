@@ -202,8 +202,10 @@ impl OwnFrame<'_> {
         self.tracer.cache().map_or_else(Spent::default, |cache| of(cache.totals()))
     }
 
-    /// Whether traced pixels have the image's colours: without an irradiance cache, or once it is filled.
+    /// Whether traced pixels have the image's colours: without an irradiance cache, or once it is filled. It is
+    /// planned now if needed.
     pub fn has_final_colours(&self) -> bool {
+        self.tracer.plan();
         self.tracer.cache().is_none_or(Cache::is_complete)
     }
 

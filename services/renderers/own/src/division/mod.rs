@@ -4,9 +4,11 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `cost_map` | what pixels will cost, from a few camera samples, and so where parts end |
+//! | `caches` | its irradiance cache on the way from task to task |
 //! | `part` | the pixels of one part |
 //! | `whole` | the image, put together |
 
+mod caches;
 mod cost_map;
 mod part;
 mod whole;

@@ -1,3 +1,0 @@
-//! Frames divided into parts.
-
-mod costs;
