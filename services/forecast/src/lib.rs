@@ -40,6 +40,9 @@
 //! **Cache records** ([`RecordStrata`]). Their number is known from planning the cache. The records of each
 //! level are a stratum that stands apart from the pixels ([`Stratum::apart`]).
 //!
+//! **Parts of a frame** ([`parts_of_equal_cost`]). Few camera samples along a space-filling curve tell where a
+//! frame's parts of equal cost end ([`PixelCurve`], [`probes`]).
+//!
 //! **Image error** ([`accuracy`]). The same pixels tell how far the image will be from the converged image,
 //! at any number of camera samples. [`accuracy::front`] finds the qualities that are worth their cost.
 //!
@@ -118,6 +121,7 @@ mod known_costs;
 mod live;
 mod moments;
 mod nearest;
+mod parts;
 mod pixel_costs;
 mod population;
 mod random;
@@ -147,6 +151,7 @@ pub use interval::Calibration;
 pub use known_costs::with_times;
 pub use live::{Band, Known, Live, LiveFrame, live, shot_times};
 pub use nearest::nearest;
+pub use parts::{PixelCurve, Probe, Stretch, parts_of_equal_cost, probes, probing_samples};
 pub use pixel_costs::{PixelCosts, PixelQuantiles};
 pub use population::FramePopulation;
 pub use rates::{Timed, class_rates, learned_factor, log_ratio_millionths};

@@ -1,4 +1,4 @@
-//! Tasks of the farm for a renderer behind the door: previews, profiles and renders.
+//! Tasks of the farm for a renderer behind the door: previews, profiles, renders, and parts of frames.
 
 use crate::door::{
     Artefact, BlockCosts, Capability, Cost, Limits, Part, Rendered, Renderer, RendererError, RendererId, Run,
@@ -15,8 +15,9 @@ use bytes::Bytes;
 use forelight_forecast::Strategy;
 use forelight_pictures::{cost_map, tone_map};
 use forelight_protocol::{
-    LogLevel, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderResult, RenderSpec, RenderStats,
-    SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
+    FinishedPart, LogLevel, PartRange, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderPartResult,
+    RenderPartSpec, RenderResult, RenderSpec, RenderStats, SampleRange, SampleShare, SceneDigest,
+    SceneSummary, TaskLimit, TaskResult, TaskSpec,
 };
 use forelight_scene::open_regular;
 use image::{DynamicImage, Rgb, RgbImage};
@@ -98,8 +99,9 @@ impl Execute for ShotRunner {
             TaskSpec::Preview(spec) => task.preview(spec, control),
             TaskSpec::Profile(spec) => task.measure(spec),
             TaskSpec::Render(spec) => task.render(spec),
-            TaskSpec::Divide(_) | TaskSpec::RenderPart(_) => {
-                let reason = format!("{} cannot divide a frame", self.renderer.id());
+            TaskSpec::RenderPart(spec) => task.render_part(spec),
+            TaskSpec::Divide(_) => {
+                let reason = format!("{} divides frames by samples, not by pixels", self.renderer.id());
                 Err(RendererError::Unsupported(reason))
             }
             TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
@@ -116,6 +118,7 @@ fn settings(shot: &dyn Shot, spec: &TaskSpec) -> Result<Settings, ExecuteError> 
     let job = match spec {
         TaskSpec::Preview(PreviewSpec { settings, .. })
         | TaskSpec::Profile(ProfileSpec { settings, .. })
+        | TaskSpec::RenderPart(RenderPartSpec { settings, .. })
         | TaskSpec::Render(RenderSpec { settings, .. }) => settings.shot(),
         _ => None,
     };
@@ -163,6 +166,33 @@ impl Task<'_> {
         result.artifacts.profile = files.add(read(&artefact.path)?);
         result.artifacts.preview_png = ids.map(|ids| png(&ids).map(|bytes| files.add(bytes))).transpose()?;
         Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
+    }
+
+    /// Renders a share of a frame's samples.
+    fn render_part(&self, spec: &RenderPartSpec) -> Result<Outcome, RendererError> {
+        let unsupported = |reason: &str| {
+            Err(RendererError::Unsupported(format!("{} cannot divide this frame: {reason}", self.renderer)))
+        };
+        let SampleRange { offset, count } = match spec.range {
+            Some(PartRange::Samples(range)) => range,
+            Some(PartRange::Pixels(_)) => return unsupported("its parts are shares of the samples"),
+            None => return Err(RendererError::Failed("the frame is not divided yet".to_owned())),
+        };
+        let part = Part::Samples { offset, count };
+        let frame = own_number(spec.frame)?;
+        let measured = self.open.shot.measure(frame, &self.settings, &part, &self.run)?;
+        let cpu_nanos = measured.sample_nanos();
+        let Some(artefact) = measured.artefact else {
+            return unsupported("at its settings, a render cannot take over samples");
+        };
+        let mut files = Files::default();
+        let share = SampleShare { offset, count, cpu_nanos, hash: files.add(read(&artefact.path)?) };
+        let result = RenderPartResult {
+            finished: FinishedPart::Samples(share),
+            spent: as_spent(measured.cost.cpu_nanos),
+            peak_memory_bytes: measured.cost.peak_memory_bytes,
+        };
+        Ok(Outcome { result: TaskResult::RenderPart(result), artifacts: files.contents })
     }
 
     fn render(&self, spec: &RenderSpec) -> Result<Outcome, RendererError> {

@@ -58,6 +58,7 @@ pub use site::{Keyed, Site};
 use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
 use crate::origin::Origin;
+use crate::tracer::Tracer;
 use index::Index;
 use record::{Smoothed, Value};
 use std::sync::OnceLock;
@@ -105,6 +106,8 @@ pub struct Cache {
     plan_rays: Rays,
     /// CPU time of reading the cache from a file, nanoseconds.
     reading: u64,
+    /// What it holds of a shared cache.
+    shared: Shared,
     /// Set if only the first level was filled, for some pixels. Rays then follow deeper levels.
     partial: OnceLock<()>,
 }
@@ -181,8 +184,10 @@ impl Cache {
         cache
     }
 
-    /// The cache with all costs set to zero, for a frame that is not charged for it.
-    pub fn as_given(mut self) -> Self {
+    /// The records of a shared cache that a frame starts with, with all costs set to zero: the frame is not
+    /// charged for them.
+    pub fn as_given(mut self, shared: Shared) -> Self {
+        self.shared = shared;
         self.plan = Cost::default();
         self.plan_rays = Rays::default();
         self.gathered_mut().for_each(|record| (record.cost, record.rays) = (Cost::default(), [0; 7]));
@@ -195,6 +200,16 @@ impl Cache {
 
     fn gathered_mut(&mut self) -> impl Iterator<Item = &mut Record> {
         self.levels.iter_mut().flat_map(|level| &mut level.records).filter_map(OnceLock::get_mut)
+    }
+
+    /// Records of a shared cache that a frame took over into this one, and those that were not valid in it.
+    pub fn shared(&self) -> &Shared {
+        &self.shared
+    }
+
+    /// Whether planning has nothing to add for the tracer's image.
+    pub fn is_planned_for(&self, tracer: &Tracer) -> bool {
+        self.images.contains(&tracer.fingerprint())
     }
 
     /// CPU time of reading the cache from a file, nanoseconds. 0 if it did not come from a file.

@@ -4,7 +4,7 @@
 mod prepare;
 
 use crate::cache::{Cache, CacheError, Irradiance, Keyed, PLAN_RAYS, Planned, RecordCost, Site, Strata};
-use crate::cost::{Cost, Counters, Tally, WorkByClass, share_cpu_time};
+use crate::cost::{Cost, Counters, Tally, WorkByClass, clocked, share_cpu_time};
 use crate::effects::Effects;
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
@@ -26,6 +26,9 @@ use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
+
+/// Pixels per batch of [`Tracer::first_samples`]: thread clocks are read rarely, and every thread has work.
+const TOGETHER: usize = 64;
 
 /// The kernel of a frame: traces its pixels, and the rays that plan and fill its irradiance cache.
 pub trait Trace: Send + Sync {
@@ -315,52 +318,98 @@ impl Tracer {
         finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Option<Image> {
-        let (width, height) = (self.settings.width, self.settings.height);
-        let mut known: Vec<Option<Pixel>> = vec![None; (width * height) as usize];
+        let mut known: Vec<Option<Pixel>> = vec![None; self.frame.camera.pixels()];
         if let Some(profile) = reuse {
             assert_eq!(profile.fingerprint, self.fingerprint(), "the profile belongs to another image");
             for (index, pixel) in &profile.pixels {
                 known[*index as usize] = Some(*pixel);
             }
         }
+        self.render_rest(known, progress, finished, cancel)
+    }
+
+    /// Like [`Self::render_watched`], with finished pixels in row-major order. Those that are `None` are
+    /// traced. There must be one entry per pixel.
+    pub fn render_rest(
+        &self,
+        mut known: Vec<Option<Pixel>>,
+        progress: &(dyn Fn(u64) + Sync),
+        finished: &PixelsFinished<'_>,
+        cancel: &AtomicBool,
+    ) -> Option<Image> {
         if !self.fill(&|_, _| (), cancel) {
             return None;
         }
+        let (width, height) = (self.settings.width, self.settings.height);
         let tiling = Tiling::new(width, height, TILE);
-        let done = AtomicU64::new(0);
-        let tiles: Vec<Vec<(u32, Pixel)>> = (0..tiling.count())
-            .into_par_iter()
-            .map(|tile| {
-                if cancel.load(Ordering::Relaxed) {
-                    return Vec::new();
-                }
-                let indices = tiling.pixels(tile);
-                let traced: Vec<u32> =
-                    indices.iter().copied().filter(|&i| known[i as usize].is_none()).collect();
-                let wanted = || !cancel.load(Ordering::Relaxed);
-                let pixels = || {
-                    traced
-                        .iter()
-                        .take_while(|_| wanted())
-                        .map(|&i| self.kernel.pixel(self, i, &mut |_| ()))
-                        .collect()
-                };
-                let values = timed(pixels);
-                let tile: Vec<(u32, Pixel)> = traced.into_iter().zip(values).collect();
-                finished(&tile);
-                progress(done.fetch_add(indices.len() as u64, Ordering::Relaxed) + indices.len() as u64);
-                tile
-            })
-            .collect();
-        if cancel.load(Ordering::Relaxed) {
-            return None;
-        }
-        let reused = known.iter().map(Option::is_some).collect();
-        for (index, pixel) in tiles.into_iter().flatten() {
+        let reused: Vec<bool> = known.iter().map(Option::is_some).collect();
+        let open = |tile: u32| tiling.pixels(tile).into_iter().filter(|&i| !reused[i as usize]).collect();
+        let tiles: Vec<Vec<u32>> = (0..tiling.count()).map(open).collect();
+        let before = reused.iter().filter(|&&known| known).count() as u64;
+        progress(before);
+        let traced = self.trace(&tiles, &|done| progress(before + done), finished, cancel)?;
+        for (index, pixel) in traced.into_iter().flatten() {
             known[index as usize] = Some(pixel);
         }
         let pixels: Option<Vec<Pixel>> = known.into_iter().collect();
         Some(Image { width, height, pixels: pixels?, reused })
+    }
+
+    /// Traces lists of pixels, by row-major indices, on the current thread pool. One thread traces a list, in
+    /// its order. Any cache must be filled. `progress` receives the number of pixels done, and `finished` the
+    /// pixels of each list once traced, including those of an interrupted one. `None` if `cancel` was set.
+    pub fn trace(
+        &self,
+        lists: &[Vec<u32>],
+        progress: &(dyn Fn(u64) + Sync),
+        finished: &PixelsFinished<'_>,
+        cancel: &AtomicBool,
+    ) -> Option<Vec<Vec<(u32, Pixel)>>> {
+        let done = AtomicU64::new(0);
+        let wanted = || !cancel.load(Ordering::Relaxed);
+        let trace = |list: &Vec<u32>| {
+            let pixels = || {
+                let wanted = list.iter().take_while(|_| wanted());
+                wanted.map(|&i| self.kernel.pixel(self, i, &mut |_| ())).collect()
+            };
+            let traced: Vec<(u32, Pixel)> = list.iter().copied().zip(timed(pixels)).collect();
+            if !traced.is_empty() {
+                finished(&traced);
+            }
+            let count = list.len() as u64;
+            progress(done.fetch_add(count, Ordering::Relaxed) + count);
+            traced
+        };
+        let traced = lists.par_iter().map(trace).collect();
+        wanted().then_some(traced)
+    }
+
+    /// Traces the first camera samples alone of pixels, by row-major index, on the current thread pool. Returns
+    /// each pixel after one sample, after two, and so on up to `samples`, and the cost. `None` if `stop`
+    /// returned `true`.
+    pub fn first_samples(
+        &self,
+        pixels: &[u32],
+        samples: u32,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<(Vec<Vec<Pixel>>, Cost)> {
+        self.plan();
+        let first = |&index: &u32| -> Vec<Pixel> {
+            let mut underway = Underway::default();
+            let mut after = |samples| {
+                self.kernel.go_on(self, index, &mut underway, samples, &mut |_| ());
+                underway.finished()
+            };
+            (1..=samples).map(&mut after).collect()
+        };
+        let batch = |batch: &[u32]| {
+            (!stop()).then(|| clocked(|| batch.iter().map(first).collect::<Vec<Vec<Pixel>>>()))
+        };
+        let batches = pixels.par_chunks(TOGETHER).map(batch).collect::<Option<Vec<_>>>()?;
+        let (pixels, nanos): (Vec<_>, Vec<u64>) = batches.into_iter().unzip();
+        let pixels = pixels.concat();
+        let work = pixels.iter().filter_map(|after| after.last()).map(|pixel| pixel.work).sum();
+        Some((pixels, Cost { work, cpu_nanos: nanos.into_iter().sum() }))
     }
 
     /// Returns `true` if the surface exists at a hit, `false` if its texture cuts it out.

@@ -3,7 +3,7 @@
 mod support;
 
 use forelight_scene::{Environment, Frame};
-use forelight_tracer::{Cache, CacheError, CacheSettings, Image, Pixel, Settings, Tracer};
+use forelight_tracer::{Cache, CacheError, CacheSettings, Image, Pixel, Settings, Shared, Tracer};
 use glam::Vec3;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -262,7 +262,7 @@ fn a_cache_that_was_filled_is_not_smoothed_again_by_those_that_are_given_it() {
         let first = Tracer::new(&frame, &settings);
         let image = render(&first);
         let bytes = first.cache().unwrap().to_bytes();
-        let given = || Cache::from_bytes(&bytes).unwrap().as_given();
+        let given = || Cache::from_bytes(&bytes).unwrap().as_given(Shared::default());
         assert!(given().reading_nanos() > 0);
         let again = Tracer::new(&frame, &settings);
         again.take_cache(given()).unwrap();

@@ -110,6 +110,13 @@ pub struct Measured {
     pub artefact: Option<Artefact>,
 }
 
+impl Measured {
+    /// CPU time that depends on the samples, nanoseconds.
+    pub fn sample_nanos(&self) -> u64 {
+        self.cost.cpu_nanos.saturating_sub(self.fixed.values().sum())
+    }
+}
+
 /// What a render took over of single pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TakenOver {

@@ -61,8 +61,8 @@ pub fn measure_frame(
         let part = shot.measure(number, &probe.settings, &probe.part, run)?;
         spent += &part.cost;
         measured.extend(costs(varied, &probe, &part));
+        let cpu_nanos = part.sample_nanos();
         if let (Some(artefact), Part::Samples { offset, count }) = (part.artefact, &probe.part) {
-            let cpu_nanos = part.cost.cpu_nanos.saturating_sub(part.fixed.values().sum());
             shares.push(MeasuredShare { offset: *offset, count: *count, cpu_nanos, hash: None });
             artefacts.push(artefact);
         }

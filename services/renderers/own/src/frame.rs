@@ -13,16 +13,15 @@ use forelight_tracer::{
     Cache, CacheTotals, Effects, Passes, Pixel, PixelsFinished, Profile, RecordCost, SampleCounts, Settings,
     Shared, Totals, Tracer, clocked,
 };
-use parking_lot::Mutex;
 use rayon::prelude::*;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// A frame at one quality, ready to be previewed, profiled and rendered. It counts what each of these costs.
 pub struct OwnFrame<'a> {
     pub(crate) shot: &'a OwnShot,
     pub(crate) tracer: Tracer,
-    /// What remains of the shared cache here, if there is one, and the CPU time of taking it, in nanoseconds.
-    pub(crate) shared: Mutex<(Shared, u64)>,
+    /// CPU time of reading and taking over a cache that was made before, nanoseconds.
+    pub(crate) taking: AtomicU64,
     /// Without the cache plan.
     pub(crate) fixed: FixedCosts,
     pub(crate) built_now: Spent,
@@ -38,7 +37,7 @@ impl OwnShot {
         Ok(OwnFrame {
             shot: self,
             tracer,
-            shared: Mutex::default(),
+            taking: AtomicU64::default(),
             fixed: FixedCosts {
                 load: Spent { work: 0, cpu_nanos: moved },
                 build: own_tree,
@@ -51,13 +50,14 @@ impl OwnShot {
 
 impl OwnFrame<'_> {
     /// Totals of the irradiance cache, if there is one.
-    fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
-        let shared = || self.shared.lock().0.clone();
-        self.tracer.cache().map(|cache| CacheUse { all: cache.totals(), taken_over, shared: shared() })
+    pub(crate) fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
+        let use_of =
+            |cache: &Cache| CacheUse { all: cache.totals(), taken_over, shared: cache.shared().clone() };
+        self.tracer.cache().map(use_of)
     }
 
     /// The cache in a profile of this image, if it holds one.
-    fn own_cache(&self, profile: &Profile) -> Result<Option<Cache>, RenderError> {
+    pub(crate) fn own_cache(&self, profile: &Profile) -> Result<Option<Cache>, RenderError> {
         let pixels = self.tracer.frame().camera.pixels();
         if profile.fingerprint != self.tracer.fingerprint() || !profile.fits(pixels) {
             let differs = profile.origin.unlike_image(&self.tracer.origin());
@@ -70,14 +70,15 @@ impl OwnFrame<'_> {
     fn take(&self, cache: Cache) -> Result<Shared, RenderError> {
         if cache.suits(&self.tracer) {
             let kept = cache.records();
-            self.tracer.take_cache(cache.as_given())?;
-            return Ok(Shared { dropped: vec![0; kept.len()], kept });
+            let shared = Shared { dropped: vec![0; kept.len()], kept };
+            self.tracer.take_cache(cache.as_given(shared.clone()))?;
+            return Ok(shared);
         }
         let settings = self.tracer.settings();
         let from = self.shot.tracer(&self.shot.frame_of(cache.frame(), settings)?, settings).tracer;
         cache.check(&from)?;
         let (carried, shared) = cache.carried(&from, &self.tracer);
-        self.tracer.take_cache(carried.as_given())?;
+        self.tracer.take_cache(carried.as_given(shared.clone()))?;
         Ok(shared)
     }
 
@@ -117,7 +118,7 @@ impl OwnFrame<'_> {
             None => self.fixed,
             Some(cache) => {
                 let CacheTotals { plan, plan_rays, .. } = cache.totals();
-                let taking = Spent { work: 0, cpu_nanos: self.shared.lock().1 };
+                let taking = Spent { work: 0, cpu_nanos: self.taking.load(Ordering::Relaxed) };
                 FixedCosts { plan: spent(plan).plus(taking), plan_rays, ..self.fixed }
             }
         }
@@ -201,8 +202,10 @@ impl OwnFrame<'_> {
         self.tracer.cache().map_or_else(Spent::default, |cache| of(cache.totals()))
     }
 
-    /// Whether traced pixels have the image's colours: without an irradiance cache, or once it is filled.
+    /// Whether traced pixels have the image's colours: without an irradiance cache, or once it is filled. It is
+    /// planned now if needed.
     pub fn has_final_colours(&self) -> bool {
+        self.tracer.plan();
         self.tracer.cache().is_none_or(Cache::is_complete)
     }
 
@@ -268,7 +271,7 @@ impl OwnFrame<'_> {
         let reading = cache.reading_nanos();
         let (shared, taking) = clocked(|| self.take(cache));
         let shared = shared?;
-        *self.shared.lock() = (shared.clone(), reading + taking);
+        self.taking.store(reading + taking, Ordering::Relaxed);
         Ok(shared)
     }
 

@@ -12,6 +12,7 @@
 //! | `render/` | one frame with its true cost, and its files |
 //! | `adaptive/` | a frame for a time, an error or an amount of work |
 //! | `accuracy/` | what other qualities of a frame cost, and how far their images are from converged |
+//! | `division/` | a frame that is divided into parts, which several nodes render |
 //! | `shared_cache` | the irradiance cache that the frames of a shot share |
 //! | `calibration/` | how fast this machine is, by class of work |
 
@@ -27,6 +28,7 @@ mod adaptive;
 mod answers;
 mod calibration;
 mod costs;
+mod division;
 mod error;
 mod frame;
 mod opening;
@@ -48,6 +50,7 @@ pub use adaptive::time_limit::{Budget, Stopwatch};
 pub use answers::{CacheUse, Counted, Finished, Previewed, Progress, ShotInfo, Step, StratumInfo};
 pub use calibration::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 pub use costs::{cost_of, cost_of_gather, cost_of_record, seconds};
+pub use division::Divided;
 pub use error::{RenderError, ShotError};
 pub use frame::OwnFrame;
 pub use opening::{Adapter, OwnRenderer};

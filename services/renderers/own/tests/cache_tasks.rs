@@ -183,7 +183,7 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_not_added_t
             let error = rig.run(spec.clone(), vec![bytes.clone()]).unwrap_err();
             let ExecuteError::Permanent(text) = &error else { panic!("{error:?}") };
             assert!(
-                text.starts_with("the shared irradiance cache cannot be used: ") && text.contains(why),
+                text.starts_with("the irradiance cache cannot be used: ") && text.contains(why),
                 "{text}"
             );
         }

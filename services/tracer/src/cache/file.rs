@@ -21,7 +21,7 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach07";
+const MAGIC: [u8; 8] = *b"FLcach08";
 
 /// A gather has at most this many strata; see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
@@ -55,6 +55,8 @@ struct Header {
 struct LevelHeader {
     records: u64,
     explored: u64,
+    /// Records of a shared cache that are valid here, and that are not.
+    shared: [u64; 2],
     accuracy: f32,
     smallest: f32,
     largest: f32,
@@ -125,12 +127,14 @@ impl Cache {
             },
         );
         self.images.iter().for_each(|image| out.extend_from_slice(image));
-        for level in &self.levels {
+        for (number, level) in self.levels.iter().enumerate() {
+            let shared = |counts: &[u64]| counts.get(number).copied().unwrap_or(0);
             put(
                 &mut out,
                 &LevelHeader {
                     records: level.planned.len() as u64,
                     explored: level.explored as u64,
+                    shared: [shared(&self.shared.kept), shared(&self.shared.dropped)],
                     accuracy: level.accuracy,
                     smallest: level.smallest,
                     largest: level.largest,
@@ -177,7 +181,10 @@ impl Cache {
             return Err(CacheError::Damaged("a value in its header is out of range"));
         }
         for _ in 0..header.levels {
-            cache.levels.push(read_level(&mut reader)?);
+            let (level, [kept, dropped]) = read_level(&mut reader)?;
+            cache.levels.push(level);
+            cache.shared.kept.push(kept);
+            cache.shared.dropped.push(dropped);
         }
         if !reader.rest.is_empty() {
             return Err(too_short(bytes.len(), (reader.read + CHECKSUM) as u64));
@@ -235,7 +242,8 @@ impl Cache {
     }
 }
 
-fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
+/// A level, and its records of a shared cache: taken over, and not valid.
+fn read_level(reader: &mut Reader<'_>) -> Result<(Level, [u64; 2]), CacheError> {
     let header: LevelHeader = reader.take()?;
     let planned: Vec<PlannedRow> = reader.list(header.records)?;
     let records: Vec<RecordRow> = reader.list(header.records)?;
@@ -244,6 +252,7 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
     let positive = lengths.iter().all(|n| *n > 0.0);
     let strata = Strata::for_rays(header.rays.min(MOST_RAYS));
     if header.explored > header.records
+        || header.shared[0] > header.records
         || !(ordered && (positive || planned.is_empty()))
         || strata.len() != header.rays as usize
     {
@@ -254,7 +263,7 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
     let gathered: Vec<Option<Record>> = records.iter().map(record_of).collect();
     let known = records.iter().zip(&gathered).map(|(row, record)| value_of(row, record.as_ref()?)).collect();
     let filled = |record: Option<Record>| record.map_or_else(OnceLock::new, OnceLock::from);
-    Ok(Level {
+    let level = Level {
         strata,
         records: gathered.into_iter().map(filled).collect(),
         known,
@@ -264,7 +273,8 @@ fn read_level(reader: &mut Reader<'_>) -> Result<Level, CacheError> {
         smallest: header.smallest,
         largest: header.largest,
         ..Level::default()
-    })
+    };
+    Ok((level, header.shared))
 }
 
 fn planned_row(planned: &Planned) -> PlannedRow {

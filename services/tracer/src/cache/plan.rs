@@ -75,11 +75,10 @@ const FEWER: u32 = 4;
 impl Cache {
     /// Plans the additional records that the tracer's image needs, on the current thread pool.
     pub fn plan(&mut self, tracer: &Tracer, settings: &CacheSettings) {
-        let image = tracer.fingerprint();
-        if self.images.contains(&image) {
+        if self.is_planned_for(tracer) {
             return;
         }
-        self.images.push(image);
+        self.images.push(tracer.fingerprint());
         let mut planning = Planning { tracer, plan: PlanCost::default() };
         if self.levels.is_empty() {
             self.fingerprint = tracer.cache_fingerprint();

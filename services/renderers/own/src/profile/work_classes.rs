@@ -5,9 +5,14 @@ use crate::frame::OwnFrame;
 use forelight_protocol::{ByClass, FixedCosts};
 
 /// Work of a frame by class, including its plan and its own tree. `pixels` and `gathers` are the work of
-/// pixels and records, which have the classes of what was traced so far. `None` if there is none.
+/// pixels and records, which have the classes of what was traced so far. `None` if there is none, and if
+/// other tasks traced all pixels or records.
 pub fn of_frame(ready: &OwnFrame<'_>, pixels: f64, gathers: f64) -> Option<ByClass> {
     let (of_pixels, of_gathers) = ready.work_by_class();
+    let unknown = |traced: ByClass, work: f64| work > 0.0 && traced.total() == 0;
+    if unknown(of_pixels, pixels) || unknown(of_gathers, gathers) {
+        return None;
+    }
     let FixedCosts { build, plan, .. } = ready.fixed();
     // A plan is rays and traversal.
     let plan = by_class([0, plan.work, 0, 0, 0], ready.frame().geometry.triangles.len());

@@ -1,9 +1,9 @@
-//! Tasks of the shared cache: plan, fill a part, merge parts.
+//! Tasks of irradiance caches: plan, fill a part, merge parts.
 
 use crate::error::RenderError;
 use crate::shared_cache::{Filled, fill_part, plan_shared};
 use crate::shot::OwnShot;
-use bytes::Bytes;
+use crate::tasks::given::expect;
 use forelight_protocol::{
     CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanSpec, LogLevel, Spent,
     TaskResult,
@@ -51,7 +51,7 @@ pub(crate) fn fill(
     };
     let part = (spec.part, spec.parts);
     let filled = fill_part(shot, cache, &spec.settings, part, &progress, control.cancelled());
-    let Filled { cache, filled, spent } = filled.map_err(of_shared_cache)?.ok_or(ExecuteError::Cancelled)?;
+    let Filled { cache, filled, spent } = filled.map_err(of_given_cache)?.ok_or(ExecuteError::Cancelled)?;
     control.log(
         LogLevel::Info,
         format!("part {} of {}: {filled} records, {} operations", spec.part + 1, spec.parts, spent.work),
@@ -99,19 +99,11 @@ pub(crate) fn merge(
 }
 
 pub(crate) fn only_cache(assignment: &Assignment) -> Result<Cache, ExecuteError> {
-    Cache::from_bytes(only_file(assignment)?).map_err(unusable)
+    expect(1, assignment.caches.len())?;
+    Cache::from_bytes(&assignment.caches[0]).map_err(unusable)
 }
 
-pub(crate) fn only_file(assignment: &Assignment) -> Result<&Bytes, ExecuteError> {
-    match assignment.caches.as_slice() {
-        [bytes] => Ok(bytes),
-        others => {
-            Err(ExecuteError::Transient(format!("{} irradiance caches where one was expected", others.len())))
-        }
-    }
-}
-
-pub(crate) fn of_shared_cache(error: RenderError) -> ExecuteError {
+pub(crate) fn of_given_cache(error: RenderError) -> ExecuteError {
     match error {
         RenderError::Cache(error) => unusable(error),
         other => other.into(),
@@ -120,7 +112,7 @@ pub(crate) fn of_shared_cache(error: RenderError) -> ExecuteError {
 
 /// A damaged file is damaged for all workers. One of another renderer version may suit another worker.
 fn unusable(error: CacheError) -> ExecuteError {
-    let text = format!("the shared irradiance cache cannot be used: {error}");
+    let text = format!("the irradiance cache cannot be used: {error}");
     match error {
         CacheError::Length { .. } | CacheError::Damaged(_) => ExecuteError::Permanent(text),
         CacheError::Foreign | CacheError::OtherScene(_) | CacheError::OtherPlan => {

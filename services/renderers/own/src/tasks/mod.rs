@@ -1,9 +1,14 @@
-//! Execution of each kind of task: previews and profiles here, the shared cache in `cache`, renders in
-//! `render`.
+//! Execution of each kind of task: previews and profiles here, irradiance caches in `cache`, renders in
+//! `render`, divided frames in `divide`, `part` and `whole`. What
+//! they are given is in `given`.
 
 pub(crate) mod cache;
 mod checkpoint;
+mod divide;
+mod given;
+mod part;
 pub(crate) mod render;
+mod whole;
 
 use self::render::render;
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, predict};
@@ -60,9 +65,8 @@ impl Execute for TaskRunner {
             TaskSpec::CachePlan(spec) => cache::plan(shot, spec, control),
             TaskSpec::CacheFill(spec) => cache::fill(shot, spec, assignment, control),
             TaskSpec::CacheMerge(spec) => cache::merge(spec, assignment, control),
-            TaskSpec::Divide(_) | TaskSpec::RenderPart(_) => {
-                Err(ExecuteError::Permanent("this renderer cannot divide a frame".to_owned()))
-            }
+            TaskSpec::Divide(spec) => divide::divide(shot, spec, assignment, control),
+            TaskSpec::RenderPart(spec) => part::render_part(shot, spec, assignment, control),
             TaskSpec::Render(spec) => render(shot, spec, assignment, control),
         }
     }
@@ -105,7 +109,7 @@ fn profile(
     if spec.cache.is_some() {
         let cache = cache::only_cache(assignment)?;
         profile_shared(shot, &profiled, settings, &options, cache)
-            .map_err(cache::of_shared_cache)?
+            .map_err(cache::of_given_cache)?
             .add_to(&mut result);
     }
     if spec.ladders {

@@ -3,20 +3,20 @@
 use crate::adaptive::work_budget::render_for_work;
 use crate::answers::{Progress, Step};
 use crate::costs::seconds;
-use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use crate::render::pictures::{encode, write_cost};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use crate::tasks::checkpoint::Checkpoints;
-use crate::tasks::{cache, own};
-use bytes::Bytes;
+use crate::tasks::given::usable;
+use crate::tasks::whole::put_together;
+use crate::tasks::{given, own};
 use forelight_protocol::{
     CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
     TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
-use forelight_tracer::{Cache, CacheError, Pixel, Profile, Totals};
+use forelight_tracer::{Pixel, Totals};
 use std::cell::Cell;
 use std::sync::Once;
 use std::time::Instant;
@@ -32,12 +32,15 @@ pub(crate) fn render(
     let ready = shot.frame(spec.frame, settings)?;
     let ready = &ready;
     control.log(LogLevel::Info, format!("effects of frame {}: {}", spec.frame, ready.effects().join(", ")));
-    if spec.cache.is_some() {
-        share(ready, cache::only_file(assignment)?, control)?;
-    }
     let mut rendered = match spec.work {
-        None => evenly(ready, settings, assignment, control)?,
-        Some(work) => for_work(ready, settings, work, control)?,
+        None if !spec.parts.is_empty() => put_together(ready, settings, spec, assignment, control)?,
+        work => {
+            given::caches(ready, (spec.cache, spec.frame_cache), true, assignment, control)?;
+            match work {
+                None => evenly(ready, settings, assignment, control)?,
+                Some(work) => for_work(ready, settings, work, control)?,
+            }
+        }
     };
     let seen = ready.preview()?;
     let picture = forelight_preview::picture(&seen.preview, &rendered.frame);
@@ -84,15 +87,7 @@ fn evenly(
     let reuse = finished.or_else(profiled);
     let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
     let checkpoints = Checkpoints::new(control, start_of_checkpoints, settings.pixels());
-    let count = |pixels: &[(u32, Pixel)]| {
-        let sum = |of: fn(&Pixel) -> u64| pixels.iter().map(|(_, pixel)| of(pixel)).sum();
-        control.finished_pixels(FinishedPixels {
-            done: pixels.len() as u64,
-            all: settings.pixels(),
-            work: sum(|pixel| pixel.work),
-            cpu_nanos: sum(|pixel| pixel.cpu_nanos),
-        });
-    };
+    let count = |pixels: &[(u32, Pixel)]| count(pixels, settings.pixels(), control);
     if !cached {
         count(reuse.as_ref().map_or(&[], |profile| &profile.pixels));
     }
@@ -141,42 +136,14 @@ fn for_work(
     Ok(made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered)
 }
 
-/// Gives the frame the shared cache. If another version of the renderer made it, the frame builds its own.
-fn share(ready: &OwnFrame<'_>, cache: &Bytes, control: &Control) -> Result<(), ExecuteError> {
-    let shared = Cache::from_bytes(cache).map_err(RenderError::from).and_then(|cache| ready.share(cache));
-    let (level, text) = match shared {
-        Ok(shared) => {
-            let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
-            let text = format!(
-                "{kept} records of the shared irradiance cache are valid in this frame, {dropped} are not"
-            );
-            (LogLevel::Info, text)
-        }
-        Err(RenderError::Cache(error @ (CacheError::Foreign | CacheError::OtherScene(_)))) => {
-            let text =
-                format!("the frame builds its own irradiance cache; the shared one cannot be used: {error}");
-            (LogLevel::Warn, text)
-        }
-        Err(error) => return Err(cache::of_shared_cache(error)),
-    };
-    control.log(level, text);
-    Ok(())
-}
-
-/// A checkpoint or profile, if it fits this frame. It may come from another version of the renderer.
-fn usable(what: &str, bytes: &Bytes, ready: &OwnFrame<'_>, control: &Control) -> Option<Profile> {
-    let found = Profile::from_bytes(bytes).map_err(RenderError::from);
-    match found.and_then(|found| ready.check(&found).map(|()| found)) {
-        Ok(found) => Some(found),
-        Err(why) => {
-            control.log(LogLevel::Warn, format!("{what} cannot be used: {why}"));
-            None
-        }
-    }
+/// Reports finished pixels, of `all`, and their cost.
+pub(crate) fn count(pixels: &[(u32, Pixel)], all: u64, control: &Control) {
+    let Totals { pixels: done, work, cpu_nanos, .. } = Totals::of(pixels.iter().map(|(_, pixel)| pixel));
+    control.finished_pixels(FinishedPixels { done, all, work, cpu_nanos });
 }
 
 /// Progress of a render, 0 to 1. Filling an irradiance cache takes about half of it.
-fn fraction(Progress { step, done, all }: Progress, cached: bool) -> f64 {
+pub(crate) fn fraction(Progress { step, done, all }: Progress, cached: bool) -> f64 {
     let part = done as f64 / all.max(1) as f64;
     match (step, cached) {
         (Step::Planning, _) => 0.0,

@@ -1,6 +1,9 @@
 //! Tasks and quotes of our renderer.
 
 mod cached;
+mod divided;
+mod division_farm;
+mod part_costs;
 mod quotes;
 mod room;
 mod sharing;

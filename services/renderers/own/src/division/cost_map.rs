@@ -1,0 +1,94 @@
+//! What the pixels of a frame will cost, from a few camera samples, and so where parts of equal cost end.
+
+use crate::costs::spent;
+use crate::frame::OwnFrame;
+use crate::results::uncovered_gathers;
+use forelight_forecast::{PixelCurve, Probe, Stretch, parts_of_equal_cost, probes, probing_samples};
+use forelight_protocol::{RenderSettings, Spent};
+use forelight_tracer::Pixel;
+
+/// A frame, divided into parts along the [`PixelCurve`] of its image.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Divided {
+    /// Where each part ends, and its forecast work.
+    pub parts: Vec<Stretch>,
+    /// Cost of probing.
+    pub spent: Spent,
+}
+
+impl OwnFrame<'_> {
+    /// Divides the frame into parts of equal forecast work. `finished` are pixels that cost nothing any more.
+    /// The irradiance cache is planned if it is needed, but not filled. `None` if `stop` returned true.
+    pub fn divide(
+        &self,
+        parts: u32,
+        finished: &[(u32, Pixel)],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Divided> {
+        let settings = RenderSettings::from(self.tracer.settings());
+        let curve = PixelCurve::new(settings.width, settings.height);
+        let growth = Growth::of(&settings);
+        let count = probing_samples(settings.pixels() * u64::from(settings.spp), parts);
+        let count = u32::try_from(count).unwrap_or(u32::MAX);
+        let probes = probes(curve.count(), count, settings.seed);
+        let pixels: Vec<u32> = probes.iter().map(|probe| curve.pixel(probe.at)).collect();
+        let (traced, probing) = self.tracer.first_samples(&pixels, growth.samples(), stop)?;
+        let open = open_pixels(&curve, &probes, finished);
+        let run = |((probe, after), open): ((&Probe, &Vec<Pixel>), u32)| Stretch {
+            to: probe.to,
+            cost: (growth.whole(after) * f64::from(open)).round() as u64,
+        };
+        let runs: Vec<Stretch> = probes.iter().zip(&traced).zip(open).map(run).collect();
+        Some(Divided { parts: parts_of_equal_cost(&runs, parts), spent: spent(probing) })
+    }
+}
+
+/// Number of pixels of each run that are not finished.
+fn open_pixels(curve: &PixelCurve, probes: &[Probe], finished: &[(u32, Pixel)]) -> Vec<u32> {
+    let mut done = vec![false; curve.count() as usize];
+    finished.iter().for_each(|(index, _)| done[*index as usize] = true);
+    let open =
+        |probe: &Probe| curve.pixels(probe.from..probe.to).iter().filter(|&&i| !done[i as usize]).count();
+    // A run has at most as many pixels as an image.
+    probes.iter().map(|probe| open(probe) as u32).collect()
+}
+
+/// How a pixel's work grows with its camera samples.
+struct Growth {
+    /// Samples of a pixel in the image.
+    samples: u32,
+    /// With an irradiance cache: what the rays at uncovered points cost from the second sample to the last,
+    /// over what they cost in the second.
+    uncovered: Option<f64>,
+}
+
+impl Growth {
+    fn of(settings: &RenderSettings) -> Self {
+        let beyond = |gathers: forelight_protocol::UncoveredGathers| {
+            let second = gathers.growth(1, 2) - 1.0;
+            if second > 0.0 { (gathers.growth(1, settings.spp) - 1.0) / second } else { 0.0 }
+        };
+        Self { samples: settings.spp, uncovered: uncovered_gathers(settings).map(beyond) }
+    }
+
+    /// Number of samples to trace of a pixel. A cache is planned for the first sample of every pixel, so
+    /// records cover later ones less often, and the second has to tell of them. Pixels are few of such a
+    /// frame's costs, so as many are probed as without a cache.
+    fn samples(&self) -> u32 {
+        if self.uncovered.is_some() { self.samples.min(2) } else { 1 }
+    }
+
+    /// Work of a pixel in the image, from itself after its first samples.
+    fn whole(&self, after: &[Pixel]) -> f64 {
+        let rest = f64::from(self.samples - 1);
+        match after {
+            [] => 0.0,
+            [first] => first.work as f64 * (1.0 + rest),
+            [first, .., last] => {
+                let extra = (last.extra_work - first.extra_work) as f64;
+                let plain = (last.work - first.work) as f64 - extra;
+                first.work as f64 + plain * rest + extra * self.uncovered.unwrap_or(rest)
+            }
+        }
+    }
+}

@@ -1,0 +1,16 @@
+//! A frame that several nodes render: where its parts end, the pixels of one part, and the image that is put
+//! together from them. Image, counters and work are those of a frame that is rendered in one piece.
+//!
+//! | file | subject |
+//! | --- | --- |
+//! | `cost_map` | what pixels will cost, from a few camera samples, and so where parts end |
+//! | `caches` | its irradiance cache on the way from task to task |
+//! | `part` | the pixels of one part |
+//! | `whole` | the image, put together |
+
+mod caches;
+mod cost_map;
+mod part;
+mod whole;
+
+pub use cost_map::Divided;

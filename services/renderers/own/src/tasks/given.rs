@@ -1,0 +1,94 @@
+//! What a task is given of its frame: irradiance caches and finished pixels.
+
+use super::cache::of_given_cache;
+use crate::error::RenderError;
+use crate::frame::OwnFrame;
+use bytes::Bytes;
+use forelight_protocol::{ArtifactHash, LogLevel, Spent};
+use forelight_renderer::{Assignment, Control, ExecuteError};
+use forelight_tracer::{Cache, CacheError, Profile};
+
+/// What a task of a divided frame starts with.
+pub(crate) struct Start {
+    /// The frame's profile, if it is of use.
+    pub profile: Option<Profile>,
+    /// What earlier tasks have spent on the irradiance cache.
+    pub on_cache: Spent,
+}
+
+/// Gives a divided frame the irradiance caches that its task names, and reads its profile. A cache in the
+/// profile is used if the frame has none of its own yet, as in a render in one piece.
+pub(crate) fn start(
+    ready: &OwnFrame<'_>,
+    (shared, own): (Option<ArtifactHash>, Option<ArtifactHash>),
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Start, ExecuteError> {
+    let mut on_cache = caches(ready, (shared, own), false, assignment, control)?;
+    let profile = assignment.profile.as_ref();
+    let profile = profile.and_then(|bytes| usable("the frame's profile", bytes, ready, control));
+    if let (Some(profile), None) = (&profile, own) {
+        on_cache = ready.take_profiled_cache(profile)?;
+    }
+    Ok(Start { profile, on_cache })
+}
+
+/// Gives a frame the irradiance caches that its task names: its own, which holds what is valid of the shared one, or the
+/// shared one alone. With `alone`, the frame makes its own if another version of the renderer made the shared
+/// one. Returns what earlier tasks have spent on the frame's own.
+pub(crate) fn caches(
+    ready: &OwnFrame<'_>,
+    (shared, own): (Option<ArtifactHash>, Option<ArtifactHash>),
+    alone: bool,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Spent, ExecuteError> {
+    let named = usize::from(shared.is_some()) + usize::from(own.is_some());
+    let [.., last] = assignment.caches.as_slice() else { return expect(named, 0).map(|()| Spent::default()) };
+    expect(named, assignment.caches.len())?;
+    if own.is_some() {
+        let taken = Cache::from_bytes(last).map_err(RenderError::from);
+        return taken.and_then(|cache| ready.take_own_cache(cache)).map_err(of_given_cache);
+    }
+    share(ready, last, alone, control).map(|()| Spent::default())
+}
+
+pub(crate) fn expect(named: usize, given: usize) -> Result<(), ExecuteError> {
+    if named == given {
+        return Ok(());
+    }
+    Err(ExecuteError::Transient(format!("{given} irradiance caches where {named} were expected")))
+}
+
+fn share(ready: &OwnFrame<'_>, cache: &Bytes, alone: bool, control: &Control) -> Result<(), ExecuteError> {
+    let shared = Cache::from_bytes(cache).map_err(RenderError::from).and_then(|cache| ready.share(cache));
+    let (level, text) = match shared {
+        Ok(shared) => {
+            let (kept, dropped) = (shared.kept.iter().sum::<u64>(), shared.dropped.iter().sum::<u64>());
+            let text = format!(
+                "{kept} records of the shared irradiance cache are valid in this frame, {dropped} are not"
+            );
+            (LogLevel::Info, text)
+        }
+        Err(RenderError::Cache(error @ (CacheError::Foreign | CacheError::OtherScene(_)))) if alone => {
+            let text =
+                format!("the frame builds its own irradiance cache; the shared one cannot be used: {error}");
+            (LogLevel::Warn, text)
+        }
+        Err(error) => return Err(of_given_cache(error)),
+    };
+    control.log(level, text);
+    Ok(())
+}
+
+/// A checkpoint or profile, if it fits this frame. It may come from another version of the renderer.
+pub(crate) fn usable(what: &str, bytes: &Bytes, ready: &OwnFrame<'_>, control: &Control) -> Option<Profile> {
+    let found = Profile::from_bytes(bytes).map_err(RenderError::from);
+    match found.and_then(|found| ready.check(&found).map(|()| found)) {
+        Ok(found) => Some(found),
+        Err(why) => {
+            control.log(LogLevel::Warn, format!("{what} cannot be used: {why}"));
+            None
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! The tasks of a divided frame, one after the other, as a farm hands them out.
+
+use bytes::Bytes;
+use forelight_preview::Choice;
+use forelight_protocol::{
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideResult, DivideSpec,
+    FinishedPart, JobId, PartRange, PixelRange, ProfileSpec, RenderPartResult, RenderPartSpec,
+    RenderSettings, RenderSpec, SceneDigest, Spent, TaskResult, TaskSpec,
+};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_renderer_own::{OwnRenderer, TaskRunner};
+use std::path::{Path, PathBuf};
+
+/// A placeholder: the content comes with the task.
+const FILE: ArtifactHash = ArtifactHash([7; 32]);
+
+/// One frame of a bundle, and a node.
+pub struct Farm {
+    runner: TaskRunner,
+    bundle: PathBuf,
+    digest: SceneDigest,
+    pub settings: RenderSettings,
+    pub frame: u32,
+    pub profile: Option<Bytes>,
+    /// The complete cache that the shot's frames share.
+    pub shared: Option<Bytes>,
+}
+
+/// A frame that was divided, rendered and put together.
+pub struct Divided {
+    pub outcome: Outcome,
+    pub divided: DivideResult,
+    pub parts: Vec<RenderPartResult>,
+    /// Work of the tasks that filled the frame's cache.
+    pub filled: u64,
+}
+
+impl Farm {
+    pub fn new(bundle: &Path, settings: RenderSettings, frame: u32) -> Self {
+        let scene = forelight_scene::Scene::load(bundle, &forelight_scene::Limits::default()).unwrap();
+        Self {
+            runner: TaskRunner::new(OwnRenderer::new(Choice::Cpu)),
+            bundle: bundle.to_owned(),
+            digest: SceneDigest(scene.digest()),
+            settings,
+            frame,
+            profile: None,
+            shared: None,
+        }
+    }
+
+    fn source(&self) -> BundleSource {
+        BundleSource::Path(self.bundle.display().to_string())
+    }
+
+    fn assignment(&self, spec: TaskSpec) -> Assignment {
+        Assignment { profile: self.profile.clone(), ..Assignment::new(spec, self.bundle.clone()) }
+    }
+
+    pub fn run(&self, assignment: Assignment) -> Result<Outcome, ExecuteError> {
+        self.runner.execute(&assignment, &Control::default())
+    }
+
+    fn named(file: Option<&Bytes>) -> Option<ArtifactHash> {
+        file.map(|_| FILE)
+    }
+
+    /// Profiles the frame.
+    pub fn profile(&mut self) {
+        let spec = ProfileSpec {
+            ladders: false,
+            job_id: JobId::new(),
+            bundle: self.source(),
+            digest: self.digest,
+            frame: self.frame,
+            samples: 100,
+            phase_seed: 5,
+            settings: self.settings.clone().into(),
+            renderer: None,
+            cache: None,
+        };
+        let outcome = self.run(self.assignment(TaskSpec::Profile(spec))).unwrap();
+        self.profile = Some(outcome.artifacts[0].clone());
+    }
+
+    /// Plans and fills a cache for these frames.
+    pub fn share(&mut self, frames: &[u32]) {
+        let spec = CachePlanSpec {
+            job_id: JobId::new(),
+            bundle: self.source(),
+            digest: self.digest,
+            frames: frames.to_vec(),
+            settings: self.settings.clone(),
+        };
+        let planned = self.run(self.assignment(TaskSpec::CachePlan(spec))).unwrap().artifacts[0].clone();
+        self.shared = Some(self.filled(planned, None, 1).0);
+    }
+
+    /// Fills a cache round by round, in so many parts. Also returns the work.
+    fn filled(&self, mut cache: Bytes, frame: Option<u32>, parts: u32) -> (Bytes, u64) {
+        let (mut work, mut round) = (0, 0);
+        loop {
+            let mut files = Vec::new();
+            for part in 0..parts {
+                let spec = CacheFillSpec {
+                    job_id: JobId::new(),
+                    bundle: self.source(),
+                    digest: self.digest,
+                    frame,
+                    settings: self.settings.clone(),
+                    cache: FILE,
+                    round,
+                    part,
+                    parts,
+                };
+                let task = self.assignment(TaskSpec::CacheFill(spec));
+                let outcome = self.run(Assignment { caches: vec![cache.clone()], ..task }).unwrap();
+                let TaskResult::CacheFill(result) = &outcome.result else { panic!() };
+                work += result.spent.work;
+                files.extend(outcome.artifacts);
+            }
+            if parts == 1 {
+                return (files.remove(0), work);
+            }
+            let spec = CacheMergeSpec {
+                job_id: JobId::new(),
+                bundle: self.source(),
+                digest: self.digest,
+                frame,
+                round,
+                parts: vec![FILE; files.len()],
+            };
+            let task = self.assignment(TaskSpec::CacheMerge(spec));
+            let outcome = self.run(Assignment { caches: files, ..task }).unwrap();
+            let TaskResult::CacheMerge(merged) = &outcome.result else { panic!() };
+            cache = outcome.artifacts[0].clone();
+            if merged.full {
+                return (cache, work);
+            }
+            round += 1;
+        }
+    }
+
+    fn render_spec(&self, own: Option<&Bytes>, parts: usize) -> TaskSpec {
+        TaskSpec::Render(RenderSpec {
+            job_id: JobId::new(),
+            bundle: self.source(),
+            digest: self.digest,
+            frame: self.frame,
+            settings: self.settings.clone().into(),
+            renderer: None,
+            work: None,
+            profile: Self::named(self.profile.as_ref()),
+            cache: Self::named(self.shared.as_ref()),
+            frame_cache: Self::named(own),
+            parts: vec![FILE; parts],
+            shares: Vec::new(),
+        })
+    }
+
+    /// Renders the frame in one piece.
+    pub fn whole(&self) -> Outcome {
+        let caches = self.shared.iter().cloned().collect();
+        self.run(Assignment { caches, ..self.assignment(self.render_spec(None, 0)) }).unwrap()
+    }
+
+    /// Finds the parts, and fills the frame's own cache. Returns that and the work of filling.
+    pub fn divide(&self, parts: u32) -> Result<(DivideResult, Option<Bytes>, u64), ExecuteError> {
+        let spec = DivideSpec {
+            job_id: JobId::new(),
+            bundle: self.source(),
+            digest: self.digest,
+            frame: self.frame,
+            settings: self.settings.clone(),
+            parts,
+            profile: Self::named(self.profile.as_ref()),
+            cache: Self::named(self.shared.as_ref()),
+        };
+        let caches = self.shared.iter().cloned().collect();
+        let task = Assignment { caches, ..self.assignment(TaskSpec::Divide(spec)) };
+        let outcome = self.run(task)?;
+        let TaskResult::Divide(divided) = outcome.result else { panic!() };
+        let Some(found) = divided.cache else { return Ok((divided, None, 0)) };
+        let planned = outcome.artifacts[0].clone();
+        assert_eq!(found.hash, ArtifactHash(*blake3::hash(&planned).as_bytes()));
+        let (cache, work) = if found.full { (planned, 0) } else { self.filled(planned, Some(self.frame), 3) };
+        Ok((divided, Some(cache), work))
+    }
+
+    /// The task of a part.
+    pub fn part(
+        &self,
+        range: Option<PartRange>,
+        (part, parts): (u32, u32),
+        own: Option<&Bytes>,
+    ) -> Assignment {
+        let spec = RenderPartSpec {
+            job_id: JobId::new(),
+            bundle: self.source(),
+            digest: self.digest,
+            frame: self.frame,
+            settings: self.settings.clone().into(),
+            renderer: None,
+            part,
+            parts,
+            range,
+            profile: Self::named(self.profile.as_ref()),
+            cache: Self::named(self.shared.as_ref()),
+            frame_cache: Self::named(own),
+        };
+        let caches = self.shared.iter().chain(own).cloned().collect();
+        Assignment { caches, ..self.assignment(TaskSpec::RenderPart(spec)) }
+    }
+
+    /// Renders one part.
+    pub fn render_part(&self, assignment: Assignment) -> (RenderPartResult, Bytes) {
+        let outcome = self.run(assignment).unwrap();
+        let TaskResult::RenderPart(result) = outcome.result else { panic!() };
+        let file = outcome.artifacts[0].clone();
+        assert_eq!(result.finished.hash(), ArtifactHash(*blake3::hash(&file).as_bytes()));
+        (result, file)
+    }
+
+    /// Puts the frame together from the files of its parts.
+    pub fn put_together(&self, own: Option<&Bytes>, parts: Vec<Bytes>) -> Outcome {
+        let caches = self.shared.iter().chain(own).cloned().collect();
+        let task = self.assignment(self.render_spec(own, parts.len()));
+        self.run(Assignment { caches, parts, ..task }).unwrap()
+    }
+
+    /// Renders the frame in parts.
+    pub fn divided(&self, parts: u32) -> Divided {
+        let (divided, own, filled) = self.divide(parts).unwrap();
+        assert_eq!((divided.ends.len() as u32, divided.work.len() as u32), (parts, parts));
+        let rendered = (0..)
+            .zip(ranges(&divided))
+            .map(|(part, range)| self.render_part(self.part(Some(range), (part, parts), own.as_ref())));
+        let (parts, files) = rendered.unzip();
+        Divided { outcome: self.put_together(own.as_ref(), files), divided, parts, filled }
+    }
+}
+
+/// The ranges of a frame's parts.
+pub fn ranges(divided: &DivideResult) -> Vec<PartRange> {
+    let mut from = 0;
+    let range = |&to: &u32| PartRange::Pixels(PixelRange { from: std::mem::replace(&mut from, to), to });
+    divided.ends.iter().map(range).collect()
+}
+
+/// Number of finished pixels of a part, and their cost.
+pub fn pixels(part: &RenderPartResult) -> (u64, Spent) {
+    let FinishedPart::Pixels(pixels) = part.finished else { panic!("{part:?}") };
+    (u64::from(pixels.count), pixels.cost)
+}
+
+impl Execute for Farm {
+    fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
+        self.runner.execute(assignment, control)
+    }
+}
