@@ -108,7 +108,7 @@ impl Process {
 
     /// `kill -9`. The process must be alive.
     pub fn kill(mut self) {
-        assert_eq!(self.has_ended(), None, "{}: it ended before it was killed", self.log.display());
+        assert_eq!(self.has_ended(), None, "it ended before it was killed: {}", self.last_words());
         self.child.kill().expect("a child can be killed");
         let status = self.child.wait().expect("a child can be waited for");
         assert_eq!(status.signal(), Some(9), "{status}");
@@ -128,7 +128,7 @@ impl Process {
         assert!(status.success(), "{status}: {}", self.last_words());
     }
 
-    fn last_words(&self) -> String {
+    pub fn last_words(&self) -> String {
         let log = fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();
         lines[lines.len().saturating_sub(LAST_WORDS)..].join("\n")

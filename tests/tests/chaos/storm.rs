@@ -182,8 +182,21 @@ impl Storm {
         tokio::time::sleep(Duration::from_millis(self.random.below(longest_ms))).await;
     }
 
+    /// Starts workers again whose node a late registration of a killed process has taken over, as a supervisor
+    /// would. Workers end for no other reason.
+    fn revive(&mut self) {
+        for slot in 0..WORKERS {
+            if self.workers[slot].has_ended().is_some() {
+                let why = self.workers[slot].last_words();
+                assert!(why.contains("taken the node over"), "a worker ended: {why}");
+                self.workers[slot] = self.worker(slot);
+            }
+        }
+    }
+
     /// Makes one more fault.
     async fn strike(&mut self) {
+        self.revive();
         match self.random.below(100) {
             0..50 => {
                 let slot = self.random.below(WORKERS as u64) as usize;
@@ -275,6 +288,7 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
             Channels::of(&http.bytes(&path, "image/x-exr").await).assert_same(image, &what);
         }
     }
+    storm.revive();
     for worker in storm.workers.drain(..) {
         worker.end().await;
     }
