@@ -175,8 +175,20 @@ wait_for 60 nothing_left
 no_reservation() { ! scontrol --oneliner show reservation | grep -q forelight_; }
 wait_for 30 no_reservation
 
+echo 'the parts of a divided frame are an array over three nodes'
+divided=$(submit deploy/scenes/corridor --frames 3 "${size[@]}" --samples 16 --profile-frames 1 --parts 3 --name divided)
+wait_for 200 is "SELECT state FROM jobs WHERE name = 'divided'" done
+of_parts="FROM tasks t JOIN jobs j ON j.id = t.job_id AND j.name = 'divided' AND t.kind = 'render_part'"
+is "SELECT count(DISTINCT e.array_id) || ' ' || count(*) FROM slurm_elements e JOIN (SELECT t.id $of_parts) p ON p.id = e.task_id" '1 3' ||
+  fail 'the parts are not one array of three'
+is "SELECT count(DISTINCT l.node_id) FROM leases l JOIN (SELECT t.id $of_parts) p ON p.id = l.task_id" 3 || fail 'the parts were not on three nodes'
+"$FORELIGHT_BIN" submit --job "$divided" --out "$work/divided" --server "http://127.0.0.1:$port" --data "$work/data" >/dev/null
+"$FORELIGHT_BIN" render deploy/scenes/corridor --frame 3 "${size[@]}" --preview cpu --out "$work/whole.exr" >"$work/render.log" 2>&1 ||
+  { cat "$work/render.log"; fail 'the frame cannot be rendered here'; }
+same_bits "$work/whole.exr" "$(find "$work/divided" -name '*0003*.exr' | head -1)"
+
 echo 'a daemon dies, and Slurm runs its frame a second time while the first process goes on'
-job=$(submit deploy/scenes/corridor --frames 0-2 --width 640 --spp 256 --samples 16 --profile-frames 1 --name long)
+job=$(submit deploy/scenes/corridor --frames 0-2 --width 640 --spp 256 --samples 16 --profile-frames 1 --parts 1 --name long)
 three() { [ "$(squeue --noheader --states=RUNNING --format=%j | grep -c '^forelight-render-long')" = 3 ]; }
 wait_for 120 three
 read -r element node < <(squeue --noheader --states=RUNNING --name=forelight-render-long --format='%F_%K %N' | head -1)

@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use forelight_protocol::{
-    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskSpec, Timestamp,
+    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskKind, TaskSpec,
+    Timestamp,
 };
 use sqlx::{FromRow, SqliteConnection};
 
@@ -153,11 +154,15 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
     let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
     let (spec, work) = (task.spec.0, task.work_by_class.map(|it| it.0));
     let fence = task.fence + 1;
+    // A frame that is put together is as far as its parts.
+    let has_all = !has_forecast(&spec) && spec.kind() == TaskKind::Render;
     later!(
         write,
-        "UPDATE tasks SET state = 'leased', fence = ?, progress = 0, pixels_share = NULL, again = 0, node_id = \
-         ?, started_at = ? WHERE id = ?",
+        "UPDATE tasks SET state = 'leased', fence = ?, progress = iif(?, progress, 0), \
+         pixels_share = iif(?, pixels_share, NULL), again = 0, node_id = ?, started_at = ? WHERE id = ?",
         fence,
+        has_all,
+        has_all,
         node.id.0,
         now.micros(),
         task_id.0

@@ -220,7 +220,7 @@ impl Farm {
         }
     }
 
-    /// Takes a job to where its first frame can be claimed.
+    /// Takes a job to where its first frame, or what divides it, can be claimed.
     pub async fn until_booked(&self, node: &Node, job: &Job) -> Job {
         for _ in 0..500 {
             let job = self.job(job).await;
@@ -228,11 +228,11 @@ impl Farm {
                 return job;
             }
             match self.claim(node).await {
-                Some(lease) if lease.spec.kind() != TaskKind::Render => {
+                Some(lease) if matches!(lease.spec.kind(), TaskKind::Preview | TaskKind::Profile) => {
                     self.finish(&lease).await;
                 }
                 claimed => {
-                    // A frame of another job.
+                    // A frame, of this job or of another.
                     if let Some(Lease { lease_id, fence, .. }) = claimed {
                         let path = format!("/v1/leases/{lease_id}/release");
                         let released = self.worker.post(&path, &json!({"fence": fence})).await;

@@ -64,7 +64,7 @@ impl Store {
             // Of two attempts, the newest is shown.
             later!(
                 write,
-                "UPDATE tasks SET progress = ? WHERE id = ? AND fence = ?",
+                "UPDATE tasks SET progress = max(progress, ?) WHERE id = ? AND fence = ?",
                 progress,
                 row.task_id.0,
                 fence as i64

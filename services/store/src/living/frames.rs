@@ -13,8 +13,7 @@ pub(super) async fn read(connection: &mut SqliteConnection, job: JobId, lights: 
                   f.cpu_p80, f.cpu_p95,
                   f.actual_work, f.actual_cpu, f.dropped, t.pixels_share, t.pixels_work, t.pixels_cpu
            FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames
-                ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
-                AND (t.state = 'leased' OR f.parts > 1 AND t.state = 'waiting')
+                ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame AND (t.state = 'leased' OR f.parts > 1)
            WHERE f.job_id = ? ORDER BY f.frame"#,
         job.0
     )

@@ -60,19 +60,21 @@ async fn a_frame_is_divided_then_its_parts_are_rendered_and_it_is_put_together()
     assert_eq!(farm.store.open_bookings().await.unwrap().len(), 4, "three parts and a frame");
     assert_eq!(farm.done(node, 1).await, [(TaskKind::Divide, None)]);
     for part in 0..3 {
-        let lease = farm.claim(node, at(20)).await.unwrap();
+        let lease = farm.claim(node, at(100 * i64::from(part) + 20)).await.unwrap();
         let TaskSpec::RenderPart(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
         let pixels = PixelRange { from: part * 100, to: (part + 1) * 100 };
         assert_eq!((spec.part, spec.range), (part, Some(PartRange::Pixels(pixels))));
         assert!(spec.profile.is_some(), "a part takes the frame's profiled pixels over");
-        farm.commit(&lease, at(20)).await;
+        farm.commit(&lease, at(100 * i64::from(part + 1))).await;
         assert!((frame().await.progress - f64::from(part + 1) / 3.0).abs() < 1e-9);
         assert_ne!(frame().await.state, FrameState::Done);
     }
-    let lease = farm.claim(node, at(20)).await.unwrap();
+    let estimate = farm.store.job(job).await.unwrap().live.unwrap();
+    assert_eq!(estimate.work.spent, 30.0, "finished parts are part of the estimate");
+    let lease = farm.claim(node, at(400)).await.unwrap();
     let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
     assert_eq!((spec.frame, spec.parts.len()), (0, 3));
-    farm.commit(&lease, at(20)).await;
+    farm.commit(&lease, at(401)).await;
     assert_eq!(frame().await.state, FrameState::Done);
     assert_eq!(farm.done(node, 9).await, [(TaskKind::Render, None)], "the other frame is whole");
     assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
