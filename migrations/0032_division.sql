@@ -13,8 +13,8 @@ DROP TABLE tasks;
 
 -- `round` and `part` are those of an irradiance cache; `part` is also that of a frame. A cache is of one frame or, without a
 -- frame, shared by all.
--- `place` is the part in the frame's bookings that the task has: 0 of a whole frame. The `render` task of a divided frame has
--- none until its parts are done. Then it has place 0, to put the frame together, and the parts have none.
+-- `booked_part` is the part of the frame whose booking the task has: 0 of a whole frame. The `render` task of a divided frame
+-- has none until its parts are done. Then it has that of part 0, to put the frame together, and the parts have none.
 CREATE TABLE tasks (
     id            BLOB PRIMARY KEY CHECK (length(id) = 16),
     job_id        BLOB NOT NULL REFERENCES jobs (id),
@@ -22,7 +22,7 @@ CREATE TABLE tasks (
     frame         INTEGER CHECK (frame >= 0),
     round         INTEGER CHECK (round >= 0),
     part          INTEGER CHECK (part >= 0),
-    place         INTEGER CHECK (place >= 0),
+    booked_part   INTEGER CHECK (booked_part >= 0),
     state         TEXT NOT NULL CHECK (state IN ('waiting', 'ready', 'leased', 'done', 'failed', 'cancelled')),
     spec          TEXT NOT NULL CHECK (json_valid(spec)),
     fence         INTEGER NOT NULL DEFAULT 0 CHECK (fence >= 0),
@@ -50,10 +50,10 @@ CREATE TABLE tasks (
     CHECK (kind NOT IN ('preview', 'cache_plan') OR frame IS NULL),
     CHECK ((kind IN ('cache_fill', 'cache_merge')) = (round IS NOT NULL)),
     CHECK ((kind IN ('cache_fill', 'render_part')) = (part IS NOT NULL)),
-    CHECK (place IS NULL OR kind IN ('render_part', 'render')),
+    CHECK (booked_part IS NULL OR kind IN ('render_part', 'render')),
     CHECK ((booked_node IS NULL) = (booked_at IS NULL))
 ) STRICT;
-INSERT INTO tasks (id, job_id, kind, frame, round, part, place, state, spec, fence, failures, expiries, progress, error, due_at,
+INSERT INTO tasks (id, job_id, kind, frame, round, part, booked_part, state, spec, fence, failures, expiries, progress, error, due_at,
                    priority, booked_node, booked_at, node_id, started_at, finished_at, held, limits, not_before, pixels_share,
                    pixels_work, pixels_cpu, booked_rate, renderer, again)
 SELECT id, job_id, kind, frame, round, part, iif(kind = 'render', 0, NULL), state, spec, fence, failures, expiries, progress,
@@ -80,7 +80,7 @@ CREATE INDEX tasks_backing_off ON tasks (not_before) WHERE state = 'ready' AND n
 CREATE INDEX tasks_again ON tasks (due_at, priority DESC, job_id, frame) WHERE state = 'leased' AND again = 1;
 CREATE UNIQUE INDEX tasks_of_frames ON tasks (job_id, frame) WHERE kind = 'render';
 -- From a booking to its task.
-CREATE UNIQUE INDEX tasks_of_bookings ON tasks (job_id, frame, place) WHERE place IS NOT NULL;
+CREATE UNIQUE INDEX tasks_of_bookings ON tasks (job_id, frame, booked_part) WHERE booked_part IS NOT NULL;
 -- From a divided frame to its parts.
 CREATE INDEX tasks_of_parts ON tasks (job_id, frame, part) WHERE kind = 'render_part';
 CREATE TRIGGER tasks_begin_held AFTER INSERT ON tasks

@@ -55,7 +55,7 @@ pub(crate) async fn divide_as_planned(write: &mut Write, job: JobId, planned: &[
         };
         run!(
             write,
-            "UPDATE tasks SET state = 'waiting', place = NULL, booked_node = NULL, booked_at = NULL, \
+            "UPDATE tasks SET state = 'waiting', booked_part = NULL, booked_node = NULL, booked_at = NULL, \
              booked_rate = NULL WHERE id = ?",
             whole.id
         );
@@ -225,13 +225,13 @@ async fn put_together(
     }
     run!(
         write,
-        "UPDATE tasks SET place = NULL WHERE job_id = ? AND kind = 'render_part' AND frame = ?",
+        "UPDATE tasks SET booked_part = NULL WHERE job_id = ? AND kind = 'render_part' AND frame = ?",
         job.0,
         frame
     );
     run!(
         write,
-        "UPDATE tasks SET state = 'ready', place = 0, booked_node = ?, booked_at = 0, spec = ? WHERE id = ?",
+        "UPDATE tasks SET state = 'ready', booked_part = 0, booked_node = ?, booked_at = 0, spec = ? WHERE id = ?",
         row.node_id.0,
         Json(&TaskSpec::Render(spec)),
         task.id
@@ -292,13 +292,13 @@ pub(crate) async fn begin_again(
     if is_divided {
         run!(
             write,
-            "UPDATE tasks SET place = NULL WHERE job_id = ? AND frame = ? AND kind = 'render'",
+            "UPDATE tasks SET booked_part = NULL WHERE job_id = ? AND frame = ? AND kind = 'render'",
             job.0,
             frame
         );
         run!(
             write,
-            "UPDATE tasks SET place = part WHERE job_id = ? AND frame = ? AND kind = 'render_part'",
+            "UPDATE tasks SET booked_part = part WHERE job_id = ? AND frame = ? AND kind = 'render_part'",
             job.0,
             frame
         );

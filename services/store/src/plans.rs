@@ -235,9 +235,9 @@ async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<(
 /// A job's frames and parts of frames that wait for a worker.
 async fn waiting(write: &mut Write, job: JobId) -> Result<Vec<FramePart>> {
     let rows = sqlx::query!(
-        r#"SELECT t.frame AS "frame!: u32", t.place AS "part!: u32", f.parts AS "parts!: u32" FROM tasks t
+        r#"SELECT t.frame AS "frame!: u32", t.booked_part AS "part!: u32", f.parts AS "parts!: u32" FROM tasks t
            JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
-           WHERE t.job_id = ? AND t.place IS NOT NULL AND t.state IN ('waiting', 'ready') ORDER BY t.frame, t.place"#,
+           WHERE t.job_id = ? AND t.booked_part IS NOT NULL AND t.state IN ('waiting', 'ready') ORDER BY t.frame, t.booked_part"#,
         job.0
     )
     .fetch_all(write.connection().await?)
@@ -287,7 +287,7 @@ pub(crate) async fn book_tasks(
         run!(
             write,
             "UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? \
-             AND frame = ? AND place = ?",
+             AND frame = ? AND booked_part = ?",
             slot.map(|slot| slot.node.0),
             slot.map(|slot| slot.start.micros()),
             slot.and_then(|slot| slot.rate),

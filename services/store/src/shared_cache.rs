@@ -131,7 +131,7 @@ async fn make_ready(
     run!(
         write,
         // The render task of a divided frame waits for its parts.
-        "UPDATE tasks SET state = iif(kind = 'render' AND place IS NULL, state, 'ready'), \
+        "UPDATE tasks SET state = iif(kind = 'render' AND booked_part IS NULL, state, 'ready'), \
          spec = iif(?1 IS NULL, spec, json_set(spec, ?2, ?1)) WHERE job_id = ?3 AND kind = ?4 AND state = 'waiting'",
         cache.map(|cache| cache.to_string()),
         place,

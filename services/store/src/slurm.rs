@@ -156,7 +156,7 @@ impl Store {
                       (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS "lost_at?: Time"
                FROM tasks t JOIN jobs j ON j.id = t.job_id
                LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
-               LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND b.frame = t.frame AND b.part = t.place
+               LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND b.frame = t.frame AND b.part = t.booked_part
                LEFT JOIN shared_cache_bookings s
                     ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND t.frame IS NULL AND s.part = t.part
                LEFT JOIN nodes n ON n.id = coalesce(b.node_id, s.node_id)

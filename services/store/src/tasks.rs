@@ -262,15 +262,15 @@ impl Common {
         state: &'static str,
         booked: Option<Slot>,
     ) -> Result<()> {
-        // Frames and parts have places among the bookings.
-        let place = match &spec {
+        // What plans book.
+        let booked_part = match &spec {
             TaskSpec::RenderPart(spec) => Some(spec.part),
             TaskSpec::Render(_) => Some(0),
             _ => None,
         };
         run!(
             write,
-            "INSERT INTO tasks (id, job_id, kind, frame, round, part, place, state, spec, due_at, priority, \
+            "INSERT INTO tasks (id, job_id, kind, frame, round, part, booked_part, state, spec, due_at, priority, \
              booked_node, booked_at, booked_rate, limits, renderer) \
              VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
             TaskId::new().0,
@@ -279,7 +279,7 @@ impl Common {
             spec.frame(),
             spec.round(),
             spec.part(),
-            place,
+            booked_part,
             state,
             Json(&spec),
             self.deadline.map_or(i64::MAX, Timestamp::micros),

@@ -741,6 +741,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/jobs/{id}/tasks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The tasks of a job, oldest first: what each makes, its state, its node. */
+        get: operations["task_list"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/join-tokens": {
         parameters: {
             query?: never;
@@ -2433,6 +2450,11 @@ export interface components {
             node_id?: components["schemas"]["NodeId"] | null;
             node_state?: components["schemas"]["NodeState"] | null;
             off_forecast?: components["schemas"]["OffForecast"] | null;
+            /**
+             * Format: int32
+             * @description The part of the frame or of the irradiance cache, from 0.
+             */
+            part?: number | null;
             plan_id?: components["schemas"]["PlanId"] | null;
             /**
              * Format: double
@@ -2755,8 +2777,19 @@ export interface components {
             frame: number;
             node?: components["schemas"]["NodeId"] | null;
             /**
+             * Format: int32
+             * @description Into how many parts it is divided. 1 or absent: it is rendered as a whole.
+             * @default 1
+             */
+            parts: number;
+            /**
+             * Format: int32
+             * @description Number of its finished parts. 0 of a whole frame.
+             */
+            parts_done?: number;
+            /**
              * Format: double
-             * @description Progress of the present attempt, 0 to 1.
+             * @description Progress of the present attempt, 0 to 1; of a divided frame, that of all parts.
              */
             progress: number;
             started?: components["schemas"]["Timestamp"] | null;
@@ -2770,7 +2803,7 @@ export interface components {
          */
         FrameSet: string;
         /**
-         * @description State of a frame.
+         * @description State of a frame, or of a task.
          * @enum {string}
          */
         FrameState: "waiting" | "ready" | "leased" | "done" | "failed" | "cancelled";
@@ -5389,6 +5422,12 @@ export interface components {
             /** @description The text. */
             text: string;
         };
+        /** @description One page of tasks, oldest first. */
+        TaskPage: {
+            /** @description The tasks. */
+            items: components["schemas"]["TaskRow"][];
+            next_page_token?: components["schemas"]["PageToken"] | null;
+        };
         /** @description Result of a task. In JSON an object with one key: `{"preview": {…}}`. */
         TaskResult: {
             /** @description Result of a preview. */
@@ -5417,6 +5456,41 @@ export interface components {
         } | {
             /** @description Result of a render. */
             render: components["schemas"]["RenderResult"];
+        };
+        /** @description A task of a job. */
+        TaskRow: {
+            /**
+             * Format: int32
+             * @description Number of attempts so far.
+             */
+            attempts: number;
+            /** @description The latest error. Absent if there was none. */
+            error?: string | null;
+            finished?: components["schemas"]["Timestamp"] | null;
+            /**
+             * Format: int32
+             * @description Its frame. Absent for previews and the shared cache.
+             */
+            frame?: number | null;
+            /** @description Its id. */
+            id: components["schemas"]["TaskId"];
+            /** @description Its kind. */
+            kind: components["schemas"]["TaskKind"];
+            node?: components["schemas"]["NodeId"] | null;
+            /**
+             * Format: int32
+             * @description The part of the frame or of the irradiance cache, from 0. Absent for other tasks.
+             */
+            part?: number | null;
+            pixels?: components["schemas"]["ArtifactHash"] | null;
+            /**
+             * Format: double
+             * @description Progress of the present attempt, 0 to 1.
+             */
+            progress: number;
+            started?: components["schemas"]["Timestamp"] | null;
+            /** @description Its state. */
+            state: components["schemas"]["FrameState"];
         };
         /** @description What a task has to do. In JSON an object with one key: `{"preview": {…}}`. */
         TaskSpec: {
@@ -7978,6 +8052,60 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["FrameStrip"];
+                };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    task_list: {
+        parameters: {
+            query?: {
+                /** @description Only tasks of this frame. */
+                frame?: number;
+                /** @description `next_page_token` of the previous page. */
+                page_token?: string;
+                /** @description Number of items on a page: 1 to 200, default 50. */
+                page_size?: number;
+            };
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description A page of tasks */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["TaskPage"];
                 };
             };
             /** @description It is still that of `If-None-Match` */

@@ -112,10 +112,10 @@ async fn set_terms(write: &mut Write, job: JobId, change: &JobChange) -> Result<
 /// budget. They stay where they are booked until the new plan.
 async fn rebook_rates(write: &mut Write, job: JobId) -> Result<()> {
     let rows = sqlx::query!(
-        r#"SELECT t.frame AS "frame!: u32", t.place AS "part!: u32", f.parts AS "parts!: u32",
+        r#"SELECT t.frame AS "frame!: u32", t.booked_part AS "part!: u32", f.parts AS "parts!: u32",
                   t.booked_node AS "node!: Id", t.booked_at AS "start!: Time"
            FROM tasks t JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
-           WHERE t.job_id = ? AND t.place IS NOT NULL AND t.state IN ('waiting', 'ready')
+           WHERE t.job_id = ? AND t.booked_part IS NOT NULL AND t.state IN ('waiting', 'ready')
            AND t.booked_node IS NOT NULL"#,
         job.0
     )

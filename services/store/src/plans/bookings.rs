@@ -62,7 +62,7 @@ macro_rules! rows {
              l.counts_from AS \"counts_from?\", l.p95 AS \"p95?\" FROM jobs j \
              JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t INDEXED BY tasks_of_bookings \
-             ON t.job_id = b.job_id AND t.frame = b.frame AND t.place = b.part \
+             ON t.job_id = b.job_id AND t.frame = b.frame AND t.booked_part = b.part \
              LEFT JOIN leases l ON t.state = 'leased' AND l.task_id = t.id AND l.fence = t.fence \
              WHERE j.state IN ('booked', 'rendering') AND t.state IN ('waiting', 'ready', 'leased') "
                 + $rest

@@ -359,9 +359,17 @@ function OneFrame(props: { job: Job; frame: number; version: string }) {
             {frame.state === "leased" && ` ${(frame.progress * 100).toFixed(0)} %`}
           </dd>
         </div>
+        {(frame.parts ?? 1) > 1 && (
+          <div>
+            <dt>Parts</dt>
+            <dd>
+              {frame.parts_done ?? 0} of {frame.parts} done
+            </dd>
+          </div>
+        )}
         {frame.booked && (
           <div>
-            <dt>Booked</dt>
+            <dt>{(frame.parts ?? 1) > 1 ? "First part booked" : "Booked"}</dt>
             <dd>
               {clean(frame.booked.node)}, <Time at={frame.booked.start} /> to <Time at={frame.booked.end} />
             </dd>

@@ -65,7 +65,9 @@ function worstFirst(a: Task, b: Task): number {
 }
 
 function taskName(task: Task): string {
-  return task.frame === null ? words(task.kind) : `${words(task.kind)} of frame ${task.frame}`;
+  const part = task.part === null ? "" : ` ${task.part + 1}`;
+  const frame = task.frame === null ? "" : ` of frame ${task.frame}`;
+  return words(task.kind) + part + frame;
 }
 
 function Log(props: { task: Task }) {

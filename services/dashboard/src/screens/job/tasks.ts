@@ -8,6 +8,8 @@ export interface Task {
   id: string;
   kind: string;
   frame: number | null;
+  /** The part of the frame or of the cache, from 0. */
+  part: number | null;
   state: "running" | "done" | "failed" | "waiting";
   /** Instant of the last event. */
   at: string;
@@ -43,6 +45,7 @@ export function useTasks(job: string): { tasks: Task[]; error: string | null } {
         id: event.task_id,
         kind: event.task_kind ?? old?.kind ?? "task",
         frame: event.frame ?? old?.frame ?? null,
+        part: event.part ?? old?.part ?? null,
         state: next,
         at: event.at,
       });
