@@ -64,6 +64,20 @@ pub(crate) fn bound_of_all(problem: &Problem, bounds: &[Bound]) -> Bound {
     }
 }
 
+/// The node that would end the job's longest frame first, as a whole, on an empty farm.
+pub(crate) fn first_alone<'a>(problem: &Problem<'a>, work: &Work) -> Option<&'a Node> {
+    let longest = work.frames.iter().map(|frame| frame.work).max()?;
+    let release = work.release(problem.input.now);
+    let nodes = work.classes.iter().flat_map(|&class| &problem.classes[class]);
+    let ends = nodes.filter_map(|&node| {
+        let place = problem.nodes[node];
+        let duration = place.duration(longest, work.job.class)?;
+        let end = first_end(place, &problem.windows[node], release, duration)?;
+        Some((end, place.price_per_hour, place.id, place))
+    });
+    ends.min_by_key(|&(end, price, id, _)| (end, price, id)).map(|(.., place)| place)
+}
+
 fn first_end(node: &Node, windows: &[Window], from: i64, duration: i64) -> Option<i64> {
     windows.iter().find_map(|window| {
         let ready = if window.warm { window.start } else { window.start.saturating_add(node.setup) };

@@ -11,9 +11,9 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use crate::admission::Allotted;
-use crate::bound::bound;
+use crate::bound::{bound, first_alone};
 use crate::model::{Division, Job, Task, price_of};
-use crate::problem::{FrameWork, Work};
+use crate::problem::FrameWork;
 use crate::schedule::find_allotted;
 use crate::state::{Placed, Search, State};
 
@@ -24,6 +24,8 @@ const MOST_NUMBERS: u32 = 6;
 const PIECES: i64 = 3;
 /// An earlier end may cost a job at most one part in this many more.
 const WORTH_OF_TIME: i128 = 33;
+/// As far as the money reaches, an earlier end may take one part in this many more work.
+const WORK_FOR_TIME: i128 = 16;
 /// The end of a job is found to one part in this many of its length.
 const PRECISION: i64 = 128;
 
@@ -285,26 +287,63 @@ struct Spent {
 
 /// Divides the frames that end last, so that a job that should end early does. Its frames that may be divided
 /// move, unless they are kept.
-///
-/// For a given end, the frames that end later are lifted. They are placed anew in as few parts as end by then,
-/// in the cheapest gaps. The earliest end is found by bisection.
 pub(crate) fn even_out(state: &mut State, job: usize) {
-    let problem = state.problem;
-    let work: &Work = &problem.jobs[job];
+    let work = &state.problem.jobs[job];
     let movable = movable(state, job);
     let Some(release) = state.earliest(job, Task::Frame(0)).filter(|_| !movable.is_empty()) else { return };
-    let Some(earliest) = bound(problem, work).earliest_finish() else { return };
+    let Some(earliest) = bound(state.problem, work).earliest_finish() else { return };
     let stays = |placed: &&Placed| placed.task.frame().is_none_or(|frame| !movable.contains_key(&frame));
     let fixed = state.placed[job].iter().filter(stays).map(|placed| placed.end).max();
-    let (mut low, mut high) = (earliest.max(fixed.unwrap_or(i64::MIN)), state.finish(job));
+    let from = earliest.max(fixed.unwrap_or(i64::MIN));
+    let mut limits = limits(state, job).into_iter();
+    if let Some((lifted, places)) =
+        limits.find_map(|most| end_early(state, job, &movable, (release, from), most))
+    {
+        state.unbook_all(job, &lifted);
+        places.into_iter().for_each(|placed| state.book(job, placed));
+    }
+}
+
+/// What an earlier end may cost, the preferred limit first.
+///
+/// A job with no more frames than nodes is measured by the node that would end its longest frame first, if the
+/// farm were empty. Where others are on that node, a frame that should end early may be on a dear node as a
+/// whole, and in parts on cheaper ones a little later.
+fn limits(state: &State, job: usize) -> Vec<Spent> {
+    let problem = state.problem;
+    let work = &problem.jobs[job];
     let price = |placed: &Placed| {
         i128::from(price_of(problem.nodes[placed.node].price_per_hour, placed.end - placed.start))
     };
+    let paid: i128 = state.placed[job].iter().map(price).sum();
+    let total = work.total();
     let most = Spent {
-        money: state.placed[job].iter().map(price).sum::<i128>() / WORTH_OF_TIME,
-        work: i128::try_from(work.total()).unwrap_or(i128::MAX) / WORTH_OF_TIME,
+        money: paid / WORTH_OF_TIME,
+        work: i128::try_from(total).unwrap_or(i128::MAX) / WORK_FOR_TIME,
     };
-    let mut best: Option<(Vec<Placed>, Vec<Placed>)> = None;
+    let able: usize = work.classes.iter().map(|&class| problem.classes[class].len()).sum();
+    let alone = first_alone(problem, work).filter(|_| work.frames.len() <= able).and_then(|node| {
+        let time = node.duration(u64::try_from(total).ok()?, work.job.class)?;
+        Some(i128::from(price_of(node.price_per_hour, time)))
+    });
+    let strict = alone.map(|price| price + price / WORTH_OF_TIME - paid).filter(|&money| money < most.money);
+    strict.map(|money| Spent { money, ..most }).into_iter().chain([most]).collect()
+}
+
+/// For the earliest end that the limit pays for: the places of the frames that end later, and new ones. `None`
+/// if it pays for no earlier end.
+///
+/// For a given end, the frames that end later are lifted. They are placed anew in as few parts as end by then,
+/// in the cheapest gaps. The end is found by bisection.
+fn end_early(
+    state: &mut State,
+    job: usize,
+    movable: &BTreeMap<i64, Vec<Placed>>,
+    (release, from): (i64, i64),
+    most: Spent,
+) -> Option<(Vec<Placed>, Vec<Placed>)> {
+    let (mut low, mut high) = (from, state.finish(job));
+    let mut best = None;
     while high.saturating_sub(low) > (high.saturating_sub(release) / PRECISION).max(1) {
         let by = low + (high - low) / 2;
         let lifted = [by, by - (by - release) / PIECES].map(|after| {
@@ -322,10 +361,7 @@ pub(crate) fn even_out(state: &mut State, job: usize) {
             None => low = by,
         }
     }
-    if let Some((lifted, places)) = best {
-        state.unbook_all(job, &lifted);
-        places.into_iter().for_each(|placed| state.book(job, placed));
-    }
+    best
 }
 
 /// By number: the places of all frames that may move and may be divided.

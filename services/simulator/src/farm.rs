@@ -1,15 +1,17 @@
 //! Events in time order, and the rules that no policy can break.
 
 mod events;
+mod parts;
 mod rentals;
 
 use std::cmp::Reverse;
-use std::collections::{BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 use forelight_planner::{Job, Node};
 
 use crate::record::{Attempt, JobRecord, Outcome, Record};
 use crate::world::{TrueTask, World};
+use parts::Divided;
 
 /// An event. Events at the same instant happen in this order: a frame that ends as its window closes is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -62,6 +64,9 @@ pub enum Refusal {
     /// The node cannot do work of this class.
     #[error("the node cannot do this class of work")]
     Unfit,
+    /// It is no frame, or the frame may not have this number of parts.
+    #[error("the frame may not be divided like this")]
+    NotDivisible,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,6 +74,8 @@ pub(crate) enum TaskState {
     Waiting,
     /// Leased under this token. The worker may be dead.
     Held(usize),
+    /// Its parts are tasks of their own.
+    Divided,
     Done,
 }
 
@@ -95,9 +102,13 @@ struct NodeState {
 pub(crate) struct JobState {
     pub arrived: bool,
     pub withdrawn: bool,
-    /// Its tasks: the shared cache's first, then frames.
+    /// Its tasks: the shared cache's first, then frames, then parts of frames that were divided.
     pub truth: Vec<TrueTask>,
     pub tasks: Vec<TaskState>,
+    /// By index of a frame that was divided.
+    pub divided: BTreeMap<usize, Divided>,
+    /// By index of a part: the index of its frame.
+    pub whole_of: BTreeMap<usize, usize>,
     pub left: usize,
     /// Indices of waiting tasks. `left` counts the tasks that are not done.
     pub waiting: BTreeSet<usize>,
@@ -204,6 +215,8 @@ impl<'w> Farm<'w> {
             left: truth.len(),
             waiting: (0..truth.len()).collect(),
             truth,
+            divided: BTreeMap::new(),
+            whole_of: BTreeMap::new(),
             measured: Vec::new(),
             measured_work: 0,
             running: 0,
@@ -215,7 +228,7 @@ impl<'w> Farm<'w> {
             finish: None,
             withdrawn: None,
         });
-        Farm {
+        let mut farm = Farm {
             world,
             now: input.now,
             nodes: rank
@@ -238,6 +251,22 @@ impl<'w> Farm<'w> {
             given_back: Vec::new(),
             over: 0,
             record: Record { jobs: records.collect(), end: input.now, ..Record::default() },
+        };
+        farm.divide_all();
+        farm
+    }
+
+    /// Divides all frames that must have parts.
+    fn divide_all(&mut self) {
+        for job in 0..self.jobs.len() {
+            for frame in 0..self.jobs[job].truth.len() {
+                match self.jobs[job].truth[frame].division.fewest() {
+                    1 => {}
+                    parts => {
+                        self.divide(job, frame, parts);
+                    }
+                }
+            }
         }
     }
 

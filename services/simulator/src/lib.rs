@@ -23,5 +23,5 @@ pub use policy::planned::Planned;
 pub use policy::queue::{Queue, QueueRule};
 pub use record::{Attempt, JobRecord, Outcome, Record, Rented};
 pub use report::{Report, report};
-pub use scenario::{Scenario, studio};
+pub use scenario::{Scenario, stills, studio};
 pub use world::{Chances, World};

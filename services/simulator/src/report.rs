@@ -24,6 +24,8 @@ pub struct Report {
     pub withdrawn: u64,
     /// Jobs that never ended.
     pub unfinished: u64,
+    /// Median hours from a job's release to its end. Zero if no job ended.
+    pub median_hours: f64,
     /// Jobs whose deadline was promised.
     pub promised: u64,
     /// Promised jobs that were in time.
@@ -162,6 +164,7 @@ pub fn report(
         jobs: late.len() as u64,
         withdrawn: record.jobs.iter().filter(|job| job.withdrawn.is_some()).count() as u64,
         unfinished: deadlines.unfinished,
+        median_hours: median_hours(world, record),
         promised: deadlines.promised,
         promises_kept: deadlines.promises_kept,
         in_time: deadlines.in_time,
@@ -180,6 +183,13 @@ pub fn report(
         plans,
         curve,
     }
+}
+
+fn median_hours(world: &World, record: &Record) -> f64 {
+    let jobs = world.input.jobs.iter().zip(&record.jobs);
+    let mut times: Vec<i64> = jobs.filter_map(|(job, entry)| Some(entry.finish? - job.release)).collect();
+    times.sort_unstable();
+    times.get(times.len() / 2).map_or(0.0, |&time| time as f64 / HOUR)
 }
 
 /// Time of these intervals within each of [`POINTS`] equal parts.

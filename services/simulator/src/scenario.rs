@@ -1,7 +1,9 @@
 //! Worlds to simulate.
 
-use forelight_planner::chance::{between, bits};
-use forelight_planner::{Confidence, Input, InputError, Interval, Project, SharedCache};
+use forelight_planner::chance::{between, bits, normal};
+use forelight_planner::{
+    Confidence, Division, Frame, Input, InputError, Interval, Job, Project, SharedCache, WorkTotal,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::reference::{self, Size};
@@ -120,5 +122,42 @@ pub fn studio(scenario: Scenario, seed: u64) -> Input {
             .map(|day| Interval { start: day * DAY - 4 * HOUR, end: Some(day * DAY + 8 * HOUR) });
         node.calendar.extend(more);
     }
+    input
+}
+
+/// Stills that come in each day, and the days. A still typically takes eight hours at speed 1.
+const STILLS_A_DAY: u64 = 100;
+const DAYS_OF_STILLS: u64 = 10;
+const STILL: f64 = 8.0 * 3.6e12;
+/// Work of half a minute at speed 1.
+const OVERHEAD_OF_A_PART: u64 = 30_000_000_000;
+
+/// Artists' stills on 100 nodes of a studio: jobs of one frame, at any time, without deadlines. A frame may
+/// have at most `parts` parts.
+pub fn stills(parts: u32, seed: u64) -> Input {
+    let count = STILLS_A_DAY * DAYS_OF_STILLS;
+    let size = Size { jobs: 0, frames: 0, nodes: 100, classes: 20, days: DAYS_OF_STILLS + 30 };
+    let mut input = reference::studio(size, seed);
+    let end = DAYS_OF_STILLS as i64 * DAY;
+    let mut releases: Vec<i64> = (0..count).map(|id| between(seed, &[111, id], 0, end)).collect();
+    releases.sort_unstable();
+    let still = |(id, release): (u64, i64)| {
+        let work = (STILL * libm::exp(0.5 * normal(seed, &[112, id]))).round() as u64;
+        Job {
+            id,
+            name: format!("still-{id}"),
+            release,
+            total: WorkTotal { p50: work, p80: work + work / 5, p95: work + work / 2 },
+            frames: vec![Frame {
+                number: 0,
+                work,
+                work_p80: work + work / 5,
+                division: Division::UpTo(parts),
+            }],
+            part_overhead: OVERHEAD_OF_A_PART,
+            ..Job::default()
+        }
+    };
+    input.jobs = (0..).zip(releases).map(still).collect();
     input
 }

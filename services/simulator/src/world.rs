@@ -1,7 +1,7 @@
 //! The truth about a farm, known or not.
 
 use forelight_planner::chance::{normal, uniform};
-use forelight_planner::{Input, InputError, Interval, Task, free_time, least_cost};
+use forelight_planner::{Division, Input, InputError, Interval, Task, free_time, least_cost};
 use serde::{Deserialize, Serialize};
 
 /// Purposes of random numbers: the first index of each.
@@ -75,6 +75,8 @@ pub(crate) struct TrueTask {
     /// True work.
     pub work: u64,
     pub class: u32,
+    /// How a frame may be divided. Everything else is whole.
+    pub division: Division,
 }
 
 /// Time after the last deadline, so that late jobs can finish.
@@ -110,7 +112,9 @@ impl World {
             if let Some(cache) = job.shared_cache {
                 let median = cache.work.div_ceil(u64::from(cache.parts.max(1)));
                 let work = drawn(median, 1.0);
-                of_job.extend(cache.tasks().map(|task| TrueTask { task, median, work, class: cache.class }));
+                let class = cache.class;
+                let division = Division::Whole;
+                of_job.extend(cache.tasks().map(|task| TrueTask { task, median, work, class, division }));
             }
             for frame in job.frames.iter().filter(|frame| !done.contains(&frame.number)) {
                 let spread = job.own_spread(frame) * chances.spread;
@@ -120,6 +124,7 @@ impl World {
                     median: frame.work,
                     work: drawn(frame.work, libm::exp(spread * z - spread * spread / 2.0)),
                     class: job.class,
+                    division: frame.division,
                 });
             }
             tasks.push(of_job);
@@ -176,13 +181,12 @@ impl World {
             for task in tasks {
                 match task.task.frame() {
                     None => before = before.saturating_add(task.work),
-                    Some(number) => {
-                        frames.push(forelight_planner::Frame {
-                            number,
-                            work: task.work,
-                            ..forelight_planner::Frame::default()
-                        });
-                    }
+                    Some(number) => frames.push(forelight_planner::Frame {
+                        number,
+                        work: task.work,
+                        work_p80: 0,
+                        division: task.division,
+                    }),
                 }
             }
             if self.chances.own_cache > 0.0 {

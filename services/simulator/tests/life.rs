@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, SharedCache, Task, WorkTotal};
+use forelight_planner::{
+    Confidence, Division, Frame, Input, Interval, Job, Node, SharedCache, Task, WorkTotal,
+};
 use forelight_simulator::{
     Attempt, Chances, Farm, Outcome, Policy, PolicyKind, Record, Refusal, Scenario, World, report, run,
     studio,
@@ -34,8 +36,21 @@ fn check(world: &World, record: &Record, may_leave: bool) {
         let times = |task: Task| done.get(&(job.id, task)).copied().unwrap_or(0);
         for frame in &job.frames {
             let whole = times(Task::Frame(frame.number));
-            let is_once = whole == 1 || (whole == 0 && entry.withdrawn.is_some());
-            assert!(is_once, "job {}, frame {} was done {whole} times", job.id, frame.number);
+            let parts: Vec<(u32, u32)> = done
+                .range((job.id, Task::Part { frame: i64::MIN, part: 0, parts: 0 })..)
+                .take_while(|((id, _), _)| *id == job.id)
+                .filter_map(|(&(_, task), &times)| match task {
+                    Task::Part { frame: of, parts, .. } if of == frame.number => Some((parts, times)),
+                    _ => None,
+                })
+                .collect();
+            let count = parts.first().map_or(1, |&(parts, _)| parts);
+            let once = whole <= 1 && parts.iter().all(|&(parts, times)| times == 1 && parts == count);
+            let all = if count > 1 { whole == 0 && parts.len() == count as usize } else { whole == 1 };
+            assert!(once, "job {}, frame {} was done {whole} times, parts {parts:?}", job.id, frame.number);
+            assert!(all || entry.withdrawn.is_some(), "job {}, frame {}: {parts:?}", job.id, frame.number);
+            let is_allowed = frame.division.allows(count) || (whole == 0 && parts.is_empty());
+            assert!(is_allowed, "job {}, frame {} in {count} parts", job.id, frame.number);
         }
         // The shared cache is filled once and entirely, or left to the frames if they may.
         let cache_parts: Vec<u32> =
@@ -109,6 +124,17 @@ fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> Wor
     // Ten nodes may have no GPU, and too little memory.
     for job in &mut input.jobs {
         job.class = 0;
+        job.part_overhead = 30_000_000_000;
+        for frame in &mut job.frames {
+            frame.division = match (job.id % 2, frame.number % 4) {
+                (0, 0) => Division::Into(3),
+                (0, _) => Division::UpTo(8),
+                _ => Division::Whole,
+            };
+        }
+        if job.id % 4 == 2 {
+            job.deadline = None;
+        }
         job.shared_cache = job.shared_cache.map(|cache| SharedCache { class: 0, ..cache });
     }
     World::new(input, Chances { seed, ..chances }).unwrap()
@@ -139,14 +165,20 @@ proptest! {
         let world = small(nodes, jobs, jobs * per_job, seed, chances);
         let (record, plans) = simulated(&world, kind, pool);
         check(&world, &record, own_cache > 0.0);
-        // Today's farm managers know no shared cache.
+        // Today's farm managers divide only frames that must be, and know no shared cache.
         let is_ours = kind == PolicyKind::Planned;
+        let must_be = |a: &Attempt| world.input().jobs.iter().any(|job| job.id == a.job && job.frames.iter().any(|frame| {
+            Some(frame.number) == a.task.frame() && frame.division.fewest() > 1
+        }));
+        let divided: Vec<&Attempt> = record.attempts.iter().filter(|a| matches!(a.task, Task::Part { .. })).collect();
+        prop_assert!(is_ours || divided.iter().all(|a| must_be(a)));
         prop_assert!(is_ours || own_cache == 0.0 || !record.attempts.iter().any(|a| a.task.is_shared_cache()));
         let bound = world.least_cost().unwrap();
         let report = report(&world, kind, pool, plans, bound, &record);
         prop_assert_eq!(report.cost, record.rentals.iter().map(|rental| rental.cost).sum::<i64>());
         prop_assert_eq!(report.unfinished, 0);
-        prop_assert!(report.jobs + report.withdrawn == jobs);
+        let with_deadline = world.input().jobs.iter().filter(|job| job.deadline.is_some()).count() as u64;
+        prop_assert!(report.jobs <= with_deadline && report.jobs + report.withdrawn >= with_deadline);
         prop_assert!(report.useful <= 1.0 && report.utilisation <= 1.0 + 1e-9);
         if report.in_time == report.jobs {
             prop_assert!(report.cost >= bound, "{} is less than {bound}", report.cost);
@@ -224,6 +256,7 @@ fn eight_hours(
             .map(|number| Frame { number, work: 8 * 3600, work_p80: 8 * 3600, ..Frame::default() })
             .collect(),
         shared_cache,
+        part_overhead: 360,
         ..Job::default()
     };
     let input = Input { nodes: (0..nodes).map(node).collect(), jobs: vec![job], ..Input::default() };
@@ -240,6 +273,59 @@ const QUIET: Chances = Chances {
     own_cache: 0.0,
     withdrawn: 0.0,
 };
+
+/// As [`eight_hours`], with one frame that may have up to four parts. Each costs six minutes on top.
+fn divisible(nodes: u64, deadline: Option<i64>, division: Division, chances: Chances) -> World {
+    let mut input = eight_hours(nodes, 1, 1, None, chances).input().clone();
+    input.jobs[0].frames[0].division = division;
+    input.jobs[0].deadline = deadline.map(|hours| hours * HOUR);
+    World::new(input, Chances { withdrawn: 0.0, ..chances }).unwrap()
+}
+
+#[test]
+fn a_frame_that_is_too_long_for_its_deadline_is_divided_by_plans_and_by_nobody_else() {
+    let world = divisible(4, Some(5), Division::UpTo(4), QUIET);
+    let (record, _) = simulated(&world, PolicyKind::Planned, 100);
+    check(&world, &record, false);
+    assert!(record.jobs[0].promised);
+    // Half of eight hours, and a tenth of an hour on top.
+    assert_eq!(record.attempts.len(), 2);
+    assert!(record.attempts.iter().all(|part| part.end - part.start == 4 * HOUR + HOUR / 10), "{record:?}");
+    assert_eq!(record.jobs[0].finish, Some(4 * HOUR + HOUR / 10));
+    let (today, _) = simulated(&world, PolicyKind::Deadline, 100);
+    assert_eq!(today.jobs[0].finish, Some(8 * HOUR));
+}
+
+#[test]
+fn a_still_that_must_have_parts_has_them_under_every_policy() {
+    let world = divisible(2, None, Division::Into(4), QUIET);
+    for kind in PolicyKind::ALL {
+        let (record, _) = simulated(&world, kind, 100);
+        check(&world, &record, false);
+        assert_eq!(record.attempts.len(), 4, "{}", kind.name());
+        assert_eq!(record.jobs[0].finish, Some(4 * HOUR + HOUR / 5), "{}", kind.name());
+    }
+}
+
+#[test]
+fn a_node_that_dies_takes_its_part_with_it_and_the_others_stay_done() {
+    let mut seen = 0;
+    for seed in 0..60 {
+        let chances = Chances { seed, hours_between_failures: 8.0, hours_of_repair: 1.0, ..QUIET };
+        let world = divisible(3, Some(5), Division::UpTo(4), chances);
+        let (record, _) = simulated(&world, PolicyKind::Planned, 100);
+        check(&world, &record, false);
+        let of = |outcome| record.attempts.iter().filter(move |attempt| attempt.outcome == outcome);
+        let is_part = |attempt: &&Attempt| matches!(attempt.task, Task::Part { .. });
+        let Some(lost) = of(Outcome::Lost).find(is_part) else { continue };
+        // `check` counts that what was done before the node died was not done again. The lost part was, under
+        // a new lease.
+        let again = of(Outcome::Done).find(|attempt| attempt.task == lost.task);
+        assert!(again.is_some_and(|again| again.start >= lost.end + 60_000_000), "seed {seed}: {record:?}");
+        seen += 1;
+    }
+    assert!(seen > 5, "only {seen} parts were lost");
+}
 
 #[test]
 fn a_shared_cache_is_filled_in_parts_at_once_and_whoever_knows_none_fills_one_for_each_frame() {
@@ -303,4 +389,37 @@ fn a_task_starts_once_after_its_shared_cache_and_alone_on_its_node() {
         Refusal::NoSharedCache,
     ];
     assert_eq!(policy.0, expected);
+}
+
+/// Tries to divide a frame as it may not be.
+struct ForbiddenParts(Vec<Refusal>);
+
+impl Policy for ForbiddenParts {
+    fn arrived(&mut self, farm: &mut Farm, job: usize) -> bool {
+        let mut refused = |tried: Result<(), Refusal>| self.0.extend(tried.err());
+        refused(farm.start_part(0, job, 0, (0, 5)));
+        refused(farm.start_part(0, job, 0, (2, 2)));
+        refused(farm.start_part(0, job, 0, (0, 1)));
+        refused(farm.start_part(0, job, 9, (0, 2)));
+        assert_eq!(farm.start_part(0, job, 0, (1, 2)), Ok(()));
+        refused(farm.start_part(1, job, 0, (1, 2)));
+        refused(farm.start_part(1, job, 0, (0, 3)));
+        refused(farm.start(1, job, 0));
+        assert_eq!(farm.start_part(1, job, 0, (0, 2)), Ok(()));
+        false
+    }
+
+    fn act(&mut self, _: &mut Farm) -> Option<i64> {
+        None
+    }
+}
+
+#[test]
+fn a_frame_is_divided_once_and_only_as_it_may_be() {
+    let world = divisible(2, Some(5), Division::UpTo(4), QUIET);
+    let mut policy = ForbiddenParts(Vec::new());
+    let record = run(&world, &mut policy, |_, _| {});
+    check(&world, &record, false);
+    let (not, waiting) = (Refusal::NotDivisible, Refusal::NotWaiting);
+    assert_eq!(policy.0, [not, not, not, not, waiting, waiting, waiting]);
 }

@@ -84,10 +84,7 @@ impl Farm<'_> {
         let entry = &mut self.jobs[job];
         entry.tasks[task] = TaskState::Done;
         entry.left -= 1;
-        if !entry.truth[task].task.is_shared_cache() {
-            entry.measured.push(task);
-            entry.measured_work += u128::from(entry.truth[task].work);
-        }
+        entry.measure(task);
         if entry.left == 0 {
             self.over += 1;
             self.open.remove(&job);

@@ -12,8 +12,8 @@ mod learned;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use forelight_planner::{
-    FixedBooking, Frame, Input, Interval, Job, Node, Plan, Power, SharedCache, Task, Verdict, WorkTotal,
-    plan_quickly,
+    Booking, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Power, SharedCache, Task, Verdict,
+    WorkTotal, plan_quickly,
 };
 
 use crate::farm::{Farm, Policy, TaskState};
@@ -53,6 +53,8 @@ pub struct Planned {
 struct Queued {
     job: usize,
     task: usize,
+    /// For a part of a frame that the plan divides: which of how many. `task` is the frame then.
+    part: Option<(u32, u32)>,
     /// Booked time.
     length: i64,
 }
@@ -61,7 +63,17 @@ impl Queued {
     /// Whether the task is still waiting.
     fn waits(&self, farm: &Farm) -> bool {
         let entry = &farm.jobs[self.job];
-        !entry.withdrawn && entry.tasks[self.task] == TaskState::Waiting
+        let part = self.part.and_then(|(part, parts)| entry.part(self.task, part, parts));
+        !entry.withdrawn && entry.tasks[part.unwrap_or(self.task)] == TaskState::Waiting
+    }
+
+    /// Starts the task. Returns whether it could.
+    fn start(&self, farm: &mut Farm, node: usize) -> bool {
+        let started = match self.part {
+            None => farm.start(node, self.job, self.task),
+            Some(part) => farm.start_part(node, self.job, self.task, part),
+        };
+        started.is_ok()
     }
 }
 
@@ -189,7 +201,42 @@ impl Planned {
         for (&job, &factor) in &factors {
             input.jobs.extend(self.rest_of(farm, job, factor));
         }
+        input.movable = self.standing(farm, &input, &factors);
         input
+    }
+
+    /// Bookings of the parts of divided frames that wait: on the nodes that they were planned on, in that
+    /// order, as early as can be. Each was weighed with the other parts of its frame, so a new plan keeps them.
+    fn standing(&self, farm: &Farm, input: &Input, factors: &BTreeMap<usize, f64>) -> Vec<Booking> {
+        let fixed: BTreeMap<u64, i64> =
+            input.fixed.iter().map(|booking| (booking.node, booking.end)).collect();
+        let mut standing = Vec::new();
+        for (node, queue) in self.queues.iter().enumerate() {
+            let machine = farm.node(node);
+            let setup = if farm.is_warm(node) { 0 } else { machine.setup };
+            let mut free = fixed.get(&machine.id).copied().unwrap_or(farm.now().saturating_add(setup));
+            for queued in queue.iter().filter(|queued| queued.waits(farm)) {
+                let part = queued
+                    .part
+                    .and_then(|(part, parts)| farm.jobs[queued.job].part(queued.task, part, parts));
+                let place = part.unwrap_or(queued.task);
+                let truth = &farm.jobs[queued.job].truth[place];
+                let Some(factor) =
+                    factors.get(&queued.job).filter(|_| matches!(truth.task, Task::Part { .. }))
+                else {
+                    break;
+                };
+                let work = bought(truth.median, *factor);
+                let Some(end) = machine.duration(work, truth.class).and_then(|time| free.checked_add(time))
+                else {
+                    break;
+                };
+                let (job, task) = (farm.job(queued.job).id, Task::Frame(place as i64));
+                standing.push(Booking { start: free, node: machine.id, job, task, end });
+                free = end;
+            }
+        }
+        standing
     }
 
     /// Work by which one frame in five exceeds its plan, averaged over the waiting frames.
@@ -216,7 +263,6 @@ impl Planned {
     fn rest_of(&self, farm: &Farm, job: usize, factor: f64) -> Option<Job> {
         let asked = farm.job(job);
         let tasks = &farm.jobs[job].truth;
-        let bought = |median: u64| (median as f64 * factor).ceil().max(1.0) as u64;
         let mut frames = Vec::new();
         let mut shared_cache: Option<SharedCache> = None;
         let mut release = asked.release.max(farm.now());
@@ -225,11 +271,13 @@ impl Planned {
             let task = &tasks[place];
             if task.task.is_shared_cache() {
                 let (work, parts) = shared_cache.map_or((0, 0), |cache| (cache.work, cache.parts));
-                let work = bought(task.median).saturating_add(work);
+                let work = bought(task.median, factor).saturating_add(work);
                 shared_cache = Some(SharedCache { class: task.class, work, parts: parts + 1 });
                 continue;
             }
-            frames.push(Frame { number: place as i64, work: bought(task.median), ..Frame::default() });
+            // Parts of a divided frame are frames of their own for the planner.
+            let work = bought(task.median, factor);
+            frames.push(Frame { number: place as i64, work, work_p80: 0, division: task.division });
         }
         if frames.is_empty() && shared_cache.is_none() {
             return None;
@@ -301,14 +349,15 @@ impl Planned {
             let Some(job) = farm.place_of(booking.job) else { continue };
             // Parts of the shared cache are the waiting ones, in order.
             let part_of_cache = |part: u32| farm.jobs[job].waiting.iter().nth(part as usize).copied();
-            let task = match booking.task {
-                Task::SharedCache => part_of_cache(0),
-                Task::SharedCachePart { part, .. } => part_of_cache(part),
-                Task::Frame(place) | Task::Part { frame: place, .. } => usize::try_from(place).ok(),
+            let (task, part) = match booking.task {
+                Task::SharedCache => (part_of_cache(0), None),
+                Task::SharedCachePart { part, .. } => (part_of_cache(part), None),
+                Task::Frame(place) => (usize::try_from(place).ok(), None),
+                Task::Part { frame, part, parts } => (usize::try_from(frame).ok(), Some((part, parts))),
             };
             if let Some(task) = task {
                 let length = booking.end.saturating_sub(booking.start);
-                self.queues[node].push_back(Queued { job, task, length });
+                self.queues[node].push_back(Queued { job, task, part, length });
             }
         }
         self.aim(farm, made);
@@ -351,7 +400,7 @@ impl Planned {
                 // Later bookings are meant for a later window.
                 return;
             }
-            if farm.start(node, next.job, next.task).is_ok() {
+            if next.start(farm, node) {
                 self.queues[node].remove(place);
                 return;
             }
@@ -386,8 +435,9 @@ impl Policy for Planned {
 
     fn act(&mut self, farm: &mut Farm) -> Option<i64> {
         for &job in &farm.given_back {
+            // A job without a deadline should end early.
             let urgent =
-                farm.job(job).deadline.is_some_and(|deadline| deadline < farm.now().saturating_add(URGENT));
+                farm.job(job).deadline.is_none_or(|deadline| deadline < farm.now().saturating_add(URGENT));
             let wait = if urgent { 0 } else { self.every / 4 };
             self.next = self.next.min(farm.now().saturating_add(wait));
         }
@@ -420,6 +470,11 @@ impl Farm<'_> {
     fn place_of(&self, id: u64) -> Option<usize> {
         self.world.input.jobs.binary_search_by_key(&id, |job| job.id).ok()
     }
+}
+
+/// Work to book for this median.
+fn bought(median: u64, factor: f64) -> u64 {
+    (median as f64 * factor).ceil().max(1.0) as u64
 }
 
 /// Quantile of the standard normal distribution, by bisection, between −9 and 9.

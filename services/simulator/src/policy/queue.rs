@@ -7,6 +7,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
+use forelight_planner::Task;
 use serde::{Deserialize, Serialize};
 
 use crate::farm::{Farm, Policy};
@@ -74,8 +75,12 @@ impl Queue {
     /// Starts one task of the job if a node is available.
     fn start_one(&self, farm: &mut Farm, job: usize) -> bool {
         let Some(task) = self.next_task(farm, job) else { return false };
-        let expected = farm.mean_work(job);
-        let class = farm.jobs[job].truth[task].class;
+        let truth = farm.jobs[job].truth[task];
+        let class = truth.class;
+        let expected = farm.mean_work(job).map(|mean| match truth.task {
+            Task::Part { parts, .. } => farm.job(job).part_work(mean, parts),
+            _ => mean,
+        });
         let mut found = None;
         for node in farm.idle() {
             if farm.rank(node) >= self.pool && !self.needs_all[job] {
@@ -104,10 +109,11 @@ impl Queue {
         }
         let tasks = &entry.truth;
         let frames = tasks.iter().position(|task| task.task.frame().is_some())?;
-        let last = tasks.len() - 1;
+        let last = tasks.iter().rposition(|task| matches!(task.task, Task::Frame(_)))?;
         let samples = [frames, frames + (last - frames) / 2, last];
-        if let Some(sample) = samples.into_iter().find(|sample| entry.waiting.contains(sample)) {
-            return Some(sample);
+        let mut of_samples = samples.into_iter().flat_map(|sample| entry.tasks_of(sample));
+        if let Some(task) = of_samples.find(|task| entry.waiting.contains(task)) {
+            return Some(task);
         }
         if samples.iter().any(|sample| !entry.measured.contains(sample)) {
             return None;

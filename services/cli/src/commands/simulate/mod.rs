@@ -5,7 +5,9 @@ mod plot;
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_planner::{Confidence, Description};
-use forelight_simulator::{Chances, PolicyKind, Report, Scenario, World, report, run as simulate};
+use forelight_simulator::{
+    Chances, PolicyKind, Report, Scenario, World, report, run as simulate, stills as draw_stills,
+};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
@@ -25,6 +27,7 @@ Examples:
   forelight simulate --scenario month --json > month.json
   forelight simulate --scenario promises
   forelight simulate --scenario shots
+  forelight simulate --scenario stills
 
 The seed determines nodes, jobs, their true cost, node failures and withdrawn jobs. All policies get the same. \
 A job of a farm description (see `forelight plan`) comes in at its release time.
@@ -115,6 +118,8 @@ enum Case {
     Promises,
     /// Three weeks of frames of fifteen hours: the gain from caches that are filled in parts
     Shots,
+    /// 100 stills a day on 100 nodes: the gain from frames in parts
+    Stills,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -190,6 +195,11 @@ const PROMISES: [(Confidence, f64); 2] = [(Confidence::P80, 0.80 - 0.03), (Confi
 const OWN_CACHE: f64 = 0.5;
 const SHOTS_MORE: f64 = 0.0;
 
+/// For stills: the most parts of a frame, the least time saved, and the most that this may cost.
+const STILL_PARTS: u32 = 512;
+const STILLS_SAVE: f64 = 0.90;
+const STILLS_COST: f64 = 0.03;
+
 #[derive(Debug, Serialize)]
 struct Document {
     worlds: Vec<Simulated>,
@@ -212,6 +222,8 @@ struct Finding {
     what: String,
     found: f64,
     wanted: f64,
+    /// Whether `wanted` is the most. Otherwise it is the least.
+    at_most: bool,
     reached: bool,
 }
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
@@ -232,6 +244,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         Some(Case::Month) => month(&runner)?,
         Some(Case::Promises) => promises(&runner)?,
         Some(Case::Shots) => shots(&runner)?,
+        Some(Case::Stills) => stills(&runner)?,
         None => {
             let (name, world) = world(args, chances)?;
             let queue = |kind: PolicyKind| args.pool.iter().map(move |&pool| (kind, pool));
@@ -324,6 +337,7 @@ fn month(runner: &Runner) -> Result<Document> {
             ),
             found: saved,
             wanted: MONTH_SAVES,
+            at_most: false,
             reached: saved >= MONTH_SAVES,
         });
     }
@@ -353,6 +367,7 @@ fn promises(runner: &Runner) -> Result<Document> {
                 what: format!("of {} promises at {per_cent:.0} % were kept", report.promised),
                 found: report.kept(),
                 wanted,
+                at_most: false,
                 reached: report.kept() >= wanted && report.promised >= 1000,
             });
         }
@@ -377,16 +392,56 @@ fn shots(runner: &Runner) -> Result<Document> {
             what: "more jobs are promised with caches in parts".to_owned(),
             found: more,
             wanted: SHOTS_MORE,
+            at_most: false,
             reached: more >= SHOTS_MORE,
         },
         Finding {
             what: "of these promises at 80 % were kept".to_owned(),
             found: kept,
             wanted: PROMISES[0].1,
+            at_most: false,
             reached: kept >= PROMISES[0].1,
         },
     ];
     Ok(Document { worlds: vec![whole, parts], findings })
+}
+
+/// The same stills whole, and in parts.
+fn stills(runner: &Runner) -> Result<Document> {
+    let world = |parts: u32| World::new(draw_stills(parts, runner.chances.seed), runner.chances);
+    let runs = [(PolicyKind::Planned, 100)];
+    let whole = runner.world("whole frames".to_owned(), &world(1)?, &runs)?;
+    let parts = runner.world("frames in parts".to_owned(), &world(STILL_PARTS)?, &runs)?;
+    let mut findings = Vec::new();
+    if let Some((before, after)) = whole.reports.first().zip(parts.reports.first()) {
+        let saved = 1.0 - after.median_hours / before.median_hours.max(f64::MIN_POSITIVE);
+        let more = after.cost as f64 / before.cost.max(1) as f64 - 1.0;
+        findings = vec![
+            Finding {
+                what: format!(
+                    "of the median time from submit to image is saved: {} instead of {}",
+                    hours(after.median_hours),
+                    hours(before.median_hours)
+                ),
+                found: saved,
+                wanted: STILLS_SAVE,
+                at_most: false,
+                reached: saved >= STILLS_SAVE,
+            },
+            Finding {
+                what: "more is paid".to_owned(),
+                found: more,
+                wanted: STILLS_COST,
+                at_most: true,
+                reached: more <= STILLS_COST,
+            },
+        ];
+    }
+    Ok(Document { worlds: vec![whole, parts], findings })
+}
+
+fn hours(hours: f64) -> String {
+    format!("{hours:.2} h")
 }
 
 fn text(document: &Document) -> String {
@@ -407,9 +462,10 @@ fn text(document: &Document) -> String {
     for finding in &document.findings {
         let verdict = if finding.reached { "reached" } else { "missed" };
         text += &format!(
-            "{:.1} % {} (required: at least {:.0} %): {verdict}\n",
+            "{:.1} % {} (required: at {} {:.0} %): {verdict}\n",
             finding.found * 100.0,
             finding.what,
+            if finding.at_most { "most" } else { "least" },
             finding.wanted * 100.0
         );
     }
@@ -423,6 +479,7 @@ fn table(world: &Simulated) -> Table {
         ("promised", Align::Right),
         ("kept", Align::Right),
         ("in time", Align::Right),
+        ("median time", Align::Right),
         ("late, mean", Align::Right),
         ("late, P95", Align::Right),
         ("cost", Align::Right),
@@ -442,6 +499,7 @@ fn table(world: &Simulated) -> Table {
             report.promised.to_string(),
             per_cent(report.kept()),
             per_cent(report.on_time()),
+            hours(report.median_hours),
             format!("{:.1} h", report.mean_hours_late),
             format!("{:.1} h", report.hours_late_p95),
             money(report.cost),
