@@ -10,9 +10,11 @@ use forelight_protocol::{
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
 use forelight_tracer::{Cache, clocked};
 
+/// `loading` is the cost of opening the scene, if it was not open yet.
 pub(crate) fn divide(
     shot: &OwnShot,
     spec: &DivideSpec,
+    loading: Spent,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
@@ -34,7 +36,7 @@ pub(crate) fn divide(
         LogLevel::Info,
         format!("divided frame {} into {} parts: {work} units of work in all", spec.frame, parts.len()),
     );
-    let spent = spent.plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(on_cache));
+    let spent = spent.plus(loading).plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(on_cache));
     let result = DivideResult {
         ends: parts.iter().map(|part| part.to).collect(),
         work: parts.iter().map(|part| part.cost).collect(),
