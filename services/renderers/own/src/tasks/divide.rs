@@ -18,8 +18,8 @@ pub(crate) fn divide(
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
-    if !(1..=u64::from(MOST_PARTS).min(spec.settings.pixels())).contains(&u64::from(spec.parts)) {
-        let text = format!("cannot divide {} pixels into {} parts", spec.settings.pixels(), spec.parts);
+    if !(1..=MOST_PARTS).contains(&spec.parts) {
+        let text = format!("cannot divide a frame into {} parts, only into 1 to {MOST_PARTS}", spec.parts);
         return Err(ExecuteError::Permanent(text));
     }
     let ready = shot.frame(spec.frame, &spec.settings)?;
