@@ -106,6 +106,7 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(nodes::list))
         .routes(routes!(nodes::get, nodes::change, nodes::remove))
         .routes(routes!(nodes::join_token))
+        .routes(routes!(tasks::list))
         .routes(routes!(tasks::log))
         .routes(routes!(artifacts::get, artifacts::head))
         .routes(routes!(forecasts::track_record))

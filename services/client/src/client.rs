@@ -3,7 +3,7 @@
 use crate::backoff::Backoff;
 use crate::error::ClientError;
 use crate::token::Token;
-use crate::transport::{Request, Transport};
+use crate::transport::{Request, Transport, parameters};
 use bytes::Bytes;
 use forelight_protocol::PageToken;
 use serde::de::DeserializeOwned;
@@ -50,19 +50,21 @@ impl Client {
         self.transport.body(request, response).await
     }
 
-    /// The items of all pages of a list.
+    /// The items of all pages of a list, as far as these query parameters let them through.
     pub(crate) async fn all_pages<P: DeserializeOwned, T>(
         &self,
         path: &str,
+        filters: &[(&str, &str)],
         parts: impl Fn(P) -> (Vec<T>, Option<PageToken>),
     ) -> Result<Vec<T>, ClientError> {
         let mut all = Vec::new();
-        let mut page = format!("{path}?page_size=200");
+        let first = format!("{path}?page_size=200{}", parameters(filters));
+        let mut page = first.clone();
         loop {
             let (items, next) = parts(self.get(page).await?);
             all.extend(items);
             match next {
-                Some(token) => page = format!("{path}?page_size=200&page_token={token}"),
+                Some(token) => page = format!("{first}&page_token={token}"),
                 None => return Ok(all),
             }
         }

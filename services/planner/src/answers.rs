@@ -229,6 +229,7 @@ pub fn what_if(input: &Input, change: &Change) -> Result<Effect, InputError> {
 /// If the input is invalid or has no such job.
 pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
     const MOST_NODES: u32 = 64;
+    const MOST_PARTS: u32 = 64;
     let before = plan(input)?;
     let verdict = &entry(&before, job)?.verdict;
     if verdict.is_kept() {
@@ -255,6 +256,12 @@ pub fn ways_out(input: &Input, job: u64) -> Result<Vec<Effect>, InputError> {
         if confidence < asked.confidence && consider(Change::Confidence { job, confidence })? {
             break;
         }
+    }
+    // Without a known overhead, frames cannot be divided.
+    let most = asked.frames.iter().map(|frame| frame.division.most()).min().unwrap_or(MOST_PARTS);
+    let mut parts = if asked.part_overhead > 0 { most.saturating_mul(2) } else { u32::MAX };
+    while parts <= MOST_PARTS && !consider(Change::Parts { job, parts })? {
+        parts *= 2;
     }
     for like in nodes_to_add(input, &before, asked) {
         let mut count = 1;

@@ -5,16 +5,16 @@
 //! never hurts the frames after it, so the search finds every set that can be in time.
 //!
 //! Then each node gets a set, priced by its rentals. Where nodes are billed plainly, the result is the
-//! optimum.
+//! optimum, as long as frames that may be divided are whole. Frames that must be divided count as their parts.
 
 use crate::lane::{Lane, Prefer, Unwanted, Wanted};
 use crate::model::Task;
-use crate::problem::{Problem, Work};
+use crate::problem::{FrameWork, Problem, Work};
 use crate::score::broken;
 use crate::state::{Placed, State};
 
-/// Tables have an entry for every set of frames.
-const MOST_FRAMES: usize = 9;
+/// Tables have an entry for every set of tasks.
+const MOST_TASKS: usize = 9;
 const MOST_NODES: usize = 5;
 /// About 140,000 years in microseconds.
 const MOST_LATE: i64 = 1 << 62;
@@ -28,15 +28,15 @@ pub(crate) fn search<'p, 'a>(
     start: &State<'p, 'a>,
     found: &State<'p, 'a>,
 ) -> Option<State<'p, 'a>> {
-    let frames = frames(problem, start)?;
+    let tasks = tasks(problem, start)?;
     let tables = |kept: &[bool], late: i64| -> Vec<Table> {
         let latest = |(work, &kept): (&Work, &bool)| {
             work.job.deadline.unwrap_or(i64::MAX).saturating_add(if kept { 0 } else { late })
         };
         let latest: Vec<i64> = problem.jobs.iter().zip(kept).map(latest).collect();
-        (0..problem.nodes.len()).map(|node| Table::new(problem, start, node, &frames, &latest)).collect()
+        (0..problem.nodes.len()).map(|node| Table::new(problem, start, node, &tasks, &latest)).collect()
     };
-    let is_possible = |kept: &[bool], late: i64| deal(&tables(kept, late), frames.len()).is_some();
+    let is_possible = |kept: &[bool], late: i64| deal(&tables(kept, late), tasks.len()).is_some();
     let (mut kept, mut late) = (vec![true; problem.jobs.len()], 0);
     if !is_possible(&kept, 0) {
         kept = most_in_time(problem, found, |kept| is_possible(kept, MOST_LATE))?;
@@ -52,13 +52,12 @@ pub(crate) fn search<'p, 'a>(
     for (node, table) in tables.iter_mut().enumerate() {
         table.price(problem, start, node);
     }
-    let chosen = deal(&tables, frames.len())?;
+    let chosen = deal(&tables, tasks.len())?;
     let mut state = start.clone();
     for (node, (table, set)) in tables.iter().zip(chosen).enumerate() {
-        for (frame, start, end) in table.order(set) {
-            let (job, index) = frames[frame];
-            let number = problem.jobs[job].frames[index].number;
-            state.book(job, Placed { node, start, end, task: Task::Frame(number) });
+        for (index, start, end) in table.order(set) {
+            let (job, task) = tasks[index];
+            state.book(job, Placed { node, start, end, task });
         }
     }
     Some(state)
@@ -85,28 +84,35 @@ fn most_in_time(
     sets.into_iter().find(|kept| is_possible(kept))
 }
 
-/// Job and index of every frame. `None` if the problem is not suitable.
-fn frames(problem: &Problem, start: &State) -> Option<Vec<(usize, usize)>> {
+/// Job and task of every frame: whole, or all parts that it must have. `None` if the problem is not suitable.
+fn tasks(problem: &Problem, start: &State) -> Option<Vec<(usize, Task)>> {
     let is_simple = problem.jobs.iter().all(|work| {
         let job = work.job;
         job.deadline.is_some() && job.shared_cache.is_none()
     });
     let nothing_kept = start.kept.iter().all(|&kept| kept == 0);
-    let frames: Vec<(usize, usize)> = problem
-        .jobs
-        .iter()
-        .enumerate()
-        .flat_map(|(job, work)| (0..work.frames.len()).map(move |frame| (job, frame)))
-        .collect();
-    if !is_simple || !nothing_kept || frames.len() > MOST_FRAMES || problem.nodes.len() > MOST_NODES {
+    let frames = || problem.jobs.iter().flat_map(|work| &work.frames);
+    let count = frames().fold(0usize, |sum, frame| sum.saturating_add(frame.division.fewest() as usize));
+    if !is_simple || !nothing_kept || count > MOST_TASKS || problem.nodes.len() > MOST_NODES {
         return None;
     }
-    Some(frames)
+    let of_frame = |frame: &FrameWork| -> Vec<Task> {
+        let number = frame.number;
+        match frame.division.fewest() {
+            1 => vec![Task::Frame(number)],
+            parts => (0..parts).map(|part| Task::Part { frame: number, part, parts }).collect(),
+        }
+    };
+    let jobs = problem.jobs.iter().enumerate();
+    Some(
+        jobs.flat_map(|(job, work)| work.frames.iter().flat_map(of_frame).map(move |task| (job, task)))
+            .collect(),
+    )
 }
 
-/// One node. By set of frames: the order that ends first within the deadlines, and its cost.
+/// One node. By set of tasks: the order that ends first within the deadlines, and its cost.
 struct Table {
-    /// Last frame, its start and its end.
+    /// Last task, its start and its end.
     best: Vec<Option<(usize, i64, i64)>>,
     /// `None` if the set is impossible. Zero until [`Table::price`] computes it.
     cost: Vec<Option<i64>>,
@@ -117,15 +123,15 @@ impl Table {
         problem: &Problem,
         state: &State,
         node: usize,
-        frames: &[(usize, usize)],
+        tasks: &[(usize, Task)],
         deadlines: &[i64],
     ) -> Self {
         let place = problem.nodes[node];
-        let sets = 1usize << frames.len();
+        let sets = 1usize << tasks.len();
         let mut table = Table { best: vec![None; sets], cost: vec![None; sets] };
         let empty: &Lane = &state.lanes[node];
         for set in 1..sets {
-            for (last, &(job, frame)) in frames.iter().enumerate().filter(|(bit, _)| set >> bit & 1 == 1) {
+            for (last, &(job, task)) in tasks.iter().enumerate().filter(|(bit, _)| set >> bit & 1 == 1) {
                 let rest = set & !(1 << last);
                 let after = match (rest, table.best[rest]) {
                     (0, _) => i64::MIN,
@@ -133,7 +139,6 @@ impl Table {
                     (_, None) => continue,
                 };
                 let work = &problem.jobs[job];
-                let task = Task::Frame(work.frames[frame].number);
                 let Some(duration) = work.duration(place, task) else { continue };
                 let wanted = Wanted {
                     release: work.release(problem.input.now).max(after),
@@ -175,9 +180,9 @@ impl Table {
     }
 }
 
-/// The cheapest way to give each node a set, so that all frames are covered.
-fn deal(tables: &[Table], frames: usize) -> Option<Vec<usize>> {
-    let all = (1usize << frames) - 1;
+/// The cheapest way to give each node a set, so that all tasks are covered.
+fn deal(tables: &[Table], tasks: usize) -> Option<Vec<usize>> {
+    let all = (1usize << tasks) - 1;
     // By set: its cheapest cost on the nodes so far, and the last node's part of it.
     let mut layers: Vec<Vec<Option<(i64, usize)>>> = Vec::with_capacity(tables.len());
     for table in tables {

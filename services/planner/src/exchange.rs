@@ -22,8 +22,8 @@ const MOST_PLACES: usize = 4;
 /// The most further frames that a chain may push out.
 const LONGEST_CHAIN: usize = 1;
 
-/// How many exchanges of a frame failed, by job and frame number.
-pub(crate) type InVain = BTreeMap<(usize, Option<i64>), u32>;
+/// How many exchanges of a frame, or a part of one, failed, by job and task.
+pub(crate) type InVain = BTreeMap<(usize, Task), u32>;
 
 /// Exchanges frames of jobs with a deadline where that saves money, the largest possible saving first.
 ///
@@ -79,12 +79,8 @@ impl Board {
             if work.job.deadline.is_none_or(|deadline| state.finish(job) > deadline) {
                 continue;
             }
-            let works: BTreeMap<i64, u64> =
-                work.frames.iter().map(|frame| (frame.number, frame.work)).collect();
             for &placed in state.placed[job].iter().skip(state.kept[job]) {
-                if let Task::Frame(number) = placed.task
-                    && let Some(&work) = works.get(&number)
-                {
+                if let Some(work) = work.work_of(placed.task) {
                     board.put(problem, Piece { job, work, placed });
                 }
             }
@@ -130,7 +126,7 @@ fn elsewhere(state: &State) -> Vec<Option<(i64, u64)>> {
     let of_job = |(job, work): (usize, &Work)| {
         let frame = work.frames.get(work.frames.len() / 2)?;
         let plain = plain_below(state, job, frame.work, i64::MAX);
-        let search = search(state, job, frame.number, frame.work, &plain)?;
+        let search = search(state, job, Task::Frame(frame.number), frame.work, &plain)?;
         let (_, fit) = state.find(&search)?;
         Some((fit.added_cost, frame.work.max(1)))
     };
@@ -149,12 +145,12 @@ fn plain_below(state: &State, job: usize, work: u64, below: i64) -> Vec<usize> {
     asked.classes.iter().copied().filter(is_cheap).collect()
 }
 
-fn search<'s>(state: &State, job: usize, number: i64, work: u64, classes: &'s [usize]) -> Option<Search<'s>> {
+fn search<'s>(state: &State, job: usize, task: Task, work: u64, classes: &'s [usize]) -> Option<Search<'s>> {
     let asked: &Work = &state.problem.jobs[job];
     Some(Search {
         class_of_work: asked.job.class,
         work,
-        release: state.earliest(job, Task::Frame(number))?,
+        release: state.earliest(job, task)?,
         latest_end: asked.job.deadline?,
         classes,
         prefer: Prefer::Cheap,
@@ -164,8 +160,8 @@ fn search<'s>(state: &State, job: usize, number: i64, work: u64, classes: &'s [u
 }
 
 impl Piece {
-    fn name(&self) -> (usize, Option<i64>) {
-        (self.job, self.placed.task.frame())
+    fn name(&self) -> (usize, Task) {
+        (self.job, self.placed.task)
     }
 }
 
@@ -220,9 +216,8 @@ fn set(state: &mut State, board: &mut Board, piece: Piece) {
 /// Places a lifted frame for less than `below`, with all frames that it pushes out. Returns the cost. Without
 /// such a place, nothing changes.
 fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain: usize) -> Option<i64> {
-    let number = piece.placed.task.frame()?;
     let classes = plain_below(state, piece.job, piece.work, below);
-    let search = search(state, piece.job, number, piece.work, &classes)?;
+    let search = search(state, piece.job, piece.placed.task, piece.work, &classes)?;
     board.trials = board.trials.saturating_sub(1);
     let free = state.find(&search).filter(|(_, fit)| fit.added_cost < below);
     let limit = free.map_or(below, |(_, fit)| fit.added_cost);
@@ -288,10 +283,9 @@ fn push_out(
     let problem = state.problem;
     let node = other.placed.node;
     let place = problem.nodes[node];
-    let number = piece.placed.task.frame()?;
     let (from, until) = state.lanes[node].room_without(other.placed.start, other.placed.end);
     let wanted = {
-        let search = search(state, piece.job, number, piece.work, &[])?;
+        let search = search(state, piece.job, piece.placed.task, piece.work, &[])?;
         Wanted {
             release: search.release.max(from),
             latest_end: search.latest_end.min(until),
@@ -402,13 +396,14 @@ mod tests {
             state.book(0, Placed { node: 1, start, end, task: Task::Frame(number) });
         }
         let board = Board::new(&state);
-        let order = |in_vain: &InVain| -> Vec<Option<i64>> {
-            dear(&state, &board, in_vain).iter().map(|piece| piece.placed.task.frame()).collect()
+        let order = |in_vain: &InVain| -> Vec<Task> {
+            dear(&state, &board, in_vain).iter().map(|piece| piece.placed.task).collect()
         };
-        assert_eq!(order(&InVain::new()), [Some(2), Some(1), Some(3)]);
-        let tried = |times: u32| InVain::from([((0, Some(2)), times)]);
-        assert_eq!(order(&tried(1)), [Some(2), Some(1), Some(3)], "half of three times as much");
-        assert_eq!(order(&tried(2)), [Some(1), Some(3), Some(2)]);
-        assert_eq!(order(&tried(u32::MAX)), [Some(1), Some(3), Some(2)]);
+        let frames = |numbers: [i64; 3]| numbers.map(Task::Frame);
+        assert_eq!(order(&InVain::new()), frames([2, 1, 3]));
+        let tried = |times: u32| InVain::from([((0, Task::Frame(2)), times)]);
+        assert_eq!(order(&tried(1)), frames([2, 1, 3]), "half of three times as much");
+        assert_eq!(order(&tried(2)), frames([1, 3, 2]));
+        assert_eq!(order(&tried(u32::MAX)), frames([1, 3, 2]));
     }
 }

@@ -31,11 +31,11 @@ pub(crate) fn improve(state: &mut State, rounds: usize) {
     }
 }
 
-/// Frames that found no place cheaper than theirs on a plainly billed node. By job and frame number: the
-/// node, and the clock at that time.
-type Searched = BTreeMap<(usize, i64), (usize, u64)>;
+/// Tasks that found no place cheaper than theirs on a plainly billed node. By job and task: the node, and the
+/// clock at that time.
+type Searched = BTreeMap<(usize, Task), (usize, u64)>;
 
-/// Moves single frames of jobs with a deadline to cheaper places in time.
+/// Moves single frames, and single parts of frames, of jobs with a deadline to cheaper places in time.
 fn cheapen(state: &mut State, searched: &mut Searched) {
     let problem = state.problem;
     // By the most that each frame could save, largest first.
@@ -45,14 +45,13 @@ fn cheapen(state: &mut State, searched: &mut Searched) {
             continue;
         }
         for &placed in state.placed[job].iter().skip(state.kept[job]) {
-            let Task::Frame(number) = placed.task else { continue };
-            let Some(frame) = work.frames.iter().find(|frame| frame.number == number) else { continue };
+            let Some(of_task) = work.work_of(placed.task) else { continue };
             let cheapest = work
                 .classes
                 .iter()
                 .filter_map(|&class| {
                     let node = problem.representative(class);
-                    Some(node.price(node.duration(frame.work, work.job.class)?, false))
+                    Some(node.price(node.duration(of_task, work.job.class)?, false))
                 })
                 .min();
             let node = problem.nodes[placed.node];
@@ -73,10 +72,8 @@ fn cheapen(state: &mut State, searched: &mut Searched) {
 fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut Searched) {
     let problem = state.problem;
     let work = &problem.jobs[job];
-    let Some(frame) = work.frames.iter().find(|frame| Some(frame.number) == placed.task.frame()) else {
-        return;
-    };
-    let name = (job, frame.number);
+    let Some(of_task) = work.work_of(placed.task) else { return };
+    let name = (job, placed.task);
     let node = problem.nodes[placed.node];
     let saved = state.lanes[placed.node].saved_without(node, placed.start, placed.end);
     let cheaper: Vec<usize> = work
@@ -85,7 +82,7 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
         .copied()
         .filter(|&class| {
             let node = problem.representative(class);
-            let price = node.duration(frame.work, work.job.class).map(|duration| node.price(duration, false));
+            let price = node.duration(of_task, work.job.class).map(|duration| node.price(duration, false));
             // On nodes billed in steps, a frame may fit into time that is already paid for.
             price.is_some_and(|price| price < saved || !node.is_plainly_billed())
         })
@@ -95,7 +92,7 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
     let before = searched.remove(&name).filter(|&(node, _)| node == placed.node);
     let search = Search {
         class_of_work: work.job.class,
-        work: frame.work,
+        work: of_task,
         release,
         latest_end: work.job.deadline.unwrap_or(i64::MAX),
         classes: &cheaper,
@@ -124,7 +121,7 @@ fn close_ranks(state: &mut State) {
     let mut by_node: Vec<Vec<(i64, usize, Placed)>> = vec![Vec::new(); problem.nodes.len()];
     for job in 0..problem.jobs.len() {
         for &placed in state.placed[job].iter().skip(state.kept[job]) {
-            if matches!(placed.task, Task::Frame(_)) && problem.nodes[placed.node].is_plainly_billed() {
+            if !placed.task.is_shared_cache() && problem.nodes[placed.node].is_plainly_billed() {
                 by_node[placed.node].push((placed.start, job, placed));
             }
         }

@@ -198,6 +198,19 @@ impl Lane {
         best
     }
 
+    /// Gaps that end after this instant and are at least this long.
+    pub fn gaps(&self, after: i64, least: i64) -> impl Iterator<Item = (i64, i64)> {
+        self.free.long_after(after, least)
+    }
+
+    /// What a booking adds to the cost of the rentals.
+    pub fn added_cost(&self, node: &Node, start: i64, end: i64) -> i64 {
+        if self.is_plain {
+            return price_of(node.price_per_hour, end.saturating_sub(start));
+        }
+        within_money(self.stretches[self.stretch_at(start)].added_cost(node, start, end))
+    }
+
     pub fn is_free(&self, start: i64, end: i64) -> bool {
         self.free.contains(start, end)
     }

@@ -50,6 +50,7 @@ mod lane;
 mod least;
 mod model;
 mod outcome;
+mod parts;
 mod problem;
 mod proof;
 mod rental;

@@ -23,6 +23,8 @@ pub(crate) struct Work<'a> {
     pub shared_cache: Option<u64>,
     /// Frames by P80, longest first, then by number.
     pub frames: Vec<FrameWork>,
+    /// Numbers of its frames, sorted, and their places in `frames`.
+    by_number: Vec<(i64, usize)>,
     /// Classes of nodes that can render its frames.
     pub classes: Vec<usize>,
     pub shared_cache_classes: Vec<usize>,
@@ -89,8 +91,12 @@ impl<'a> Work<'a> {
             let can = |members: &[usize]| nodes[members[0]].speed_of(class) > 0;
             (0..classes.len()).filter(|&index| can(&classes[index])).collect()
         };
+        let mut by_number: Vec<(i64, usize)> =
+            frames.iter().enumerate().map(|(place, (frame, _))| (frame.number, place)).collect();
+        by_number.sort_unstable();
         Work {
             job,
+            by_number,
             shared_cache: job.bought_shared_cache(),
             frames: frames
                 .iter()
@@ -123,7 +129,8 @@ impl<'a> Work<'a> {
     }
 
     pub fn frame(&self, number: i64) -> Option<&FrameWork> {
-        self.frames.iter().find(|frame| frame.number == number)
+        let place = self.by_number.binary_search_by_key(&number, |&(number, _)| number).ok()?;
+        self.frames.get(self.by_number[place].1)
     }
 
     /// Work of each part of the shared cache, or of all of it if it is not split.

@@ -1,5 +1,7 @@
 //! New plans after an event, with as few moves as possible.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 
 use crate::admission::Admission;
@@ -171,9 +173,12 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
                         job.release = job.release.max(end);
                         parts
                     }
+                    // With one part, all parts of the frame become fixed.
                     Some(number) => {
                         job.done.push(number);
-                        vec![booking]
+                        let of_frame =
+                            |other: &&Booking| other.job == booking.job && other.task.frame() == Some(number);
+                        old.bookings.iter().filter(of_frame).collect()
                     }
                 };
                 for fact in &facts {
@@ -229,17 +234,14 @@ fn is_open(state: &State, job: usize) -> bool {
     !state.is_kept(job)
 }
 
-/// Removes and returns the job's tasks that end after its deadline. All its tasks go if the shared cache is
-/// late.
+/// Removes and returns the job's tasks that end after its deadline, with the other parts of their frames. All
+/// its tasks go if the shared cache is late.
 fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
     let Some(deadline) = state.problem.jobs[job].job.deadline else { return Vec::new() };
     let is_late = |placed: &Placed| placed.end > deadline;
     let cache_moves = state.placed[job].iter().any(|placed| placed.task.is_shared_cache() && is_late(placed));
-    let placed = state.placed[job].iter();
-    let moving: Vec<Placed> = placed.filter(|placed| cache_moves || is_late(placed)).copied().collect();
-    for &placed in &moving {
-        state.unbook(job, placed);
-    }
+    let moving = state.with_other_parts(job, |placed| cache_moves || is_late(placed));
+    state.unbook_all(job, &moving);
     state.kept[job] = state.placed[job].len();
     moving
 }
@@ -284,23 +286,23 @@ fn make_way(state: &mut State, job: usize) -> bool {
     for (has_deadline, _, other) in others.into_iter().take(MOST_ASKED) {
         let mut trial = state.clone();
         // Only frames before this job's deadline on nodes that it can use are lifted.
-        let lifted: Vec<Placed> = trial.placed[other]
-            .iter()
-            .filter(|placed| matches!(placed.task, Task::Frame(_)))
-            .filter(|placed| placed.start < deadline && placed.end > release)
-            .filter(|placed| work.classes.contains(&problem.class_of[placed.node]))
-            .copied()
-            .collect();
-        lifted.iter().for_each(|&placed| trial.unbook(other, placed));
+        let lifted = trial.with_other_parts(other, |placed| {
+            !placed.task.is_shared_cache()
+                && placed.start < deadline
+                && placed.end > release
+                && work.classes.contains(&problem.class_of[placed.node])
+        });
+        trial.unbook_all(other, &lifted);
         trial.kept[other] = trial.placed[other].len();
         if !place_in_time(&mut trial, job) {
             continue;
         }
         // Frames whose place is still free go back to it.
-        for &placed in &lifted {
-            if trial.lanes[placed.node].is_free(placed.start, placed.end) {
-                trial.book(other, placed);
-            }
+        let is_taken = |placed: &Placed| !trial.lanes[placed.node].is_free(placed.start, placed.end);
+        let taken: BTreeSet<Option<i64>> =
+            lifted.iter().filter(|&placed| is_taken(placed)).map(|placed| placed.task.frame()).collect();
+        for &placed in lifted.iter().filter(|placed| !taken.contains(&placed.task.frame())) {
+            trial.book(other, placed);
         }
         trial.kept[other] = trial.placed[other].len();
         let outranks = work.job.priority > problem.jobs[other].job.priority;

@@ -11,7 +11,8 @@ use crate::improve::improve;
 use crate::lane::{Fit, Prefer};
 use crate::model::{Booking, Bound, Input, InputError, Node, Plan, Task, price_of};
 use crate::outcome;
-use crate::problem::Problem;
+use crate::parts::{even_out, place_in_parts};
+use crate::problem::{FrameWork, Problem};
 use crate::score::Score;
 use crate::state::{Only, Placed, Search, State};
 
@@ -208,35 +209,39 @@ pub(crate) fn place_all(
         return false;
     }
     let missing = state.missing(job);
-    for frame in work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok()) {
-        let Some(release) = state.earliest(job, Task::Frame(frame.number)) else { return false };
-        let search = Search {
-            class_of_work: work.job.class,
-            work: frame.work,
-            release,
-            latest_end,
-            classes: &work.classes,
-            prefer,
-            only: Only::ANY,
-            for_others: state.for_others,
-        };
+    let mut waiting = work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok());
+    waiting.all(|frame| place_frame(state, job, frame, (latest_end, prefer), allotment.as_deref_mut()))
+}
+
+/// Places a frame by an instant: whole if it may be and fits, else in parts.
+fn place_frame(
+    state: &mut State,
+    job: usize,
+    frame: &FrameWork,
+    (latest_end, prefer): (i64, Prefer),
+    mut allotment: Option<&mut [Allotted]>,
+) -> bool {
+    let number = frame.number;
+    let Some(release) = state.earliest(job, Task::Frame(number)) else { return false };
+    let search = Search { latest_end, prefer, ..Search::early(state, job, release, frame.work) };
+    if frame.division.allows(1) {
         let allotted =
             allotment.as_deref_mut().and_then(|allotment| find_allotted(state, &search, allotment));
-        let found = allotted.or_else(|| state.find(&search));
-        match found {
-            Some((node, fit)) => {
-                let (start, end) = (fit.start, fit.end);
-                state.book(job, Placed { node, start, end, task: Task::Frame(frame.number) });
-            }
-            None => return false,
+        if let Some((node, fit)) = allotted.or_else(|| state.find(&search)) {
+            state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
+            return true;
         }
     }
-    true
+    place_in_parts(state, job, frame, &search, allotment)
 }
 
 /// The best place within a job's allotment, which it uses up. At least half of the frame must lie in the
 /// slot.
-fn find_allotted(state: &State, search: &Search, allotment: &mut [Allotted]) -> Option<(usize, Fit)> {
+pub(crate) fn find_allotted(
+    state: &State,
+    search: &Search,
+    allotment: &mut [Allotted],
+) -> Option<(usize, Fit)> {
     let mut best: Option<(usize, usize, Fit)> = None;
     for (index, piece) in allotment.iter().enumerate().filter(|(_, piece)| piece.left > 0) {
         let node = state.problem.representative(piece.class);
@@ -292,27 +297,9 @@ pub(crate) fn as_early_as_possible(state: &mut State, job: usize) {
     }
     let missing = state.missing(job);
     for frame in work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok()) {
-        place_early(state, job, frame.number, frame.work);
+        place_frame(state, job, frame, (i64::MAX, Prefer::Early), None);
     }
-}
-
-/// Places a frame where it ends first. Returns the node time that it needs, or `None` if it fits nowhere.
-fn place_early(state: &mut State, job: usize, number: i64, frame_work: u64) -> Option<i64> {
-    let work = &state.problem.jobs[job];
-    let release = state.earliest(job, Task::Frame(number))?;
-    let search = Search {
-        class_of_work: work.job.class,
-        work: frame_work,
-        release,
-        latest_end: i64::MAX,
-        classes: &work.classes,
-        prefer: Prefer::Early,
-        only: Only::ANY,
-        for_others: state.for_others,
-    };
-    let (node, fit) = state.find(&search)?;
-    state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(number) });
-    Some(fit.end - fit.start)
+    even_out(state, job);
 }
 
 /// Places jobs without a deadline frame by frame, each time one of the job whose turn it is.
@@ -320,7 +307,7 @@ pub(crate) fn in_turns(state: &mut State, jobs: &[usize]) {
     let problem = state.problem;
     let mut turns = Turns::new(problem);
     let mut waiting: Vec<(usize, Option<u64>)> = Vec::new();
-    let mut frames: Vec<std::vec::IntoIter<(i64, u64)>> = vec![Vec::new().into_iter(); problem.jobs.len()];
+    let mut frames: Vec<std::vec::IntoIter<FrameWork>> = vec![Vec::new().into_iter(); problem.jobs.len()];
     for &job in jobs {
         let work = &problem.jobs[job];
         if !place_shared_cache(state, job, i64::MAX) {
@@ -328,15 +315,21 @@ pub(crate) fn in_turns(state: &mut State, jobs: &[usize]) {
         }
         let missing = state.missing(job);
         let left = work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok());
-        frames[job] = left.map(|frame| (frame.number, frame.work)).collect::<Vec<_>>().into_iter();
+        frames[job] = left.copied().collect::<Vec<_>>().into_iter();
         waiting.push((job, work.job.project));
     }
     while let Some(job) = turns.next(&waiting) {
         let project = problem.jobs[job].job.project;
         match frames[job].next() {
-            Some((number, work)) => {
-                let time = place_early(state, job, number, work).unwrap_or(0);
+            Some(frame) => {
+                let before = state.placed[job].len();
+                place_frame(state, job, &frame, (i64::MAX, Prefer::Early), None);
+                let placed = state.placed[job].iter().skip(before);
+                let time = placed.fold(0i64, |sum, place| sum.saturating_add(place.end - place.start));
                 turns.had(job, project, time);
+                if frames[job].len() == 0 {
+                    even_out(state, job);
+                }
             }
             None => waiting.retain(|&(other, _)| other != job),
         }
@@ -403,20 +396,6 @@ fn place_cheaply_by(state: &mut State, job: usize, by: i64) -> bool {
         return false;
     }
     let missing = state.missing(job);
-    work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok()).all(|frame| {
-        let Some(release) = state.earliest(job, Task::Frame(frame.number)) else { return false };
-        let search = Search {
-            class_of_work: work.job.class,
-            work: frame.work,
-            release,
-            latest_end: by,
-            classes: &work.classes,
-            prefer: Prefer::Cheap,
-            only: Only::ANY,
-            for_others: state.for_others,
-        };
-        let Some((node, fit)) = state.find(&search) else { return false };
-        state.book(job, Placed { node, start: fit.start, end: fit.end, task: Task::Frame(frame.number) });
-        true
-    })
+    let mut waiting = work.frames.iter().filter(|frame| missing.binary_search(&frame.number).is_ok());
+    waiting.all(|frame| place_frame(state, job, frame, (by, Prefer::Cheap), None))
 }

@@ -1,5 +1,7 @@
 //! A plan under construction: every node's lane, and the place of each task.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use crate::admission::{Admission, IN_A_MICRO_UNIT};
 use crate::lane::{Fit, Lane, Market, Prefer, Wanted};
 use crate::model::{Booking, SharedCache, Task};
@@ -84,6 +86,23 @@ pub(crate) struct State<'p, 'a> {
     pub clock: u64,
 }
 
+impl<'s> Search<'s> {
+    /// The earliest end of this much work of a job's frames, whenever that is.
+    pub fn early(state: &State<'s, '_>, job: usize, release: i64, work: u64) -> Self {
+        let of_job = &state.problem.jobs[job];
+        Search {
+            class_of_work: of_job.job.class,
+            work,
+            release,
+            latest_end: i64::MAX,
+            classes: &of_job.classes,
+            prefer: Prefer::Early,
+            only: Only::ANY,
+            for_others: state.for_others,
+        }
+    }
+}
+
 impl<'p, 'a> State<'p, 'a> {
     pub fn new(problem: &'p Problem<'a>, admission: &'p Admission) -> Self {
         let lanes =
@@ -105,6 +124,7 @@ impl<'p, 'a> State<'p, 'a> {
         sorted.sort_unstable_by_key(|booking| (!booking.task.is_shared_cache(), *booking));
         sorted.dedup();
         sorted.iter().for_each(|booking| self.keep_one(booking));
+        self.drop_partial_frames();
     }
 
     fn keep_one(&mut self, booking: &Booking) {
@@ -121,6 +141,27 @@ impl<'p, 'a> State<'p, 'a> {
         if is_right {
             self.book(job, Placed { node, start: booking.start, end: booking.end, task: booking.task });
             self.kept[job] += 1;
+        }
+    }
+
+    /// Frames of which some parts cannot be kept lose the others too, and are placed anew as a whole.
+    fn drop_partial_frames(&mut self) {
+        for job in 0..self.placed.len() {
+            let mut there: BTreeMap<i64, u32> = BTreeMap::new();
+            for placed in &self.placed[job] {
+                if let Task::Part { frame, .. } = placed.task {
+                    *there.entry(frame).or_default() += 1;
+                }
+            }
+            let is_partial = |placed: &Placed| match placed.task {
+                Task::Part { frame, parts, .. } => there.get(&frame).is_some_and(|&count| count < parts),
+                _ => false,
+            };
+            let (partial, whole): (Vec<Placed>, Vec<Placed>) =
+                self.placed[job].iter().copied().partition(is_partial);
+            self.kept[job] -= partial.len();
+            partial.into_iter().for_each(|placed| self.free(placed));
+            self.placed[job] = whole;
         }
     }
 
@@ -208,6 +249,24 @@ impl<'p, 'a> State<'p, 'a> {
         self.placed[job].retain(|other| *other != placed);
     }
 
+    /// Removes these places of the job.
+    pub fn unbook_all(&mut self, job: usize, places: &[Placed]) {
+        places.iter().for_each(|&placed| self.free(placed));
+        let tasks: BTreeSet<Task> = places.iter().map(|placed| placed.task).collect();
+        self.placed[job].retain(|placed| !tasks.contains(&placed.task));
+    }
+
+    /// Places of the job's tasks for which this holds, with those of all other parts of their frames.
+    pub fn with_other_parts(&self, job: usize, is_wanted: impl Fn(&Placed) -> bool) -> Vec<Placed> {
+        let all = || self.placed[job].iter().copied();
+        let divided: BTreeSet<i64> = all()
+            .filter(|placed| matches!(placed.task, Task::Part { .. }) && is_wanted(placed))
+            .filter_map(|placed| placed.task.frame())
+            .collect();
+        let is_part = |placed: &Placed| placed.task.frame().is_some_and(|frame| divided.contains(&frame));
+        all().filter(|placed| is_wanted(placed) || is_part(placed)).collect()
+    }
+
     fn free(&mut self, placed: Placed) {
         let (node, lane) = (self.problem.nodes[placed.node], &mut self.lanes[placed.node]);
         lane.unbook(node, placed.start, placed.end);
@@ -235,8 +294,7 @@ impl<'p, 'a> State<'p, 'a> {
 
     /// Numbers of the job's frames without a place.
     pub fn missing(&self, job: usize) -> Vec<i64> {
-        let there: std::collections::BTreeSet<i64> =
-            self.placed[job].iter().filter_map(|placed| placed.task.frame()).collect();
+        let there: BTreeSet<i64> = self.placed[job].iter().filter_map(|placed| placed.task.frame()).collect();
         let all = self.problem.jobs[job].frames.iter().map(|frame| frame.number);
         let mut missing: Vec<i64> = all.filter(|number| !there.contains(number)).collect();
         missing.sort_unstable();
@@ -273,6 +331,9 @@ fn excludes(one: Task, other: Task) -> bool {
     match (one, other) {
         (Task::SharedCachePart { part: p, parts: m }, Task::SharedCachePart { part: q, parts: n }) => {
             p == q || m != n
+        }
+        (Task::Part { frame: a, part: p, parts: m }, Task::Part { frame: b, part: q, parts: n }) => {
+            a == b && (p == q || m != n)
         }
         _ => one.frame() == other.frame(),
     }

@@ -1,6 +1,6 @@
 //! Farm descriptions: the example can be planned, and mistakes are named.
 
-use forelight_planner::{Description, DescriptionError, plan, verify};
+use forelight_planner::{Description, DescriptionError, Division, plan, verify};
 
 const EXAMPLE: &str = include_str!("../farm.example.json");
 
@@ -11,16 +11,35 @@ fn described(text: &str) -> Description {
 #[test]
 fn the_example_is_planned() {
     let input = described(EXAMPLE).input(jiff::tz::db()).expect("an input");
-    assert_eq!((input.nodes.len(), input.jobs.len()), (30, 4));
+    assert_eq!((input.nodes.len(), input.jobs.len()), (30, 5));
     let found = plan(&input).expect("a plan");
     assert_eq!(verify(&input, &found), Ok(()));
     assert!(found.jobs.iter().all(|entry| entry.verdict.is_kept()), "{:?}", found.jobs);
+    assert!(found.bookings_of(3).count() > 8, "the poster is divided");
     // Clocks go forward on 29 March. The desks are free all weekend, and that night has 11 hours.
     let desk = &input.nodes[8];
     assert_eq!(desk.name, "desk-1");
     let hours: Vec<i64> =
         desk.calendar.iter().map(|open| (open.end.expect("an end") - open.start) / 3_600_000_000).collect();
     assert_eq!(hours[0], 4 + 48 - 1, "from Friday 20:00 to Monday 00:00, less the hour that is left out");
+}
+
+#[test]
+fn parts_are_a_limit_or_a_number() {
+    let division = |fields: &str| {
+        let text = format!(
+            r#"{{ "now": "2026-03-27T18:00:00Z", "nodes": [{{ "name": "a", "price_per_hour": 1 }}],
+                 "jobs": [{{ "name": "j", "frames": 1, "hours": 1{fields} }}] }}"#
+        );
+        let input = described(&text).input(jiff::tz::db())?;
+        Ok((input.jobs[0].frames[0].division, input.jobs[0].part_overhead))
+    };
+    assert_eq!(division(""), Ok((Division::Whole, 0)));
+    let overhead = r#", "parts": 8, "part_overhead_hours": 0.5"#;
+    assert_eq!(division(overhead), Ok((Division::UpTo(8), 1_800_000_000_000)));
+    assert_eq!(division(r#", "exact_parts": 3"#), Ok((Division::Into(3), 0)));
+    let both: Result<_, DescriptionError> = division(r#", "exact_parts": 3, "parts": 8"#);
+    assert!(both.is_err_and(|error| error.to_string().contains("set one of them")));
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! The README's properties, on random inputs.
 
 use forelight_planner::{
-    Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, curve, explain,
-    mend, plan, replan, simulate, verify,
+    Confidence, Division, Event, FixedBooking, Frame, Input, Interval, Job, Node, Verdict, WorkTotal, curve,
+    explain, mend, plan, replan, simulate, verify,
 };
 use forelight_simulator::reference::{Size, cheapest_by_trying_everything, studio, tiny};
 use proptest::prelude::*;
@@ -24,21 +24,32 @@ prop_compose! {
     }
 }
 
+/// Mostly whole frames, some that may be divided, and some that must be.
+fn division() -> impl Strategy<Value = Division> {
+    prop_oneof![
+        4 => Just(Division::Whole),
+        3 => (0u32..9).prop_map(Division::UpTo),
+        1 => Just(Division::UpTo(u32::MAX)),
+        1 => (0u32..9).prop_map(Division::Into),
+    ]
+}
+
 prop_compose! {
     fn job()(
         release in -20i64..200,
         deadline in prop::option::of(-100i64..600),
         priority in -1i32..2,
         confidence in prop_oneof![Just(Confidence::P50), Just(Confidence::P80), Just(Confidence::P95)],
-        works in prop::collection::vec(prop_oneof![20 => 0u64..120, 1 => Just(u64::MAX)], 0..8),
+        works in prop::collection::vec((prop_oneof![20 => 0u64..120, 1 => Just(u64::MAX)], division()), 0..8),
+        part_overhead in 0u64..12,
         margin in (0u64..100, 0u64..100),
         budget in prop::option::of(0i64..5_000_000),
     ) -> Job {
-        let p50 = works.iter().fold(0u64, |sum, &work| sum.saturating_add(work));
+        let p50 = works.iter().fold(0u64, |sum, &(work, _)| sum.saturating_add(work));
         let p80 = p50.saturating_add(margin.0);
         let total = WorkTotal { p50, p80, p95: p80.saturating_add(margin.1) };
-        let frames = works.iter().zip(0..).map(|(&work, number)| Frame { number: 3 * number - 5, work, ..Frame::default() }).collect();
-        Job { release, deadline, priority, confidence, total, frames, budget, ..Job::default() }
+        let frames = works.iter().zip(0..).map(|(&(work, division), number)| Frame { number: 3 * number - 5, work, work_p80: 0, division }).collect();
+        Job { release, deadline, priority, confidence, total, frames, part_overhead, budget, ..Job::default() }
     }
 }
 
@@ -184,7 +195,13 @@ proptest! {
         let mut small = input;
         small.nodes.iter_mut().for_each(|node| node.speed = node.speed.min(10_000_000));
         for job in &mut small.jobs {
-            job.frames.iter_mut().for_each(|frame| frame.work = frame.work.min(1000));
+            // All numbers of parts divide it, so that parts round alike.
+            job.frames.iter_mut().for_each(|frame| {
+                frame.work = frame.work.min(100) * 840;
+                if frame.division == Division::UpTo(u32::MAX) {
+                    frame.division = Division::Whole;
+                }
+            });
             let total = job.frames.iter().map(|frame| frame.work).sum();
             job.total = WorkTotal { p50: total, p80: total, p95: total };
         }
@@ -192,6 +209,7 @@ proptest! {
         large.nodes.iter_mut().for_each(|node| node.speed *= factor);
         for job in &mut large.jobs {
             job.frames.iter_mut().for_each(|frame| frame.work *= factor);
+            job.part_overhead *= factor;
             let total = job.total.p50 * factor;
             job.total = WorkTotal { p50: total, p80: total, p95: total };
         }
@@ -222,6 +240,15 @@ fn studio_input() -> impl Strategy<Value = Input> {
             input.jobs.iter_mut().take(without).for_each(|job| job.deadline = None);
             for job in &mut input.jobs {
                 job.shared_cache.iter_mut().for_each(|cache| cache.parts = (job.id % 4) as u32);
+                // A third of the jobs may divide their frames, and some of the others must.
+                job.part_overhead = 60_000_000_000;
+                for frame in &mut job.frames {
+                    frame.division = match (job.id % 3, frame.number % 5) {
+                        (0, _) => Division::UpTo(16),
+                        (1, 0) => Division::Into(3),
+                        _ => Division::Whole,
+                    };
+                }
             }
             input
         },

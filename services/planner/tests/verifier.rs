@@ -1,8 +1,8 @@
 //! The verifier finds every fault that is put into a good plan.
 
 use forelight_planner::{
-    Bound, Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Task, Verdict, Violation,
-    WorkTotal, plan, verify,
+    Bound, Confidence, Division, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Task, Verdict,
+    Violation, WorkTotal, plan, verify,
 };
 
 fn input() -> Input {
@@ -147,4 +147,114 @@ fn a_bound_after_the_end_is_found() {
             .iter()
             .any(|v| matches!(v, Violation::Bound { job: Some(1) }))
     );
+}
+
+/// Two frames of 60 units of work, in two or three parts, on two nodes.
+fn divided() -> Input {
+    let mut input = input();
+    input.fixed.clear();
+    let job = &mut input.jobs[0];
+    job.frames.truncate(2);
+    job.part_overhead = 5;
+    for frame in &mut job.frames {
+        (frame.work, frame.division) = (60, Division::Into(2 + frame.number as u32));
+    }
+    job.total = WorkTotal { p50: 120, p80: 120, p95: 120 };
+    input.jobs.truncate(1);
+    input
+}
+
+/// The violations of a good plan with divided frames after tampering.
+fn faults_of_parts(tamper: impl FnOnce(&mut Input, &mut Plan)) -> Vec<Violation> {
+    let mut input = divided();
+    let mut plan = plan(&input).expect("a plan");
+    assert_eq!(verify(&input, &plan), Ok(()));
+    assert_eq!(plan.bookings.len(), 5, "two and three parts");
+    tamper(&mut input, &mut plan);
+    verify(&input, &plan).expect_err("a fault")
+}
+
+/// The place of a part of the second frame, which has three.
+fn part_of_second(plan: &Plan, part: u32) -> usize {
+    let task = Task::Part { frame: 1, part, parts: 3 };
+    plan.bookings.iter().position(|booking| booking.task == task).expect("a booking of the part")
+}
+
+#[test]
+fn a_part_that_is_missing_is_found() {
+    for part in 0..3 {
+        let found = faults_of_parts(|_, p| {
+            p.bookings.remove(part_of_second(p, part));
+        });
+        let task = Task::Part { frame: 1, part, parts: 3 };
+        assert!(found.contains(&Violation::Missing { job: 1, task }), "{found:?}");
+    }
+}
+
+#[test]
+fn a_part_that_is_booked_twice_is_found() {
+    for (part, other) in [(0, 1), (2, 0)] {
+        let found = faults_of_parts(|_, p| {
+            let index = part_of_second(p, part);
+            p.bookings[index].task = Task::Part { frame: 1, part: other, parts: 3 };
+        });
+        let twice = Task::Part { frame: 1, part: other, parts: 3 };
+        assert!(found.contains(&Violation::Twice { job: 1, task: twice }), "{found:?}");
+        let missing = Task::Part { frame: 1, part, parts: 3 };
+        assert!(found.contains(&Violation::Missing { job: 1, task: missing }), "{found:?}");
+    }
+}
+
+#[test]
+fn a_number_of_parts_that_the_frame_may_not_have_is_found() {
+    let is_division = |v: &Violation| matches!(v, Violation::Division(_));
+    for allowed in
+        [Division::Whole, Division::UpTo(2), Division::Into(2), Division::Into(4), Division::UpTo(0)]
+    {
+        let found = faults_of_parts(|input, _| input.jobs[0].frames[1].division = allowed);
+        assert_eq!(found.iter().filter(|v| is_division(v)).count(), 3, "{allowed:?}: {found:?}");
+    }
+    // One part of another division among the others, and parts beyond the last.
+    for task in [
+        Task::Part { frame: 1, part: 0, parts: 2 },
+        Task::Part { frame: 1, part: 3, parts: 3 },
+        Task::Part { frame: 1, part: 0, parts: 0 },
+        Task::Part { frame: 1, part: u32::MAX, parts: u32::MAX },
+        Task::Frame(1),
+    ] {
+        let found = faults_of_parts(|_, p| {
+            let index = part_of_second(p, 1);
+            p.bookings[index].task = task;
+        });
+        assert!(found.iter().any(is_division), "{task}: {found:?}");
+    }
+}
+
+#[test]
+fn a_whole_frame_that_must_be_divided_and_a_single_part_are_found() {
+    for task in [Task::Frame(1), Task::Part { frame: 1, part: 0, parts: 1 }] {
+        let found = faults_of_parts(|_, p| {
+            p.bookings.retain(|booking| booking.task.frame() == Some(0));
+            let (start, end) = (300, 360);
+            p.bookings.push(forelight_planner::Booking { start, node: 1, job: 1, task, end });
+        });
+        assert!(found.iter().any(|v| matches!(v, Violation::Division(_))), "{found:?}");
+    }
+}
+
+#[test]
+fn a_part_without_its_overhead_is_too_short() {
+    let found = faults_of_parts(|_, p| {
+        let index = part_of_second(p, 2);
+        p.bookings[index].end -= 5;
+    });
+    assert!(found.iter().any(|v| matches!(v, Violation::Duration(_))), "{found:?}");
+}
+
+#[test]
+fn a_divided_frame_called_unplaced_is_found() {
+    let found = faults_of_parts(|_, p| {
+        p.jobs[0].verdict = Verdict::Unplaced { frames: vec![1], shared_cache: false };
+    });
+    assert!(found.contains(&Violation::Twice { job: 1, task: Task::Frame(1) }), "{found:?}");
 }

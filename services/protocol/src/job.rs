@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::division::{is_one, one};
 use crate::node::given;
 use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FrameForecast, FrameSet, JobId, JobSettings,
@@ -79,6 +80,33 @@ pub struct JobRequest {
     /// Whether to wait with the complete quote until somebody accepts it. Nothing is booked before.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub hold: bool,
+}
+
+impl JobRequest {
+    /// A job of this name for these frames, with defaults for all else.
+    pub fn new(name: String, bundle: BundleRef, frames: FrameSet) -> Self {
+        Self {
+            name,
+            project: default_project(),
+            bundle,
+            renderer: None,
+            frames,
+            settings: RenderSettingsRequest::default(),
+            cache: CacheSharing::default(),
+            division: Division::default(),
+            samples: default_samples(),
+            profile_frames: None,
+            ladders: Ladders::default(),
+            within: None,
+            deadline: None,
+            budget: None,
+            confidence: Confidence::default(),
+            priority: 0,
+            weight: default_weight(),
+            limits: TaskLimits::default(),
+            hold: false,
+        }
+    }
 }
 
 /// Accepts the quote of a job on hold. What is left out stays as it was submitted.
@@ -289,15 +317,15 @@ pub struct JobCheck {
     pub settings: JobSettings,
 }
 
-/// State of a frame.
+/// State of a frame, or of a task.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameState {
-    /// Waiting for the quote, or for the shared irradiance cache.
+    /// Waiting for the quote, or for another task.
     Waiting,
     /// Ready to be rendered.
     Ready,
-    /// Leased by a worker.
+    /// Leased by a worker. A divided frame: one of its parts was.
     Leased,
     /// Finished.
     Done,
@@ -359,13 +387,20 @@ pub struct FrameRow {
     pub work: Option<FrameFigure>,
     /// CPU seconds: forecast, actual value and error. All are for a node of speed 1.
     pub cpu_seconds: Option<FrameFigure>,
-    /// Where and when it is booked. Absent if it is not.
+    /// Where and when it is booked; of a divided frame, its first part. Absent if it is not.
     pub booked: Option<FrameBooking>,
+    /// Into how many parts it is divided. 1 or absent: it is rendered as a whole.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[schema(default = 1, minimum = 1, maximum = 512)]
+    pub parts: u32,
+    /// Number of its finished parts. 0 of a whole frame.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub parts_done: u32,
     /// The node that renders or rendered it. Absent until then.
     pub node: Option<NodeId>,
     /// Number of attempts so far.
     pub attempts: u32,
-    /// Progress of the present attempt, 0 to 1.
+    /// Progress of the present attempt, 0 to 1; of a divided frame, that of all parts.
     pub progress: f64,
     /// When the latest attempt started.
     pub started: Option<Timestamp>,

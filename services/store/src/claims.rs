@@ -204,6 +204,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         task_id: Some(task_id),
         task_kind: Some(lease.spec.kind()),
         frame: lease.spec.frame(),
+        part: lease.spec.part(),
         node_id: Some(node.id),
         ..event(EventKind::TaskLeased, now)
     };

@@ -22,6 +22,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
         task_id: None,
         task_kind: None,
         frame: None,
+        part: None,
         node_id: None,
         node_state: None,
         project: None,

@@ -83,6 +83,7 @@ pub(crate) struct LeaseRow {
     #[sqlx(try_from = "Word<TaskKind>")]
     pub kind: TaskKind,
     pub frame: Option<u32>,
+    pub part: Option<u32>,
     /// The task's renderer. `None` for our own.
     pub renderer: Option<String>,
     pub failures: u32,
@@ -116,7 +117,7 @@ pub(crate) enum LeaseState {
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
-            "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.renderer, t.failures, \
+            "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.part, t.renderer, t.failures, \
              t.expiries, l.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
              (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar, \
              EXISTS (SELECT 1 FROM leases o WHERE o.task_id = t.id AND o.state = 'active' AND o.id <> l.id) \
@@ -169,6 +170,7 @@ impl LeaseRow {
             task_id: Some(self.task_id),
             task_kind: Some(self.kind),
             frame: self.frame,
+            part: self.part,
             node_id: Some(self.node_id),
             ..event(kind, now)
         }

@@ -1,5 +1,7 @@
 //! Makes a job's tasks, and takes them all back.
 
+pub(crate) mod listing;
+
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, JobId, JobSettings,
     Money, NodeId, PartRange, PreviewSpec, ProfileSpec, RenderPartSpec, RenderSettings, RenderSpec,

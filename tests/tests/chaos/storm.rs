@@ -1,8 +1,8 @@
 //! Combines all faults. Workers and service are killed at random moments. The network loses, doubles and
 //! delays messages. The service's clock jumps by hours in both directions, and its disk is full at times.
 //! Meanwhile job after job is rendered. Every second job shares an irradiance cache, which workers plan, fill
-//! in parts and merge. Every frame must be delivered once, with the bits of an undisturbed render, and the
-//! database must be consistent.
+//! in parts and merge; frames of half of the jobs are divided into three parts. Every frame must be delivered
+//! once, with the bits of an undisturbed render, and the database must be consistent.
 //!
 //! The faults follow from a seed; exact times depend on the machine. The default is twelve kills, a full run
 //! two hundred:
@@ -45,6 +45,11 @@ fn number(variable: &str, default: u64) -> u64 {
 /// True if the frames of this job share an irradiance cache: every second job, starting with the first.
 fn is_cached(number: usize) -> bool {
     number.is_multiple_of(2)
+}
+
+/// True if the frames of this job are divided. Each kind of job comes with and without it.
+fn is_divided(number: usize) -> bool {
+    matches!(number % 4, 1 | 2)
 }
 
 /// Flags of the two kinds of jobs.
@@ -95,6 +100,9 @@ async fn submit(http: &Http, bundle: &Bundle, number: usize) -> Job {
         "name": format!("storm {number}"), "bundle": {"id": bundle.id}, "frames": format!("0-{}", FRAMES - 1),
         "settings": {"width": WIDTH, "height": HEIGHT, "spp": SAMPLES_PER_PIXEL}, "samples": 32, "profile_frames": 2,
     });
+    if is_divided(number) {
+        request["division"] = json!({"into": 3});
+    }
     if is_cached(number) {
         request["cache"] = json!("shared");
         request["settings"] = json!({
@@ -260,6 +268,7 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
         for row in frames_of(&http, job).await {
             let (image, stats) = &reference[&row.frame];
             assert_eq!(row.state, FrameState::Done, "frame {}", row.frame);
+            assert_eq!(row.parts, if is_divided(number) { 3 } else { 1 }, "frame {}", row.frame);
             assert_eq!(counts(row.actual.as_ref().unwrap()), counts(stats), "frame {}", row.frame);
             let path = format!("/v1/jobs/{}/frames/{}/image.exr", job.id, row.frame);
             let what = format!("frame {} of {} and of an undisturbed render", row.frame, done.name);

@@ -449,7 +449,9 @@ fn planner_frame(
     if !each.untouched {
         return frame;
     }
-    let division = match parts(farm_job.job.division, each.p50 * factor, overhead, forecast.most_parts) {
+    let (width, height) = farm_job.job.settings.size().unwrap_or((1, 1));
+    let most = forecast.most_parts.min(width.saturating_mul(height));
+    let division = match parts(farm_job.job.division, each.p50 * factor, overhead, most) {
         Parts::UpTo(0 | 1) | Parts::Exactly(0 | 1) => planner::Division::Whole,
         Parts::UpTo(most) => planner::Division::UpTo(most),
         Parts::Exactly(parts) => planner::Division::Into(parts),

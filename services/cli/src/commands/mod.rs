@@ -139,8 +139,8 @@ impl Cli {
             Command::Backup(args) => backup::run(args).await,
             Command::Scrub(args) => scrub::run(args, interrupt).await,
             Command::Budget(args) => budget::run(*args).await,
+            Command::Render(args) => render::run(args, interrupt).await,
             // Tracing light would block the runtime, so it has a thread of its own.
-            Command::Render(args) => blocking(move || render::run(&args, &interrupt)).await,
             Command::Renderers(args) => blocking(move || renderers::run(&args)).await,
             Command::Preview(args) => blocking(move || preview::run(&args)).await,
             Command::Cache(args) => blocking(move || cache::run(&args, &interrupt)).await,

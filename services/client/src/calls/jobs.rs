@@ -6,7 +6,7 @@ use crate::transport::{Payload, Request, parameters};
 use bytes::Bytes;
 use forelight_protocol::{
     AcceptRequest, AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId,
-    JobPage, JobRequest, LeaveOutRequest, LeftOutJob, Money, Timestamp,
+    JobPage, JobRequest, LeaveOutRequest, LeftOutJob, Money, TaskPage, TaskRow, Timestamp,
 };
 use reqwest::Method;
 use std::path::Path;
@@ -137,7 +137,19 @@ impl Client {
     /// All frames of a job, ascending.
     pub async fn frames(&self, id: JobId) -> Result<Vec<FrameRow>, ClientError> {
         let parts = |page: FramePage| (page.items, page.next_page_token);
-        self.all_pages(&format!("/v1/jobs/{id}/frames"), parts).await
+        self.all_pages(&format!("/v1/jobs/{id}/frames"), &[], parts).await
+    }
+
+    /// One frame.
+    pub async fn frame(&self, id: JobId, frame: u32) -> Result<FrameRow, ClientError> {
+        self.get(format!("/v1/jobs/{id}/frames/{frame}")).await
+    }
+
+    /// The tasks of one frame, oldest first.
+    pub async fn tasks_of_frame(&self, id: JobId, frame: u32) -> Result<Vec<TaskRow>, ClientError> {
+        let parts = |page: TaskPage| (page.items, page.next_page_token);
+        let frame = frame.to_string();
+        self.all_pages(&format!("/v1/jobs/{id}/tasks"), &[("frame", &frame)], parts).await
     }
 
     /// One picture of one frame.

@@ -28,7 +28,7 @@ impl Client {
 
     /// All nodes, oldest first.
     pub async fn nodes(&self) -> Result<Vec<Node>, ClientError> {
-        self.all_pages("/v1/nodes", |page: NodePage| (page.items, page.next_page_token)).await
+        self.all_pages("/v1/nodes", &[], |page: NodePage| (page.items, page.next_page_token)).await
     }
 
     /// Gives a node orders, or changes its speed, price, calendar or terms.

@@ -14,7 +14,7 @@ impl Client {
 
     /// All tokens, oldest first.
     pub async fn tokens(&self) -> Result<Vec<Token>, ClientError> {
-        self.all_pages("/v1/tokens", |page: TokenPage| (page.items, page.next_page_token)).await
+        self.all_pages("/v1/tokens", &[], |page: TokenPage| (page.items, page.next_page_token)).await
     }
 
     /// Changes a token's name or end.

@@ -135,6 +135,12 @@ pub(super) struct JobEntry {
     pub(super) gpu_memory_gib: f64,
     #[serde(default)]
     pub(super) cores: u32,
+    /// The most parts of a frame, where parts help.
+    pub(super) parts: Option<u32>,
+    /// The number of parts of every frame.
+    pub(super) exact_parts: Option<u32>,
+    #[serde(default)]
+    pub(super) part_overhead_hours: f64,
     pub(super) budget: Option<f64>,
 }
 

@@ -18,8 +18,8 @@ pub use self::error::DescriptionError;
 use self::values::{duration, known, money, names, scaled};
 use crate::civil::{Weekly, expand};
 use crate::model::{
-    Confidence, FixedBooking, Frame, Input, Interval, Job, Node, Power, Project, SharedCache, Usage,
-    WorkTotal,
+    Confidence, Division, FixedBooking, Frame, Input, Interval, Job, Node, Power, Project, SharedCache,
+    Usage, WorkTotal,
 };
 
 /// Per job.
@@ -177,10 +177,18 @@ fn job(
         }
         (Frames::List(frames), None) => frames.iter().map(|frame| (frame.number, frame.hours)).collect(),
     };
+    let division = match (entry.parts, entry.exact_parts) {
+        (Some(_), Some(_)) => {
+            return Err(wrong("parts is a limit and exact_parts a number: set one of them"));
+        }
+        (None, Some(parts)) => Division::Into(parts),
+        (Some(parts), None) => Division::UpTo(parts),
+        (None, None) => Division::Whole,
+    };
     let mut frames = Vec::with_capacity(listed.len());
     for (number, hours) in listed {
         let p80 = work(hours * entry.frame_spread * entry.spread, "hours")?;
-        frames.push(Frame { number, work: work(hours, "hours")?, work_p80: p80, ..Frame::default() });
+        frames.push(Frame { number, work: work(hours, "hours")?, work_p80: p80, division });
     }
     let p50 = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
     // For a lognormal factor: z of 95 % over z of 80 %.
@@ -212,7 +220,7 @@ fn job(
         },
         frames,
         done: Vec::new(),
-        part_overhead: 0,
+        part_overhead: work(entry.part_overhead_hours, "part_overhead_hours")?,
         budget: entry.budget.map(|budget| money(budget, &at, "budget")).transpose()?,
     })
 }

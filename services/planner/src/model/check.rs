@@ -6,6 +6,9 @@ use super::farm::{Interval, Node};
 use super::input::Input;
 use super::job::Job;
 
+/// The most parts that a frame can be required to have.
+const MOST_PARTS: u32 = 1 << 16;
+
 /// Why an input is invalid. Valid demands that cannot be met have a verdict instead.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -98,6 +101,16 @@ pub enum InputError {
         /// The job.
         job: u64,
     },
+    /// A frame must have too many parts.
+    #[error("job {job}: frame {frame} must have {parts} parts, but at most {MOST_PARTS} are possible")]
+    TooManyParts {
+        /// The job.
+        job: u64,
+        /// Number of the frame.
+        frame: i64,
+        /// The number of parts.
+        parts: u32,
+    },
     /// An event names a node or job that does not exist.
     #[error("the event names {what} {id}, which does not exist")]
     UnknownEvent {
@@ -182,10 +195,16 @@ fn check_job(job: &Job) -> Result<(), InputError> {
         return Err(InputError::FallingQuantiles { job: job.id });
     }
     let mut frames = BTreeSet::new();
-    match job.frames.iter().find(|frame| !frames.insert(frame.number)) {
-        Some(frame) => Err(InputError::DuplicateFrame { job: job.id, frame: frame.number }),
-        None => Ok(()),
+    for frame in &job.frames {
+        if !frames.insert(frame.number) {
+            return Err(InputError::DuplicateFrame { job: job.id, frame: frame.number });
+        }
+        let parts = frame.division.fewest();
+        if parts > MOST_PARTS {
+            return Err(InputError::TooManyParts { job: job.id, frame: frame.number, parts });
+        }
     }
+    Ok(())
 }
 
 fn not_negative(what: &str, value: i64) -> Result<(), InputError> {

@@ -13,6 +13,10 @@ use crate::jobs;
 /// A frame's row, with its task and its booking.
 struct Row {
     frame: u32,
+    parts: u32,
+    parts_done: u32,
+    /// Whether a worker has had one of its parts.
+    is_begun: bool,
     forecast: Option<Json<FrameForecast>>,
     actual: Option<Json<RenderStats>>,
     actual_work: Option<f64>,
@@ -36,14 +40,19 @@ macro_rules! rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT f.frame, f.forecast, f.actual, f.actual_work, f.actual_cpu, f.artifacts, f.preview_png, \
+            "SELECT f.frame, f.parts, (SELECT count(*) FROM tasks p INDEXED BY tasks_of_parts WHERE f.parts > 1 \
+             AND p.kind = 'render_part' AND p.job_id = f.job_id AND p.frame = f.frame AND p.state = 'done') \
+             AS \"parts_done!: u32\", \
+             EXISTS (SELECT 1 FROM tasks p INDEXED BY tasks_of_parts WHERE f.parts > 1 AND p.kind = 'render_part' \
+             AND p.job_id = f.job_id AND p.frame = f.frame AND p.state IN ('leased', 'done')) AS \"is_begun!: bool\", \
+             f.forecast, f.actual, f.actual_work, f.actual_cpu, f.artifacts, f.preview_png, \
              f.finished_at, t.state AS \"state?\", t.node_id, t.fence AS \"attempts?: u32\", \
              t.progress AS \"progress?\", t.started_at, t.error, b.node_id AS \"booked_node?\", \
              n.name AS \"booked_name?\", b.start_at AS \"start_at?\", b.end_at AS \"end_at?\" \
              FROM frames f JOIN jobs j ON j.id = f.job_id \
              LEFT JOIN tasks t INDEXED BY tasks_of_frames \
              ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
-             LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame \
+             LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame AND b.part = 0 \
              LEFT JOIN nodes n ON n.id = b.node_id "
                 + $rest
             $(, $value)*
@@ -78,13 +87,9 @@ impl Row {
     fn shown(self, job_is_final: bool) -> Result<FrameRow> {
         let state = match self.state.as_deref() {
             None if job_is_final => FrameState::Cancelled,
-            None | Some("waiting") => FrameState::Waiting,
-            Some("ready") => FrameState::Ready,
-            Some("leased") => FrameState::Leased,
-            Some("done") => FrameState::Done,
-            Some("failed") => FrameState::Failed,
-            Some("cancelled") => FrameState::Cancelled,
-            Some(other) => return Err(corrupt("state", other)),
+            None => FrameState::Waiting,
+            Some("waiting") if self.is_begun => FrameState::Leased,
+            Some(state) => state_of(state)?,
         };
         let booked = match (self.booked_node, self.booked_name, self.start_at, self.end_at) {
             (Some(node_id), Some(node), Some(start), Some(end)) => {
@@ -102,6 +107,8 @@ impl Row {
             forecast,
             actual: self.actual.map(|it| it.0),
             booked,
+            parts: self.parts,
+            parts_done: self.parts_done,
             node: self.node_id.map(Into::into),
             attempts: self.attempts.unwrap_or(0),
             progress: self.progress.unwrap_or(0.0),
@@ -116,6 +123,19 @@ impl Row {
             error: self.error,
         })
     }
+}
+
+/// The state of a task, from its name.
+pub(crate) fn state_of(name: &str) -> Result<FrameState> {
+    Ok(match name {
+        "waiting" => FrameState::Waiting,
+        "ready" => FrameState::Ready,
+        "leased" => FrameState::Leased,
+        "done" => FrameState::Done,
+        "failed" => FrameState::Failed,
+        "cancelled" => FrameState::Cancelled,
+        other => return Err(corrupt("state", other)),
+    })
 }
 
 fn figure(forecast: Quantiles, actual: Option<f64>) -> FrameFigure {

@@ -14,6 +14,9 @@ struct Row {
     frame: u32,
     state: Option<String>,
     is_booked: bool,
+    is_divided: bool,
+    /// Whether a worker has had one of its parts.
+    is_begun: bool,
     dropped: bool,
     values: [Option<f64>; 3],
     actual: Option<f64>,
@@ -22,7 +25,10 @@ struct Row {
 macro_rules! rows {
     ($connection:expr, $job:expr, $columns:literal) => {
         sqlx::query!(
-            "SELECT f.frame, t.state AS \"state?\", t.booked_node IS NOT NULL AS \"is_booked!: bool\", f.dropped, "
+            "SELECT f.frame, t.state AS \"state?\", t.booked_node IS NOT NULL AS \"is_booked!: bool\", f.parts > 1 AS \"is_divided!: bool\", \
+             EXISTS (SELECT 1 FROM tasks p INDEXED BY tasks_of_parts WHERE f.parts > 1 AND p.kind = 'render_part' \
+             AND p.job_id = f.job_id AND p.frame = f.frame AND p.state IN ('leased', 'done')) AS \"is_begun!: bool\", \
+             f.dropped, "
                 + $columns
                 + " FROM frames f LEFT JOIN tasks t INDEXED BY tasks_of_frames \
                    ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame \
@@ -36,6 +42,8 @@ macro_rules! rows {
             frame: row.frame,
             state: row.state,
             is_booked: row.is_booked,
+            is_divided: row.is_divided,
+            is_begun: row.is_begun,
             dropped: row.dropped,
             values: [row.p50, row.p80, row.p95],
             actual: row.actual,
@@ -88,6 +96,8 @@ fn letter(row: &Row, job_is_final: bool) -> char {
         _ if row.dropped => 'c',
         Some("done") => 'd',
         Some("leased") => 'r',
+        Some("waiting") if row.is_begun => 'r',
+        Some("waiting") if row.is_divided => 'b',
         Some("failed") => 'f',
         Some("cancelled") => 'c',
         Some("ready") if row.is_booked => 'b',

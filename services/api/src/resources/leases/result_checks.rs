@@ -1,5 +1,6 @@
 //! Checks that a result fits its task. Forecasts and plans depend on it, so nonsense is refused here.
 
+mod division;
 mod fields;
 mod profile;
 mod shot;
@@ -26,6 +27,8 @@ pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
         (TaskSpec::CachePlan(spec), TaskResult::CachePlan(result)) => cache_plan(spec, result),
         (TaskSpec::CacheFill(spec), TaskResult::CacheFill(result)) => cache_fill(spec, result),
         (TaskSpec::CacheMerge(_), TaskResult::CacheMerge(result)) => cache_merge(result),
+        (TaskSpec::Divide(spec), TaskResult::Divide(result)) => division::divide(spec, result),
+        (TaskSpec::RenderPart(spec), TaskResult::RenderPart(result)) => division::render_part(spec, result),
         (TaskSpec::Render(spec), TaskResult::Render(result)) => render(spec, result),
         (spec, result) => wrong(
             "/result",

@@ -144,7 +144,8 @@ impl Stages {
         self.frames_done = u64::from(job.frames_done);
         self.frames.set_position(self.frames_done);
         if let Some(live) = &job.live {
-            self.frames.set_message(format!("{}, {}", job.state, expected(live)));
+            let done = 100.0 * job.progress;
+            self.frames.set_message(format!("{}, {done:.0} %, {}", job.state, expected(live)));
         }
         self.is_behind = false;
         let waits = job.waits.as_ref().map(|waits| waits.because.clone());
@@ -185,6 +186,9 @@ impl Stages {
                 if let Some(cache) = &self.cache {
                     cache.set_position((self.parts.values().sum::<f64>() * 100.0) as u64);
                 }
+            }
+            (EventKind::TaskProgress | EventKind::TaskDone, Some(TaskKind::RenderPart), _) => {
+                self.is_behind = true
             }
             (EventKind::TaskDone, Some(TaskKind::Render), Some(_)) => {
                 self.frames_done += 1;

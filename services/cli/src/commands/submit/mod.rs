@@ -228,7 +228,7 @@ async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Res
 }
 
 /// Key of the upload. It differs from the submission's, and both follow from the user's key, if there is one.
-fn upload_key(key: Uuid) -> Uuid {
+pub(super) fn upload_key(key: Uuid) -> Uuid {
     Uuid::from_u128(key.as_u128() ^ 1)
 }
 
@@ -309,7 +309,7 @@ fn request(
 }
 
 /// Into how many parts frames are divided, as `--parts` has it.
-fn division(text: &str) -> Result<Division, String> {
+pub(super) fn division(text: &str) -> Result<Division, String> {
     match text.parse() {
         _ if text == "auto" => Ok(Division::Auto),
         Ok(1) => Ok(Division::Whole),
@@ -354,7 +354,12 @@ async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRe
 }
 
 /// Uploads the bundle. A folder is packed first.
-async fn upload(bundle: &Path, client: &Client, key: Uuid, bars: &Bars) -> Result<(BundleRef, SceneSummary)> {
+pub(super) async fn upload(
+    bundle: &Path,
+    client: &Client,
+    key: Uuid,
+    bars: &Bars,
+) -> Result<(BundleRef, SceneSummary)> {
     let about = std::fs::metadata(bundle)
         .map_err(|error| BadInput::new(format!("bundle {}: {error}", bundle.display())))?;
     let spinner = bars.spinner(format!("uploading {}", bundle.display()));

@@ -1,5 +1,8 @@
-//! `forelight render`: renders one frame on this machine and reports its true cost.
+//! `forelight render`: renders one frame, on this machine or on a farm, and reports its true cost.
 
+mod on_farm;
+
+use self::on_farm::FarmOptions;
 use super::allot::{self, AllotArgs};
 use super::cache::read_full_cache;
 use super::explain;
@@ -40,6 +43,7 @@ Examples:
   forelight render kitchen/ --cache on --samples-from minute-samples.png --out again.png
   forelight render kitchen/ --cache on --within-money 0.25 --price 1.80 --out quarter.exr
   forelight render kitchen/ --cache on --error 2 --confidence p95 --out clean.exr
+  forelight render kitchen/ --server http://farm:7878 --parts 16 --watch growing.png --out 0.exr
 
 The image has the same bits for any number of threads, with or without a profile. An .exr file holds linear colour, \
 object and material ids, and the cost and rays of every pixel. A .png file is for viewing.")]
@@ -81,6 +85,8 @@ pub struct Args {
     quality: QualityOptions,
     #[command(flatten)]
     machine: MachineOptions,
+    #[command(flatten)]
+    farm: FarmOptions,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -96,7 +102,16 @@ enum Format {
     Exr,
     Png,
 }
-pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+
+pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    if args.farm.is_asked() {
+        return on_farm::run(&args, &interrupt).await;
+    }
+    // Tracing light would block the runtime, so it has a thread of its own.
+    super::blocking(move || render_here(&args, &interrupt)).await
+}
+
+fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if is_foreign(&args.bundle) {
         return render_foreign(args, interrupt);
     }

@@ -1,0 +1,64 @@
+//! Results of divided frames.
+
+use forelight_protocol::{
+    DivideResult, DivideSpec, FinishedPart, PartPixels, PartRange, RenderPartResult, RenderPartSpec,
+    SampleShare,
+};
+
+use super::fields::{cache_bytes, spent, storable, wrong};
+use crate::error::ApiResult;
+
+/// The parts cover the frame once, in their order.
+pub(super) fn divide(spec: &DivideSpec, result: &DivideResult) -> ApiResult<()> {
+    const AT: &str = "/result/divide";
+    let parts = spec.parts as usize;
+    for (name, found) in [("ends", result.ends.len()), ("work", result.work.len())] {
+        if found != parts {
+            return wrong(format!("{AT}/{name}"), format!("there are {found} numbers for {parts} parts"));
+        }
+    }
+    if !result.ends.is_sorted() {
+        return wrong(format!("{AT}/ends"), "a part ends before the one that it follows");
+    }
+    let (last, pixels) = (result.ends.last().copied().map(u64::from), spec.settings.pixels());
+    if last != Some(pixels) {
+        let reason = format!("the last part ends at pixel {}; the image has {pixels}", last.unwrap_or(0));
+        return wrong(format!("{AT}/ends"), reason);
+    }
+    storable(&format!("{AT}/work"), result.work.iter().copied())?;
+    if let Some(cache) = &result.cache {
+        cache_bytes(&format!("{AT}/cache/bytes"), cache.bytes)?;
+    }
+    spent(&format!("{AT}/spent"), result.spent)
+}
+
+/// The part has what its task asks for.
+pub(super) fn render_part(spec: &RenderPartSpec, result: &RenderPartResult) -> ApiResult<()> {
+    const AT: &str = "/result/render_part";
+    match (spec.range, &result.finished) {
+        (Some(PartRange::Pixels(range)), FinishedPart::Pixels(PartPixels { count, cost, .. })) => {
+            let most = range.to.saturating_sub(range.from);
+            if *count > most {
+                let reason = format!("there are {count} pixels; the part has {most}");
+                return wrong(format!("{AT}/finished/pixels/count"), reason);
+            }
+            spent(&format!("{AT}/finished/pixels/cost"), *cost)?;
+        }
+        (Some(PartRange::Samples(range)), FinishedPart::Samples(share)) => {
+            let &SampleShare { offset, count, cpu_nanos, .. } = share;
+            if (offset, count) != (range.offset, range.count) {
+                let reason = format!(
+                    "these are samples {offset} to {}; the part has {} to {}",
+                    u64::from(offset) + u64::from(count),
+                    range.offset,
+                    range.offset + range.count
+                );
+                return wrong(format!("{AT}/finished/samples"), reason);
+            }
+            storable(&format!("{AT}/finished/samples/cpu_nanos"), [cpu_nanos])?;
+        }
+        _ => return wrong(format!("{AT}/finished"), "the part is divided in another way"),
+    }
+    storable(&format!("{AT}/peak_memory_bytes"), [result.peak_memory_bytes])?;
+    spent(&format!("{AT}/spent"), result.spent)
+}

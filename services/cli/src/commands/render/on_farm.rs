@@ -1,0 +1,242 @@
+//! `forelight render --server`: renders one frame on the farm, and shows it as its parts come in.
+
+use super::{Args, Format, format_of};
+use crate::commands::submit::{self, division, upload};
+use crate::connection::{ConnectionOptions, connect};
+use anyhow::{Context, Result, bail};
+use forelight_client::{Client, FramePicture};
+use forelight_pictures::{png, tone_map};
+use forelight_protocol::{
+    ArtifactHash, CACHE_BYTES, Division, FrameSet, Job, JobId, JobRequest, JobState, TaskKind, TaskRow,
+};
+use forelight_renderer_own::RenderError;
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::foreign::is_foreign;
+use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::local::settings_request;
+use forelight_terminal::output::{self, Bars};
+use forelight_tracer::Profile;
+use image::{Rgb, RgbImage};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::time::Duration;
+use uuid::Uuid;
+
+/// How often the farm is asked for news.
+const GLANCE: Duration = Duration::from_millis(500);
+
+/// Colour of pixels that are not there yet: a dark grey.
+const MISSING: Rgb<u8> = Rgb([24, 24, 24]);
+
+/// Rendering on the farm.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "On the farm")]
+pub struct FarmOptions {
+    /// Render on the farm of this service, not on this machine
+    #[arg(long, value_name = "URL")]
+    server: Option<String>,
+    /// Divide the frame into parts that several nodes render at the same time: auto as the plan sees fit, or a
+    /// number of parts
+    #[arg(long, value_name = "auto|N", default_value = "auto", value_parser = division, requires = "server")]
+    parts: Division,
+    /// Picture file to replace as parts come in. Image viewers that reload files show the frame grow
+    #[arg(long, value_name = "FILE.png", value_parser = crate::job_options::png_file, requires = "server")]
+    watch: Option<PathBuf>,
+    /// Project that is charged for the job
+    #[arg(long, default_value = "default", requires = "server")]
+    project: String,
+    /// File with the token
+    #[arg(long, value_name = "FILE", requires = "server")]
+    token_file: Option<PathBuf>,
+    /// The token. Prefer the variable, because other users can read the command line
+    #[arg(long, value_name = "TOKEN", env = "FORELIGHT_TOKEN", hide_env_values = true)]
+    token: Option<String>,
+    /// Data folder of a farm on this machine. Its operator token is used
+    #[arg(long, value_name = "DIR", requires = "server")]
+    data: Option<PathBuf>,
+    /// Certificates in PEM form, to one of which that of an https:// service must lead [default: those of the
+    /// system]
+    #[arg(long, value_name = "FILE", env = "FORELIGHT_CA_FILE")]
+    ca_file: Option<PathBuf>,
+}
+
+impl FarmOptions {
+    /// The connection; `None` if the frame is rendered on this machine.
+    fn connection(&self) -> Option<ConnectionOptions> {
+        let Self { server, token_file, token, data, ca_file, .. } = self.clone();
+        let server = crate::connection::ServerOptions { server: server?, ca_file };
+        Some(ConnectionOptions { server, token_file, token, data })
+    }
+
+    /// Whether the frame is rendered on the farm.
+    pub fn is_asked(&self) -> bool {
+        self.server.is_some()
+    }
+}
+
+/// Renders one frame on the farm. If it is interrupted, the job is cancelled.
+pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
+    refuse_others(args)?;
+    let Some(connection) = args.farm.connection() else { bail!("no service was named") };
+    let format = args.out.as_deref().map(format_of).transpose()?;
+    atomic_file::check([args.out.as_deref(), args.farm.watch.as_deref(), args.stats.as_deref(), None])?;
+    let client = connect(&connection)?;
+    let bars = Bars::new(args.json);
+    let job = submit_frame(args, &client, &bars).await?;
+    let stopped = interrupt.token();
+    let done = tokio::select! {
+        done = watch(args, &client, &job, &bars) => done?,
+        () = stopped.cancelled() => {
+            client.cancel(job.id).await.with_context(|| format!("cannot cancel job {}", job.id))?;
+            return Err(anyhow::Error::from(Interrupted).context(format!("job {} was cancelled", job.id)));
+        }
+    };
+    if done.state != JobState::Done {
+        bail!(
+            "job {} is {}: {}",
+            done.id,
+            done.state,
+            done.error.as_deref().unwrap_or("no reason was given")
+        );
+    }
+    let frame = frame_of(args)?;
+    let row = client.frame(done.id, frame).await.context("cannot read the frame")?;
+    if let (Some(path), Some(format)) = (&args.out, format) {
+        let picture = match format {
+            Format::Exr => FramePicture::Exr,
+            Format::Png => FramePicture::Png,
+        };
+        let content = client.picture(done.id, frame, picture).await.context("cannot fetch the image")?;
+        write_bytes(path, &content)?;
+    }
+    let stats = row.actual.context("the farm has no cost of the frame")?;
+    if let Some(path) = &args.stats {
+        write_bytes(path, (output::pretty(&stats)? + "\n").as_bytes())?;
+    }
+    if args.json { output::json(&stats) } else { output::print(&super::report(&stats, args.effects)) }
+}
+
+/// Options that only a render on this machine has.
+fn refuse_others(args: &Args) -> Result<()> {
+    if is_foreign(&args.bundle) {
+        let reason = format!("{}: frames of other renderers are submitted as jobs", args.bundle.display());
+        return Err(BadInput::new(reason).hint("use forelight submit --frames N --out FOLDER").into());
+    }
+    let others = [
+        ("--cost-map", args.cost_map.is_some()),
+        ("--profile", args.profile.is_some()),
+        ("--cache-file", args.cache_file.is_some()),
+        ("--within, --within-money, --error and --samples-from", args.allot.is_given()),
+    ];
+    match others.iter().find(|(_, is_given)| *is_given) {
+        None => Ok(()),
+        Some((flag, _)) => {
+            let reason = format!("{flag}: only a render on this machine can do this");
+            Err(BadInput::new(reason).hint("leave it out, or leave out --server").into())
+        }
+    }
+}
+
+fn frame_of(args: &Args) -> Result<u32> {
+    let frame = args.frame.unwrap_or(0);
+    Ok(u32::try_from(frame).map_err(|_| BadInput::new(format!("--frame {frame}: frames begin at 0")))?)
+}
+
+async fn submit_frame(args: &Args, client: &Client, bars: &Bars) -> Result<Job> {
+    let frame = frame_of(args)?;
+    args.quality.check()?;
+    let key = Uuid::now_v7();
+    let (bundle, scene) = upload(&args.bundle, client, submit::upload_key(key), bars).await?;
+    let settings = settings_request(&args.quality, (scene.width, scene.height));
+    let request = JobRequest {
+        division: args.farm.parts,
+        project: args.farm.project.clone(),
+        settings,
+        ..JobRequest::new(format!("{} frame {frame}", scene.name), bundle, FrameSet::range(frame, frame))
+    };
+    client.submit(&request, key).await.context("cannot submit the frame")
+}
+
+/// Follows the job until it is over. Paints parts as they come in.
+async fn watch(args: &Args, client: &Client, job: &Job, bars: &Bars) -> Result<Job> {
+    let frame = frame_of(args)?;
+    let bar = bars.bar("frame", 100);
+    bars.note(format!("job {} on {}", job.id, client.address()));
+    let size = job.settings.size().unwrap_or_default();
+    let mut picture = Growing::new(size, args.farm.watch.clone());
+    let mut waits = None;
+    loop {
+        let now = client.job(job.id).await.context("cannot follow the job")?;
+        bar.set_position((now.progress * 100.0) as u64);
+        let because = now.waits.as_ref().map(|waits| waits.because.clone());
+        if because != waits {
+            because.iter().for_each(|because| bars.note(because));
+            waits = because;
+        }
+        let tasks = client.tasks_of_frame(job.id, frame).await.context("cannot list the parts")?;
+        bar.set_message(words(&now, &tasks));
+        picture.add(client, job.id, &tasks).await?;
+        if now.state.is_final() {
+            bar.finish_and_clear();
+            picture.finish(client, &now, frame).await?;
+            return Ok(now);
+        }
+        tokio::time::sleep(GLANCE).await;
+    }
+}
+
+/// What goes on, in a few words.
+fn words(job: &Job, tasks: &[TaskRow]) -> String {
+    let parts = || tasks.iter().filter(|task| task.kind == TaskKind::RenderPart);
+    let done = parts().filter(|task| task.finished.is_some()).count();
+    match parts().count() {
+        0 => job.state.to_string(),
+        all => format!("{}, {done} of {all} parts", job.state),
+    }
+}
+
+/// A picture that grows by parts, in a file if one is named.
+struct Growing {
+    picture: RgbImage,
+    file: Option<PathBuf>,
+    there: BTreeSet<ArtifactHash>,
+}
+
+impl Growing {
+    fn new((width, height): (u32, u32), file: Option<PathBuf>) -> Self {
+        Self { picture: RgbImage::from_pixel(width, height, MISSING), file, there: BTreeSet::new() }
+    }
+
+    /// Paints the finished parts that are not there yet.
+    async fn add(&mut self, client: &Client, job: JobId, tasks: &[TaskRow]) -> Result<()> {
+        let Some(file) = self.file.clone() else { return Ok(()) };
+        let new: Vec<ArtifactHash> =
+            tasks.iter().filter_map(|task| task.pixels).filter(|hash| !self.there.contains(hash)).collect();
+        for hash in &new {
+            // A part is gone once the frame is put together. Then there is the image.
+            let Ok(bytes) = client.artifact(*hash, CACHE_BYTES).await else { continue };
+            let part = Profile::from_bytes(&bytes).map_err(RenderError::from);
+            let part = part.with_context(|| format!("a part of job {job} cannot be read"))?;
+            for (index, pixel) in &part.pixels {
+                let (x, y) = (index % self.picture.width(), index / self.picture.width());
+                if let Some(place) = self.picture.get_pixel_mut_checked(x, y) {
+                    *place = Rgb(tone_map(pixel.color));
+                }
+            }
+            self.there.insert(*hash);
+        }
+        if !new.is_empty() {
+            write_bytes(&file, &png(&self.picture)?)?;
+        }
+        Ok(())
+    }
+
+    /// Replaces the picture by the finished one.
+    async fn finish(&self, client: &Client, job: &Job, frame: u32) -> Result<()> {
+        let Some(file) = self.file.as_ref().filter(|_| job.state == JobState::Done) else { return Ok(()) };
+        let content =
+            client.picture(job.id, frame, FramePicture::Png).await.context("cannot fetch the image")?;
+        Ok(write_bytes(file, &content)?)
+    }
+}
