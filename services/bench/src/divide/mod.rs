@@ -16,7 +16,7 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::Bars;
-use forelight_terminal::quantities::{count, percent, seconds};
+use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -187,7 +187,7 @@ fn report(cases: &[Case]) -> Report {
             compared.row([
                 case.bundle.clone(),
                 nodes.to_string(),
-                percent(*probing_work as f64 / case.pixel_work as f64),
+                format!("{:.2} %", *probing_work as f64 * 100.0 / case.pixel_work as f64),
                 over_mean(makespans.equal_cost),
                 over_mean(makespans.equal_areas),
                 over_mean(makespans.buckets),
