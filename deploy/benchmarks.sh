@@ -36,6 +36,7 @@ bench shots "${scenes[@]}" --seeds 2
 bench coverage "${scenes[@]}"
 bench paper "${scenes[@]}" --size 128 --seeds 20 --repeats 1 --out "$report"
 bench seconds "${scenes[@]}" --width 96 --rounds 3
+bench divide "${scenes[@]}" --width 640 --height 360 --ambient-bounces 1
 bench effects "${scenes[@]}" --width 64 --height 64 --repeats 3
 bench images "${scenes[0]}" --size 128 --repeats 1 --reference '--integrator path --spp 1024'
 bench rays "${scenes[@]}"

@@ -2,6 +2,7 @@
 
 mod conventions;
 mod coverage;
+mod divide;
 mod effects;
 mod farm;
 mod forecast;
@@ -27,6 +28,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   forelight bench coverage kitchen/ corridor/ --svg reliability.svg
+  forelight bench divide kitchen/ corridor/
   forelight bench effects kitchen/ corridor/
   forelight bench forecast kitchen/ corridor/ --out forecast.json
   forelight bench images kitchen/ --size 256 --pictures images/
@@ -51,6 +53,7 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum Bench {
     Coverage(coverage::Args),
+    Divide(divide::Args),
     Effects(effects::Args),
     Forecast(forecast::Args),
     Paper(paper::Args),
@@ -70,6 +73,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     atomic_file::check([file.as_deref()])?;
     let (name, report) = match &args.bench {
         Bench::Coverage(args) => ("coverage", coverage::run(args, interrupt)?),
+        Bench::Divide(args) => ("divide", divide::run(args, interrupt)?),
         Bench::Effects(args) => ("effects", effects::run(args, interrupt)?),
         Bench::Forecast(args) => ("forecast", forecast::run(args, interrupt)?),
         Bench::Paper(args) => ("paper", paper::run(args, interrupt)?),

@@ -155,6 +155,12 @@ impl Cache {
         self.levels.get(level).is_none_or(Level::is_full)
     }
 
+    /// Indices of a level's records that are not filled, ascending.
+    pub fn unfilled(&self, level: usize) -> Vec<usize> {
+        let records = &self.levels[level].records;
+        (0..records.len()).filter(|&index| records[index].get().is_none()).collect()
+    }
+
     /// Returns `true` if all records of all levels are filled.
     pub fn is_complete(&self) -> bool {
         self.levels.iter().all(Level::is_full)

@@ -183,19 +183,20 @@ impl Tracer {
     }
 
     /// Plans the cache if necessary, and gathers its missing records on the current thread pool. `progress`
-    /// receives the number of records done and the total. Returns `false` if `cancel` was set.
+    /// receives the number of these done, and all of them. Returns `false` if `cancel` was set.
     pub fn fill(&self, progress: &(dyn Fn(u64, u64) + Sync), cancel: &AtomicBool) -> bool {
         self.plan();
         let Some(cache) = self.cache.get() else { return true };
-        let records = cache.records();
-        let all = records.iter().sum();
+        let unfilled: Vec<Vec<usize>> =
+            (0..cache.records().len()).map(|level| cache.unfilled(level)).collect();
+        let all = unfilled.iter().map(|level| level.len() as u64).sum();
         let mut before = 0;
         // The gathers of a level read the next level.
-        for (level, &count) in records.iter().enumerate().rev() {
-            if !cache.fill(self, level, 0..count as usize, &|done| progress(before + done, all), cancel) {
+        for (level, records) in unfilled.iter().enumerate().rev() {
+            if !cache.fill(self, level, records, &|done| progress(before + done, all), cancel) {
                 return false;
             }
-            before += count;
+            before += records.len() as u64;
         }
         true
     }

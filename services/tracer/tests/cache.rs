@@ -106,7 +106,8 @@ fn a_fill_in_parts_that_are_merged_is_the_fill_in_one() {
                 worker.take_cache(Cache::from_bytes(&merged.to_bytes()).unwrap()).unwrap();
                 worker.plan();
                 let cache = worker.cache().unwrap();
-                assert!(cache.fill(&worker, level, cut[0]..cut[1], &|_| {}, &nobody));
+                let records: Vec<usize> = (cut[0]..cut[1]).collect();
+                assert!(cache.fill(&worker, level, &records, &|_| {}, &nobody));
                 cache.to_bytes()
             })
             .collect();

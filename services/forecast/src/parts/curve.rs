@@ -45,6 +45,16 @@ impl PixelCurve {
         curve
     }
 
+    /// Width of the image, pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height of the image, pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
     /// Number of pixels.
     pub fn count(&self) -> u32 {
         self.width * self.height

@@ -233,8 +233,9 @@ impl OwnShot {
         Ok(planned)
     }
 
-    /// Fills one of `parts` equal parts, from 0, of the deepest level that is not full, since the others read
-    /// it. Fills all levels if there is one part. `progress` receives the level's records: done, and all.
+    /// Fills one of `parts` equal parts, from 0, of what is missing in the deepest level that is not full, since
+    /// the others read it. Fills all levels if there is one part. `progress` receives the level's missing
+    /// records: done, and all.
     /// `None` if `cancel` was set.
     ///
     /// # Errors
@@ -250,12 +251,15 @@ impl OwnShot {
         let settings = Settings::from(settings);
         let tracer = self.tracer(&self.frame_of(cache.frame(), &settings)?, &settings).tracer;
         let cache = tracer.hold_cache(cache)?;
-        for (level, count) in cache.records().into_iter().enumerate().rev() {
-            if cache.is_full(level) {
+        for level in (0..cache.records().len()).rev() {
+            let unfilled = cache.unfilled(level);
+            if unfilled.is_empty() {
                 continue;
             }
+            let count = unfilled.len() as u64;
             let cut = |at: u32| (count * u64::from(at) / u64::from(parts)) as usize;
-            if !cache.fill(&tracer, level, cut(part)..cut(part + 1), &|done| progress(done, count), cancel) {
+            let records = &unfilled[cut(part)..cut(part + 1)];
+            if !cache.fill(&tracer, level, records, &|done| progress(done, count), cancel) {
                 return Ok(None);
             }
             if parts > 1 {

@@ -4,24 +4,22 @@ use super::{Cache, Record};
 use crate::cost::{Cost, SMOOTHING, SMOOTHING_WORK, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
-use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 impl Cache {
-    /// Gathers a range of a level's records on the current thread pool, and smooths the level once it is
-    /// full. The next deeper level must be filled. `progress` receives the number of records done. Returns
+    /// Gathers some of a level's records on the current thread pool, and smooths the level once it is full. The next deeper level must be filled. `progress` receives the number of records done. Returns
     /// `false` if `cancel` was set.
     pub fn fill(
         &self,
         tracer: &Tracer,
         level: usize,
-        range: Range<usize>,
+        records: &[usize],
         progress: &(dyn Fn(u64) + Sync),
         cancel: &AtomicBool,
     ) -> bool {
         self.smooth(level + 1);
         let done = AtomicU64::new(0);
-        range.into_par_iter().for_each(|index| {
+        records.par_iter().for_each(|&index| {
             if !cancel.load(Ordering::Relaxed) {
                 self.levels[level].records[index].get_or_init(|| self.gathered(tracer, level, index));
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1);

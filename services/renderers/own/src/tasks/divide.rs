@@ -10,14 +10,16 @@ use forelight_protocol::{
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
 use forelight_tracer::{Cache, clocked};
 
+/// `loading` is the cost of opening the scene, if it was not open yet.
 pub(crate) fn divide(
     shot: &OwnShot,
     spec: &DivideSpec,
+    loading: Spent,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
-    if !(1..=u64::from(MOST_PARTS).min(spec.settings.pixels())).contains(&u64::from(spec.parts)) {
-        let text = format!("cannot divide {} pixels into {} parts", spec.settings.pixels(), spec.parts);
+    if !(1..=MOST_PARTS).contains(&spec.parts) {
+        let text = format!("cannot divide a frame into {} parts, only into 1 to {MOST_PARTS}", spec.parts);
         return Err(ExecuteError::Permanent(text));
     }
     let ready = shot.frame(spec.frame, &spec.settings)?;
@@ -34,7 +36,7 @@ pub(crate) fn divide(
         LogLevel::Info,
         format!("divided frame {} into {} parts: {work} units of work in all", spec.frame, parts.len()),
     );
-    let spent = spent.plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(on_cache));
+    let spent = spent.plus(loading).plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(on_cache));
     let result = DivideResult {
         ends: parts.iter().map(|part| part.to).collect(),
         work: parts.iter().map(|part| part.cost).collect(),

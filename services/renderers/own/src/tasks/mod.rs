@@ -26,6 +26,7 @@ use forelight_protocol::{
 };
 use forelight_quote::{is_own, without_ladders};
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Files, OpenShots, Outcome};
+use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -44,7 +45,12 @@ impl TaskRunner {
 
 impl Execute for TaskRunner {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
-        let load = || self.renderer.open(&assignment.bundle).map(Arc::new);
+        let loading = Cell::new(Spent::default());
+        let load = || {
+            let shot = self.renderer.open(&assignment.bundle)?;
+            loading.set(shot.once().load);
+            Ok::<_, RenderError>(Arc::new(shot))
+        };
         let shot = self.shots.open(assignment.spec.bundle(), &assignment.bundle, load)?;
         let shot = &*shot;
         // A bundle on shared storage may have changed. The quote would be wrong, and frames would not match.
@@ -65,8 +71,8 @@ impl Execute for TaskRunner {
             TaskSpec::CachePlan(spec) => cache::plan(shot, spec, control),
             TaskSpec::CacheFill(spec) => cache::fill(shot, spec, assignment, control),
             TaskSpec::CacheMerge(spec) => cache::merge(spec, assignment, control),
-            TaskSpec::Divide(spec) => divide::divide(shot, spec, assignment, control),
-            TaskSpec::RenderPart(spec) => part::render_part(shot, spec, assignment, control),
+            TaskSpec::Divide(spec) => divide::divide(shot, spec, loading.get(), assignment, control),
+            TaskSpec::RenderPart(spec) => part::render_part(shot, spec, loading.get(), assignment, control),
             TaskSpec::Render(spec) => render(shot, spec, assignment, control),
         }
     }

@@ -16,9 +16,11 @@ use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
 use forelight_tracer::{Pixel, Totals, clocked};
 use std::sync::Once;
 
+/// `loading` is the cost of opening the scene, if it was not open yet.
 pub(crate) fn render_part(
     shot: &OwnShot,
     spec: &RenderPartSpec,
+    loading: Spent,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
@@ -35,7 +37,7 @@ pub(crate) fn render_part(
         format!("part {} of {}: {number} pixels, {work} units of work", spec.part + 1, spec.parts),
     );
     let (bytes, writing) = clocked(|| ready.finished_pixels(pixels).to_bytes());
-    let here = ready.spent_on_setup().plus(ready.spent_on_cache_here(start.on_cache));
+    let here = loading.plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(start.on_cache));
     let mut files = Files::default();
     // At most as many pixels as an image has.
     let finished = PartPixels { hash: files.add(bytes), count: number as u32, cost };

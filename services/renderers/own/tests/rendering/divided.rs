@@ -155,7 +155,7 @@ fn a_frame_in_parts_that_reads_a_shared_cache_has_the_bits_of_one_in_one_piece()
     for (frame, is_planned) in [(24, true), (12, false)] {
         let mut farm = shipped("corridor", frame, 2);
         farm.share(&[0, 24]);
-        let (divided, own, _) = farm.divide(2).unwrap();
+        let (divided, own, _) = farm.divide(2);
         assert_eq!((divided.cache.is_none(), own.is_none()), (is_planned, is_planned), "{divided:?}");
         check(&farm, &[1, 2, 7], &format!("corridor, frame {frame}"));
     }
@@ -178,7 +178,7 @@ fn a_part_that_was_broken_off_goes_on_from_its_finished_pixels_to_the_same_bits(
         let mut farm = farm(&rig);
         farm.settings.spp = 16;
         let whole = farm.whole();
-        let (divided, own, _) = farm.divide(2).unwrap();
+        let (divided, own, _) = farm.divide(2);
         let mut files = Vec::new();
         for (range, part) in ranges(&divided).into_iter().zip(0..) {
             let task = farm.part(Some(range), (part, 2), own.as_ref());
@@ -230,7 +230,7 @@ fn pixels_that_no_part_brought_are_traced() {
     for rig in [Rig::new(), Rig::cached(2)] {
         let farm = farm(&rig);
         let whole = farm.whole();
-        let (divided, own, _) = farm.divide(3).unwrap();
+        let (divided, own, _) = farm.divide(3);
         let rendered = ranges(&divided).into_iter().zip(0..);
         let file = |(range, part)| farm.render_part(farm.part(Some(range), (part, 3), own.as_ref())).1;
         let mut files: Vec<Bytes> = rendered.map(file).collect();
@@ -256,7 +256,7 @@ fn parts_and_their_cache_are_the_same_on_any_number_of_threads() {
     let made = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let (divided, own, _) = farm.divide(3).unwrap();
+            let (divided, own, _) = farm.divide(3);
             let part = farm.render_part(farm.part(Some(ranges(&divided)[1]), (1, 3), own.as_ref())).1;
             let mut part = Profile::from_bytes(&part).unwrap();
             part.pixels.iter_mut().for_each(|(_, pixel)| pixel.cpu_nanos = 0);
@@ -268,13 +268,33 @@ fn parts_and_their_cache_are_the_same_on_any_number_of_threads() {
 }
 
 #[test]
+fn a_frame_of_fewer_pixels_than_parts_has_empty_parts() {
+    let mut rig = Rig::cached(1);
+    (rig.settings.width, rig.settings.height) = (3, 2);
+    check(&farm(&rig), &[6, 9], "6 pixels");
+}
+
+/// Records that were carried over come first in a level.
+#[test]
+fn the_tasks_that_fill_a_cache_gather_equally_many_of_the_records_that_are_missing() {
+    let rig = moving(Rig::cached(1));
+    let mut farm = farm(&rig);
+    farm.share(&[0, 1, 2]);
+    let own = result(&farm.whole()).stats.cache.unwrap().own_records;
+    let planned = farm.divide_only(2).1.expect("a cache of the frame's own");
+    let filled = [0, 1, 2].map(|part| farm.fill(&planned, 0, (part, 3)).0.filled);
+    assert_eq!(filled.iter().sum::<u64>(), own);
+    assert!(own > 9 && filled.iter().all(|&filled| filled.abs_diff(own / 3) <= 1), "{filled:?}");
+}
+
+#[test]
 fn what_cannot_be_divided_or_rendered_is_said() {
     let rig = Rig::new();
     let mut farm = farm(&rig);
     for parts in [0, 513] {
-        let error = farm.divide(parts).unwrap_err();
+        let error = farm.try_to_divide(parts).unwrap_err();
         let ExecuteError::Permanent(text) = &error else { panic!("{error:?}") };
-        assert_eq!(*text, format!("cannot divide 768 pixels into {parts} parts"));
+        assert_eq!(*text, format!("cannot divide a frame into {parts} parts, only into 1 to 512"));
     }
     let pixels = |from, to| Some(PartRange::Pixels(PixelRange { from, to }));
     let samples = Some(PartRange::Samples(SampleRange { offset: 0, count: 1 }));

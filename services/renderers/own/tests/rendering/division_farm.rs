@@ -3,8 +3,8 @@
 use bytes::Bytes;
 use forelight_preview::Choice;
 use forelight_protocol::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideResult, DivideSpec,
-    FinishedPart, JobId, PartRange, PixelRange, ProfileSpec, RenderPartResult, RenderPartSpec,
+    ArtifactHash, BundleSource, CacheFillResult, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideResult,
+    DivideSpec, FinishedPart, JobId, PartRange, PixelRange, ProfileSpec, RenderPartResult, RenderPartSpec,
     RenderSettings, RenderSpec, SceneDigest, Spent, TaskResult, TaskSpec,
 };
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
@@ -93,32 +93,35 @@ impl Farm {
             settings: self.settings.clone(),
         };
         let planned = self.run(self.assignment(TaskSpec::CachePlan(spec))).unwrap().artifacts[0].clone();
-        self.shared = Some(self.filled(planned, None, 1).0);
+        self.shared = Some(self.filled(planned, 1).0);
+    }
+
+    /// Fills one of several parts of a cache of the frame.
+    pub fn fill(&self, cache: &Bytes, round: u32, (part, parts): (u32, u32)) -> (CacheFillResult, Bytes) {
+        let spec = CacheFillSpec {
+            job_id: JobId::new(),
+            bundle: self.source(),
+            digest: self.digest,
+            frame: Some(self.frame),
+            settings: self.settings.clone(),
+            cache: FILE,
+            round,
+            part,
+            parts,
+        };
+        let task = self.assignment(TaskSpec::CacheFill(spec));
+        let outcome = self.run(Assignment { caches: vec![cache.clone()], ..task }).unwrap();
+        let TaskResult::CacheFill(result) = outcome.result else { panic!() };
+        (result, outcome.artifacts[0].clone())
     }
 
     /// Fills a cache round by round, in so many parts. Also returns the work.
-    fn filled(&self, mut cache: Bytes, frame: Option<u32>, parts: u32) -> (Bytes, u64) {
-        let (mut work, mut round) = (0, 0);
-        loop {
-            let mut files = Vec::new();
-            for part in 0..parts {
-                let spec = CacheFillSpec {
-                    job_id: JobId::new(),
-                    bundle: self.source(),
-                    digest: self.digest,
-                    frame,
-                    settings: self.settings.clone(),
-                    cache: FILE,
-                    round,
-                    part,
-                    parts,
-                };
-                let task = self.assignment(TaskSpec::CacheFill(spec));
-                let outcome = self.run(Assignment { caches: vec![cache.clone()], ..task }).unwrap();
-                let TaskResult::CacheFill(result) = &outcome.result else { panic!() };
-                work += result.spent.work;
-                files.extend(outcome.artifacts);
-            }
+    fn filled(&self, mut cache: Bytes, parts: u32) -> (Bytes, u64) {
+        let mut work = 0;
+        for round in 0.. {
+            let filled = (0..parts).map(|part| self.fill(&cache, round, (part, parts)));
+            let (results, mut files): (Vec<CacheFillResult>, Vec<Bytes>) = filled.unzip();
+            work += results.iter().map(|result| result.spent.work).sum::<u64>();
             if parts == 1 {
                 return (files.remove(0), work);
             }
@@ -126,7 +129,7 @@ impl Farm {
                 job_id: JobId::new(),
                 bundle: self.source(),
                 digest: self.digest,
-                frame,
+                frame: Some(self.frame),
                 round,
                 parts: vec![FILE; files.len()],
             };
@@ -135,10 +138,10 @@ impl Farm {
             let TaskResult::CacheMerge(merged) = &outcome.result else { panic!() };
             cache = outcome.artifacts[0].clone();
             if merged.full {
-                return (cache, work);
+                break;
             }
-            round += 1;
         }
+        (cache, work)
     }
 
     fn render_spec(&self, own: Option<&Bytes>, parts: usize) -> TaskSpec {
@@ -164,8 +167,13 @@ impl Farm {
         self.run(Assignment { caches, ..self.assignment(self.render_spec(None, 0)) }).unwrap()
     }
 
-    /// Finds the parts, and fills the frame's own cache. Returns that and the work of filling.
-    pub fn divide(&self, parts: u32) -> Result<(DivideResult, Option<Bytes>, u64), ExecuteError> {
+    /// Finds the parts, and plans the frame's own cache.
+    pub fn divide_only(&self, parts: u32) -> (DivideResult, Option<Bytes>) {
+        self.try_to_divide(parts).unwrap()
+    }
+
+    /// The same.
+    pub fn try_to_divide(&self, parts: u32) -> Result<(DivideResult, Option<Bytes>), ExecuteError> {
         let spec = DivideSpec {
             job_id: JobId::new(),
             bundle: self.source(),
@@ -177,14 +185,24 @@ impl Farm {
             cache: Self::named(self.shared.as_ref()),
         };
         let caches = self.shared.iter().cloned().collect();
-        let task = Assignment { caches, ..self.assignment(TaskSpec::Divide(spec)) };
-        let outcome = self.run(task)?;
+        let outcome = self.run(Assignment { caches, ..self.assignment(TaskSpec::Divide(spec)) })?;
         let TaskResult::Divide(divided) = outcome.result else { panic!() };
-        let Some(found) = divided.cache else { return Ok((divided, None, 0)) };
-        let planned = outcome.artifacts[0].clone();
-        assert_eq!(found.hash, ArtifactHash(*blake3::hash(&planned).as_bytes()));
-        let (cache, work) = if found.full { (planned, 0) } else { self.filled(planned, Some(self.frame), 3) };
-        Ok((divided, Some(cache), work))
+        let cache = outcome.artifacts.into_iter().next();
+        let hash = cache.as_ref().map(|cache| ArtifactHash(*blake3::hash(cache).as_bytes()));
+        assert_eq!(divided.cache.map(|cache| cache.hash), hash);
+        Ok((divided, cache))
+    }
+
+    /// Finds the parts, and fills the frame's own cache. Returns that and the work of filling.
+    pub fn divide(&self, parts: u32) -> (DivideResult, Option<Bytes>, u64) {
+        let (divided, planned) = self.divide_only(parts);
+        match (planned, divided.cache) {
+            (Some(planned), Some(found)) if !found.full => {
+                let (cache, work) = self.filled(planned, 3);
+                (divided, Some(cache), work)
+            }
+            (cache, _) => (divided, cache, 0),
+        }
     }
 
     /// The task of a part.
@@ -230,7 +248,7 @@ impl Farm {
 
     /// Renders the frame in parts.
     pub fn divided(&self, parts: u32) -> Divided {
-        let (divided, own, filled) = self.divide(parts).unwrap();
+        let (divided, own, filled) = self.divide(parts);
         assert_eq!((divided.ends.len() as u32, divided.work.len() as u32), (parts, parts));
         let rendered = (0..)
             .zip(ranges(&divided))
