@@ -128,6 +128,7 @@ impl Process {
         assert!(status.success(), "{status}: {}", self.last_words());
     }
 
+    /// The last lines of its log.
     pub fn last_words(&self) -> String {
         let log = fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();
