@@ -1,14 +1,17 @@
-//! `forelight bench plan`: quality and speed of plans, for weeks of a studio with hundreds of jobs, and for
-//! farms small enough to try every plan.
+//! `forelight bench plan`: quality and speed of plans, for weeks of a studio with hundreds of jobs, whole and
+//! with divided frames, for shots whose frames are divided, and for farms small enough to try every plan.
 
 use crate::report::Report;
 use anyhow::{Result, anyhow};
-use forelight_planner::{Event, Input, Plan, plan, replan, verify};
-use forelight_simulator::reference::{Size, cheapest_by_trying_everything, studio, tiny};
+use forelight_planner::{Division, Event, Input, Plan, Task, plan, replan, verify};
+use forelight_simulator::reference::{
+    Size, cheapest_by_trying_everything, shot, studio, studio_with_parts, tiny,
+};
 use forelight_terminal::quantities::{percent, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_tracer::clocked;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// Measure plans: time, cost against the bound, and small ones against the optimum
 #[derive(Debug, clap::Args)]
@@ -42,12 +45,17 @@ pub struct Args {
 #[derive(Debug, Serialize)]
 struct Document {
     studios: Vec<Studio>,
+    shots: Vec<Shots>,
     tiny: Vec<Tiny>,
 }
 
 #[derive(Debug, Serialize)]
 struct Studio {
     seed: u64,
+    /// Whether frames may be divided.
+    divided: bool,
+    /// Bookings of parts of frames.
+    parts: usize,
     jobs: usize,
     frames: usize,
     nodes: usize,
@@ -71,6 +79,23 @@ struct Replan {
     at_risk: usize,
 }
 
+/// Shots without a deadline, of frames that may be divided.
+#[derive(Debug, Serialize)]
+struct Shots {
+    frames: u64,
+    nodes: u64,
+    /// One frame takes this many times as long as it would.
+    longest: u64,
+    shots: u64,
+    /// Worst end of the last frame after the mean node's, as a share of the shot's length.
+    end_after_mean: f64,
+    /// The same with whole frames.
+    end_after_mean_whole: f64,
+    /// Most that dividing costs.
+    worst_added_cost: f64,
+    worst_plan_seconds: f64,
+}
+
 /// Small farms of one kind.
 #[derive(Debug, Serialize)]
 struct Tiny {
@@ -86,12 +111,16 @@ struct Tiny {
 
 pub fn run(args: &Args) -> Result<Report> {
     let size = Size { jobs: args.jobs, frames: args.frames, nodes: args.nodes, ..Size::default() };
-    let studios = (1..=args.seeds).map(|seed| measure(size, seed)).collect::<Result<Vec<_>>>()?;
+    let studios = (1..=args.seeds)
+        .flat_map(|seed| [(seed, studio(size, seed)), (seed, studio_with_parts(size, seed))])
+        .map(|(seed, input)| measure(seed, &input))
+        .collect::<Result<Vec<_>>>()?;
+    let shots = SHOTS.into_iter().map(|kind| measure_shots(kind, args.seeds)).collect::<Result<Vec<_>>>()?;
     let tiny = [false, true]
         .into_iter()
         .map(|steps| try_everything(args.tiny, steps))
         .collect::<Result<Vec<_>>>()?;
-    let document = Document { studios, tiny };
+    let document = Document { studios, shots, tiny };
     report(&document).printed(args.json, &document)
 }
 
@@ -108,15 +137,14 @@ fn checked(input: &Input, plan: &Plan) -> Result<()> {
     })
 }
 
-fn measure(size: Size, seed: u64) -> Result<Studio> {
-    let input = studio(size, seed);
-    let (found, plan_seconds) = timed(|| plan(&input));
+fn measure(seed: u64, input: &Input) -> Result<Studio> {
+    let (found, plan_seconds) = timed(|| plan(input));
     let found = found?;
-    let (faults, verify_seconds) = timed(|| checked(&input, &found));
+    let (faults, verify_seconds) = timed(|| checked(input, &found));
     faults?;
     let mut replans = Vec::new();
-    for (event, name, concerned) in events(&input, &found) {
-        let (after, seconds) = timed(|| replan(&input, &found, &event));
+    for (event, name, concerned) in events(input, &found) {
+        let (after, seconds) = timed(|| replan(input, &found, &event));
         let after = after?;
         checked(&after.input, &after.plan)?;
         let moved = after.difference.moved.len();
@@ -126,6 +154,8 @@ fn measure(size: Size, seed: u64) -> Result<Studio> {
     }
     Ok(Studio {
         seed,
+        divided: input.jobs.iter().flat_map(|job| &job.frames).any(|frame| frame.division.most() > 1),
+        parts: found.bookings.iter().filter(|booking| matches!(booking.task, Task::Part { .. })).count(),
         jobs: input.jobs.len(),
         frames: input.jobs.iter().map(|job| job.frames.len()).sum(),
         nodes: input.nodes.len(),
@@ -137,6 +167,51 @@ fn measure(size: Size, seed: u64) -> Result<Studio> {
         above_bound: found.cost as f64 / found.cost_bound.max(1) as f64 - 1.0,
         replans,
     })
+}
+
+/// Frames, nodes, and how many times as long the longest frame takes.
+const SHOTS: [(u64, u64, u64); 6] =
+    [(1000, 100, 1), (1000, 100, 10), (400, 100, 1), (400, 100, 10), (200, 100, 1), (200, 100, 10)];
+
+fn measure_shots((frames, nodes, longest): (u64, u64, u64), shots: u64) -> Result<Shots> {
+    let mut worst = Shots {
+        frames,
+        nodes,
+        longest,
+        shots,
+        end_after_mean: 0.0,
+        end_after_mean_whole: 0.0,
+        worst_added_cost: 0.0,
+        worst_plan_seconds: 0.0,
+    };
+    for seed in 1..=shots {
+        let mut input = shot(frames, nodes, longest, seed);
+        let (divided, seconds) = timed(|| plan(&input));
+        let divided = divided?;
+        checked(&input, &divided)?;
+        for frame in input.jobs.iter_mut().flat_map(|job| &mut job.frames) {
+            frame.division = Division::Whole;
+        }
+        let whole = plan(&input)?;
+        let added = divided.cost as f64 / whole.cost.max(1) as f64 - 1.0;
+        worst.end_after_mean = worst.end_after_mean.max(end_after_mean(&input, &divided));
+        worst.end_after_mean_whole = worst.end_after_mean_whole.max(end_after_mean(&input, &whole));
+        worst.worst_added_cost = worst.worst_added_cost.max(added);
+        worst.worst_plan_seconds = worst.worst_plan_seconds.max(seconds);
+    }
+    Ok(worst)
+}
+
+/// The shot's last end over the mean of the last ends on its nodes, both from the release, less one.
+fn end_after_mean(input: &Input, plan: &Plan) -> f64 {
+    let release = input.jobs.first().map_or(input.now, |job| job.release.max(input.now));
+    let mut ends: BTreeMap<u64, i64> = BTreeMap::new();
+    for booking in &plan.bookings {
+        let end = ends.entry(booking.node).or_default();
+        *end = (booking.end - release).max(*end);
+    }
+    let last = ends.values().max().copied().unwrap_or(0) as f64;
+    last * ends.len() as f64 / ends.values().sum::<i64>().max(1) as f64 - 1.0
 }
 
 /// Possible events on the second day, with the number of bookings that each concerns.
@@ -200,6 +275,7 @@ fn report(document: &Document) -> Report {
     let mut table = Table::new(&[
         ("seed", Align::Right),
         ("frames", Align::Right),
+        ("parts", Align::Right),
         ("in time", Align::Right),
         ("plan", Align::Right),
         ("check", Align::Right),
@@ -214,6 +290,7 @@ fn report(document: &Document) -> Report {
         let mut cells = vec![
             studio.seed.to_string(),
             studio.frames.to_string(),
+            if studio.divided { studio.parts.to_string() } else { "whole".to_owned() },
             format!("{}/{}", studio.kept, studio.jobs),
             seconds(studio.plan_seconds),
             seconds(studio.verify_seconds),
@@ -227,7 +304,7 @@ fn report(document: &Document) -> Report {
                 percent(replan.others_moved),
                 replan.at_risk.to_string(),
             ]);
-            table.row(std::mem::replace(&mut cells, vec![String::new(); 6]));
+            table.row(std::mem::replace(&mut cells, vec![String::new(); 7]));
         }
     }
     let mut small = Table::new(&[
@@ -250,5 +327,31 @@ fn report(document: &Document) -> Report {
             percent(tiny.worst_above_optimum),
         ]);
     }
-    Report::default().table(table).text("\n").table(small)
+    Report::default().table(table).text("\n").table(shots_table(&document.shots)).text("\n").table(small)
+}
+
+fn shots_table(shots: &[Shots]) -> Table {
+    let mut table = Table::new(&[
+        ("shots", Align::Right),
+        ("frames", Align::Right),
+        ("nodes", Align::Right),
+        ("longest frame", Align::Right),
+        ("end after mean node", Align::Right),
+        ("whole frames", Align::Right),
+        ("added cost", Align::Right),
+        ("plan", Align::Right),
+    ]);
+    for kind in shots {
+        table.row([
+            kind.shots.to_string(),
+            kind.frames.to_string(),
+            kind.nodes.to_string(),
+            format!("{} times", kind.longest),
+            percent(kind.end_after_mean),
+            percent(kind.end_after_mean_whole),
+            percent(kind.worst_added_cost),
+            seconds(kind.worst_plan_seconds),
+        ]);
+    }
+    table
 }

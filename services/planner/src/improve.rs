@@ -6,13 +6,16 @@ use std::collections::BTreeMap;
 use crate::exchange::{InVain, exchange};
 use crate::lane::Prefer;
 use crate::model::Task;
+use crate::parts::divide_dear;
 use crate::state::{Only, Placed, Search, State};
 
 /// A round is the last if it saves less than one part in this many.
 const LEAST_GAIN: i64 = 2000;
+/// The most frames that are tried in parts to make them cheaper.
+const MOST_DIVIDED: usize = 300;
 
 /// Makes a plan cheaper, in at most `rounds` rounds. Each round closes gaps, moves single frames to cheaper
-/// places, and exchanges frames; each of these makes room for the next.
+/// places, exchanges frames, and divides dear ones; each of these makes room for the next.
 ///
 /// Frames of jobs without a deadline only move to earlier times on their nodes: those jobs were promised to
 /// be early, not cheap.
@@ -20,11 +23,13 @@ pub(crate) fn improve(state: &mut State, rounds: usize) {
     let mut searched = Searched::new();
     cheapen(state, &mut searched);
     let mut in_vain = InVain::new();
+    let mut trials = MOST_DIVIDED;
     for _ in 0..rounds {
         let before = state.cost();
         close_ranks(state);
         cheapen(state, &mut searched);
         exchange(state, &mut in_vain);
+        divide_dear(state, &mut trials);
         if before.saturating_sub(state.cost()) < before / LEAST_GAIN {
             break;
         }

@@ -26,6 +26,8 @@ const PIECES: i64 = 3;
 const WORTH_OF_TIME: i128 = 33;
 /// As far as the money reaches, an earlier end may take one part in this many more work.
 const WORK_FOR_TIME: i128 = 16;
+/// Dividing a frame may pay if it could save more than one part in this many of its cost.
+const WORTH_DIVIDING: i64 = 8;
 /// The end of a job is found to one part in this many of its length.
 const PRECISION: i64 = 128;
 
@@ -362,6 +364,44 @@ fn end_early(
         }
     }
     best
+}
+
+/// Divides frames of jobs with a deadline where their parts fit into cheaper gaps in time, the largest possible
+/// saving first. Each attempt uses up one of the trials.
+pub(crate) fn divide_dear(state: &mut State, trials: &mut usize) {
+    let problem = state.problem;
+    let mut found: Vec<(Reverse<i64>, usize, i64, Placed)> = Vec::new();
+    for (job, work) in problem.jobs.iter().enumerate() {
+        let Some(deadline) = work.job.deadline.filter(|&deadline| state.finish(job) <= deadline) else {
+            continue;
+        };
+        for placed in movable(state, job).into_values().filter(|places| places.len() == 1).flatten() {
+            let Some(of_frame) = work.work_of(placed.task) else { continue };
+            let least = work.classes.iter().filter_map(|&class| {
+                let node = problem.representative(class);
+                // In two parts, at least.
+                let time =
+                    node.duration(of_frame.saturating_add(2 * work.job.part_overhead), work.job.class)?;
+                Some(price_of(node.price_per_hour, time))
+            });
+            let node = problem.nodes[placed.node];
+            let saved = state.lanes[placed.node].saved_without(node, placed.start, placed.end);
+            let gain = saved.saturating_sub(least.min().unwrap_or(i64::MAX));
+            if gain > saved / WORTH_DIVIDING {
+                found.push((Reverse(gain), job, deadline, placed));
+            }
+        }
+    }
+    found.sort_unstable_by_key(|&(gain, job, _, placed)| (gain, job, placed.start, placed.node, placed.task));
+    let most = Spent { money: -1, work: i128::MAX };
+    for (_, job, deadline, placed) in found.into_iter().take(*trials) {
+        *trials -= 1;
+        let Some(release) = state.earliest(job, placed.task) else { continue };
+        if let Some(places) = try_by(state, job, &[placed], (release, deadline), most) {
+            state.unbook(job, placed);
+            places.into_iter().for_each(|placed| state.book(job, placed));
+        }
+    }
 }
 
 /// By number: the places of all frames that may move and may be divided.

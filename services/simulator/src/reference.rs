@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use forelight_planner::chance::{between, bits, normal, uniform};
-use forelight_planner::{Confidence, Frame, Input, Interval, Job, Node, SharedCache, WorkTotal};
+use forelight_planner::{Confidence, Division, Frame, Input, Interval, Job, Node, SharedCache, WorkTotal};
 
 const SECOND: i64 = 1_000_000;
 const MINUTE: i64 = 60 * SECOND;
@@ -56,6 +56,53 @@ pub fn studio(size: Size, seed: u64) -> Input {
         };
         frames_left = frames_left.saturating_sub(frames);
         input.jobs.push(studio_job(size, seed, id, frames));
+    }
+    input
+}
+
+/// The same week with divided frames. In half of the jobs, frames may have up to 64 parts, and every fiftieth
+/// is eight times as long as the others. In one job of twenty, every frame must have four parts. A part costs a
+/// minute at speed 1 on top. All jobs need as much work as in [`studio`], up to rounding.
+pub fn studio_with_parts(size: Size, seed: u64) -> Input {
+    let mut input = studio(size, seed);
+    for job in &mut input.jobs {
+        job.part_overhead = WORK_OF_AN_HOUR as u64 / 60;
+        let (may, must) = (job.id % 2 == 0, job.id % 20 == 1);
+        let is_long = |frame: &Frame| may && frame.number % 50 == 7;
+        let work = |frame: &Frame| u128::from(frame.work);
+        let before: u128 = job.frames.iter().map(work).sum();
+        let more: u128 = job.frames.iter().filter(|frame| is_long(frame)).map(work).sum();
+        let after = (before + 7 * more).max(1);
+        let scaled = |work: u64| u64::try_from(u128::from(work) * before / after).unwrap_or(u64::MAX).max(1);
+        for frame in &mut job.frames {
+            let times = if is_long(frame) { 8 } else { 1 };
+            (frame.work, frame.work_p80) = (scaled(frame.work) * times, scaled(frame.work_p80) * times);
+            frame.division = match (may, must) {
+                (true, _) => Division::UpTo(64),
+                (_, true) => Division::Into(4),
+                _ => Division::Whole,
+            };
+        }
+    }
+    input
+}
+
+/// A shot without a deadline, of this many frames, on nodes that are always open. Frames may have up to 64
+/// parts. `longest`: one frame takes this many times as long as it would.
+pub fn shot(frames: u64, nodes: u64, longest: u64, seed: u64) -> Input {
+    let mut input = studio(Size { jobs: 1, frames, nodes, classes: 20, days: 7 }, seed);
+    for node in &mut input.nodes {
+        node.calendar = vec![Interval { start: 0, end: None }];
+    }
+    for job in &mut input.jobs {
+        (job.class, job.deadline, job.shared_cache) = (0, None, None);
+        job.part_overhead = WORK_OF_AN_HOUR as u64 / 60;
+        job.frames.iter_mut().for_each(|frame| frame.division = Division::UpTo(64));
+        if let Some(first) = job.frames.first_mut() {
+            (first.work, first.work_p80) = (first.work * longest, first.work_p80 * longest);
+        }
+        let total: u64 = job.frames.iter().map(|frame| frame.work).sum();
+        job.total = WorkTotal { p50: total, p80: total + total / 8, p95: total + total / 4 };
     }
     input
 }
