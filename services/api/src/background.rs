@@ -1,5 +1,5 @@
 //! Background work of the service. One task advances jobs and plans the farm; one takes back expired leases;
-//! one tells webhooks of events; one deletes every night what is past its time.
+//! one tells webhooks of events; one writes images where their jobs want them; one deletes every night what is past its time.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -13,6 +13,7 @@ use tokio::time::Instant;
 
 use crate::clock::SteadyClock;
 use crate::conductor::Conductor;
+use crate::outputs::write_outputs;
 use crate::rights::watch_rights;
 use crate::state::App;
 use crate::webhooks::tell_webhooks;
@@ -43,6 +44,10 @@ pub(crate) async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
 
 pub(crate) async fn run_webhooks(app: App) {
     while again_after_panic("telling webhooks", tell_webhooks(&app)).await {}
+}
+
+pub(crate) async fn run_outputs(app: App) {
+    while again_after_panic("writing images", write_outputs(&app)).await {}
 }
 
 pub(crate) async fn run_retention(app: App) {

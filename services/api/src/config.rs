@@ -37,6 +37,8 @@ pub struct Config {
     pub session_lifetime: Duration,
     /// Folders on shared storage under which jobs may name bundles by path. Default none.
     pub bundle_roots: Vec<PathBuf>,
+    /// Folder on shared storage below which images are written for jobs that ask for it. Default: none.
+    pub output_root: Option<PathBuf>,
     /// How bundles are loaded.
     pub inspection: Inspection,
     /// Limits on what clients send.
@@ -62,6 +64,7 @@ impl Config {
             sign_in: None,
             session_lifetime: Duration::from_secs(7 * 86_400),
             bundle_roots: Vec::new(),
+            output_root: None,
             inspection: Inspection::default(),
             limits: Limits::default(),
             evidence: Evidence::Checked,

@@ -25,6 +25,7 @@ mod inspector;
 mod metrics;
 mod oidc;
 mod openapi;
+mod outputs;
 mod paced_body;
 mod page;
 mod plan_difference;

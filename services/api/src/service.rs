@@ -13,7 +13,9 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{run_conductor, run_retention, run_rights, run_scrub, run_sweep, run_webhooks};
+use crate::background::{
+    run_conductor, run_outputs, run_retention, run_rights, run_scrub, run_sweep, run_webhooks,
+};
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::{Tls, TlsError, serve};
@@ -22,6 +24,7 @@ use crate::feed::Feed;
 use crate::inspector::Inspector;
 use crate::metrics::Metrics;
 use crate::oidc::{SignIn, SignInProvider};
+use crate::outputs::OutputRoot;
 use crate::quotas::Quotas;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
@@ -50,6 +53,14 @@ pub enum ServiceError {
     /// TLS cannot be served.
     #[error(transparent)]
     Tls(#[from] TlsError),
+    /// The output root cannot be opened.
+    #[error("output root {path}: {source}")]
+    OutputRoot {
+        /// Its path.
+        path: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
     /// A bundle root does not exist.
     #[error("bundle root {path}: {source}")]
     BundleRoot {
@@ -84,6 +95,7 @@ impl Service {
             sign_in,
             session_lifetime,
             bundle_roots,
+            output_root,
             inspection,
             limits,
             evidence,
@@ -93,6 +105,7 @@ impl Service {
         let sign_in =
             sign_in.map(|provider| sign_in_through(provider, public_origin.as_deref())).transpose()?;
         let roots = bundle_roots.into_iter().map(bundle_root).collect::<Result<Arc<[_]>, _>>()?;
+        let output_root = output_root.as_deref().map(OutputRoot::open).transpose()?;
         let clock = Arc::new(SteadyClock::new(clock));
         let store = Store::open_with(&data_dir, &artifacts, artifacts_moved).await?;
         let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
@@ -121,6 +134,7 @@ impl Service {
             rights: Arc::default(),
             webhooks_changed: Arc::new(watch::Sender::new(0)),
             bundle_roots: roots,
+            output_root,
             inspector: Arc::new(Inspector::new(inspection, limits.scene, limits.checks_at_once)),
             costly: Costly::new(limits.costly_at_once, limits.costly_waiting),
             quotas: Quotas::default(),
@@ -146,6 +160,7 @@ impl Service {
             tokio::spawn(run_conductor(app.clone(), jobs)),
             tokio::spawn(run_sweep(app.clone(), clock)),
             tokio::spawn(run_webhooks(app.clone())),
+            tokio::spawn(run_outputs(app.clone())),
             tokio::spawn(run_retention(app.clone())),
             tokio::spawn(run_scrub(app.clone())),
             tokio::spawn(run_rights(app.clone())),

@@ -20,6 +20,7 @@ use crate::feed::Feed;
 use crate::inspector::Inspector;
 use crate::metrics::Metrics;
 use crate::oidc::SignIn;
+use crate::outputs::OutputRoot;
 use crate::quotas::Quotas;
 use crate::rights::Rights;
 use crate::shared::Shared;
@@ -46,6 +47,8 @@ pub(crate) struct App {
     pub webhooks_changed: Arc<watch::Sender<u64>>,
     /// Canonical paths of the bundle roots.
     pub bundle_roots: Arc<[PathBuf]>,
+    /// Where images are written for jobs that ask for it.
+    pub output_root: Option<OutputRoot>,
     pub limits: Arc<Limits>,
     pub evidence: Evidence,
     pub metrics: Arc<Metrics>,

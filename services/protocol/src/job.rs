@@ -7,9 +7,9 @@ use crate::division::{is_one, one};
 use crate::node::given;
 use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FrameForecast, FrameSet, JobId, JobSettings,
-    JobState, JobVerdict, Ladders, LiveForecast, Money, NodeId, PageToken, PlanId, Promise, Quantiles,
-    RenderSettingsRequest, RenderStats, RendererRequest, SceneSummary, SharedCacheProgress, TaskLimits,
-    Timestamp, Waits,
+    JobState, JobVerdict, Ladders, LiveForecast, Money, NodeId, OutputPattern, PageToken, PlanId, Promise,
+    Quantiles, RenderSettingsRequest, RenderStats, RendererRequest, SceneSummary, SharedCacheProgress,
+    TaskLimits, Timestamp, Waits,
 };
 
 /// Request for a new job.
@@ -39,6 +39,10 @@ pub struct JobRequest {
     /// Whether frames are divided into parts that several nodes render at the same time.
     #[serde(default, skip_serializing_if = "Division::is_auto")]
     pub division: Division,
+    /// Where each image is written besides, as soon as its frame is done: a pattern of paths below the service's
+    /// output root, such as `{project}/{job}/{frame:04}.exr`. Absent: images are artefacts alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub output: Option<OutputPattern>,
     /// Number of pixels to profile per profiled frame, 16 to 1,000,000.
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
@@ -94,6 +98,7 @@ impl JobRequest {
             settings: RenderSettingsRequest::default(),
             cache: CacheSharing::default(),
             division: Division::default(),
+            output: None,
             samples: default_samples(),
             profile_frames: None,
             ladders: Ladders::default(),
@@ -231,6 +236,10 @@ pub struct Job {
     /// Whether frames are divided into parts that several nodes render at the same time.
     #[serde(default, skip_serializing_if = "Division::is_auto")]
     pub division: Division,
+    /// Where each image is written besides, as soon as its frame is done: a pattern of paths below the service's
+    /// output root, such as `{project}/{job}/{frame:04}.exr`. Absent: images are artefacts alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub output: Option<OutputPattern>,
     /// Number of pixels to profile per profiled frame.
     pub samples: u32,
     /// Largest number of frames to profile. Absent if the service decides.
@@ -348,6 +357,18 @@ pub struct FrameBooking {
     pub end: Timestamp,
 }
 
+/// Where a frame's image is written besides its artefacts.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FrameOutput {
+    /// Path below the service's output root.
+    pub path: String,
+    /// Whether it is there.
+    pub written: bool,
+    /// Why it could not be written last. It is tried again. Absent if it could.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+}
+
 /// The artefacts of a frame. Each is absent until it exists.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct FrameArtifacts {
@@ -408,6 +429,9 @@ pub struct FrameRow {
     pub finished: Option<Timestamp>,
     /// Its files.
     pub artifacts: FrameArtifacts,
+    /// Where its image is written besides. Absent if it is nowhere else.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub output: Option<FrameOutput>,
     /// The latest error. Absent if there was none.
     pub error: Option<String>,
 }

@@ -39,6 +39,7 @@ mod live;
 mod log;
 mod money;
 mod node;
+mod output;
 mod page;
 mod plan;
 mod problem;
@@ -108,8 +109,8 @@ pub use ids::{
     WebhookId,
 };
 pub use job::{
-    AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FramePage, FrameRow, FrameState, FramesRequest,
-    Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
+    AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FrameOutput, FramePage, FrameRow, FrameState,
+    FramesRequest, Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
 };
 pub use job_state::JobState;
 pub use lease::{
@@ -126,6 +127,7 @@ pub use node::{
     Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodePage, NodeRegistration,
     NodeState, NodeTerms,
 };
+pub use output::{NoPattern, OutputOf, OutputPattern};
 pub use page::PageToken;
 pub use plan::{
     Booking, BookingPage, FrameMove, FramePlace, JobVerdict, Plan, PlanDifference, PlanPage, PlanReason,

@@ -44,6 +44,7 @@ pub(crate) struct JobRow {
     pub ladders: Word<Ladders>,
     pub cache: Word<CacheSharing>,
     pub division: Json<Division>,
+    pub output: Option<String>,
     pub within: Option<Json<Within>>,
     pub limits: Json<TaskLimits>,
     pub deadline_at: Option<Time>,
@@ -70,7 +71,7 @@ macro_rules! job_rows {
         sqlx::query_as!(
             $crate::jobs::JobRow,
             "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
-             frames_total, renderer, settings, samples, profile_frames, profiles_more, ladders, cache, division, within, limits, \
+             frames_total, renderer, settings, samples, profile_frames, profiles_more, ladders, cache, division, output, within, limits, \
              deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
              hold, terms, terms_planned, error, created_at, finished_at FROM jobs "
                 + $rest
@@ -140,6 +141,10 @@ impl JobRow {
             settings: self.settings.0,
             cache: self.cache.0,
             division: self.division.0,
+            output: self
+                .output
+                .map(|text| text.parse().map_err(|error| corrupt("output", error)))
+                .transpose()?,
             shared_cache: progress.shared_cache,
             samples: self.samples,
             profile_frames: (!self.profiles_more).then_some(self.profile_frames),

@@ -20,6 +20,7 @@ use crate::leases::failing::{end_attempt_beside, hold_against_others};
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::living::{self, Occasion};
 use crate::nodes::{NodeRow, learning};
+use crate::outputs;
 use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::tasks::Finished;
@@ -372,6 +373,7 @@ async fn keep_render(
     let actual_work = if row.renderer.is_some() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };
     learning::learn(write, row, node, stats).await?;
     division::forget_parts(write, row.job_id, stats.frame);
+    outputs::mark(write, row, stats.frame);
     later!(
         write,
         "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \

@@ -15,6 +15,7 @@ mod job_life;
 mod lists;
 mod living_estimate;
 mod nodes;
+mod outputs;
 mod page;
 mod plans;
 mod reach;

@@ -114,9 +114,16 @@ impl Farm {
 
     /// Kills the service and starts it again.
     pub async fn killed_and_restarted(self) -> Self {
+        self.restarted_with(|_| {}).await
+    }
+
+    /// The same with another configuration.
+    pub async fn restarted_with(self, change: impl FnOnce(&mut Config)) -> Self {
         let Self { folder, service, operator, submitter, worker, viewer, nobody } = self;
         drop(service);
-        let service = start(&config(folder.path())).await;
+        let mut config = config(folder.path());
+        change(&mut config);
+        let service = start(&config).await;
         let address = address(&service);
         Self {
             folder,

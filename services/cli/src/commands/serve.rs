@@ -80,6 +80,9 @@ pub struct ServiceOptions {
     /// Folder on shared storage below which jobs may name bundles by path. May be repeated
     #[arg(long, value_name = "DIR")]
     pub bundle_root: Vec<PathBuf>,
+    /// Folder on shared storage below which images are written for jobs that ask for it by `submit --output`
+    #[arg(long, value_name = "DIR")]
+    pub output_root: Option<PathBuf>,
     /// Largest bundle that clients may upload, MiB
     #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     pub max_bundle: u64,
@@ -128,6 +131,7 @@ impl ServiceOptions {
         config.public_origin.clone_from(&self.public_url);
         config.allowed_origins.clone_from(&self.allow_origin);
         config.bundle_roots.clone_from(&self.bundle_root);
+        config.output_root.clone_from(&self.output_root);
         config.limits.bundle_bytes = self.max_bundle << 20;
         config.limits.frames = self.max_frames;
         config.limits.pixels = self.max_pixels;

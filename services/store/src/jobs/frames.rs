@@ -1,8 +1,8 @@
 //! A job's frames: forecast and actual cost.
 
 use forelight_protocol::{
-    FrameArtifacts, FrameBooking, FrameFigure, FrameForecast, FrameRow, FrameState, JobId, Quantiles,
-    RenderArtifacts, RenderStats,
+    FrameArtifacts, FrameBooking, FrameFigure, FrameForecast, FrameOutput, FrameRow, FrameState, JobId,
+    OutputOf, OutputPattern, Quantiles, RenderArtifacts, RenderStats,
 };
 
 use crate::columns::{Hash, Id, Json, Time, corrupt};
@@ -23,6 +23,12 @@ struct Row {
     actual_cpu: Option<f64>,
     artifacts: Option<Json<RenderArtifacts>>,
     preview_png: Option<Hash>,
+    output_due: bool,
+    output_error: Option<String>,
+    output: Option<String>,
+    job: String,
+    project: String,
+    job_id: Id,
     finished_at: Option<Time>,
     state: Option<String>,
     node_id: Option<Id>,
@@ -46,7 +52,7 @@ macro_rules! rows {
              EXISTS (SELECT 1 FROM tasks p INDEXED BY tasks_of_parts WHERE f.parts > 1 AND p.kind = 'render_part' \
              AND p.job_id = f.job_id AND p.frame = f.frame AND p.state IN ('leased', 'done')) AS \"is_begun!: bool\", \
              f.forecast, f.actual, f.actual_work, f.actual_cpu, f.artifacts, f.preview_png, \
-             f.finished_at, t.state AS \"state?\", t.node_id, t.fence AS \"attempts?: u32\", \
+             f.output_due, f.output_error, j.output, j.name AS job, j.project, j.id AS job_id, f.finished_at, t.state AS \"state?\", t.node_id, t.fence AS \"attempts?: u32\", \
              t.progress AS \"progress?\", t.started_at, t.error, b.node_id AS \"booked_node?\", \
              n.name AS \"booked_name?\", b.start_at AS \"start_at?\", b.end_at AS \"end_at?\" \
              FROM frames f JOIN jobs j ON j.id = f.job_id \
@@ -97,8 +103,18 @@ impl Row {
             }
             _ => None,
         };
-        let forecast = self.forecast.map(|it| it.0);
         let images = self.artifacts.map(|it| it.0);
+        let output = self.output.as_ref().map(|pattern| {
+            let pattern: OutputPattern = pattern.parse().map_err(|error| corrupt("output", error))?;
+            let (project, job, id) = (&self.project, &self.job, self.job_id.into());
+            Ok::<_, StoreError>(FrameOutput {
+                path: pattern.path(OutputOf { project, job, id, frame: self.frame }),
+                written: images.is_some() && !self.output_due,
+                error: self.output_error.clone(),
+            })
+        });
+        let output = output.transpose()?;
+        let forecast = self.forecast.map(|it| it.0);
         Ok(FrameRow {
             frame: self.frame,
             state,
@@ -120,6 +136,7 @@ impl Row {
                 image_png: images.map(|images| images.image_png),
                 image_exr: images.map(|images| images.image_exr),
             },
+            output,
             error: self.error,
         })
     }

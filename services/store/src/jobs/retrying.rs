@@ -189,7 +189,7 @@ async fn forget_result(write: &mut Write, job: JobId, row: &Row) -> Result<()> {
     run!(
         write,
         "UPDATE frames SET actual = NULL, actual_work = NULL, actual_cpu = NULL, artifacts = NULL, \
-         finished_at = NULL WHERE job_id = ? AND frame = ?",
+         finished_at = NULL, output_due = 0, output_error = NULL WHERE job_id = ? AND frame = ?",
         job.0,
         row.frame
     );

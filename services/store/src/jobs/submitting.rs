@@ -53,8 +53,8 @@ impl Store {
             write,
             "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
              frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
-             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output) \
+             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             job_id.0,
             request.name,
             request.project,
@@ -80,7 +80,8 @@ impl Store {
             request.ladders.name(),
             request.renderer.as_ref().map(Json),
             request.hold,
-            Json(&request.division)
+            Json(&request.division),
+            request.output.as_ref().map(ToString::to_string)
         );
         for frame in request.frames.iter() {
             run!(write, "INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame);

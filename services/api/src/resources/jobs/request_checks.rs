@@ -46,6 +46,7 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
             format!("{frames} frames; a job has at most {}", app.limits.frames),
         ));
     }
+    check_delivery(app, &request)?;
     if let Some(renderer) = &request.renderer {
         renderer
             .check()
@@ -56,18 +57,6 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
     if request.cache == CacheSharing::Shared && request.settings.complete((1, 1)).cache == CacheMode::Off {
         let reason = "a cache cannot be shared where there is none: set `settings.cache` to `on`";
         return Err(ApiError::invalid("/cache", reason));
-    }
-    if let Division::Into(PartCount(parts)) = request.division
-        && !(2..=MOST_PARTS).contains(&parts)
-    {
-        return Err(ApiError::invalid(
-            "/division/into",
-            format!("{parts} parts; 2 to {MOST_PARTS} are possible"),
-        ));
-    }
-    if matches!(request.division, Division::Into(_)) && request.within.is_some() {
-        let reason = "frames whose camera samples are chosen for a limit cannot be divided: leave out `division` or `within`";
-        return Err(ApiError::invalid("/division", reason));
     }
     if request.cache == CacheSharing::Shared && request.within.is_some() {
         let reason = "frames whose camera samples are chosen for a limit make their own caches: leave out `cache` or `within`";
@@ -93,6 +82,28 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
     let settings = request.settings.complete((scene.width, scene.height));
     check_size(app, &settings)?;
     Ok(NewJob { request, scene, source, settings: settings.into() })
+}
+
+/// Where images go, and whether frames are divided, is checked for every renderer.
+fn check_delivery(app: &App, request: &JobRequest) -> ApiResult<()> {
+    if request.output.is_some() && app.output_root.is_none() {
+        let reason =
+            "the service has no output root: leave this out, or start the service with --output-root";
+        return Err(ApiError::invalid("/output", reason));
+    }
+    if let Division::Into(PartCount(parts)) = request.division
+        && !(2..=MOST_PARTS).contains(&parts)
+    {
+        return Err(ApiError::invalid(
+            "/division/into",
+            format!("{parts} parts; 2 to {MOST_PARTS} are possible"),
+        ));
+    }
+    if matches!(request.division, Division::Into(_)) && request.within.is_some() {
+        let reason = "frames whose camera samples are chosen for a limit cannot be divided: leave out `division` or `within`";
+        return Err(ApiError::invalid("/division", reason));
+    }
+    Ok(())
 }
 
 /// Checks a deadline and a budget.

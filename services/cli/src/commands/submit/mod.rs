@@ -12,8 +12,8 @@ use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
     BundleRef, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobRequest, JobState, Ladders,
-    MOST_PARTS, Money, PartCount, Per, RenderSettingsRequest, RendererRequest, SceneSummary, Timestamp,
-    Within,
+    MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest, RendererRequest, SceneSummary,
+    Timestamp, Within,
 };
 use forelight_renderer::scene_name;
 use forelight_terminal::failure::BadInput;
@@ -114,6 +114,10 @@ pub struct Args {
     /// divides none
     #[arg(long, value_name = "auto|N", default_value = "auto", value_parser = division)]
     parts: Division,
+    /// Also have the service write each image below its --output-root, such as
+    /// {project}/{job}/{frame:04}.exr. Placeholders: {project}, {job}, {id}, {frame}, {frame:04}
+    #[arg(long, value_name = "PATTERN")]
+    output: Option<OutputPattern>,
     /// Renderer other than forelight's own, with its version or the beginning of it, such as "cycles 5.0"
     /// [default: any version of cycles for a .blend file, and of radiance for a .rif file or octree]. The
     /// version that previews the job also renders it
@@ -294,6 +298,7 @@ fn request(
         settings,
         cache: args.cache_sharing,
         division: args.parts,
+        output: args.output.clone(),
         samples: args.samples,
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },

@@ -1,0 +1,86 @@
+//! Images that are still to be written where their job wants them.
+
+use forelight_protocol::{ArtifactHash, JobId, OutputOf, OutputPattern, RenderArtifacts};
+
+use crate::columns::{Id, Json, corrupt};
+use crate::database::{Store, Write};
+use crate::error::Result;
+use crate::leases::LeaseRow;
+use crate::writing::{later, run};
+
+/// A frame whose image is to be written.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct DueOutput {
+    /// The job.
+    pub job: JobId,
+    /// The frame.
+    pub frame: u32,
+    /// Path below the output root.
+    pub path: String,
+    /// What to write there.
+    pub content: ArtifactHash,
+}
+
+/// A frame with its job.
+struct Row {
+    job_id: Id,
+    frame: u32,
+    name: String,
+    project: String,
+    output: Option<String>,
+    artifacts: Option<Json<RenderArtifacts>>,
+}
+
+impl Store {
+    /// Images that are still to be written, oldest job first, at most `limit`.
+    pub async fn due_outputs(&self, limit: u32) -> Result<Vec<DueOutput>> {
+        let rows = sqlx::query_as!(
+            Row,
+            "SELECT f.job_id, f.frame, j.name, j.project, j.output, f.artifacts \
+             FROM frames f INDEXED BY frames_output_due JOIN jobs j ON j.id = f.job_id \
+             WHERE f.output_due = 1 ORDER BY f.job_id, f.frame LIMIT ?",
+            limit
+        )
+        .fetch_all(self.readers())
+        .await?;
+        rows.into_iter().filter_map(|row| row.due().transpose()).collect()
+    }
+
+    /// Notes that an image was written, or why not: it stays due then.
+    pub async fn note_output(&self, of: &DueOutput, error: Option<&str>) -> Result<()> {
+        let mut write = self.write().await?;
+        run!(
+            write,
+            "UPDATE frames SET output_due = ?1 IS NOT NULL, output_error = ?1 WHERE job_id = ?2 AND frame = ?3 \
+             AND output_due = 1",
+            error,
+            of.job.0,
+            of.frame
+        );
+        self.commit(write).await
+    }
+}
+
+impl Row {
+    /// `None` if the image was deleted in the meantime.
+    fn due(self) -> Result<Option<DueOutput>> {
+        let (Some(output), Some(Json(artifacts))) = (self.output, self.artifacts) else { return Ok(None) };
+        let pattern: OutputPattern = output.parse().map_err(|error| corrupt("output", error))?;
+        let (id, frame) = (self.job_id.into(), self.frame);
+        let path = pattern.path(OutputOf { project: &self.project, job: &self.name, id, frame });
+        let content = if pattern.is_picture() { artifacts.image_png } else { artifacts.image_exr };
+        Ok(Some(DueOutput { job: id, frame, path, content }))
+    }
+}
+
+/// Marks the image of a finished frame as to be written, if its job wants it somewhere.
+pub(crate) fn mark(write: &mut Write, row: &LeaseRow, frame: u32) {
+    later!(
+        write,
+        "UPDATE frames SET output_error = NULL, \
+         output_due = (SELECT j.output IS NOT NULL FROM jobs j WHERE j.id = frames.job_id) \
+         WHERE job_id = ? AND frame = ?",
+        row.job_id.0,
+        frame
+    );
+}
