@@ -208,34 +208,3 @@ fn light(settings: &RenderSettings) -> String {
     };
     format!("{width} × {height}, {spp} spp, {method}, {ambient_bounces} bounces")
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use forelight_terminal::options::parsed;
-
-    #[test]
-    fn a_frame_is_measured_in_one_piece_and_in_parts_with_a_cache_and_without() {
-        let corridor = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../deploy/scenes/corridor");
-        for cache in [&[][..], &["--cache", "on", "--cache-rays", "48"]] {
-            let flags = ["divide", "bundle", "--width", "64", "--spp", "2", "--ambient-bounces", "1"];
-            let numbers = ["--parts", "3", "--nodes", "2,5", "--preview", "cpu"];
-            let args: Args = parsed([&flags, &numbers[..], cache].concat());
-            let local = Local::open(&corridor, &args.machine, &Bars::new(true)).unwrap();
-            let settings = local.settings(&args.quality).unwrap();
-            let case = measure(&args, &corridor, &local, settings, &Interrupt::default()).unwrap();
-            assert_eq!((case.in_parts.parts, case.nodes.len()), (3, 2));
-            assert!(case.in_parts.work > case.work && case.in_parts.overhead_nanos > 0, "{case:?}");
-            assert!((1.0..1.2).contains(&case.in_parts.longest), "{case:?}");
-            for nodes in &case.nodes {
-                let Makespans { equal_cost, equal_areas, buckets } = nodes.makespans;
-                assert!(nodes.probing_work > 0 && nodes.mean > 0.0);
-                for makespan in [equal_cost - nodes.probing_work, equal_areas, buckets] {
-                    assert!(makespan as f64 > nodes.mean, "{nodes:?}");
-                }
-            }
-            let text = report(&[case]).for_terminal();
-            assert!(text.contains("equal cost") && text.contains("64 × 36, 2 spp"), "{text}");
-        }
-    }
-}
