@@ -62,15 +62,32 @@ impl PixelCurve {
 
     /// Row-major index of the pixel at a place, which must be below [`Self::count`].
     pub fn pixel(&self, place: u32) -> u32 {
-        let tile = self.starts.partition_point(|&start| start <= place) - 1;
-        let (columns, rows) = self.sides(tile);
-        let (inside, width) = (place - self.starts[tile], columns.len() as u32);
-        (rows.start + inside / width) * self.width + columns.start + inside % width
+        let tile = self.tile_of(place);
+        self.pixel_of(tile, place - self.starts[tile])
     }
 
     /// Row-major indices of the pixels at these places, in order. Places beyond the last are left out.
     pub fn pixels(&self, places: Range<u32>) -> Vec<u32> {
-        (places.start..places.end.min(self.count())).map(|place| self.pixel(place)).collect()
+        let Range { start, end } = places.start..places.end.min(self.count());
+        if start >= end {
+            return Vec::new();
+        }
+        let in_tile = |tile: usize| {
+            let (first, next) = (self.starts[tile], self.starts[tile + 1]);
+            (start.max(first)..end.min(next)).map(move |place| self.pixel_of(tile, place - first))
+        };
+        (self.tile_of(start)..=self.tile_of(end - 1)).flat_map(in_tile).collect()
+    }
+
+    fn tile_of(&self, place: u32) -> usize {
+        self.starts.partition_point(|&start| start <= place) - 1
+    }
+
+    /// Row-major index of a pixel by its place within a tile.
+    fn pixel_of(&self, tile: usize, inside: u32) -> u32 {
+        let (columns, rows) = self.sides(tile);
+        let width = columns.len() as u32;
+        (rows.start + inside / width) * self.width + columns.start + inside % width
     }
 
     /// Columns and rows of a tile.
@@ -93,6 +110,10 @@ mod tests {
             let curve = PixelCurve::new(width, height);
             let mut all = curve.pixels(0..u32::MAX);
             assert_eq!(all.len() as u32, curve.count());
+            assert!(all.iter().zip(0..).all(|(&pixel, place)| curve.pixel(place) == pixel));
+            let (from, to) = (curve.count() / 3, curve.count() / 2);
+            assert_eq!(curve.pixels(from..to), all[from as usize..to as usize]);
+            assert!(curve.pixels(to..from).is_empty() && curve.pixels(curve.count()..u32::MAX).is_empty());
             all.sort_unstable();
             assert!(all.into_iter().eq(0..width * height), "{width} × {height}");
         }
