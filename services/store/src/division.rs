@@ -158,15 +158,19 @@ pub(crate) async fn part_rendered(
     result: &RenderPartResult,
 ) -> Result<()> {
     let frame = frame_of(row)?;
-    if let FinishedPart::Pixels(pixels) = &result.finished {
-        run!(
-            write,
-            "UPDATE tasks SET pixels_share = 1, pixels_work = ?, pixels_cpu = ? WHERE id = ?",
-            pixels.cost.work as f64,
-            pixels.cost.cpu_nanos as f64 * 1e-9 * row.node_speed,
-            row.task_id.0
-        );
-    }
+    let (work, cpu_nanos) = match &result.finished {
+        FinishedPart::Pixels(pixels) => (Some(pixels.cost.work as f64), pixels.cost.cpu_nanos),
+        FinishedPart::Samples(share) => (None, share.cpu_nanos),
+    };
+    let cpu_at_speed_one = cpu_nanos as f64 * 1e-9 * row.node_speed;
+    run!(
+        write,
+        "UPDATE tasks SET pixels_share = 1, pixels_work = ?, pixels_cpu = ? WHERE id = ?",
+        // Renderers that count no work have CPU time in microseconds instead.
+        work.unwrap_or(cpu_at_speed_one * 1e6),
+        cpu_at_speed_one,
+        row.task_id.0
+    );
     add_up(write, row.job_id, frame).await?;
     let results = sqlx::query_scalar!(
         r#"SELECT r.body AS "body?: Json<TaskResult>" FROM tasks t LEFT JOIN results r ON r.task_id = t.id
@@ -253,6 +257,23 @@ pub(crate) async fn add_up(write: &mut Write, job: JobId, frame: u32) -> Result<
         frame
     );
     Ok(())
+}
+
+/// CPU time of a divided frame's parts: as measured, and converted to a node of speed 1, in seconds. `None` of
+/// a whole frame.
+pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> Result<Option<(f64, f64)>> {
+    let row = sqlx::query!(
+        r#"SELECT count(*) AS "parts!: i64", total(t.pixels_cpu) AS "at_speed_one!: f64",
+                  total(coalesce(json_extract(r.body, '$.render_part.finished.pixels.cost.cpu_nanos'),
+                                 json_extract(r.body, '$.render_part.finished.samples.cpu_nanos'))) AS "nanos!: f64"
+           FROM tasks t INDEXED BY tasks_of_parts JOIN results r ON r.task_id = t.id
+           WHERE t.job_id = ? AND t.frame = ? AND t.kind = 'render_part'"#,
+        job.0,
+        frame
+    )
+    .fetch_one(write.connection().await?)
+    .await?;
+    Ok((row.parts > 0).then_some((row.nanos * 1e-9, row.at_speed_one)))
 }
 
 /// Forgets the pixels of a finished frame's parts: its image has them.

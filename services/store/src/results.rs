@@ -368,10 +368,17 @@ async fn keep_render(
     let speed = node.corrected_speed(stats.work_by_class.as_ref()).unwrap_or(row.node_speed);
     // CPU seconds converted to a node of speed 1. Pixels taken over from the profile count at this node's
     // speed too: the profile does not record where each was traced.
-    let cpu_at_speed_one = stats.cpu_seconds * speed;
+    let cpu_at_speed_one = match division::cpu_of_parts(write, row.job_id, stats.frame).await? {
+        // Each part counts at the speed of its own node.
+        Some((of_parts, at_speed_one)) => (stats.cpu_seconds - of_parts).max(0.0) * speed + at_speed_one,
+        None => {
+            // A node's speed is learnt from frames that it rendered alone.
+            learning::learn(write, row, node, stats).await?;
+            stats.cpu_seconds * speed
+        }
+    };
     // Renderers that count no work have CPU time instead, see `quote_sampled`.
     let actual_work = if row.renderer.is_some() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };
-    learning::learn(write, row, node, stats).await?;
     division::forget_parts(write, row.job_id, stats.frame);
     outputs::mark(write, row, stats.frame);
     later!(

@@ -169,7 +169,7 @@ impl Farm {
                 let other = other(*id)?;
                 (PlanChange::MakeWay { job_id: other.id }, format!("{} gives up its deadline", other.name))
             }
-            // The service renders every frame whole.
+            // A job's division is fixed when it is submitted.
             Change::Parts { .. } => return None,
             Change::NewJob { job } => {
                 let other = other(job.id)?;
