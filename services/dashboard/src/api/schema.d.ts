@@ -2737,6 +2737,15 @@ export interface components {
              */
             parts: number;
         };
+        /** @description Where a frame's image is written besides its artefacts. */
+        FrameOutput: {
+            /** @description Why it could not be written last. It is tried again. Absent if it could. */
+            error?: string | null;
+            /** @description Path below the service's output root. */
+            path: string;
+            /** @description Whether it is there. */
+            written: boolean;
+        };
         /** @description One page of frames, ascending. */
         FramePage: {
             /** @description The frames. */
@@ -2776,6 +2785,7 @@ export interface components {
              */
             frame: number;
             node?: components["schemas"]["NodeId"] | null;
+            output?: components["schemas"]["FrameOutput"] | null;
             /**
              * Format: int32
              * @description Into how many parts it is divided. 1 or absent: it is rendered as a whole.
@@ -2982,6 +2992,7 @@ export interface components {
             live?: components["schemas"]["LiveForecast"] | null;
             /** @description Name of the job. */
             name: string;
+            output?: components["schemas"]["OutputPattern"] | null;
             plan_id?: components["schemas"]["PlanId"] | null;
             /**
              * Format: int32
@@ -3128,6 +3139,7 @@ export interface components {
             limits?: components["schemas"]["TaskLimits"];
             /** @description Name of the job: 1 to 200 characters. */
             name: string;
+            output?: components["schemas"]["OutputPattern"] | null;
             /**
              * Format: int32
              * @description Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
@@ -3929,6 +3941,17 @@ export interface components {
             /** @description Whether that is by the deadline. Absent without a deadline. */
             in_time?: boolean | null;
         };
+        /** @description Pattern of the paths of a job's images, below the service's output root, such as
+         *     `{project}/{job}/{frame:04}.exr`.
+         *
+         *     | placeholder | becomes |
+         *     | --- | --- |
+         *     | `{project}`, `{job}` | the name; characters other than letters, digits, `-`, `_`, `.` and space become `_` |
+         *     | `{id}` | the job's id |
+         *     | `{frame}`, `{frame:04}` | the frame's number, with zeros to this width |
+         *
+         *     A name that ends in `.png` gets the picture for viewing, any other the image. */
+        OutputPattern: string;
         /** @description Position of the next page. Opaque: clients send it back unchanged as `page_token`. */
         PageToken: string;
         /**
