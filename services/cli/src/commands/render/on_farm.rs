@@ -237,6 +237,6 @@ impl Growing {
         let Some(file) = self.file.as_ref().filter(|_| job.state == JobState::Done) else { return Ok(()) };
         let content =
             client.picture(job.id, frame, FramePicture::Png).await.context("cannot fetch the image")?;
-        Ok(write_bytes(file, &content)?)
+        write_bytes(file, &content)
     }
 }
