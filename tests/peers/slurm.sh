@@ -176,6 +176,7 @@ no_reservation() { ! scontrol --oneliner show reservation | grep -q forelight_; 
 wait_for 30 no_reservation
 
 echo 'the parts of a divided frame are an array over three nodes'
+wait_for 60 idle_nodes
 divided=$(submit deploy/scenes/corridor --frames 3 "${size[@]}" --samples 16 --profile-frames 1 --parts 3 --name divided)
 wait_for 200 is "SELECT state FROM jobs WHERE name = 'divided'" done
 of_parts="FROM tasks t JOIN jobs j ON j.id = t.job_id AND j.name = 'divided' AND t.kind = 'render_part'"
