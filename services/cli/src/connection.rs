@@ -42,6 +42,13 @@ impl ServerOptions {
 pub struct ConnectionOptions {
     #[command(flatten)]
     pub server: ServerOptions,
+    #[command(flatten)]
+    pub credentials: Credentials,
+}
+
+/// Who asks.
+#[derive(Debug, Clone, Args)]
+pub struct Credentials {
     /// File with the token
     #[arg(long, value_name = "FILE")]
     pub token_file: Option<PathBuf>,
@@ -55,7 +62,8 @@ pub struct ConnectionOptions {
 
 /// A client with the token from --token-file, else --token, else the farm's data folder.
 pub fn connect(options: &ConnectionOptions) -> Result<Client> {
-    let token = match (&options.token_file, &options.token, &options.data) {
+    let Credentials { token_file, token, data } = &options.credentials;
+    let token = match (token_file, token, data) {
         (Some(file), _, _) => read_token(file)?,
         (None, Some(text), _) => Token::new(text),
         (None, None, Some(data)) => read_token(&data.join(OPERATOR_TOKEN))?,

@@ -99,12 +99,15 @@ pub fn is_blend(scene: &Path) -> bool {
 
 /// Refuses flags that only our own renderer understands.
 pub fn refuse(flags: &[(&str, bool)]) -> Result<()> {
+    let hint = "leave it out for the scene of another renderer";
+    refuse_because(flags, "only forelight's own renderer can do this", hint)
+}
+
+/// Refuses the first of these flags that is given, with the reason and what to do.
+pub fn refuse_because(flags: &[(&str, bool)], reason: &str, hint: &'static str) -> Result<()> {
     match flags.iter().find(|(_, is_given)| *is_given) {
         None => Ok(()),
-        Some((flag, _)) => {
-            let reason = format!("{flag}: only forelight's own renderer can do this");
-            Err(BadInput::new(reason).hint("leave it out for the scene of another renderer").into())
-        }
+        Some((flag, _)) => Err(BadInput::new(format!("{flag}: {reason}")).hint(hint).into()),
     }
 }
 

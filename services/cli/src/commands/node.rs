@@ -255,7 +255,7 @@ fn power(node: &Node, now: Timestamp) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::connection::ServerOptions;
+    use crate::connection::{Credentials, ServerOptions};
     use forelight_protocol::{Capabilities, NodeId, NodeTerms};
 
     #[test]
@@ -274,9 +274,7 @@ mod tests {
             json: false,
             connection: ConnectionOptions {
                 server: ServerOptions { server: String::new(), ca_file: None },
-                token_file: None,
-                token: None,
-                data: None,
+                credentials: Credentials { token_file: None, token: None, data: None },
             },
         };
         let had = NodeTerms { setup_seconds: 5, window_end: WindowEnd::Stop, ..NodeTerms::default() };

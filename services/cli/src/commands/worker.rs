@@ -169,6 +169,7 @@ pub fn task_limits(memory: Option<u64>, time: Option<Duration>) -> TaskLimits {
 /// which uses up the one-time token. The new one is on disk before it is sent, so that a crash loses nothing.
 async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegistration) -> Result<Client> {
     let file = connection
+        .credentials
         .token_file
         .as_ref()
         .context("--join-token-file needs --token-file for the machine's own token")?;

@@ -2,7 +2,7 @@
 
 use super::{Args, Format, format_of};
 use crate::commands::submit::{self, division, upload};
-use crate::connection::{ConnectionOptions, connect};
+use crate::connection::{ConnectionOptions, Credentials, ServerOptions, connect};
 use anyhow::{Context, Result, bail};
 use forelight_client::{Client, FramePicture};
 use forelight_pictures::{png, tone_map};
@@ -12,7 +12,7 @@ use forelight_protocol::{
 use forelight_renderer_own::RenderError;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
-use forelight_terminal::foreign::is_foreign;
+use forelight_terminal::foreign::{is_foreign, refuse_because};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
@@ -46,15 +46,8 @@ pub struct FarmOptions {
     /// Project that is charged for the job
     #[arg(long, default_value = "default", requires = "server")]
     project: String,
-    /// File with the token
-    #[arg(long, value_name = "FILE", requires = "server")]
-    token_file: Option<PathBuf>,
-    /// The token. Prefer the variable, because other users can read the command line
-    #[arg(long, value_name = "TOKEN", env = "FORELIGHT_TOKEN", hide_env_values = true)]
-    token: Option<String>,
-    /// Data folder of a farm on this machine. Its operator token is used
-    #[arg(long, value_name = "DIR", requires = "server")]
-    data: Option<PathBuf>,
+    #[command(flatten)]
+    credentials: Credentials,
     /// Certificates in PEM form, to one of which that of an https:// service must lead [default: those of the
     /// system]
     #[arg(long, value_name = "FILE", env = "FORELIGHT_CA_FILE")]
@@ -64,9 +57,8 @@ pub struct FarmOptions {
 impl FarmOptions {
     /// The connection; `None` if the frame is rendered on this machine.
     fn connection(&self) -> Option<ConnectionOptions> {
-        let Self { server, token_file, token, data, ca_file, .. } = self.clone();
-        let server = crate::connection::ServerOptions { server: server?, ca_file };
-        Some(ConnectionOptions { server, token_file, token, data })
+        let server = ServerOptions { server: self.server.clone()?, ca_file: self.ca_file.clone() };
+        Some(ConnectionOptions { server, credentials: self.credentials.clone() })
     }
 
     /// Whether the frame is rendered on the farm.
@@ -129,13 +121,8 @@ fn refuse_others(args: &Args) -> Result<()> {
         ("--cache-file", args.cache_file.is_some()),
         ("--within, --within-money, --error and --samples-from", args.allot.is_given()),
     ];
-    match others.iter().find(|(_, is_given)| *is_given) {
-        None => Ok(()),
-        Some((flag, _)) => {
-            let reason = format!("{flag}: only a render on this machine can do this");
-            Err(BadInput::new(reason).hint("leave it out, or leave out --server").into())
-        }
-    }
+    let hint = "leave it out, or leave out --server";
+    refuse_because(&others, "only a render on this machine can do this", hint)
 }
 
 fn frame_of(args: &Args) -> Result<u32> {
