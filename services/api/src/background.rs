@@ -1,5 +1,6 @@
 //! Background work of the service. One task advances jobs and plans the farm; one takes back expired leases;
-//! one tells webhooks of events; one writes images where their jobs want them; one deletes every night what is past its time.
+//! one tells webhooks of events; one writes images where their jobs want them; one deletes every night what
+//! is past its time.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;

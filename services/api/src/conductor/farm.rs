@@ -4,7 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
-    CacheQuote, Confidence, FramePart, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
+    CacheQuote, Confidence, Division, FramePart, Job, JobId, Money, Node, NodeId, PlanId, Quantiles,
+    Timestamp,
 };
 use forelight_quote::JobForecast;
 use forelight_quote::division::{Parts, overhead_seconds, parts};
@@ -234,7 +235,10 @@ fn planner_job(
     // The shared cache of a booked job stands. That of a new job is planned with its frames.
     let is_new = job.plan_id.is_none();
     let parts = farm_job.frames.iter().filter(|each| each.frame.parts > 1).count();
-    let of_parts = parts as f64 * overhead_seconds(forecast);
+    let overhead = overhead_seconds(forecast);
+    let of_parts = parts as f64 * overhead;
+    let (width, height) = job.settings.size().unwrap_or((1, 1));
+    let most_parts = forecast.most_parts.min(width.saturating_mul(height));
     planner::Job {
         id,
         class: class(id),
@@ -247,8 +251,12 @@ fn planner_job(
         weight: job.weight,
         confidence: confidence(job.confidence),
         total: total(&times(&forecast.total.cpu_seconds, factor).plus(&Quantiles::known(of_parts))),
-        frames: farm_job.frames.iter().map(|each| planner_frame(each, farm_job, forecast, factor)).collect(),
-        part_overhead: units(overhead_seconds(forecast)),
+        frames: farm_job
+            .frames
+            .iter()
+            .map(|each| planner_frame(each, factor, overhead, (job.division, most_parts)))
+            .collect(),
+        part_overhead: units(overhead),
         done: farm_job.frames.iter().filter(|each| !each.waits).map(|each| number(each.frame)).collect(),
         budget: job.budget.map(|budget| budget.micro_units().saturating_sub(asked.spent)),
     }
@@ -435,23 +443,21 @@ pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
     planner::WorkTotal { p50, p80: p80.max(p50), p95: p95.max(p80).max(p50) }
 }
 
-/// A frame, or a part of one, as the planner knows it. A frame that no worker has had may still be divided.
+/// A frame, or a part of one, as the planner knows it. A frame that no worker has had may still be divided, as
+/// its job asks for, into at most so many parts. `overhead` is what each part pays for itself, in CPU seconds.
 fn planner_frame(
     each: &FarmFrame,
-    farm_job: &FarmJob,
-    forecast: &JobForecast,
     factor: f64,
+    overhead: f64,
+    (asked, most_parts): (Division, u32),
 ) -> planner::Frame {
     let (p50, p80) = (share(each.p50, each.frame), share(each.p80, each.frame));
-    let overhead = overhead_seconds(forecast);
     let own = if each.frame.parts > 1 { overhead } else { 0.0 };
     let frame = frame(number(each.frame), p50 * factor + own, p80 * factor + own);
     if !each.untouched {
         return frame;
     }
-    let (width, height) = farm_job.job.settings.size().unwrap_or((1, 1));
-    let most = forecast.most_parts.min(width.saturating_mul(height));
-    let division = match parts(farm_job.job.division, each.p50 * factor, overhead, most) {
+    let division = match parts(asked, each.p50 * factor, overhead, most_parts) {
         Parts::UpTo(0 | 1) | Parts::Exactly(0 | 1) => planner::Division::Whole,
         Parts::UpTo(most) => planner::Division::UpTo(most),
         Parts::Exactly(parts) => planner::Division::Into(parts),
