@@ -7,8 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use forelight_protocol::{
-    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskKind, TaskSpec,
-    Timestamp,
+    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskKind, Timestamp,
 };
 use sqlx::{FromRow, SqliteConnection};
 
@@ -153,16 +152,16 @@ impl Store {
 fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: Timestamp) -> Lease {
     let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
     let (spec, work) = (task.spec.0, task.work_by_class.map(|it| it.0));
-    let fence = task.fence + 1;
-    // A frame that is put together is as far as its parts.
-    let has_all = !has_forecast(&spec) && spec.kind() == TaskKind::Render;
+    let (kind, fence) = (spec.kind(), task.fence + 1);
     later!(
         write,
-        "UPDATE tasks SET state = 'leased', fence = ?, progress = iif(?, progress, 0), \
-         pixels_share = iif(?, pixels_share, NULL), again = 0, node_id = ?, started_at = ? WHERE id = ?",
+        // A frame that is put together is as far as its parts.
+        "UPDATE tasks SET state = 'leased', fence = ?, again = 0, node_id = ?, started_at = ?, \
+         progress = iif(kind = 'render' AND (SELECT f.parts FROM frames f \
+         WHERE f.job_id = tasks.job_id AND f.frame = tasks.frame) > 1, progress, 0), \
+         pixels_share = iif(kind = 'render' AND (SELECT f.parts FROM frames f \
+         WHERE f.job_id = tasks.job_id AND f.frame = tasks.frame) > 1, pixels_share, NULL) WHERE id = ?",
         fence,
-        has_all,
-        has_all,
         node.id.0,
         now.micros(),
         task_id.0
@@ -185,7 +184,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
          VALUES (?, ?, ?, ?, ?, 'active', ?, ?, \
          coalesce((SELECT 1 - o.beside FROM leases o WHERE o.task_id = ? AND o.state = 'active'), 0), \
          (SELECT CAST(f.cpu_p95 / f.parts * j.factor / ? * 1000000 AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
-         WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0))",
+         WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0 AND (? = 'render_part' OR f.parts = 1)))",
         lease.lease_id.0,
         task_id.0,
         node.id.0,
@@ -196,7 +195,9 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         task_id.0,
         speed * f64::from(node.cores),
         job_id.0,
-        lease.spec.frame().filter(|_| has_forecast(&lease.spec))
+        // Frames and their parts have a forecast of their own. How long it takes to put a frame together has none.
+        lease.spec.frame().filter(|_| matches!(kind, TaskKind::RenderPart | TaskKind::Render)),
+        kind.name()
     );
     if lease.spec.kind().is_booked() && task.job_state.0 == JobState::Booked {
         later!(write, "UPDATE jobs SET stage = 'rendering' WHERE id = ?", job_id.0);
@@ -215,16 +216,6 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
     };
     append(write, leased);
     lease
-}
-
-/// Whether a task has a forecast of its own: frames and their parts have. A frame is put together from its
-/// parts in a time that is not forecast.
-fn has_forecast(spec: &TaskSpec) -> bool {
-    match spec {
-        TaskSpec::RenderPart(_) => true,
-        TaskSpec::Render(spec) => spec.parts.is_empty(),
-        _ => false,
-    }
 }
 
 /// What a claim reads before it looks for a task. One query answers all three, because the last two are

@@ -172,9 +172,18 @@ pub(crate) async fn part_rendered(
         row.task_id.0
     );
     add_up(write, row.job_id, frame).await?;
+    let is_any_left = sqlx::query_scalar!(
+        r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE job_id = ? AND kind = 'render_part' AND frame = ? AND state <> 'done')
+           AS "is_any_left!: bool""#,
+        row.job_id.0,
+        frame
+    );
+    if is_any_left.fetch_one(write.connection().await?).await? {
+        return Ok(());
+    }
     let results = sqlx::query_scalar!(
-        r#"SELECT r.body AS "body?: Json<TaskResult>" FROM tasks t LEFT JOIN results r ON r.task_id = t.id
-           WHERE t.job_id = ? AND t.kind = 'render_part' AND t.frame = ? ORDER BY t.part"#,
+        "SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id \
+         WHERE t.job_id = ? AND t.kind = 'render_part' AND t.frame = ? ORDER BY t.part",
         row.job_id.0,
         frame
     )
@@ -182,12 +191,9 @@ pub(crate) async fn part_rendered(
     .await?;
     let mut finished = Vec::with_capacity(results.len());
     for result in results {
-        match result.map(|it| it.0) {
-            None => return Ok(()),
-            Some(TaskResult::RenderPart(result)) => finished.push(result.finished),
-            Some(other) => {
-                return Err(corrupt("body", format!("a {} result of a render_part task", other.kind())));
-            }
+        match result.0 {
+            TaskResult::RenderPart(result) => finished.push(result.finished),
+            other => return Err(corrupt("body", format!("a {} result of a render_part task", other.kind()))),
         }
     }
     put_together(write, row, frame, &finished).await
@@ -259,11 +265,10 @@ pub(crate) async fn add_up(write: &mut Write, job: JobId, frame: u32) -> Result<
     Ok(())
 }
 
-/// CPU time of a divided frame's parts: as measured, and converted to a node of speed 1, in seconds. `None` of
-/// a whole frame.
-pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> Result<Option<(f64, f64)>> {
+/// CPU time of a divided frame's parts: as measured, and converted to a node of speed 1, in seconds.
+pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> Result<(f64, f64)> {
     let row = sqlx::query!(
-        r#"SELECT count(*) AS "parts!: i64", total(t.pixels_cpu) AS "at_speed_one!: f64",
+        r#"SELECT total(t.pixels_cpu) AS "at_speed_one!: f64",
                   total(coalesce(json_extract(r.body, '$.render_part.finished.pixels.cost.cpu_nanos'),
                                  json_extract(r.body, '$.render_part.finished.samples.cpu_nanos'))) AS "nanos!: f64"
            FROM tasks t INDEXED BY tasks_of_parts JOIN results r ON r.task_id = t.id
@@ -273,7 +278,7 @@ pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> R
     )
     .fetch_one(write.connection().await?)
     .await?;
-    Ok((row.parts > 0).then_some((row.nanos * 1e-9, row.at_speed_one)))
+    Ok((row.nanos * 1e-9, row.at_speed_one))
 }
 
 /// Forgets the pixels of a finished frame's parts: its image has them.

@@ -22,6 +22,7 @@ use self::progress::Progress;
 use crate::columns::{Id, Json, Time, Unread, Word, corrupt};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
+use crate::outputs;
 use forelight_quote::JobForecast;
 
 /// A job's row, without the columns that only claims read.
@@ -141,10 +142,7 @@ impl JobRow {
             settings: self.settings.0,
             cache: self.cache.0,
             division: self.division.0,
-            output: self
-                .output
-                .map(|text| text.parse().map_err(|error| corrupt("output", error)))
-                .transpose()?,
+            output: self.output.as_deref().map(outputs::pattern).transpose()?,
             shared_cache: progress.shared_cache,
             samples: self.samples,
             profile_frames: (!self.profiles_more).then_some(self.profile_frames),

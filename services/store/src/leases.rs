@@ -99,6 +99,8 @@ pub(crate) struct LeaseRow {
     pub has_calendar: bool,
     /// Whether the task is run a second time beside this lease, or beside which this one runs.
     pub has_another: bool,
+    /// Whether the task's frame is divided into parts.
+    pub is_divided: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, serde::Deserialize)]
@@ -121,7 +123,8 @@ macro_rules! select_leases {
              t.expiries, l.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
              (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar, \
              EXISTS (SELECT 1 FROM leases o WHERE o.task_id = t.id AND o.state = 'active' AND o.id <> l.id) \
-             AS has_another \
+             AS has_another, coalesce((SELECT f.parts > 1 FROM frames f WHERE f.job_id = t.job_id AND f.frame = t.frame), 0) \
+             AS is_divided \
              FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id ",
             $rest
         )

@@ -3,10 +3,9 @@
 use forelight_protocol::{ArtifactHash, JobId, OutputOf, OutputPattern, RenderArtifacts};
 
 use crate::columns::{Id, Json, corrupt};
-use crate::database::{Store, Write};
+use crate::database::Store;
 use crate::error::Result;
-use crate::leases::LeaseRow;
-use crate::writing::{later, run};
+use crate::writing::run;
 
 /// A frame whose image is to be written.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -65,7 +64,7 @@ impl Row {
     /// `None` if the image was deleted in the meantime.
     fn due(self) -> Result<Option<DueOutput>> {
         let (Some(output), Some(Json(artifacts))) = (self.output, self.artifacts) else { return Ok(None) };
-        let pattern: OutputPattern = output.parse().map_err(|error| corrupt("output", error))?;
+        let pattern = pattern(&output)?;
         let (id, frame) = (self.job_id.into(), self.frame);
         let path = pattern.path(OutputOf { project: &self.project, job: &self.name, id, frame });
         let content = if pattern.is_picture() { artifacts.image_png } else { artifacts.image_exr };
@@ -73,14 +72,7 @@ impl Row {
     }
 }
 
-/// Marks the image of a finished frame as to be written, if its job wants it somewhere.
-pub(crate) fn mark(write: &mut Write, row: &LeaseRow, frame: u32) {
-    later!(
-        write,
-        "UPDATE frames SET output_error = NULL, \
-         output_due = (SELECT j.output IS NOT NULL FROM jobs j WHERE j.id = frames.job_id) \
-         WHERE job_id = ? AND frame = ?",
-        row.job_id.0,
-        frame
-    );
+/// The pattern in the database.
+pub(crate) fn pattern(text: &str) -> Result<OutputPattern> {
+    text.parse().map_err(|error| corrupt("output", error))
 }

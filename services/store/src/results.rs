@@ -20,7 +20,6 @@ use crate::leases::failing::{end_attempt_beside, hold_against_others};
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::living::{self, Occasion};
 use crate::nodes::{NodeRow, learning};
-use crate::outputs;
 use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::tasks::Finished;
@@ -368,23 +367,24 @@ async fn keep_render(
     let speed = node.corrected_speed(stats.work_by_class.as_ref()).unwrap_or(row.node_speed);
     // CPU seconds converted to a node of speed 1. Pixels taken over from the profile count at this node's
     // speed too: the profile does not record where each was traced.
-    let cpu_at_speed_one = match division::cpu_of_parts(write, row.job_id, stats.frame).await? {
+    let cpu_at_speed_one = if row.is_divided {
         // Each part counts at the speed of its own node.
-        Some((of_parts, at_speed_one)) => (stats.cpu_seconds - of_parts).max(0.0) * speed + at_speed_one,
-        None => {
-            // A node's speed is learnt from frames that it rendered alone.
-            learning::learn(write, row, node, stats).await?;
-            stats.cpu_seconds * speed
-        }
+        let (of_parts, at_speed_one) = division::cpu_of_parts(write, row.job_id, stats.frame).await?;
+        division::forget_parts(write, row.job_id, stats.frame);
+        (stats.cpu_seconds - of_parts).max(0.0) * speed + at_speed_one
+    } else {
+        // A node's speed is learnt from frames that it rendered alone.
+        learning::learn(write, row, node, stats).await?;
+        stats.cpu_seconds * speed
     };
     // Renderers that count no work have CPU time instead, see `quote_sampled`.
     let actual_work = if row.renderer.is_some() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };
-    division::forget_parts(write, row.job_id, stats.frame);
-    outputs::mark(write, row, stats.frame);
     later!(
         write,
         "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
-             preview_png = coalesce(?, preview_png) WHERE job_id = ? AND frame = ?",
+             preview_png = coalesce(?, preview_png), output_error = NULL, \
+             output_due = (SELECT j.output IS NOT NULL FROM jobs j WHERE j.id = frames.job_id) \
+             WHERE job_id = ? AND frame = ?",
         Json(stats),
         actual_work,
         cpu_at_speed_one,

@@ -2,13 +2,13 @@
 
 use forelight_protocol::{
     FrameArtifacts, FrameBooking, FrameFigure, FrameForecast, FrameOutput, FrameRow, FrameState, JobId,
-    OutputOf, OutputPattern, Quantiles, RenderArtifacts, RenderStats,
+    OutputOf, Quantiles, RenderArtifacts, RenderStats,
 };
 
 use crate::columns::{Hash, Id, Json, Time, corrupt};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
-use crate::jobs;
+use crate::{jobs, outputs};
 
 /// A frame's row, with its task and its booking.
 struct Row {
@@ -104,11 +104,10 @@ impl Row {
             _ => None,
         };
         let images = self.artifacts.map(|it| it.0);
-        let output = self.output.as_ref().map(|pattern| {
-            let pattern: OutputPattern = pattern.parse().map_err(|error| corrupt("output", error))?;
+        let output = self.output.as_deref().map(|text| {
             let (project, job, id) = (&self.project, &self.job, self.job_id.into());
             Ok::<_, StoreError>(FrameOutput {
-                path: pattern.path(OutputOf { project, job, id, frame: self.frame }),
+                path: outputs::pattern(text)?.path(OutputOf { project, job, id, frame: self.frame }),
                 written: images.is_some() && !self.output_due,
                 error: self.output_error.clone(),
             })
