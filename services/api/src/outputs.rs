@@ -1,7 +1,8 @@
 //! Writes images where their jobs want them: below the output root, on storage that the studio shares.
 //!
 //! The images are artefacts first, so a frame never waits for this. A file appears under its name only when
-//! it is whole. Paths are opened through the root's own handle, so neither `..` nor a symbolic link leads out
+//! it is whole. Files and folders have the root's own permissions, since others read them, and the rest of the
+//! service writes for itself alone. Paths are opened through the root's own handle, so neither `..` nor a symbolic link leads out
 //! of it.
 
 use std::io::{self, Write as _};
@@ -11,7 +12,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use cap_std::ambient_authority;
-use cap_std::fs::Dir;
+use cap_std::fs::{Dir, Permissions, PermissionsExt as _};
 use forelight_store::DueOutput;
 use futures::TryStreamExt as _;
 
@@ -47,13 +48,13 @@ impl OutputRoot {
 
 fn write(root: &Dir, path: &Path, unfinished: &str, pieces: &[Bytes]) -> io::Result<()> {
     let folder = path.parent().map_or_else(PathBuf::new, Path::to_owned);
-    if !folder.as_os_str().is_empty() {
-        root.create_dir_all(&folder)?;
-    }
+    let mode = root.dir_metadata()?.permissions().mode();
+    make_folders(root, &folder, mode)?;
     let unfinished = folder.join(unfinished);
     let whole = (|| {
         let mut file = root.create(&unfinished)?;
         pieces.iter().try_for_each(|piece| file.write_all(piece))?;
+        file.set_permissions(Permissions::from_mode(mode & 0o666))?;
         file.sync_all()?;
         root.rename(&unfinished, root, path)
     })();
@@ -62,6 +63,20 @@ fn write(root: &Dir, path: &Path, unfinished: &str, pieces: &[Bytes]) -> io::Res
         let _ = root.remove_file(&unfinished);
     }
     whole
+}
+
+/// Makes a folder and those that it is in, as far as they are missing, with these permissions.
+fn make_folders(root: &Dir, folder: &Path, mode: u32) -> io::Result<()> {
+    let mut above: Vec<&Path> = folder.ancestors().filter(|path| !path.as_os_str().is_empty()).collect();
+    above.reverse();
+    for path in above {
+        match root.create_dir(path) {
+            Ok(()) => root.set_permissions(path, Permissions::from_mode(mode & 0o7777))?,
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
 }
 
 /// Writes the images of finished frames until the service stops.

@@ -1,5 +1,6 @@
 //! Images that are written where their job wants them.
 
+use std::os::unix::fs::PermissionsExt as _;
 use std::time::Duration;
 
 use crate::support::{Answer, Farm};
@@ -12,6 +13,7 @@ async fn with_root() -> Farm {
     Farm::with(|config| {
         let root = config.data_dir.with_file_name("images");
         std::fs::create_dir(&root).unwrap();
+        std::fs::set_permissions(&root, std::fs::Permissions::from_mode(0o2775)).unwrap();
         config.output_root = Some(root);
     })
     .await
@@ -60,6 +62,9 @@ async fn images_are_written_below_the_root_as_soon_as_their_frames_are_done() {
         assert_eq!(blake3::hash(&written).as_bytes(), &row.artifacts.image_exr.unwrap().0);
     }
     let folder = farm.images().join("default/_._shot 12");
+    let mode = |path: &std::path::Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o7777;
+    let modes = (mode(&farm.images().join("default")), mode(&folder), mode(&folder.join("0000.exr")));
+    assert_eq!(modes, (0o2775, 0o2775, 0o664), "those of the root, so that others can read them");
     assert_eq!(std::fs::read_dir(folder).unwrap().count(), 2, "nothing unfinished is left");
 }
 
