@@ -8,8 +8,8 @@
 //!    mirrors and glass, in a fixed coarse-to-fine order. A record's radius comes from 48 stratified rays
 //!    that only measure distances.
 //! 2. **Fill** (`gather`): the hemisphere above every planned record is gathered, on any thread or machine
-//!    and in any order. The plan's rays are strata of the gather. Records that agree are then averaged
-//!    (`smooth`).
+//!    and in any order. The plan's rays are strata of the gather. They also tell where bright light comes
+//!    from, and neighbours send more rays there (`guide`). Records that agree are then averaged (`smooth`).
 //! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, and is
 //!    counted.
 //!
@@ -24,6 +24,7 @@
 //! | `coverage` | the records of a level while it is planned |
 //! | `places` | finds records near a point; space-filling order |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients |
+//! | `guide` | more rays for strata where the light is concentrated |
 //! | `plan`, `gather`, `smooth`, `read` | the phases |
 //! | `sample` | gathers a few records to measure their cost |
 //! | `partial` | fills only the records that some pixels read |
@@ -34,6 +35,7 @@ mod coverage;
 mod error;
 mod file;
 mod gather;
+mod guide;
 mod hemisphere;
 mod index;
 mod loose;
@@ -50,7 +52,7 @@ mod smooth;
 mod spheres;
 
 pub use error::CacheError;
-pub use hemisphere::{Irradiance, PLAN_RAYS, Sample, Strata};
+pub use hemisphere::{Irradiance, Mean, PLAN_RAYS, Sample, Strata};
 pub use record::{Planned, Record, RecordCost};
 pub use share::Shared;
 pub use site::{Keyed, Site};
@@ -59,7 +61,9 @@ use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
 use crate::origin::Origin;
 use crate::tracer::Tracer;
+use guide::Guide;
 use index::Index;
+use places::Places;
 use record::{Smoothed, Value};
 use std::sync::OnceLock;
 
@@ -84,6 +88,11 @@ pub struct Level {
     explored: usize,
     /// Allowed error; see [`Planned::error`].
     accuracy: f32,
+    /// Mean radiance of the first plan's rays, mean over the channels.
+    brightness: f32,
+    /// Places of the planned records.
+    places: Places,
+    guide: Guide,
     /// Bounds of the radii, metres.
     smallest: f32,
     largest: f32,
@@ -132,11 +141,15 @@ pub struct CacheTotals {
 }
 
 impl Level {
-    /// The index of the level's records. `world` is the bounding box of the scene.
-    fn indexed(&self, world: Bounds) -> Index {
+    /// Indexes the planned records. `world` is the bounding box of the scene; `depth` the number of the level.
+    fn prepare(&mut self, world: Bounds, depth: usize) {
         let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
         self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));
-        index
+        if self.brightness == 0.0 {
+            self.brightness = guide::mean_radiance(&self.planned);
+        }
+        (self.index, self.places) = (index, Places::of(&self.planned));
+        self.guide = Guide::new(&self.planned, &self.strata, self.brightness, depth);
     }
 
     fn is_full(&self) -> bool {

@@ -44,6 +44,14 @@ pub struct Cost {
     pub cpu_nanos: u64,
 }
 
+impl Cost {
+    /// This many times the cost.
+    pub fn times(self, factor: f64) -> Self {
+        let times = |value: u64| (value as f64 * factor).round() as u64;
+        Self { work: times(self.work), cpu_nanos: times(self.cpu_nanos) }
+    }
+}
+
 impl Add for Cost {
     type Output = Self;
     fn add(self, other: Self) -> Self {
@@ -162,11 +170,12 @@ const READ_WORK: u64 = 300;
 /// Work of considering one cache record.
 const RECORD_WORK: u64 = 4;
 
-/// Work of averaging a record with about 280 neighbours. Constant, so that a record's cost is known at once.
-pub const SMOOTHING_WORK: u64 = 3400;
+/// Work of a record besides its gather: allotting its rays by those of 40 neighbours (12,000), and averaging it
+/// with about 280 (3,400). Constant, so that a record's cost is known at once.
+pub const BESIDES_WORK: u64 = 15_400;
 
-/// [`SMOOTHING_WORK`] by class.
-pub const SMOOTHING: WorkByClass = [0, 0, 0, 0, SMOOTHING_WORK];
+/// [`BESIDES_WORK`] by class.
+pub const BESIDES: WorkByClass = [0, 0, 0, 0, BESIDES_WORK];
 
 /// Work: operations weighted by their time on a present-day core, in units of about a nanosecond. The weights
 /// come from a regression of time on counts over the test scenes.

@@ -177,22 +177,24 @@ impl<const K: u32> Trace for Kernel<K> {
         &self,
         tracer: &Tracer,
         site: &Site,
+        key: u64,
         directions: &[Vec3; PLAN_RAYS],
-    ) -> ([Option<Hit>; PLAN_RAYS], Counters) {
-        let mut pixels = Pixels::new(tracer, self, Sampler::keyed(0));
-        let hits = directions.map(|direction| pixels.plan_ray(site, direction));
-        (hits, pixels.counters)
+    ) -> ([(Option<Hit>, f32); PLAN_RAYS], Counters) {
+        let mut pixels = Pixels::new(tracer, self, Sampler::keyed(hash(key)));
+        let traced = directions.map(|direction| pixels.plan_ray(site, direction));
+        (traced, pixels.counters)
     }
 
     fn gather(
         &self,
         tracer: &Tracer,
         strata: &Strata,
+        counts: Option<&[u16]>,
         level: u32,
         planned: &Planned,
     ) -> (Irradiance, Counters) {
         let mut pixels = Pixels::new(tracer, self, Sampler::keyed(planned.key));
-        let irradiance = pixels.gather_record(strata, level, planned);
+        let irradiance = pixels.gather_record(strata, counts, level, planned);
         (irradiance, pixels.counters)
     }
 }

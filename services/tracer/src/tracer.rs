@@ -64,19 +64,23 @@ pub trait Trace: Send + Sync {
         planned: &Planned,
     ) -> (Vec<Keyed>, Counters);
 
-    /// Traces rays from a site and returns their hits.
+    /// Traces rays from a site. Returns each hit, and the direct light that it brings (radiance, mean over the
+    /// channels). `key` is the random key of that light.
     fn plan_rays(
         &self,
         tracer: &Tracer,
         site: &Site,
+        key: u64,
         directions: &[Vec3; PLAN_RAYS],
-    ) -> ([Option<Hit>; PLAN_RAYS], Counters);
+    ) -> ([(Option<Hit>, f32); PLAN_RAYS], Counters);
 
-    /// Gathers the irradiance at a planned record of a level.
+    /// Gathers the irradiance at a planned record of a level. `counts` is the number of rays of each stratum, 1
+    /// if absent.
     fn gather(
         &self,
         tracer: &Tracer,
         strata: &Strata,
+        counts: Option<&[u16]>,
         level: u32,
         planned: &Planned,
     ) -> (Irradiance, Counters);

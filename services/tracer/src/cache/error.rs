@@ -4,7 +4,7 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The magic bytes are wrong.
-    #[error("not an irradiance cache of this version (it must begin with FLcach08)")]
+    #[error("not an irradiance cache of this version (it must begin with FLcach09)")]
     Foreign,
     /// The length differs from what the headers say.
     #[error("truncated irradiance cache: it has {found} bytes instead of {expected}")]

@@ -21,7 +21,7 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach08";
+const MAGIC: [u8; 8] = *b"FLcach09";
 
 /// A gather has at most this many strata; see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
@@ -61,6 +61,8 @@ struct LevelHeader {
     smallest: f32,
     largest: f32,
     rays: u32,
+    brightness: f32,
+    unused: u32,
 }
 
 #[repr(C)]
@@ -75,6 +77,7 @@ struct PlannedRow {
     radius: f32,
     corral: [f32; SECTORS],
     hits: [HitRow; PLAN_RAYS],
+    lit: [f32; PLAN_RAYS],
 }
 
 #[repr(C)]
@@ -139,6 +142,8 @@ impl Cache {
                     smallest: level.smallest,
                     largest: level.largest,
                     rays: level.strata.len() as u32,
+                    brightness: level.brightness,
+                    unused: 0,
                 },
             );
             level.planned.iter().for_each(|planned| put(&mut out, &planned_row(planned)));
@@ -193,8 +198,8 @@ impl Cache {
         if blake3::hash(body).as_bytes() != checksum {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
-        for level in &mut cache.levels {
-            level.index = level.indexed(cache.world);
+        for (depth, level) in cache.levels.iter_mut().enumerate() {
+            level.prepare(cache.world, depth);
         }
         Ok(cache)
     }
@@ -255,6 +260,7 @@ fn read_level(reader: &mut Reader<'_>) -> Result<(Level, [u64; 2]), CacheError> 
         || header.shared[0] > header.records
         || !(ordered && (positive || planned.is_empty()))
         || strata.len() != header.rays as usize
+        || !(header.brightness.is_finite() && header.brightness >= 0.0)
     {
         return Err(CacheError::Damaged("a value in the header of a level is out of range"));
     }
@@ -272,6 +278,7 @@ fn read_level(reader: &mut Reader<'_>) -> Result<(Level, [u64; 2]), CacheError> 
         accuracy: header.accuracy,
         smallest: header.smallest,
         largest: header.largest,
+        brightness: header.brightness,
         ..Level::default()
     };
     Ok((level, header.shared))
@@ -289,6 +296,7 @@ fn planned_row(planned: &Planned) -> PlannedRow {
         coat,
         radius: planned.radius,
         corral: planned.corral,
+        lit: *planned.lit,
         hits: planned
             .hits
             .map(|hit| hit.map_or(nothing, |h| HitRow { triangle: h.primitive, u: h.u, v: h.v, t: h.t })),
@@ -311,7 +319,8 @@ fn planned_of(row: &PlannedRow) -> Option<Planned> {
     let radius = row.radius.is_finite() && row.radius > 0.0;
     let corral = row.corral.iter().all(|distance| *distance >= 0.0);
     let hits = row.hits.iter().all(|h| [h.u, h.v, h.t].iter().all(|n| n.is_finite()));
-    (finite && site.normal.is_normalized() && radius && corral && hits).then(|| Planned {
+    let lit = row.lit.iter().all(|radiance| radiance.is_finite());
+    (finite && site.normal.is_normalized() && radius && corral && hits && lit).then(|| Planned {
         key: row.key,
         site,
         radius: row.radius,
@@ -319,6 +328,7 @@ fn planned_of(row: &PlannedRow) -> Option<Planned> {
         hits: Box::new(row.hits.map(|h| {
             (h.triangle != NOTHING).then_some(Hit { primitive: h.triangle, u: h.u, v: h.v, t: h.t })
         })),
+        lit: Box::new(row.lit),
     })
 }
 

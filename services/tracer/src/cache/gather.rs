@@ -1,7 +1,7 @@
 //! Fill: gathers the irradiance at planned records.
 
 use super::{Cache, Record};
-use crate::cost::{Cost, SMOOTHING, SMOOTHING_WORK, clocked};
+use crate::cost::{BESIDES, BESIDES_WORK, Cost, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -34,13 +34,15 @@ impl Cache {
         let here = &self.levels[level];
         let planned = &here.planned[index];
         let gather = || {
-            let (irradiance, counters) = tracer.kernel.gather(tracer, &here.strata, level as u32, planned);
+            let counts = here.rays_of(index);
+            let (irradiance, counters) =
+                tracer.kernel.gather(tracer, &here.strata, counts.as_deref(), level as u32, planned);
             (Record::new(planned, &irradiance, here.smallest), counters)
         };
         let ((record, counters), cpu_nanos) = clocked(gather);
         tracer.gather_work.add(counters.work_by_class());
-        tracer.gather_work.add(SMOOTHING);
-        let cost = Cost { work: counters.work() + SMOOTHING_WORK, cpu_nanos };
+        tracer.gather_work.add(BESIDES);
+        let cost = Cost { work: counters.work() + BESIDES_WORK, cpu_nanos };
         Record { cost, rays: counters.rays, ..record }
     }
 }

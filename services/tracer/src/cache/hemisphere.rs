@@ -49,6 +49,37 @@ pub struct Sample {
     pub radiance: Vec3,
     /// Distance to the ray's hit, metres. Infinite if the ray left the scene.
     pub distance: f32,
+    /// Variance of the mean, mean over the channels; `None` for a single ray.
+    pub variance: Option<f32>,
+}
+
+/// Mean of the rays of a stratum.
+#[derive(Default)]
+pub struct Mean {
+    count: f32,
+    radiance: Vec3,
+    squares: f32,
+    inverse: f32,
+}
+
+impl Mean {
+    /// Adds a ray.
+    pub fn add(&mut self, radiance: Vec3, distance: f32) {
+        self.count += 1.0;
+        self.radiance += radiance;
+        self.squares += (radiance.element_sum() / 3.0).powi(2);
+        self.inverse += 1.0 / distance;
+    }
+
+    /// The mean.
+    pub fn sample(&self) -> Sample {
+        let radiance = self.radiance / self.count;
+        let mean = radiance.element_sum() / 3.0;
+        let variance = (self.count > 1.0)
+            .then(|| (self.squares / self.count - mean * mean).max(0.0) / (self.count - 1.0));
+        let distance = self.count / self.inverse;
+        Sample { radiance, distance, variance }
+    }
 }
 
 /// Irradiance with its gradients.
@@ -89,13 +120,37 @@ impl Strata {
         (middle(j) && middle(k)).then(|| j / self.cut * SECTORS + k / self.cut)
     }
 
-    /// The direction of a stratum's ray, about +z.
-    pub fn direction(&self, stratum: usize, sampler: &Sampler) -> Vec3 {
+    /// The direction of a stratum's ray, about +z. Further rays of a stratum are spread by a lattice (Roberts
+    /// 2018) with a random shift.
+    pub fn direction(&self, stratum: usize, ray: u16, sampler: &Sampler) -> Vec3 {
+        const STEP: Vec2 = Vec2::new(0.754_877_7, 0.569_840_3);
         let (j, k) = (stratum / self.sectors, stratum % self.sectors);
-        let jitter = sampler.independent(stratum as u32);
+        let jitter = (sampler.independent(stratum as u32) + f32::from(ray) * STEP).fract();
         let sin2 = (j as f32 + jitter.x) / self.rings as f32;
         let azimuth = self.azimuth(k as f32 + jitter.y);
         (azimuth * sin2.sqrt()).extend((1.0 - sin2).max(0.0).sqrt())
+    }
+
+    /// The stratum that contains a unit direction about +z; `None` below the horizon.
+    pub fn containing(&self, local: Vec3) -> Option<usize> {
+        if local.z <= 0.0 {
+            return None;
+        }
+        let ring = ((1.0 - local.z * local.z).max(0.0) * self.rings as f32) as usize;
+        let angle = libm::atan2f(local.y, local.x);
+        let turn = if angle < 0.0 { angle + TAU } else { angle };
+        let sector = (turn * (self.sectors as f32 / TAU)) as usize;
+        Some(ring.min(self.rings - 1) * self.sectors + sector.min(self.sectors - 1))
+    }
+
+    /// The strata beside a stratum.
+    pub fn beside(&self, stratum: usize) -> impl Iterator<Item = usize> {
+        let (j, k) = (stratum / self.sectors, stratum % self.sectors);
+        let sectors = self.sectors;
+        let around = [1, sectors - 1].map(|step| j * sectors + (k + step) % sectors);
+        let outer = (j + 1 < self.rings).then_some(stratum + sectors);
+        let inner = stratum.checked_sub(sectors);
+        around.into_iter().chain(outer).chain(inner)
     }
 
     fn azimuth(&self, k: f32) -> Vec2 {
@@ -129,15 +184,21 @@ impl Strata {
     /// × 2 strata. Rather too large (collapsed strata: Cochran, *Sampling Techniques*, 3rd edition 1977,
     /// section 5A.12).
     fn noise(&self, samples: &[Sample]) -> f32 {
-        let at = |j: usize, k: usize| samples[j * self.sectors + k].radiance.element_sum() / 3.0;
+        let at = |j: usize, k: usize| samples[j * self.sectors + k];
         let mut variance = 0.0;
         // The numbers of rings and sectors are even.
         for j in (0..self.rings).step_by(2) {
             for k in (0..self.sectors).step_by(2) {
                 let block = [at(j, k), at(j, k + 1), at(j + 1, k), at(j + 1, k + 1)];
-                let mean = block.iter().sum::<f32>() / 4.0;
-                let squares = block.iter().map(|value| (value - mean) * (value - mean));
-                variance += 4.0 * squares.sum::<f32>() / 3.0;
+                variance += block.iter().filter_map(|sample| sample.variance).sum::<f32>();
+                let single =
+                    || block.iter().filter(|s| s.variance.is_none()).map(|s| s.radiance.element_sum() / 3.0);
+                let count = single().count() as f32;
+                if count > 1.0 {
+                    let mean = single().sum::<f32>() / count;
+                    let squares = single().map(|value| (value - mean) * (value - mean));
+                    variance += count * squares.sum::<f32>() / (count - 1.0);
+                }
             }
         }
         variance.sqrt()
@@ -209,11 +270,11 @@ mod tests {
         let ceiling = if direction.z > 0.0 { (1.5 - origin.z) / direction.z } else { f32::INFINITY };
         let distance = wall.min(ceiling);
         if distance == f32::INFINITY {
-            return Sample { radiance: Vec3::ZERO, distance };
+            return Sample { radiance: Vec3::ZERO, distance, variance: None };
         }
         let hit = origin + distance * direction;
         let radiance = if wall < ceiling { 3.0 } else { 1.0 + 0.5 * libm::sinf(hit.y) };
-        Sample { radiance: Vec3::new(radiance, 2.0 * radiance, 0.0), distance }
+        Sample { radiance: Vec3::new(radiance, 2.0 * radiance, 0.0), distance, variance: None }
     }
 
     fn gathered(origin: Vec3, normal: Vec3, coat: f32) -> Irradiance {
@@ -221,7 +282,7 @@ mod tests {
         let basis = Basis::new(normal);
         let sampler = Sampler::keyed(1);
         let samples: Vec<Sample> = (0..strata.len())
-            .map(|s| surroundings(origin, basis.to_world(strata.direction(s, &sampler))))
+            .map(|s| surroundings(origin, basis.to_world(strata.direction(s, 0, &sampler))))
             .collect();
         strata.integrate(&samples, &basis, coat)
     }
@@ -263,7 +324,7 @@ mod tests {
         let gathers: Vec<Irradiance> = (0..400)
             .map(|key| {
                 let sampler = Sampler::keyed(key);
-                let direction = |stratum| strata.direction(stratum, &sampler);
+                let direction = |stratum| strata.direction(stratum, 0, &sampler);
                 let samples: Vec<Sample> =
                     (0..strata.len()).map(|s| surroundings(Vec3::new(1.5, 0.2, 0.0), direction(s))).collect();
                 strata.integrate(&samples, &basis, 0.0)
@@ -281,7 +342,7 @@ mod tests {
     #[test]
     fn constant_surroundings_have_no_gradients() {
         let strata = Strata::for_rays(192);
-        let sample = |i: usize| Sample { radiance: Vec3::ONE, distance: 0.5 + i as f32 };
+        let sample = |i: usize| Sample { radiance: Vec3::ONE, distance: 0.5 + i as f32, variance: None };
         let samples: Vec<Sample> = (0..strata.len()).map(sample).collect();
         let sums = strata.integrate(&samples, &Basis::new(Vec3::Y), 0.0);
         assert!((sums.value - PI).abs().max_element() < 1e-4 && sums.noise < 1e-4);
@@ -301,6 +362,24 @@ mod tests {
                 assert_eq!(strata.plan_ray(strata.of_plan(ray)), Some(ray));
             }
         }
+    }
+
+    #[test]
+    fn a_direction_is_found_in_its_stratum_and_strata_beside_it_are_neighbours() {
+        let strata = Strata::for_rays(192);
+        for key in 0..20 {
+            let sampler = Sampler::keyed(key);
+            for stratum in 0..strata.len() {
+                // Directions on a border may fall on either side.
+                let found =
+                    strata.containing(strata.direction(stratum, key as u16, &sampler)).expect("above");
+                assert!(found == stratum || strata.beside(stratum).any(|beside| beside == found));
+                assert!(
+                    strata.beside(stratum).all(|beside| strata.beside(beside).any(|back| back == stratum))
+                );
+            }
+        }
+        assert_eq!(strata.containing(Vec3::NEG_Z), None);
     }
 
     #[test]

@@ -35,8 +35,10 @@ impl Cells {
 }
 
 /// Positions of records, in blocks of nearby records. See [`super::index`] for those that may cover a site.
+#[derive(Debug, Clone, Default)]
 pub struct Places(Vec<Block>);
 
+#[derive(Debug, Clone)]
 struct Block {
     bounds: Bounds,
     /// Positions by axis. Unused entries are NaN, which is near nothing.

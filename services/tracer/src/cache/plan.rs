@@ -220,8 +220,7 @@ impl Planning<'_> {
             None => self.cover_pixels(&mut coverage),
             Some(before) => self.cover_gathers(before, depth, &mut coverage),
         }
-        let (index, indexing) = clocked(|| level.indexed(world));
-        level.index = index;
+        let ((), indexing) = clocked(|| level.prepare(world, depth as usize));
         self.plan.cost.cpu_nanos += starting + indexing;
     }
 
@@ -321,9 +320,10 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
     let sampler = Sampler::keyed(key);
     let side = if site.geometric.dot(site.normal) < 0.0 { -site.geometric } else { site.geometric };
     let locals: [Vec3; PLAN_RAYS] =
-        std::array::from_fn(|ray| level.strata.direction(level.strata.of_plan(ray), &sampler));
+        std::array::from_fn(|ray| level.strata.direction(level.strata.of_plan(ray), 0, &sampler));
     let directions = locals.map(|local| basis.to_world(local));
-    let (hits, counters) = tracer.kernel.plan_rays(tracer, &site, &directions);
+    let (traced, counters) = tracer.kernel.plan_rays(tracer, &site, key, &directions);
+    let (hits, lit) = (traced.map(|(hit, _)| hit), traced.map(|(_, lit)| lit));
     let mut inverse = 0.0f64;
     let mut corral = [f32::INFINITY; SECTORS];
     for (ray, hit) in hits.iter().enumerate().filter_map(|(ray, hit)| Some((ray, hit.as_ref()?))) {
@@ -337,5 +337,5 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
     }
     let harmonic = if inverse > 0.0 { (PLAN_RAYS as f64 / inverse) as f32 } else { f32::INFINITY };
     let radius = harmonic.clamp(level.smallest, level.largest);
-    (Planned { key, site, radius, corral, hits: Box::new(hits) }, counters)
+    (Planned { key, site, radius, corral, hits: Box::new(hits), lit: Box::new(lit) }, counters)
 }

@@ -1,9 +1,10 @@
 //! Records of the irradiance cache: planned, gathered and smoothed.
 
-use super::hemisphere::{Irradiance, PLAN_RAYS, SECTORS, sector};
+use super::hemisphere::{Irradiance, PLAN_RAYS, SECTORS, Strata, sector};
 use super::site::Site;
 use crate::cost::Cost;
 use crate::geometry::Basis;
+use crate::random::Sampler;
 use forelight_bvh::Hit;
 use glam::Vec3;
 
@@ -20,6 +21,8 @@ pub struct Planned {
     pub corral: [f32; SECTORS],
     /// Hits of the plan's rays. They are boxed, because reading accesses the other fields millions of times.
     pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
+    /// Radiance that each of them brings without further bounces, mean over the channels, at most 10¹².
+    pub lit: Box<[f32; PLAN_RAYS]>,
 }
 
 /// Two points of one surface lie nearly perpendicular to their mean normal: largest sine of that angle.
@@ -46,6 +49,12 @@ impl Planned {
         (fits && distance <= self.free_distance(difference)).then_some(error)
     }
 
+    /// World directions of the plan's rays. `strata` are those of its level.
+    pub fn directions(&self, strata: &Strata) -> impl Iterator<Item = Vec3> + use<> {
+        let (basis, sampler, strata) = (Basis::new(self.site.normal), Sampler::keyed(self.key), *strata);
+        (0..PLAN_RAYS).map(move |ray| basis.to_world(strata.direction(strata.of_plan(ray), 0, &sampler)))
+    }
+
     /// Distance from the record, in a direction, to the nearest obstacle on the surface.
     fn free_distance(&self, towards: Vec3) -> f32 {
         let local = Basis::new(self.site.normal).to_local(towards);
@@ -58,7 +67,7 @@ impl Planned {
     /// A record whose rays hit nothing. The radius is in metres.
     pub fn in_the_open(site: Site, radius: f32) -> Self {
         let hits = Box::new([None; PLAN_RAYS]);
-        Self { key: 0, site, radius, corral: [f32::INFINITY; SECTORS], hits }
+        Self { key: 0, site, radius, corral: [f32::INFINITY; SECTORS], hits, lit: Box::new([0.0; PLAN_RAYS]) }
     }
 }
 

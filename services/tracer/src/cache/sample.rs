@@ -1,7 +1,7 @@
 //! Gathers a few records to measure the cost of one.
 
 use super::index::direction_of;
-use super::places::{Cells, Places};
+use super::places::Cells;
 use super::record::{Planned, RecordCost};
 use super::{Cache, Level};
 use crate::cost::Cost;
@@ -20,7 +20,7 @@ impl Cache {
                 picks.into_iter().map(move |index| (level as usize, index))
             })
             .collect();
-        let places: Vec<Places> = self.levels.iter().map(|level| Places::of(&level.planned)).collect();
+        let usual_rays: Vec<f64> = self.levels.iter().map(|level| level.usual_rays(each, seed)).collect();
         let sample = |(level, index): (usize, usize)| {
             let gathered = || self.gathered(tracer, level, index);
             let record = if level + 1 == self.levels.len() {
@@ -28,15 +28,38 @@ impl Cache {
             } else {
                 gathered()
             };
-            let nanos = self.levels[level].smoothing_nanos(index, &record, &places[level]);
+            let nanos = self.levels[level].smoothing_nanos(index, &record);
             let smoothing = Cost { work: 0, cpu_nanos: nanos };
-            RecordCost { level: level as u32, index, cost: record.cost + smoothing, rays: record.rays }
+            let usual = usual_rays[level] / self.levels[level].number_of_rays(index) as f64;
+            RecordCost {
+                level: level as u32,
+                index,
+                cost: record.cost.times(usual) + smoothing,
+                rays: record.rays.map(|rays| (f64::from(rays) * usual).round() as u32),
+            }
         };
         picks.into_par_iter().map(sample).collect()
     }
 }
 
+/// The number of rays of a record is known without gathering it. The mean is taken over this many times more
+/// records.
+const KNOWN: usize = 16;
+
 impl Level {
+    /// Number of rays of a record's gather.
+    fn number_of_rays(&self, index: usize) -> u32 {
+        let one_each = self.strata.len() as u32;
+        self.rays_of(index).map_or(one_each, |counts| counts.into_iter().map(u32::from).sum())
+    }
+
+    /// Mean number of rays of the level's gathers.
+    fn usual_rays(&self, each: usize, seed: u64) -> f64 {
+        let picks = self.spread(each.saturating_mul(KNOWN), hash(seed));
+        let rays: u64 = picks.par_iter().map(|&index| u64::from(self.number_of_rays(index))).sum();
+        rays as f64 / picks.len().max(1) as f64
+    }
+
     /// Chooses `each` records, or all, with equal probability. They are ordered along a space-filling curve
     /// per axis direction, and every n-th is taken (systematic sampling: Cochran, *Sampling Techniques*, 3rd
     /// edition 1977, chapter 8). `start` is the offset of the first, in units of 2⁻⁶⁴ of a step.

@@ -4,12 +4,9 @@
 //! rays hits something that moved, passes a place that something moved to, or hits a point whose light passes
 //! something that moved. If lights or materials change, all records are dropped.
 
-use super::places::Places;
 use super::plan::world;
 use super::{Cache, Level, Planned};
 use crate::bounds::Bounds;
-use crate::geometry::Basis;
-use crate::random::Sampler;
 use crate::tracer::Tracer;
 use glam::Vec3;
 
@@ -46,7 +43,7 @@ impl Cache {
         if let Some(change) = Change::between(from, to) {
             // Start with the deepest level: a record that reads a dropped one must be dropped too.
             let mut deeper: Option<(&Level, Vec<bool>)> = None;
-            for level in self.levels.iter().rev() {
+            for (depth, level) in self.levels.iter().enumerate().rev() {
                 let strata = &level.strata;
                 let keeps = |planned: &Planned| {
                     let reads_dropped = deeper.as_ref().is_some_and(|(level, kept)| {
@@ -56,7 +53,7 @@ impl Cache {
                     !reads_dropped && !change.touches(strata, planned, from)
                 };
                 let kept: Vec<bool> = level.planned.iter().map(keeps).collect();
-                carried.levels.insert(0, level.only(&kept, carried.world));
+                carried.levels.insert(0, level.only(&kept, carried.world, depth));
                 deeper = Some((level, kept));
             }
         }
@@ -74,25 +71,25 @@ impl Level {
     }
 
     /// The level with some of its records. Smoothed values stay if all contributing records are kept.
-    fn only(&self, kept: &[bool], world: Bounds) -> Self {
+    fn only(&self, kept: &[bool], world: Bounds, depth: usize) -> Self {
         let mut level = Self {
             strata: self.strata,
             accuracy: self.accuracy,
             smallest: self.smallest,
             largest: self.largest,
+            brightness: self.brightness,
             ..Self::default()
         };
         let known = self.known_values();
-        let places = Places::of(&self.planned);
         for index in (0..kept.len()).filter(|&index| kept[index]) {
             let planned = &self.planned[index];
             level.planned.push(planned.clone());
             level.records.push(self.records[index].clone());
-            let all_kept = || self.neighbours(index, &places).all(|(neighbour, _)| kept[neighbour as usize]);
+            let all_kept = || self.neighbours(index).all(|(neighbour, _)| kept[neighbour as usize]);
             level.known.push(known[index].filter(|_| all_kept()));
         }
         level.explored = level.planned.len();
-        level.index = level.indexed(world);
+        level.prepare(world, depth);
         level
     }
 }
@@ -111,11 +108,9 @@ fn witnesses<'a>(
     planned: &'a Planned,
     tracer: &'a Tracer,
 ) -> impl Iterator<Item = Witness> + 'a {
-    let basis = Basis::new(planned.site.normal);
-    let sampler = Sampler::keyed(planned.key);
-    planned.hits.iter().enumerate().map(move |(ray, hit)| Witness {
+    planned.hits.iter().zip(planned.directions(strata)).map(move |(hit, direction)| Witness {
         origin: planned.site.position,
-        direction: basis.to_world(strata.direction(strata.of_plan(ray), &sampler)),
+        direction,
         length: hit.map_or(f32::INFINITY, |hit| hit.t),
         triangle: hit.map(|hit| hit.primitive),
         hit: hit.map(|hit| hit.position(tracer.frame.geometry.corners(hit.primitive))),

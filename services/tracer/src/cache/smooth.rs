@@ -4,7 +4,6 @@
 //! mean of its own value and its neighbours' predictions by gradients, over a larger neighbourhood than for
 //! reading. A neighbour that differs by more than the noise explains gets a lower weight.
 
-use super::places::Places;
 use super::record::{Record, Smoothed, Value};
 use super::{Cache, Level};
 use crate::cost::clocked;
@@ -36,15 +35,12 @@ impl Cache {
     pub(super) fn smooth_filled(&self, level: usize) {
         let Some(level) = self.levels.get(level) else { return };
         level.smoothed.get_or_init(|| {
-            let all_known = level.known.iter().all(Option::is_some);
-            let (places, placing) =
-                if all_known { (Places::of(&[]), 0) } else { clocked(|| Places::of(&level.planned)) };
             let smoothed = level.known.par_iter().enumerate().map(|(index, known)| match known {
                 Some(value) => (*value, 0),
-                None => clocked(|| level.averaged(index, &places, |neighbour| level.gathered(neighbour))),
+                None => clocked(|| level.averaged(index, |neighbour| level.gathered(neighbour))),
             });
             let (values, nanos): (Vec<Value>, Vec<u64>) = smoothed.unzip();
-            let cpu_nanos = placing + nanos.into_iter().sum::<u64>();
+            let cpu_nanos = nanos.into_iter().sum();
             Smoothed { values, cpu_nanos, whole: level.is_full() }
         });
     }
@@ -67,9 +63,9 @@ impl Level {
     }
 
     /// CPU nanoseconds of smoothing a record. Neighbours that are not filled count with the record's value.
-    pub(super) fn smoothing_nanos(&self, index: usize, record: &Record, places: &Places) -> u64 {
+    pub(super) fn smoothing_nanos(&self, index: usize, record: &Record) -> u64 {
         let value = Value::of(record);
-        let (averaged, nanos) = clocked(|| self.averaged(index, places, |_| Some(value)));
+        let (averaged, nanos) = clocked(|| self.averaged(index, |_| Some(value)));
         // Keep the compiler from removing the computation.
         std::hint::black_box(averaged);
         nanos
@@ -77,10 +73,10 @@ impl Level {
 
     /// The records that may contribute when a record is smoothed, including itself, in any order. Each has
     /// the larger of the two errors of using one at the other.
-    pub(super) fn neighbours(&self, index: usize, places: &Places) -> impl Iterator<Item = (u32, f32)> {
+    pub(super) fn neighbours(&self, index: usize) -> impl Iterator<Item = (u32, f32)> {
         let here = &self.planned[index];
         let allowed = self.accuracy * WIDER;
-        places.within(here.radius * allowed, here.site.position).filter_map(move |neighbour| {
+        self.places.within(here.radius * allowed, here.site.position).filter_map(move |neighbour| {
             let there = &self.planned[neighbour as usize];
             let error = there.error(&here.site, allowed)?.max(here.error(&there.site, allowed)?);
             Some((neighbour, error))
@@ -88,13 +84,13 @@ impl Level {
     }
 
     /// The weighted mean of a record and its neighbours. `gathered` returns the gathered value of a record.
-    fn averaged(&self, index: usize, places: &Places, gathered: impl Fn(usize) -> Option<Value>) -> Value {
+    fn averaged(&self, index: usize, gathered: impl Fn(usize) -> Option<Value>) -> Value {
         let here = &self.planned[index];
         let Some(own) = gathered(index).filter(|own| !own.rejected) else {
             return Value { rejected: true, ..NOTHING };
         };
         let position = here.site.position;
-        let mut neighbours: Vec<(u32, f32)> = self.neighbours(index, places).collect();
+        let mut neighbours: Vec<(u32, f32)> = self.neighbours(index).collect();
         // Sort the neighbours, because the order affects the sum's bits.
         neighbours.sort_unstable_by_key(|(neighbour, _)| *neighbour);
         let (mut sum, mut weights) = (NOTHING, 0.0f32);

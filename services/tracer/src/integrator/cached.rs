@@ -1,13 +1,16 @@
 //! Indirect light from the irradiance cache, and the rays that plan and fill it.
 
 use super::{Pixels, Point, Segment, off_surface};
-use crate::cache::{Irradiance, Planned, Sample, Site, Strata};
+use crate::cache::{Irradiance, Mean, Planned, Sample, Site, Strata};
 use crate::cost::Category;
 use crate::geometry::Basis;
 use crate::response::Response;
 use forelight_bvh::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
+
+/// The guide needs no larger radiances, and squares them.
+const BRIGHTEST: f32 = 1e12;
 
 impl<const K: u32> Pixels<'_, K> {
     /// Indirect diffuse light: interpolated, or gathered where no record covers the point.
@@ -34,17 +37,21 @@ impl<const K: u32> Pixels<'_, K> {
         Vec3::ZERO
     }
 
-    /// The hit of a ray from a site.
-    pub fn plan_ray(&mut self, site: &Site, direction: Vec3) -> Option<Hit> {
+    /// The hit of a ray from a site, and the direct light that it brings, mean over the channels.
+    pub fn plan_ray(&mut self, site: &Site, direction: Vec3) -> (Option<Hit>, f32) {
         self.counters.ray(Category::Ambient);
-        self.closest(&ray_from(site, direction), None)
+        let hit = self.closest(&ray_from(site, direction), None);
+        // At the last level, nothing is gathered, and no cache is read.
+        let segment = self.gathered_segment(self.tracer.settings.ambient_bounces, site, direction);
+        let radiance = self.arriving(segment, hit).element_sum() / 3.0;
+        (hit, if radiance.is_nan() { 0.0 } else { radiance.clamp(0.0, BRIGHTEST) })
     }
 
     /// Follows a record's plan rays to where they read `level`, the level after the record's own.
     pub fn walk_gather(&mut self, strata: &Strata, level: u32, planned: &Planned) {
         let basis = Basis::new(planned.site.normal);
         for (ray, hit) in planned.hits.iter().enumerate() {
-            let direction = basis.to_world(strata.direction(strata.of_plan(ray), &self.sampler));
+            let direction = basis.to_world(strata.direction(strata.of_plan(ray), 0, &self.sampler));
             self.arriving(self.gathered_segment(level, &planned.site, direction), *hit);
         }
     }
@@ -54,24 +61,35 @@ impl<const K: u32> Pixels<'_, K> {
         Segment { ray, passed: None, arrival: self.gathered(), level, depth: 0, vertex: 1, weight: 1.0 }
     }
 
-    /// Gathers the hemisphere above a record of `level`. The plan's rays are not traced again.
-    pub fn gather_record(&mut self, strata: &Strata, level: u32, planned: &Planned) -> Irradiance {
+    /// Gathers the hemisphere above a record of `level`. The plan's rays are not traced again. `counts` is the
+    /// number of rays of each stratum, 1 if absent.
+    pub fn gather_record(
+        &mut self,
+        strata: &Strata,
+        counts: Option<&[u16]>,
+        level: u32,
+        planned: &Planned,
+    ) -> Irradiance {
         // All work of a gather is ambient.
         self.counters.caused_by(Category::Ambient);
         let basis = Basis::new(planned.site.normal);
         let samples: Vec<Sample> = (0..strata.len())
             .map(|stratum| {
-                let direction = basis.to_world(strata.direction(stratum, &self.sampler));
-                let segment = self.gathered_segment(level + 1, &planned.site, direction);
-                let hit = match strata.plan_ray(stratum) {
-                    Some(ray) => planned.hits[ray],
-                    None => {
-                        self.counters.ray(Category::Ambient);
-                        self.closest(&segment.ray, None)
-                    }
-                };
-                let distance = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
-                Sample { radiance: self.arriving(segment, hit), distance }
+                let mut mean = Mean::default();
+                for ray in 0..counts.map_or(1, |counts| counts[stratum]) {
+                    let direction = basis.to_world(strata.direction(stratum, ray, &self.sampler));
+                    let segment = self.gathered_segment(level + 1, &planned.site, direction);
+                    let hit = match strata.plan_ray(stratum) {
+                        Some(known) if ray == 0 => planned.hits[known],
+                        _ => {
+                            self.counters.ray(Category::Ambient);
+                            self.closest(&segment.ray, None)
+                        }
+                    };
+                    let distance = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
+                    mean.add(self.arriving(segment, hit), distance);
+                }
+                mean.sample()
             })
             .collect();
         strata.integrate(&samples, &basis, planned.site.coat)
