@@ -8,17 +8,20 @@
 //! all of them are in time.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use crate::lane::{Prefer, Unwanted, Wanted};
+use crate::lane::{Prefer, Wanted};
 use crate::model::{Node, Task, price_of};
-use crate::problem::{Problem, Work};
-use crate::state::{Only, Placed, Search, State};
+use crate::places::Search;
+use crate::problem::Work;
+use crate::state::{Placed, State};
 
 /// The most searches for another place in one call. They dominate its run time.
 const MOST_TRIALS: usize = 2000;
 /// The most places tried for one frame.
 const MOST_PLACES: usize = 4;
+/// The most frames of a class of nodes and slot that are looked at for this.
+const MOST_LOOKS: usize = 64;
 /// The most further frames that a chain may push out.
 const LONGEST_CHAIN: usize = 1;
 
@@ -47,21 +50,22 @@ pub(crate) fn exchange(state: &mut State, in_vain: &mut InVain) {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Piece {
     job: usize,
+    /// Where it is in [`State::placed`] of its job.
+    index: usize,
     work: u64,
     placed: Placed,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Standing {
-    piece: Piece,
-    /// Cost of its place, less that of the best free alternative. `None` without one.
-    gain: Option<i128>,
-}
+/// What moving a frame would save, most first; its node, and its start.
+type Gain = (Reverse<i128>, usize, i64);
 
 /// All frames that may be moved.
 struct Board {
     /// By node and start.
-    by_node: Vec<BTreeMap<i64, Standing>>,
+    pieces: BTreeMap<(usize, i64), Piece>,
+    /// By class of nodes and slot of the programme: those that could go elsewhere. What is saved is the cost of
+    /// their place, less that of the best free alternative.
+    gains: BTreeMap<(usize, usize), BTreeSet<Gain>>,
     /// See [`elsewhere`].
     elsewhere: Vec<Option<(i64, u64)>>,
     trials: usize,
@@ -71,7 +75,8 @@ impl Board {
     fn new(state: &State) -> Self {
         let problem = state.problem;
         let mut board = Board {
-            by_node: vec![BTreeMap::new(); problem.nodes.len()],
+            pieces: BTreeMap::new(),
+            gains: BTreeMap::new(),
             elsewhere: elsewhere(state),
             trials: MOST_TRIALS,
         };
@@ -79,22 +84,31 @@ impl Board {
             if work.job.deadline.is_none_or(|deadline| state.finish(job) > deadline) {
                 continue;
             }
-            for &placed in state.placed[job].iter().skip(state.kept[job]) {
+            for (index, &placed) in state.placed[job].iter().enumerate().skip(state.kept[job]) {
                 if let Some(work) = work.work_of(placed.task) {
-                    board.put(problem, Piece { job, work, placed });
+                    board.put(state, Piece { job, index, work, placed });
                 }
             }
         }
         board
     }
 
-    fn put(&mut self, problem: &Problem, piece: Piece) {
-        let gain = self.gain(problem.nodes[piece.placed.node], &piece);
-        self.by_node[piece.placed.node].insert(piece.placed.start, Standing { piece, gain });
+    fn put(&mut self, state: &State, piece: Piece) {
+        let Placed { node, start, .. } = piece.placed;
+        if let Some(gain) = self.gain(state.problem.nodes[node], &piece) {
+            self.gains.entry(place(state, &piece)).or_default().insert((Reverse(gain), node, start));
+        }
+        self.pieces.insert((node, start), piece);
     }
 
-    fn take(&mut self, piece: Piece) {
-        self.by_node[piece.placed.node].remove(&piece.placed.start);
+    fn take(&mut self, state: &State, piece: Piece) {
+        let Placed { node, start, .. } = piece.placed;
+        if let Some(gain) = self.gain(state.problem.nodes[node], &piece)
+            && let Some(gains) = self.gains.get_mut(&place(state, &piece))
+        {
+            gains.remove(&(Reverse(gain), node, start));
+        }
+        self.pieces.remove(&(node, start));
     }
 
     fn gain(&self, node: &Node, piece: &Piece) -> Option<i128> {
@@ -109,15 +123,14 @@ impl Board {
         Some(is - elsewhere)
     }
 
-    /// Frames that overlap this stretch of a node's time, last first.
-    fn between(&self, node: usize, from: i64, until: i64) -> impl Iterator<Item = &Standing> {
-        let before = self.by_node[node].range(..until).rev().map(|(_, standing)| standing);
-        before.take_while(move |standing| standing.piece.placed.end > from)
-    }
-
     fn at(&self, node: usize, start: i64) -> Option<Piece> {
-        self.by_node[node].get(&start).map(|standing| standing.piece)
+        self.pieces.get(&(node, start)).copied()
     }
+}
+
+/// Class of nodes and slot in which a frame begins.
+fn place(state: &State, piece: &Piece) -> (usize, usize) {
+    (state.problem.class_of[piece.placed.node], state.admission.slot(piece.placed.start))
 }
 
 /// By job: cost of its middle frame in the best place that is free now, and that frame's work. `None` without
@@ -154,8 +167,9 @@ fn search<'s>(state: &State, job: usize, task: Task, work: u64, classes: &'s [us
         latest_end: asked.job.deadline?,
         classes,
         prefer: Prefer::Cheap,
-        only: Only::ANY,
-        for_others: false,
+        below: i64::MAX,
+        except: None,
+        for_others: 0,
     })
 }
 
@@ -169,7 +183,7 @@ impl Piece {
 fn dear(state: &State, board: &Board, in_vain: &InVain) -> Vec<Piece> {
     let problem = state.problem;
     let mut found = Vec::new();
-    for &Standing { piece, .. } in board.by_node.iter().flat_map(BTreeMap::values) {
+    for &piece in board.pieces.values() {
         let work = &problem.jobs[piece.job];
         let price = |&class: &usize| {
             let node = problem.representative(class);
@@ -193,24 +207,23 @@ fn saved(state: &State, placed: Placed) -> i64 {
 /// Moves a frame to a cheaper place. Returns whether there is one.
 fn improve(state: &mut State, board: &mut Board, piece: Piece) -> bool {
     let before = saved(state, piece.placed);
-    let freed = state.lanes[piece.placed.node].freed;
     lift(state, board, piece);
     let is_settled = settle(state, board, piece, before, LONGEST_CHAIN).is_some();
     if !is_settled {
         set(state, board, piece);
-        state.lanes[piece.placed.node].freed = freed;
     }
     is_settled
 }
 
 fn lift(state: &mut State, board: &mut Board, piece: Piece) {
-    board.take(piece);
-    state.unbook(piece.job, piece.placed);
+    board.take(state, piece);
+    state.vacate(&piece.placed);
 }
 
 fn set(state: &mut State, board: &mut Board, piece: Piece) {
-    state.book(piece.job, piece.placed);
-    board.put(state.problem, piece);
+    state.occupy(&piece.placed);
+    state.placed[piece.job][piece.index] = piece.placed;
+    board.put(state, piece);
 }
 
 /// Places a lifted frame for less than `below`, with all frames that it pushes out. Returns the cost. Without
@@ -241,7 +254,7 @@ fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain:
 /// place.
 fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below: i64) -> Vec<Piece> {
     let problem = state.problem;
-    let mut best: Vec<(Reverse<i128>, usize, i64)> = Vec::new();
+    let mut best: Vec<Gain> = Vec::new();
     for &class in search.classes {
         let of_class = problem.representative(class);
         let Some(duration) = of_class.duration(piece.work, search.class_of_work) else { continue };
@@ -249,21 +262,23 @@ fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below
         if left <= 0 {
             continue;
         }
-        for &node in &problem.classes[class] {
-            for &Standing { piece: other, gain } in board.between(node, search.release, search.latest_end) {
-                let Placed { start, end, .. } = other.placed;
-                let Some(gain) = gain.map(|gain| gain + left).filter(|&gain| gain > 0) else { continue };
-                let entry = (Reverse(gain), node, start);
+        let slots = [search.release, search.latest_end].map(|instant| (class, state.admission.slot(instant)));
+        for (_, gains) in board.gains.range(slots[0]..=slots[1]) {
+            for &(Reverse(gain), node, start) in gains.iter().take(MOST_LOOKS) {
+                problem.looks.add(1);
+                let entry = (Reverse(gain + left), node, start);
                 let is_worse = best.len() == MOST_PLACES && best.last().is_some_and(|last| entry > *last);
-                if is_worse || other.job == piece.job {
-                    continue;
+                if gain + left <= 0 || is_worse {
+                    break;
                 }
-                let (from, until) = state.lanes[node].room_without(start, end);
-                if until.min(search.latest_end).saturating_sub(from.max(search.release)) < duration {
+                let Some(other) = board.at(node, start).filter(|other| other.job != piece.job) else {
                     continue;
+                };
+                let (from, until) = state.lanes[node].room_without(start, other.placed.end);
+                if until.min(search.latest_end).saturating_sub(from.max(search.release)) >= duration {
+                    best.insert(best.partition_point(|better| *better < entry), entry);
+                    best.truncate(MOST_PLACES);
                 }
-                best.insert(best.partition_point(|better| *better < entry), entry);
-                best.truncate(MOST_PLACES);
             }
         }
     }
@@ -293,11 +308,10 @@ fn push_out(
         }
     };
     let back = saved(state, other.placed);
-    let freed = state.lanes[node].freed;
     lift(state, board, other);
-    if let Some(fit) = state.lanes[node].fit(place, &wanted, Prefer::Early, &Unwanted) {
-        let placed = Placed { node, start: fit.start, end: fit.end, task: piece.placed.task };
-        let own = fit.added_cost.saturating_sub(back);
+    if let Some((start, end)) = state.lanes[node].first(&wanted) {
+        let placed = Placed { node, start, end, task: piece.placed.task };
+        let own = state.lanes[node].added_cost(place, start, end).saturating_sub(back);
         set(state, board, Piece { placed, ..piece });
         if let Some(rest) = settle(state, board, other, below.saturating_sub(own), chain - 1) {
             return Some(own.saturating_add(rest));
@@ -305,7 +319,6 @@ fn push_out(
         lift(state, board, Piece { placed, ..piece });
     }
     set(state, board, other);
-    state.lanes[node].freed = freed;
     None
 }
 

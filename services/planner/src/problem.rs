@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::calendar::{Window, windows};
+use crate::looks::Looks;
 use crate::model::{Division, FixedBooking, Frame, Input, Job, Node, Task};
 
 /// An input, sorted by id.
@@ -16,6 +17,7 @@ pub(crate) struct Problem<'a> {
     pub class_of: Vec<usize>,
     /// By id.
     pub jobs: Vec<Work<'a>>,
+    pub looks: Looks,
 }
 
 pub(crate) struct Work<'a> {
@@ -63,7 +65,7 @@ impl<'a> Problem<'a> {
         let mut jobs: Vec<&Job> = input.jobs.iter().collect();
         jobs.sort_unstable_by_key(|job| job.id);
         let jobs = jobs.into_iter().map(|job| Work::new(job, &nodes, &classes)).collect();
-        Problem { input, nodes, windows, classes, class_of, jobs }
+        Problem { input, nodes, windows, classes, class_of, jobs, looks: Looks::default() }
     }
 
     /// A node of the class. All its nodes have the same speeds.
