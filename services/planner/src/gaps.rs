@@ -89,6 +89,12 @@ impl Gaps {
         self.next((last.start, 0), end.saturating_sub(last.start))
     }
 
+    /// The first gap that holds this length from an instant on, and when it does.
+    pub fn first(&self, from: i64, length: i64) -> Option<(Gap, i64)> {
+        let spanning = self.spanning(from, from.checked_add(length)?).map(|gap| (gap, from));
+        spanning.or_else(|| self.next((from, 0), length).map(|gap| (gap, gap.start)))
+    }
+
     fn at(&self, index: u32) -> &Entry {
         self.looks.add(1);
         &self.entries[index as usize]

@@ -68,10 +68,7 @@ impl Fit {
 
 impl Lane {
     pub fn new(node: &Node, windows: &[Window]) -> Self {
-        let first = |window: &Window| {
-            if window.warm { window.start } else { window.start.saturating_add(node.setup) }
-        };
-        let free = Intervals::union(windows.iter().map(|window| (first(window), window.end)).collect());
+        let free = Intervals::union(windows.iter().map(|window| (window.ready(node), window.end)).collect());
         Lane {
             is_plain: node.is_plainly_billed(),
             free,

@@ -62,6 +62,7 @@ mod schedule;
 mod score;
 mod simulate;
 mod state;
+mod supply;
 mod transport;
 mod verify;
 

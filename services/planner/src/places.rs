@@ -10,8 +10,8 @@ use std::collections::BTreeSet;
 use crate::admission::{Admission, IN_A_MICRO_UNIT};
 use crate::gaps::{Gap, Gaps};
 use crate::lane::{Fit, Lane, Prefer, Wanted};
-use crate::looks::Looks;
 use crate::model::Node;
+use crate::problem::Problem;
 use crate::state::State;
 
 /// The most gaps tried for the smallest that holds a task, where time is scarce.
@@ -63,10 +63,17 @@ pub(crate) struct Pool {
 }
 
 impl Pool {
-    pub fn new(members: &[usize], lanes: &[Lane], looks: &Looks) -> Self {
-        let mut pool = Pool { gaps: Gaps::new(looks), overpaid: BTreeSet::new() };
+    /// Without any bookings.
+    pub fn unused(gaps: &Gaps) -> Self {
+        Pool { gaps: gaps.clone(), overpaid: BTreeSet::new() }
+    }
+
+    pub fn new(problem: &Problem, members: &[usize], lanes: &[Lane]) -> Self {
+        let mut pool = Pool::unused(&Gaps::new(&problem.looks));
         for &node in members {
-            lanes[node].gaps(i64::MIN, 0).for_each(|(start, end)| pool.gaps.insert(Gap { start, node, end }));
+            let gaps = lanes[node].gaps(i64::MIN, 0);
+            gaps.for_each(|(start, end)| pool.gaps.insert(Gap { start, node, end }));
+            pool.join(node, problem.nodes[node], &lanes[node]);
         }
         pool
     }
@@ -102,12 +109,6 @@ impl Pool {
             self.gaps.remove(end, node);
         }
         self.gaps.insert(Gap { start: from, node, end: until });
-    }
-
-    /// The first gap that holds this length from an instant on, and when it does.
-    fn first(&self, from: i64, length: i64) -> Option<(Gap, i64)> {
-        let spanning = self.gaps.spanning(from, from.checked_add(length)?).map(|gap| (gap, from));
-        spanning.or_else(|| self.gaps.next((from, 0), length).map(|gap| (gap, gap.start)))
     }
 }
 
@@ -204,7 +205,7 @@ impl InClass<'_, '_, '_> {
         let state = self.state;
         let Wanted { release, latest_end, duration } = self.wanted;
         let mut from = release;
-        while let Some((gap, start)) = state.pools[self.class].first(from, duration) {
+        while let Some((gap, start)) = state.pools[self.class].gaps.first(from, duration) {
             let end = start.saturating_add(duration);
             if end > latest_end || gap.end < end {
                 break;

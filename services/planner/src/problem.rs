@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use crate::calendar::{Window, windows};
 use crate::looks::Looks;
 use crate::model::{Division, FixedBooking, Frame, Input, Job, Node, Task};
+use crate::supply::Supply;
 
 /// An input, sorted by id.
 pub(crate) struct Problem<'a> {
@@ -17,6 +18,7 @@ pub(crate) struct Problem<'a> {
     pub class_of: Vec<usize>,
     /// By id.
     pub jobs: Vec<Work<'a>>,
+    pub supply: Supply,
     pub looks: Looks,
 }
 
@@ -48,7 +50,7 @@ impl<'a> Problem<'a> {
             fixed.entry(booking.node).or_default().push(booking);
         }
         let none = Vec::new();
-        let windows =
+        let windows: Vec<Vec<Window>> =
             nodes.iter().map(|node| windows(node, input.now, fixed.get(&node.id).unwrap_or(&none))).collect();
         let mut groups: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (index, node) in nodes.iter().enumerate() {
@@ -65,7 +67,9 @@ impl<'a> Problem<'a> {
         let mut jobs: Vec<&Job> = input.jobs.iter().collect();
         jobs.sort_unstable_by_key(|job| job.id);
         let jobs = jobs.into_iter().map(|job| Work::new(job, &nodes, &classes)).collect();
-        Problem { input, nodes, windows, classes, class_of, jobs, looks: Looks::default() }
+        let looks = Looks::default();
+        let supply = Supply::new(&nodes, &windows, &classes, &looks);
+        Problem { input, nodes, windows, classes, class_of, jobs, supply, looks }
     }
 
     /// A node of the class. All its nodes have the same speeds.

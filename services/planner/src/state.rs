@@ -1,6 +1,6 @@
 //! A plan under construction: every node's lane, and the place of each task.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use crate::admission::Admission;
 use crate::lane::Lane;
@@ -31,7 +31,7 @@ pub(crate) struct State<'p, 'a> {
     pub lanes: Vec<Lane>,
     /// By class of nodes.
     pub pools: Vec<Pool>,
-    /// By job, in the order of placement.
+    /// By job, in the order of placement: its shared cache first.
     pub placed: Vec<Vec<Placed>>,
     /// By job: the first tasks of `placed` that must not move.
     pub kept: Vec<usize>,
@@ -41,8 +41,7 @@ impl<'p, 'a> State<'p, 'a> {
     pub fn new(problem: &'p Problem<'a>, admission: &'p Admission) -> Self {
         let nodes = problem.nodes.iter().zip(&problem.windows);
         let lanes: Vec<Lane> = nodes.map(|(node, windows)| Lane::new(node, windows)).collect();
-        let pool = |members: &Vec<usize>| Pool::new(members, &lanes, &problem.looks);
-        let pools = problem.classes.iter().map(pool).collect();
+        let pools = problem.supply.gaps.iter().map(Pool::unused).collect();
         State {
             problem,
             admission,
@@ -56,14 +55,19 @@ impl<'p, 'a> State<'p, 'a> {
 
     /// Keeps these bookings where they are valid. Shared caches come first, since frames depend on them.
     pub fn keep(&mut self, bookings: &[Booking]) {
+        if bookings.is_empty() {
+            return;
+        }
         let mut sorted = bookings.to_vec();
-        sorted.sort_unstable_by_key(|booking| (!booking.task.is_shared_cache(), *booking));
-        sorted.dedup();
-        sorted.iter().for_each(|booking| self.keep_one(booking));
+        sorted.sort_by_key(|booking| (!booking.task.is_shared_cache(), *booking));
+        let mut there = There::default();
+        sorted.iter().for_each(|booking| self.keep_one(booking, &mut there));
+        let of_class = |members: &Vec<usize>| Pool::new(self.problem, members, &self.lanes);
+        self.pools = self.problem.classes.iter().map(of_class).collect();
         self.drop_partial_frames();
     }
 
-    fn keep_one(&mut self, booking: &Booking) {
+    fn keep_one(&mut self, booking: &Booking, there: &mut There) {
         let problem = self.problem;
         let Some((job, node)) = problem.job(booking.job).zip(problem.node(booking.node)) else {
             return;
@@ -73,9 +77,16 @@ impl<'p, 'a> State<'p, 'a> {
         let is_right = duration.and_then(|duration| booking.start.checked_add(duration)) == Some(booking.end)
             && self.earliest(job, booking.task).is_some_and(|earliest| earliest <= booking.start)
             && self.lanes[node].is_free(booking.start, booking.end)
-            && !self.placed[job].iter().any(|placed| excludes(placed.task, booking.task));
+            && there.is_new(job, booking.task);
         if is_right {
-            self.book(job, Placed { node, start: booking.start, end: booking.end, task: booking.task });
+            // The pools follow when all are there.
+            self.lanes[node].book(problem.nodes[node], booking.start, booking.end);
+            self.placed[job].push(Placed {
+                node,
+                start: booking.start,
+                end: booking.end,
+                task: booking.task,
+            });
             self.kept[job] += 1;
         }
     }
@@ -117,7 +128,7 @@ impl<'p, 'a> State<'p, 'a> {
         if self.misses_shared_cache(job) {
             return None;
         }
-        let cache_parts = self.placed[job].iter().filter(|placed| placed.task.is_shared_cache());
+        let cache_parts = self.placed[job].iter().take_while(|placed| placed.task.is_shared_cache());
         cache_parts.map(|part| part.end.max(release)).max()
     }
 
@@ -216,7 +227,8 @@ impl<'p, 'a> State<'p, 'a> {
     /// Tasks of the shared cache without a place.
     pub fn missing_cache_parts(&self, job: usize) -> Vec<Task> {
         let all = self.problem.jobs[job].job.shared_cache.into_iter().flat_map(SharedCache::tasks);
-        all.filter(|&task| !self.placed[job].iter().any(|placed| placed.task == task)).collect()
+        let there = || self.placed[job].iter().take_while(|placed| placed.task.is_shared_cache());
+        all.filter(|&task| !there().any(|placed| placed.task == task)).collect()
     }
 
     /// Whether the job has a shared cache of which some part has no place.
@@ -238,15 +250,21 @@ impl<'p, 'a> State<'p, 'a> {
     }
 }
 
-/// Whether a job cannot have both tasks.
-fn excludes(one: Task, other: Task) -> bool {
-    match (one, other) {
-        (Task::SharedCachePart { part: p, parts: m }, Task::SharedCachePart { part: q, parts: n }) => {
-            p == q || m != n
-        }
-        (Task::Part { frame: a, part: p, parts: m }, Task::Part { frame: b, part: q, parts: n }) => {
-            a == b && (p == q || m != n)
-        }
-        _ => one.frame() == other.frame(),
+/// Tasks that have been kept.
+#[derive(Default)]
+struct There {
+    /// By job and frame, or shared cache: the number of its tasks.
+    divided: HashMap<(usize, Option<i64>), u32>,
+    tasks: HashSet<(usize, Task)>,
+}
+
+impl There {
+    /// Whether the job has neither this task nor one that excludes it. If so, the job has it from now on.
+    fn is_new(&mut self, job: usize, task: Task) -> bool {
+        let parts = match task {
+            Task::Part { parts, .. } | Task::SharedCachePart { parts, .. } => parts,
+            Task::Frame(_) | Task::SharedCache => 0,
+        };
+        *self.divided.entry((job, task.frame())).or_insert(parts) == parts && self.tasks.insert((job, task))
     }
 }
