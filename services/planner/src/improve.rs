@@ -1,6 +1,7 @@
 //! Cheaper places for frames that are in time.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 use crate::exchange::{InVain, exchange};
 use crate::lane::Prefer;
@@ -13,6 +14,9 @@ use crate::state::{Placed, State};
 const LEAST_GAIN: i64 = 2000;
 /// The most frames that are tried in parts to make them cheaper.
 const MOST_DIVIDED: usize = 300;
+/// After every so many frames of a job that find no cheaper place, one more of those that are like them is left
+/// out between two that are tried.
+const SKIPPED: u32 = 4;
 
 /// Makes a plan cheaper, in at most `rounds` rounds. Each round closes gaps, moves single frames to cheaper
 /// places, exchanges frames, and divides dear ones; each of these makes room for the next.
@@ -33,6 +37,14 @@ pub(crate) fn improve(state: &mut State, rounds: usize) {
             break;
         }
     }
+}
+
+/// Frames of a job in one class that found no cheaper place, one after the other.
+#[derive(Clone, Copy, Debug, Default)]
+struct Streak {
+    failed: u32,
+    /// So many like them are not tried.
+    left_out: u32,
 }
 
 /// Moves single frames, and single parts of frames, of jobs with a deadline to cheaper places in time.
@@ -64,16 +76,26 @@ fn cheapen(state: &mut State) {
     }
     candidates
         .sort_unstable_by_key(|&(gain, job, placed, _)| (gain, job, placed.start, placed.node, placed.task));
-    for (_, job, _, index) in candidates {
-        cheapen_frame(state, job, index);
+    let mut streaks: BTreeMap<(usize, usize), Streak> = BTreeMap::new();
+    for (_, job, placed, index) in candidates {
+        let streak = streaks.entry((job, problem.class_of[placed.node])).or_default();
+        if streak.left_out > 0 {
+            streak.left_out -= 1;
+        } else if cheapen_frame(state, job, index) {
+            *streak = Streak::default();
+        } else {
+            streak.failed += 1;
+            streak.left_out = streak.failed / SKIPPED;
+        }
     }
 }
 
-fn cheapen_frame(state: &mut State, job: usize, index: usize) {
+/// Returns whether there is a cheaper place.
+fn cheapen_frame(state: &mut State, job: usize, index: usize) -> bool {
     let problem = state.problem;
     let placed = state.placed[job][index];
     let work = &problem.jobs[job];
-    let Some(of_task) = work.work_of(placed.task) else { return };
+    let Some(of_task) = work.work_of(placed.task) else { return false };
     let node = problem.nodes[placed.node];
     let saved = state.lanes[placed.node].saved_without(node, placed.start, placed.end);
     let cheaper: Vec<usize> = work
@@ -87,7 +109,7 @@ fn cheapen_frame(state: &mut State, job: usize, index: usize) {
             price.is_some_and(|price| price < saved || !node.is_plainly_billed())
         })
         .collect();
-    let Some(release) = state.earliest(job, placed.task) else { return };
+    let Some(release) = state.earliest(job, placed.task) else { return false };
     let search = Search {
         class_of_work: work.job.class,
         work: of_task,
@@ -99,9 +121,9 @@ fn cheapen_frame(state: &mut State, job: usize, index: usize) {
         except: Some(placed.node),
         for_others: 0,
     };
-    if let Some((node, fit)) = state.find(&search) {
-        state.relocate(job, index, Placed { node, start: fit.start, end: fit.end, task: placed.task });
-    }
+    let Some((node, fit)) = state.find(&search) else { return false };
+    state.relocate(job, index, Placed { node, start: fit.start, end: fit.end, task: placed.task });
+    true
 }
 
 /// Moves frames on plainly billed nodes to an earlier time just before them, so that free time lies in fewer,

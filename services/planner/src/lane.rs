@@ -8,7 +8,7 @@ use crate::rental::rentals;
 
 /// The most gaps tried on a node that is not plainly billed. The first is the earliest; later ones may hold
 /// time that is already paid for.
-const GAPS_TRIED: usize = 8;
+const GAPS_TRIED: usize = 3;
 
 #[derive(Clone, Debug)]
 pub(crate) struct Lane {

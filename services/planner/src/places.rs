@@ -148,7 +148,7 @@ impl State<'_, '_> {
             if !is_plain && search.prefer == Prefer::Cheap {
                 in_class.try_overpaid();
             }
-            if !is_plain || price < search.below && !in_class.is_hopeless(price) {
+            if !is_plain || !in_class.is_hopeless(price) {
                 in_class.try_first(is_plain.then_some(price));
             }
         }
@@ -171,7 +171,8 @@ impl InClass<'_, '_, '_> {
     /// Whether a place with this cost cannot be the best.
     fn is_hopeless(&self, cost: i64) -> bool {
         let is_more = |rank: i128| i128::from(cost) * IN_A_MICRO_UNIT > rank;
-        self.search.prefer == Prefer::Cheap && self.best.is_some_and(|(rank, ..)| is_more(rank.0))
+        cost >= self.search.below
+            || self.search.prefer == Prefer::Cheap && self.best.is_some_and(|(rank, ..)| is_more(rank.0))
     }
 
     fn offer(&mut self, index: usize, fit: Fit) {
@@ -191,7 +192,7 @@ impl InClass<'_, '_, '_> {
         for index in overpaid.filter(|&index| self.search.except != Some(index)).take(NODES_TRIED) {
             let (node, lane) = (state.problem.nodes[index], &state.lanes[index]);
             let least = lane.least_added_cost(node, self.wanted.duration);
-            if least >= self.search.below || self.is_hopeless(least) {
+            if self.is_hopeless(least) {
                 break;
             }
             if let Some(fit) = lane.cheapest(node, &self.wanted, |start, end| self.worth(start, end)) {
@@ -217,13 +218,13 @@ impl InClass<'_, '_, '_> {
             }
             let is_scarce =
                 self.search.prefer == Prefer::Cheap && self.admission().is_scarce(self.class, start);
-            let fit = self.fit(&gap, start, price, is_scarce);
-            self.offer(gap.node, fit);
+            let worth = self.worth(start, end);
+            self.offer_gap(&gap, start, price, worth);
             if is_scarce && price.is_some() {
                 self.try_smaller(&gap, from, price);
             }
             let later = self.admission().cheaper_from(self.class, if is_scarce { start } else { end - 1 });
-            match later.filter(|&later| fit.worth > 0 && later > from) {
+            match later.filter(|&later| worth > 0 && later > from) {
                 Some(later) => from = later,
                 None => break,
             }
@@ -241,23 +242,27 @@ impl InClass<'_, '_, '_> {
             if gap.start.saturating_add(duration) > latest_end || !is_scarce {
                 return;
             }
-            let fit = self.fit(&gap, gap.start, price, is_scarce);
-            self.offer(gap.node, fit);
+            self.offer_gap(&gap, gap.start, price, self.worth(gap.start, gap.start.saturating_add(duration)));
             after = (gap.start, gap.node + 1);
         }
     }
 
-    /// A place in a gap. Without a price, its cost follows from the node's rentals.
-    fn fit(&self, gap: &Gap, start: i64, price: Option<i64>, is_scarce: bool) -> Fit {
+    /// Offers a place in a gap. Without a price, its cost follows from the node's rentals.
+    fn offer_gap(&mut self, gap: &Gap, start: i64, price: Option<i64>, worth: i128) {
         let end = start.saturating_add(self.wanted.duration);
         let (node, lane) = (self.state.problem.nodes[gap.node], &self.state.lanes[gap.node]);
-        Fit {
+        if price.is_none() && self.is_hopeless(lane.least_added_cost(node, self.wanted.duration)) {
+            return;
+        }
+        let is_scarce = self.search.prefer == Prefer::Cheap && self.admission().is_scarce(self.class, start);
+        let fit = Fit {
             start,
             end,
             added_cost: price.unwrap_or_else(|| lane.added_cost(node, start, end)),
             // Time that is not scarce counts as a perfect fit.
             left: if is_scarce { gap.end.saturating_sub(end) } else { 0 },
-            worth: self.worth(start, end),
-        }
+            worth,
+        };
+        self.offer(gap.node, fit);
     }
 }
