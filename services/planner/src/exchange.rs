@@ -11,7 +11,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::lane::{Prefer, Wanted};
-use crate::model::{Node, Task, price_of};
+use crate::model::{Task, price_of};
 use crate::places::Search;
 use crate::problem::Work;
 use crate::state::{Placed, State};
@@ -21,7 +21,7 @@ const MOST_TRIALS: usize = 2000;
 /// The most places tried for one frame.
 const MOST_PLACES: usize = 4;
 /// The most frames of a class of nodes and slot that are looked at for this.
-const MOST_LOOKS: usize = 64;
+const MOST_LOOKS: usize = 32;
 /// The most further frames that a chain may push out.
 const LONGEST_CHAIN: usize = 1;
 
@@ -56,8 +56,8 @@ struct Piece {
     placed: Placed,
 }
 
-/// What moving a frame would save, most first; its node, and its start.
-type Gain = (Reverse<i128>, usize, i64);
+/// What moving a frame would save, most first; its node, start, end and job.
+type Gain = (Reverse<i128>, usize, i64, i64, usize);
 
 /// All frames that may be moved.
 struct Board {
@@ -94,33 +94,32 @@ impl Board {
     }
 
     fn put(&mut self, state: &State, piece: Piece) {
-        let Placed { node, start, .. } = piece.placed;
-        if let Some(gain) = self.gain(state.problem.nodes[node], &piece) {
-            self.gains.entry(place(state, &piece)).or_default().insert((Reverse(gain), node, start));
+        if let Some(gain) = self.gain(state, &piece) {
+            self.gains.entry(place(state, &piece)).or_default().insert(gain);
         }
-        self.pieces.insert((node, start), piece);
+        self.pieces.insert((piece.placed.node, piece.placed.start), piece);
     }
 
     fn take(&mut self, state: &State, piece: Piece) {
-        let Placed { node, start, .. } = piece.placed;
-        if let Some(gain) = self.gain(state.problem.nodes[node], &piece)
+        if let Some(gain) = self.gain(state, &piece)
             && let Some(gains) = self.gains.get_mut(&place(state, &piece))
         {
-            gains.remove(&(Reverse(gain), node, start));
+            gains.remove(&gain);
         }
-        self.pieces.remove(&(node, start));
+        self.pieces.remove(&(piece.placed.node, piece.placed.start));
     }
 
-    fn gain(&self, node: &Node, piece: &Piece) -> Option<i128> {
+    fn gain(&self, state: &State, piece: &Piece) -> Option<Gain> {
         let (cost, work) = self.elsewhere[piece.job]?;
-        let Placed { start, end, .. } = piece.placed;
-        let is = i128::from(price_of(node.price_per_hour, end.saturating_sub(start)));
+        let Placed { node, start, end, .. } = piece.placed;
+        let price = state.problem.nodes[node].price_per_hour;
+        let is = i128::from(price_of(price, end.saturating_sub(start)));
         // Usually 64 bits are enough, and their division is several times as fast.
         let elsewhere = match u64::try_from(cost).ok().and_then(|cost| cost.checked_mul(piece.work)) {
             Some(product) => i128::from(product / work),
             None => i128::from(cost).saturating_mul(i128::from(piece.work)) / i128::from(work),
         };
-        Some(is - elsewhere)
+        Some((Reverse(is - elsewhere), node, start, end, piece.job))
     }
 
     fn at(&self, node: usize, start: i64) -> Option<Piece> {
@@ -264,25 +263,23 @@ fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below
         }
         let slots = [search.release, search.latest_end].map(|instant| (class, state.admission.slot(instant)));
         for (_, gains) in board.gains.range(slots[0]..=slots[1]) {
-            for &(Reverse(gain), node, start) in gains.iter().take(MOST_LOOKS) {
+            for &(Reverse(gain), node, start, end, job) in gains.iter().take(MOST_LOOKS) {
                 problem.looks.add(1);
-                let entry = (Reverse(gain + left), node, start);
+                let entry = (Reverse(gain + left), node, start, end, job);
                 let is_worse = best.len() == MOST_PLACES && best.last().is_some_and(|last| entry > *last);
                 if gain + left <= 0 || is_worse {
                     break;
                 }
-                let Some(other) = board.at(node, start).filter(|other| other.job != piece.job) else {
-                    continue;
-                };
-                let (from, until) = state.lanes[node].room_without(start, other.placed.end);
-                if until.min(search.latest_end).saturating_sub(from.max(search.release)) >= duration {
+                let (from, until) = state.lanes[node].room_without(start, end);
+                let room = until.min(search.latest_end).saturating_sub(from.max(search.release));
+                if job != piece.job && room >= duration {
                     best.insert(best.partition_point(|better| *better < entry), entry);
                     best.truncate(MOST_PLACES);
                 }
             }
         }
     }
-    best.into_iter().filter_map(|(_, node, start)| board.at(node, start)).collect()
+    best.into_iter().filter_map(|(_, node, start, ..)| board.at(node, start)).collect()
 }
 
 /// Puts a lifted frame into the place of another and places that one elsewhere, for less than `below`

@@ -373,7 +373,7 @@ fn within_budget(state: &mut State, job: usize) {
     }
     let release = work.release(state.problem.input.now);
     let soonest = state.finish(job);
-    let mut best: Option<State> = None;
+    let mut best = state.placed[job].clone();
     let (mut tight, mut loose) = (soonest, None::<i64>);
     let mut length = soonest.saturating_sub(release).max(1);
     for _ in 0..24 {
@@ -384,12 +384,10 @@ fn within_budget(state: &mut State, job: usize) {
             }
             Some(loose) => tight + (loose - tight) / 2,
         };
-        let mut trial = state.clone();
-        trial.unbook_after(job, kept);
-        let placed = place_cheaply_by(&mut trial, job, by);
-        if placed && spent(&trial) <= budget {
+        state.unbook_after(job, kept);
+        if place_cheaply_by(state, job, by) && spent(state) <= budget {
             loose = Some(by);
-            best = Some(trial);
+            best = state.placed[job].clone();
         } else {
             tight = by;
         }
@@ -397,9 +395,7 @@ fn within_budget(state: &mut State, job: usize) {
             break;
         }
     }
-    if let Some(best) = best {
-        *state = best;
-    }
+    state.restore(job, best);
 }
 
 /// Places all missing frames of a job at the least cost that ends by this instant.

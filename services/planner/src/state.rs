@@ -11,7 +11,7 @@ use crate::problem::Problem;
 /// Per cent of what others would pay that their time counts.
 const FOR_OTHERS: i128 = 120;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Placed {
     pub node: usize,
     pub start: i64,
@@ -195,6 +195,16 @@ impl<'p, 'a> State<'p, 'a> {
             .collect();
         let is_part = |placed: &Placed| placed.task.frame().is_some_and(|frame| divided.contains(&frame));
         all().filter(|placed| is_wanted(placed) || is_part(placed)).collect()
+    }
+
+    /// Gives the job the places that it had.
+    pub fn restore(&mut self, job: usize, before: Vec<Placed>) {
+        let now = std::mem::take(&mut self.placed[job]);
+        let had: HashSet<&Placed> = before.iter().collect();
+        let has: HashSet<&Placed> = now.iter().collect();
+        now.iter().filter(|placed| !had.contains(placed)).for_each(|placed| self.vacate(placed));
+        before.iter().filter(|placed| !has.contains(placed)).for_each(|placed| self.occupy(placed));
+        self.placed[job] = before;
     }
 
     /// Removes all but the first `count` placed tasks of the job.
