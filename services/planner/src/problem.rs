@@ -135,8 +135,18 @@ impl<'a> Work<'a> {
     }
 
     pub fn frame(&self, number: i64) -> Option<&FrameWork> {
-        let place = self.by_number.binary_search_by_key(&number, |&(number, _)| number).ok()?;
-        self.frames.get(self.by_number[place].1)
+        self.frames.get(self.place(number)?)
+    }
+
+    /// Where a frame is in `frames`.
+    pub fn place(&self, number: i64) -> Option<usize> {
+        // Numbers mostly follow each other.
+        let ahead = usize::try_from(number.checked_sub(self.by_number.first()?.0)?).ok()?;
+        if let Some(&(_, place)) = self.by_number.get(ahead).filter(|found| found.0 == number) {
+            return Some(place);
+        }
+        let found = self.by_number.binary_search_by_key(&number, |&(number, _)| number).ok()?;
+        Some(self.by_number[found].1)
     }
 
     /// Work of each part of the shared cache, or of all of it if it is not split.

@@ -1,12 +1,12 @@
 //! A plan under construction: every node's lane, and the place of each task.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use crate::admission::Admission;
 use crate::lane::Lane;
 use crate::model::{Booking, SharedCache, Task};
 use crate::places::Pool;
-use crate::problem::Problem;
+use crate::problem::{Problem, Work};
 
 /// Per cent of what others would pay that their time counts.
 const FOR_OTHERS: i128 = 120;
@@ -59,8 +59,9 @@ impl<'p, 'a> State<'p, 'a> {
             return;
         }
         let mut sorted = bookings.to_vec();
-        sorted.sort_by_key(|booking| (!booking.task.is_shared_cache(), *booking));
-        let mut there = There::default();
+        // Node by node, since that is several times as fast on a large farm.
+        sorted.sort_by_key(|booking| (!booking.task.is_shared_cache(), booking.node, *booking));
+        let mut there = There::new(self.problem);
         sorted.iter().for_each(|booking| self.keep_one(booking, &mut there));
         let of_class = |members: &Vec<usize>| Pool::new(self.problem, members, &self.lanes);
         self.pools = self.problem.classes.iter().map(of_class).collect();
@@ -77,7 +78,7 @@ impl<'p, 'a> State<'p, 'a> {
         let is_right = duration.and_then(|duration| booking.start.checked_add(duration)) == Some(booking.end)
             && self.earliest(job, booking.task).is_some_and(|earliest| earliest <= booking.start)
             && self.lanes[node].is_free(booking.start, booking.end)
-            && there.is_new(job, booking.task);
+            && there.is_new(work, job, booking.task);
         if is_right {
             // The pools follow when all are there.
             self.lanes[node].book(problem.nodes[node], booking.start, booking.end);
@@ -261,20 +262,28 @@ impl<'p, 'a> State<'p, 'a> {
 }
 
 /// Tasks that have been kept.
-#[derive(Default)]
 struct There {
-    /// By job and frame, or shared cache: the number of its tasks.
-    divided: HashMap<(usize, Option<i64>), u32>,
-    tasks: HashSet<(usize, Task)>,
+    /// By job and frame, and last its shared cache: the number of its parts, if there is any. 0 stands for a
+    /// whole.
+    divided: Vec<Vec<Option<u32>>>,
+    parts: HashSet<(usize, Task)>,
 }
 
 impl There {
+    fn new(problem: &Problem) -> Self {
+        let divided = problem.jobs.iter().map(|work| vec![None; work.frames.len() + 1]).collect();
+        There { divided, parts: HashSet::new() }
+    }
+
     /// Whether the job has neither this task nor one that excludes it. If so, the job has it from now on.
-    fn is_new(&mut self, job: usize, task: Task) -> bool {
-        let parts = match task {
-            Task::Part { parts, .. } | Task::SharedCachePart { parts, .. } => parts,
-            Task::Frame(_) | Task::SharedCache => 0,
-        };
-        *self.divided.entry((job, task.frame())).or_insert(parts) == parts && self.tasks.insert((job, task))
+    fn is_new(&mut self, work: &Work, job: usize, task: Task) -> bool {
+        let place = task.frame().map_or(Some(work.frames.len()), |number| work.place(number));
+        let Some(divided) = place.and_then(|place| self.divided[job].get_mut(place)) else { return false };
+        match task {
+            Task::Part { parts, .. } | Task::SharedCachePart { parts, .. } => {
+                *divided.get_or_insert(parts) == parts && self.parts.insert((job, task))
+            }
+            Task::Frame(_) | Task::SharedCache => divided.replace(0).is_none(),
+        }
     }
 }
