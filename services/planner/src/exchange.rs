@@ -17,7 +17,7 @@ use crate::problem::Work;
 use crate::state::{Placed, State};
 
 /// The most searches for another place in one call. They dominate its run time.
-const MOST_TRIALS: usize = 2000;
+const MOST_TRIALS: usize = 3000;
 /// The most places tried for one frame.
 const MOST_PLACES: usize = 4;
 /// The most frames of a class of nodes and slot that are looked at for this.
