@@ -13,11 +13,11 @@ use crate::calendar::Window;
 use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
 use crate::problem::{Problem, Work};
 use crate::proof::{Counted, value};
-use crate::simplex::{Column, Programme, Solution};
+use crate::transport::{Demand, Programme, Solution, Way};
 
-/// About as many variables as can be solved in half a second. With two thirds of them, the bound of a
-/// studio's week is 0.5 % lower, and prices are too coarse for good plans.
-pub(crate) const MOST_VARIABLES: usize = 135_000;
+/// The most rows of classes and slots: as many as can be solved in half a second for hundreds of jobs. With two
+/// thirds of them, the bound of a studio's week is 0.5 % lower, and prices are too coarse for good plans.
+pub(crate) const MOST_ROWS: usize = 660;
 /// More slots gain little.
 const MOST_SLOTS: usize = 96;
 const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
@@ -62,6 +62,11 @@ impl Admission {
         Admission { proof, ..self }
     }
 
+    /// The slot that holds this instant: 0 before the first.
+    pub fn slot(&self, instant: i64) -> usize {
+        self.proof.slots.partition_point(|&start| start <= instant)
+    }
+
     /// What others would pay for this time of a class on top of its price, in units of 1 /
     /// [`IN_A_MICRO_UNIT`] micro-unit.
     pub fn worth(&self, class: usize, start: i64, end: i64) -> i128 {
@@ -102,14 +107,14 @@ impl Admission {
     }
 }
 
-/// Solves the programme, with slots so coarse that it has at most about `most_variables` variables.
-pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
+/// Solves the programme, with slots so coarse that it has at most about `most_rows` rows.
+pub(crate) fn admit(problem: &Problem, most_rows: usize) -> Admission {
     let mut admitted: Vec<bool> = problem.jobs.iter().map(Work::has_nodes).collect();
-    let slots = slots(problem, most_variables);
+    let slots = slots(problem, most_rows);
     let capacity = capacity(problem, &slots);
     let setting = Setting { problem, slots: &slots, capacity: &capacity };
     let first = Model::new(&setting, &admitted, true);
-    let solution = first.solve();
+    let solution = first.programme.solve(&problem.looks);
     let unserved = first.unserved(&solution);
     if unserved.is_empty() {
         return first.admission(&solution, admitted, None);
@@ -118,11 +123,11 @@ pub(crate) fn admit(problem: &Problem, most_variables: usize) -> Admission {
     let infeasible = Model::new(&setting, &admitted, false).infeasible();
     unserved.into_iter().for_each(|job| admitted[job] = false);
     let rest = Model::new(&setting, &admitted, true);
-    let solution = rest.solve();
+    let solution = rest.programme.solve(&problem.looks);
     rest.admission(&solution, admitted, infeasible)
 }
 
-fn slots(problem: &Problem, most_variables: usize) -> Vec<i64> {
+fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
     let now = problem.input.now;
     let with_deadline = || problem.jobs.iter().filter_map(|work| Some((work, work.job.deadline?)));
     let Some(horizon) = with_deadline().map(|(_, deadline)| deadline).max() else { return Vec::new() };
@@ -130,8 +135,7 @@ fn slots(problem: &Problem, most_variables: usize) -> Vec<i64> {
     if horizon <= start {
         return Vec::new();
     }
-    let jobs = with_deadline().count();
-    let most = (most_variables / (jobs * problem.classes.len()).max(1)).clamp(8, MOST_SLOTS);
+    let most = (most_rows / problem.classes.len().max(1)).clamp(8, MOST_SLOTS);
 
     let mut of_jobs: Vec<i64> =
         with_deadline().flat_map(|(work, deadline)| [work.release(now), deadline]).collect();
@@ -145,15 +149,32 @@ fn slots(problem: &Problem, most_variables: usize) -> Vec<i64> {
     all.sort_unstable();
     all.dedup();
     if all.len() > most {
-        // Deadlines matter most: calendars only say where time lies within a slot. Taking every n-th of the
-        // deadlines and releases, duplicates included, puts more slots where they are dense.
-        let every = of_jobs.len().div_ceil(most).max(1);
-        all = of_jobs.into_iter().skip(every / 2).step_by(every).collect();
-        all.dedup();
+        // Deadlines and releases matter most: calendars only say where time lies within a slot. Slots are short
+        // where there are many of them, and nowhere long.
+        all = spread(&of_jobs, most, (start, horizon));
     }
     all.insert(0, start);
     all.push(horizon);
     all
+}
+
+/// Up to `most` of these sorted instants: half as if every n-th were taken, duplicates included, and half as if
+/// they were taken at equal distances in time.
+fn spread(instants: &[i64], most: usize, (start, horizon): (i64, i64)) -> Vec<i64> {
+    let (count, length) = (instants.len().max(1) as i128, (i128::from(horizon) - i128::from(start)).max(1));
+    let mut found = Vec::new();
+    let mut taken = 0;
+    for (rank, &instant) in instants.iter().enumerate() {
+        // From 0 to 2, in parts of the product of count and length.
+        let passed = rank as i128 * length + (i128::from(instant) - i128::from(start)) * count;
+        let step = passed * most as i128 / (2 * count * length);
+        if step > taken {
+            taken = step;
+            found.push(instant);
+        }
+    }
+    found.dedup();
+    found
 }
 
 /// Free time of each class in each slot, microseconds.
@@ -193,7 +214,7 @@ struct Setting<'s, 'a> {
 }
 
 /// Work of a job to be served by its deadline: its frames, or its shared cache.
-struct Demand<'s> {
+struct Asked<'s> {
     job: usize,
     class: u32,
     amount: u128,
@@ -203,16 +224,14 @@ struct Demand<'s> {
     rank: f64,
 }
 
-/// The programme, and the meaning of its rows and columns.
+/// The programme, and the meaning of its demands, ways and rows.
 struct Model<'s, 'a> {
     setting: &'s Setting<'s, 'a>,
     programme: Programme,
-    /// Job, column of unserved work, and amount to serve.
-    demands: Vec<(usize, usize, f64)>,
-    /// Row of each class in each slot, if it can be used.
-    rows: Vec<Vec<Option<u32>>>,
-    /// Job, class, slot and column.
-    given: Vec<(usize, usize, usize, usize)>,
+    /// By demand: the job, and the class of each way.
+    demands: Vec<(usize, Vec<usize>)>,
+    /// By class: its first row, and the slots of its rows. Slots without free time have no row.
+    rows: Vec<(usize, Vec<usize>)>,
     /// Micro-units per hour in one unit of the programme's cost.
     unit: f64,
 }
@@ -221,20 +240,25 @@ impl<'s, 'a> Model<'s, 'a> {
     /// With `priced`, nodes have their prices. Otherwise only unserved work has a cost.
     fn new(setting: &'s Setting<'s, 'a>, admitted: &[bool], priced: bool) -> Self {
         let problem = setting.problem;
-        let slots = setting.slots.len().saturating_sub(1);
         let mut model = Model {
             setting,
             programme: Programme::default(),
             demands: Vec::new(),
-            rows: vec![vec![None; slots]; problem.classes.len()],
-            given: Vec::new(),
+            rows: Vec::new(),
             unit: if priced { dearest(problem) as f64 } else { 1e6 },
         };
+        for capacity in setting.capacity {
+            let slots: Vec<usize> = (0..capacity.len()).filter(|&slot| capacity[slot] > 0).collect();
+            let hours = slots.iter().map(|&slot| capacity[slot] as f64 / MICROSECONDS_PER_HOUR);
+            let first = model.programme.capacities.len();
+            model.programme.capacities.extend(hours);
+            model.rows.push((first, slots));
+        }
         let ranks = ranks(problem);
         for (index, work) in problem.jobs.iter().enumerate() {
             let Some(deadline) = work.job.deadline.filter(|_| admitted[index]) else { continue };
             let release = work.release(problem.input.now);
-            let demand = |class, amount, classes| Demand {
+            let asked = |class, amount, classes| Asked {
                 job: index,
                 class,
                 amount,
@@ -243,21 +267,21 @@ impl<'s, 'a> Model<'s, 'a> {
                 deadline,
                 rank: ranks[index],
             };
-            let frames = demand(work.job.class, work.total(), &work.classes);
+            let frames = asked(work.job.class, work.total(), &work.classes);
             let cache = work.job.shared_cache.zip(work.shared_cache);
             let cache =
-                cache.map(|(cache, work_of)| demand(cache.class, work_of.into(), &work.shared_cache_classes));
-            for demand in [Some(frames), cache].into_iter().flatten().filter(|demand| demand.amount > 0) {
-                model.demand(&demand, priced);
+                cache.map(|(cache, work_of)| asked(cache.class, work_of.into(), &work.shared_cache_classes));
+            for asked in [Some(frames), cache].into_iter().flatten().filter(|asked| asked.amount > 0) {
+                model.demand(&asked, priced);
             }
         }
         model
     }
 
-    /// Adds a job's work, and a column for each class and slot that it can use.
-    fn demand(&mut self, demand: &Demand, priced: bool) {
-        let &Demand { job, class: class_of_work, amount, classes, release, deadline, rank } = demand;
-        let Setting { problem, slots, capacity } = self.setting;
+    /// Adds a job's work, and a way for each class that it can use.
+    fn demand(&mut self, asked: &Asked, priced: bool) {
+        let &Asked { job, class: class_of_work, amount, classes, release, deadline, rank } = asked;
+        let Setting { problem, slots, .. } = self.setting;
         // Hours that one node of a class needs for all of it. Computed exactly, so that the unit of work does
         // not matter.
         let hours = |class: usize| {
@@ -272,40 +296,21 @@ impl<'s, 'a> Model<'s, 'a> {
         // More than the most expensive way to serve it. Without prices, one per hour.
         let dearest = classes.iter().map(|&class| price(class) * hours(class) / needed).fold(0.0, f64::max);
         let penalty = if priced { (20.0 * dearest + 20.0) * rank } else { 1.0 };
-        let column = self.programme.columns.len();
-        let row = self.programme.row(needed, penalty);
-        self.demands.push((job, column, needed));
-        for &class in classes {
-            let served = needed / hours(class);
-            let cost = price(class);
-            for slot in 0..slots.len().saturating_sub(1) {
-                if slots[slot] >= deadline || slots[slot + 1] <= release || capacity[class][slot] == 0 {
-                    continue;
-                }
-                let class_row = match self.rows[class][slot] {
-                    Some(row) => row,
-                    None => {
-                        let hours = capacity[class][slot] as f64 / MICROSECONDS_PER_HOUR;
-                        let row = self.programme.row(hours, 0.0);
-                        self.rows[class][slot] = Some(row);
-                        row
-                    }
-                };
-                self.given.push((job, class, slot, self.programme.columns.len()));
-                let entries = vec![(row, served), (class_row, 1.0)];
-                self.programme.columns.push(Column { cost, entries });
-            }
-        }
-    }
-
-    fn solve(&self) -> Solution {
-        // Typically the steps are three times the rows. Many more would mean that the method cycles.
-        self.programme.solve(40 * self.programme.right.len() + 1000)
+        let way = |&class: &usize| {
+            let (first, of_class) = &self.rows[class];
+            let before = of_class.partition_point(|&slot| slots[slot + 1] <= release);
+            let until = of_class.partition_point(|&slot| slots[slot] < deadline).max(before);
+            Way { cost: price(class), served: needed / hours(class), rows: first + before..first + until }
+        };
+        let ways = classes.iter().map(way).collect();
+        self.programme.demands.push(Demand { needed, penalty, ways });
+        self.demands.push((job, classes.to_vec()));
     }
 
     fn unserved(&self, solution: &Solution) -> Vec<usize> {
-        let missing = |&&(_, column, needed): &&(usize, usize, f64)| solution.x[column] > 1e-6 * needed;
-        let mut jobs: Vec<usize> = self.demands.iter().filter(missing).map(|&(job, ..)| job).collect();
+        let all = self.demands.iter().zip(&self.programme.demands).zip(&solution.unserved);
+        let missing = all.filter(|((_, demand), unserved)| **unserved > 1e-6 * demand.needed);
+        let mut jobs: Vec<usize> = missing.map(|(((job, _), _), _)| *job).collect();
         jobs.dedup();
         jobs
     }
@@ -313,13 +318,32 @@ impl<'s, 'a> Model<'s, 'a> {
     fn allotments(&self, solution: &Solution) -> Vec<Vec<Allotted>> {
         let slots = self.setting.slots;
         let mut all: Vec<Vec<Allotted>> = vec![Vec::new(); self.setting.problem.jobs.len()];
-        for &(job, class, slot, column) in &self.given {
-            let left = (solution.x[column] * MICROSECONDS_PER_HOUR).round() as i64;
+        for &(demand, way, row, hours) in &solution.given {
+            let (job, classes) = &self.demands[demand];
+            let (first, of_class) = &self.rows[classes[way]];
+            let slot = of_class[row - first];
+            let left = (hours * MICROSECONDS_PER_HOUR).round() as i64;
             if left > 0 {
-                all[job].push(Allotted { class, start: slots[slot], end: slots[slot + 1], left });
+                all[*job].push(Allotted {
+                    class: classes[way],
+                    start: slots[slot],
+                    end: slots[slot + 1],
+                    left,
+                });
             }
         }
         all
+    }
+
+    /// By class and slot: a number from the worth of an hour there.
+    fn by_slot(&self, solution: &Solution, number: impl Fn(f64) -> i64) -> Vec<Vec<i64>> {
+        let count = self.setting.slots.len().saturating_sub(1);
+        let of_class = |(first, slots): &(usize, Vec<usize>)| {
+            let mut all = vec![0; count];
+            slots.iter().zip(*first..).for_each(|(&slot, row)| all[slot] = number(solution.worths[row]));
+            all
+        };
+        self.rows.iter().map(of_class).collect()
     }
 
     fn admission(
@@ -328,37 +352,34 @@ impl<'s, 'a> Model<'s, 'a> {
         admitted: Vec<bool>,
         infeasible: Option<Infeasible>,
     ) -> Admission {
-        let part = |row: u32| (-solution.prices[row as usize] * PARTS as f64).clamp(0.0, 1e12).round() as i64;
-        let worths = |rows: &Vec<Option<u32>>| rows.iter().map(|row| row.map_or(0, part)).collect();
+        let part = |worth: f64| (worth * PARTS as f64).clamp(0.0, 1e12).round() as i64;
         Admission {
             allotments: self.allotments(solution),
             proof: self.proof(solution),
-            worths: self.rows.iter().map(worths).collect(),
+            worths: self.by_slot(solution, part),
             dearest: dearest(self.setting.problem),
             admitted,
             infeasible,
         }
     }
 
-    /// Prices in micro-units per hour. More free time lowers the minimum, so the worth of an hour is minus
-    /// its row's price.
+    /// Prices in micro-units per hour.
     fn proof(&self, solution: &Solution) -> Proof {
         let problem = self.setting.problem;
-        let worth = |row: u32| {
-            (-solution.prices[row as usize] * self.unit).clamp(0.0, i64::MAX as f64 / 4.0).round() as i64
-        };
+        let price = |worth: f64| (worth * self.unit).clamp(0.0, i64::MAX as f64 / 4.0).round() as i64;
         let ids = |members: &Vec<usize>| members.iter().map(|&node| problem.nodes[node].id).collect();
-        let nodes = problem.classes.iter().zip(&self.rows).map(|(members, rows)| Prices {
-            of: ids(members),
-            per_hour: rows.iter().map(|row| row.map_or(0, worth)).collect(),
-        });
+        let nodes = problem
+            .classes
+            .iter()
+            .zip(self.by_slot(solution, price))
+            .map(|(members, per_hour)| Prices { of: ids(members), per_hour });
         Proof { slots: self.setting.slots.to_vec(), nodes: nodes.collect() }
     }
 
     /// Proof that not everything can be served, if one exists in integers.
     fn infeasible(&self) -> Option<Infeasible> {
         let problem = self.setting.problem;
-        let proof = self.proof(&self.solve());
+        let proof = self.proof(&self.programme.solve(&problem.looks));
         let by = |job: &crate::model::Job| job.deadline.map_or(Counted::Not, Counted::By);
         if value(problem.input, &proof, false, by) <= 0 {
             return None;

@@ -1,6 +1,5 @@
 //! Earliest ends that no plan can beat.
 
-use crate::calendar::{FOREVER, Window};
 use crate::model::{Bound, Node, in_millionths};
 use crate::problem::{Problem, Work};
 
@@ -14,13 +13,7 @@ pub(crate) fn bound(problem: &Problem, work: &Work) -> Bound {
     let job = work.job;
     let release = work.release(problem.input.now);
     let earliest = |classes: &[usize], class: u32, from: i64, amount: u64| {
-        let nodes = classes.iter().flat_map(|&class| &problem.classes[class]);
-        nodes
-            .filter_map(|&node| {
-                let place = &problem.nodes[node];
-                first_end(place, &problem.windows[node], from, place.duration(amount, class)?)
-            })
-            .min()
+        classes.iter().filter_map(|&of_nodes| first_end(problem, of_nodes, from, (class, amount))).min()
     };
     let cached = match job.shared_cache.zip(work.shared_cache_part()) {
         None => Some(release),
@@ -42,15 +35,15 @@ pub(crate) fn bound_of_all(problem: &Problem, bounds: &[Bound]) -> Bound {
     let mut classes: Vec<u32> = problem.jobs.iter().map(|work| work.job.class).collect();
     classes.sort_unstable();
     classes.dedup();
-    let mut by_capacity = Some(i64::MIN);
+    let mut capacity = Some(i64::MIN);
     for class in classes {
         let jobs = || problem.jobs.iter().filter(|work| work.job.class == class);
         let mut able: Vec<usize> = jobs().flat_map(|work| work.classes.iter().copied()).collect();
         able.sort_unstable();
         able.dedup();
         let release = jobs().map(|work| work.release(problem.input.now)).min().unwrap_or(problem.input.now);
-        let end = crate::bound::by_capacity(problem, &able, class, release, jobs().map(Work::total).sum());
-        by_capacity = by_capacity.zip(end).map(|(a, b)| a.max(b));
+        let end = by_capacity(problem, &able, class, release, jobs().map(Work::total).sum());
+        capacity = capacity.zip(end).map(|(a, b)| a.max(b));
     }
     if problem.jobs.is_empty() {
         return Bound::default();
@@ -59,7 +52,7 @@ pub(crate) fn bound_of_all(problem: &Problem, bounds: &[Bound]) -> Bound {
         bounds.iter().map(part).try_fold(i64::MIN, |latest, end| Some(latest.max(end?)))
     };
     Bound {
-        by_capacity: by_capacity.zip(latest(|bound| bound.by_capacity)).map(|(a, b)| a.max(b)),
+        by_capacity: capacity.zip(latest(|bound| bound.by_capacity)).map(|(a, b)| a.max(b)),
         by_longest_frame: latest(|bound| bound.by_longest_frame),
     }
 }
@@ -68,53 +61,24 @@ pub(crate) fn bound_of_all(problem: &Problem, bounds: &[Bound]) -> Bound {
 pub(crate) fn first_alone<'a>(problem: &Problem<'a>, work: &Work) -> Option<&'a Node> {
     let longest = work.frames.iter().map(|frame| frame.work).max()?;
     let release = work.release(problem.input.now);
-    let nodes = work.classes.iter().flat_map(|&class| &problem.classes[class]);
-    let ends = nodes.filter_map(|&node| {
-        let place = problem.nodes[node];
-        let duration = place.duration(longest, work.job.class)?;
-        let end = first_end(place, &problem.windows[node], release, duration)?;
-        Some((end, place.price_per_hour, place.id, place))
+    let ends = work.classes.iter().filter_map(|&class| {
+        let node = problem.representative(class);
+        let end = first_end(problem, class, release, (work.job.class, longest))?;
+        Some((end, node.price_per_hour, class, node))
     });
-    ends.min_by_key(|&(end, price, id, _)| (end, price, id)).map(|(.., place)| place)
+    ends.min_by_key(|&(end, price, class, _)| (end, price, class)).map(|(.., node)| node)
 }
 
-fn first_end(node: &Node, windows: &[Window], from: i64, duration: i64) -> Option<i64> {
-    windows.iter().find_map(|window| {
-        let ready = if window.warm { window.start } else { window.start.saturating_add(node.setup) };
-        ready.max(from).checked_add(duration).filter(|&end| end <= window.end)
-    })
+/// When a class of nodes, without bookings, first ends this work of a class.
+fn first_end(problem: &Problem, class: usize, from: i64, (of_work, amount): (u32, u64)) -> Option<i64> {
+    let duration = problem.representative(class).duration(amount, of_work)?;
+    let (_, start) = problem.supply.gaps[class].first(from, duration)?;
+    start.checked_add(duration)
 }
 
 /// The first instant at which the free capacity since `release`, on these classes of nodes, reaches the work.
 fn by_capacity(problem: &Problem, classes: &[usize], class: u32, release: i64, work: u128) -> Option<i64> {
-    let mut left = in_millionths(work);
-    if left == 0 {
-        return Some(release);
-    }
-    let mut changes: Vec<(i64, bool, u64)> = Vec::new();
-    for &node in classes.iter().flat_map(|&class| &problem.classes[class]) {
-        let speed = problem.nodes[node].speed_of(class);
-        for window in problem.windows[node].iter().filter(|window| window.end > release) {
-            changes.push((window.start.max(release), true, speed));
-            if window.end < FOREVER {
-                changes.push((window.end, false, speed));
-            }
-        }
-    }
-    changes.push((FOREVER, false, 0));
-    changes.sort_unstable();
-    let mut rate = 0u128;
-    let mut now = release;
-    for (instant, opens, speed) in changes {
-        let capacity = rate.saturating_mul(u128::from(instant.abs_diff(now)));
-        if rate > 0 && capacity >= left {
-            let stretch = i64::try_from(left.div_ceil(rate)).ok()?;
-            return now.checked_add(stretch);
-        }
-        left -= capacity;
-        now = instant;
-        // Every window opens before it closes, so the rate never goes below zero.
-        rate = if opens { rate + u128::from(speed) } else { rate - u128::from(speed) };
-    }
-    None
+    let speed = |&index: &usize| (index, problem.representative(index).speed_of(class));
+    let speeds: Vec<(usize, u64)> = classes.iter().map(speed).collect();
+    problem.supply.reaches(in_millionths(work), release, &speeds)
 }

@@ -24,6 +24,13 @@ pub(crate) struct Window {
     pub warm: bool,
 }
 
+impl Window {
+    /// When the node can begin its first task: after its set-up.
+    pub fn ready(&self, node: &Node) -> i64 {
+        if self.warm { self.start } else { self.start.saturating_add(node.setup) }
+    }
+}
+
 /// A node's calendar less its fixed bookings.
 pub(crate) fn windows(node: &Node, now: i64, fixed: &[&FixedBooking]) -> Vec<Window> {
     let mut free = open_time(node, now);

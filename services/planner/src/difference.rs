@@ -5,7 +5,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Booking, Plan, PlanId, Task};
+use crate::model::{Booking, JobPlan, Plan, PlanId, Task};
 
 /// The difference between two plans.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -39,27 +39,36 @@ pub struct JobDifference {
     pub kept: (bool, bool),
 }
 
+/// A plan's bookings in order, as those of our plans are anyway.
+fn sorted(plan: &Plan) -> Vec<Booking> {
+    let mut bookings = plan.bookings.clone();
+    bookings.sort_unstable();
+    bookings
+}
+
 /// Compares two plans.
 pub fn difference(before: &Plan, after: &Plan) -> Difference {
-    let index = |plan: &Plan| -> BTreeMap<(u64, Task), Booking> {
-        plan.bookings.iter().map(|booking| ((booking.job, booking.task), *booking)).collect()
+    let (old, new) = (sorted(before), sorted(after));
+    // Most bookings are in both plans, so tasks are matched among the others alone.
+    let only_in = |these: &[Booking], those: &[Booking]| -> BTreeMap<(u64, Task), Booking> {
+        let only = these.iter().filter(|booking| those.binary_search(booking).is_err());
+        only.map(|booking| ((booking.job, booking.task), *booking)).collect()
     };
-    let (old, new) = (index(before), index(after));
-    let moved = old.iter().filter_map(|(task, old)| {
-        let new = new.get(task)?;
-        (old != new).then_some((*old, *new))
-    });
+    let (old, new) = (only_in(&old, &new), only_in(&new, &old));
+    let moved = old.iter().filter_map(|(task, old)| Some((*old, *new.get(task)?)));
     let missing = |these: &BTreeMap<(u64, Task), Booking>, those: &BTreeMap<(u64, Task), Booking>| {
         these.iter().filter(|(task, _)| !those.contains_key(task)).map(|(_, booking)| *booking).collect()
     };
+    let entries = |plan: &Plan| -> BTreeMap<u64, (Option<i64>, bool)> {
+        let entry = |entry: &JobPlan| (entry.job, (entry.verdict.finish(), entry.verdict.is_kept()));
+        plan.jobs.iter().map(entry).collect()
+    };
+    let entries = [entries(before), entries(after)];
     let mut ids: Vec<u64> = before.jobs.iter().chain(&after.jobs).map(|job| job.job).collect();
     ids.sort_unstable();
     ids.dedup();
     let jobs = ids.into_iter().filter_map(|job| {
-        let state = |plan: &Plan| {
-            plan.job(job).map_or((None, false), |entry| (entry.verdict.finish(), entry.verdict.is_kept()))
-        };
-        let (old, new) = (state(before), state(after));
+        let [old, new] = [0, 1].map(|plan| entries[plan].get(&job).copied().unwrap_or((None, false)));
         (old != new).then_some(JobDifference { job, before: old.0, after: new.0, kept: (old.1, new.1) })
     });
     Difference {

@@ -7,7 +7,7 @@
 //! Then each node gets a set, priced by its rentals. Where nodes are billed plainly, the result is the
 //! optimum, as long as frames that may be divided are whole. Frames that must be divided count as their parts.
 
-use crate::lane::{Lane, Prefer, Unwanted, Wanted};
+use crate::lane::{Lane, Wanted};
 use crate::model::Task;
 use crate::problem::{FrameWork, Problem, Work};
 use crate::score::broken;
@@ -145,11 +145,9 @@ impl Table {
                     latest_end: deadlines[job],
                     duration,
                 };
-                let Some(fit) = empty.fit(place, &wanted, Prefer::Early, &Unwanted) else {
-                    continue;
-                };
-                if table.best[set].is_none_or(|(_, _, end)| fit.end < end) {
-                    table.best[set] = Some((last, fit.start, fit.end));
+                let Some((start, end)) = empty.first(&wanted) else { continue };
+                if table.best[set].is_none_or(|(_, _, least)| end < least) {
+                    table.best[set] = Some((last, start, end));
                 }
             }
         }

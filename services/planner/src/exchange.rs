@@ -8,17 +8,20 @@
 //! all of them are in time.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use crate::lane::{Prefer, Unwanted, Wanted};
-use crate::model::{Node, Task, price_of};
-use crate::problem::{Problem, Work};
-use crate::state::{Only, Placed, Search, State};
+use crate::lane::{Prefer, Wanted};
+use crate::model::{Task, price_of};
+use crate::places::Search;
+use crate::problem::Work;
+use crate::state::{Placed, State};
 
 /// The most searches for another place in one call. They dominate its run time.
-const MOST_TRIALS: usize = 2000;
+const MOST_TRIALS: usize = 3000;
 /// The most places tried for one frame.
 const MOST_PLACES: usize = 4;
+/// The most frames of a class of nodes and slot that are looked at for this.
+const MOST_LOOKS: usize = 32;
 /// The most further frames that a chain may push out.
 const LONGEST_CHAIN: usize = 1;
 
@@ -47,21 +50,22 @@ pub(crate) fn exchange(state: &mut State, in_vain: &mut InVain) {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Piece {
     job: usize,
+    /// Where it is in [`State::placed`] of its job.
+    index: usize,
     work: u64,
     placed: Placed,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Standing {
-    piece: Piece,
-    /// Cost of its place, less that of the best free alternative. `None` without one.
-    gain: Option<i128>,
-}
+/// What moving a frame would save, most first; its node, start, end and job.
+type Gain = (Reverse<i128>, usize, i64, i64, usize);
 
 /// All frames that may be moved.
 struct Board {
     /// By node and start.
-    by_node: Vec<BTreeMap<i64, Standing>>,
+    pieces: BTreeMap<(usize, i64), Piece>,
+    /// By class of nodes and slot of the programme: those that could go elsewhere. What is saved is the cost of
+    /// their place, less that of the best free alternative.
+    gains: BTreeMap<(usize, usize), BTreeSet<Gain>>,
     /// See [`elsewhere`].
     elsewhere: Vec<Option<(i64, u64)>>,
     trials: usize,
@@ -71,7 +75,8 @@ impl Board {
     fn new(state: &State) -> Self {
         let problem = state.problem;
         let mut board = Board {
-            by_node: vec![BTreeMap::new(); problem.nodes.len()],
+            pieces: BTreeMap::new(),
+            gains: BTreeMap::new(),
             elsewhere: elsewhere(state),
             trials: MOST_TRIALS,
         };
@@ -79,45 +84,52 @@ impl Board {
             if work.job.deadline.is_none_or(|deadline| state.finish(job) > deadline) {
                 continue;
             }
-            for &placed in state.placed[job].iter().skip(state.kept[job]) {
+            for (index, &placed) in state.placed[job].iter().enumerate().skip(state.kept[job]) {
                 if let Some(work) = work.work_of(placed.task) {
-                    board.put(problem, Piece { job, work, placed });
+                    board.put(state, Piece { job, index, work, placed });
                 }
             }
         }
         board
     }
 
-    fn put(&mut self, problem: &Problem, piece: Piece) {
-        let gain = self.gain(problem.nodes[piece.placed.node], &piece);
-        self.by_node[piece.placed.node].insert(piece.placed.start, Standing { piece, gain });
+    fn put(&mut self, state: &State, piece: Piece) {
+        if let Some(gain) = self.gain(state, &piece) {
+            self.gains.entry(place(state, &piece)).or_default().insert(gain);
+        }
+        self.pieces.insert((piece.placed.node, piece.placed.start), piece);
     }
 
-    fn take(&mut self, piece: Piece) {
-        self.by_node[piece.placed.node].remove(&piece.placed.start);
+    fn take(&mut self, state: &State, piece: Piece) {
+        if let Some(gain) = self.gain(state, &piece)
+            && let Some(gains) = self.gains.get_mut(&place(state, &piece))
+        {
+            gains.remove(&gain);
+        }
+        self.pieces.remove(&(piece.placed.node, piece.placed.start));
     }
 
-    fn gain(&self, node: &Node, piece: &Piece) -> Option<i128> {
+    fn gain(&self, state: &State, piece: &Piece) -> Option<Gain> {
         let (cost, work) = self.elsewhere[piece.job]?;
-        let Placed { start, end, .. } = piece.placed;
-        let is = i128::from(price_of(node.price_per_hour, end.saturating_sub(start)));
+        let Placed { node, start, end, .. } = piece.placed;
+        let price = state.problem.nodes[node].price_per_hour;
+        let is = i128::from(price_of(price, end.saturating_sub(start)));
         // Usually 64 bits are enough, and their division is several times as fast.
         let elsewhere = match u64::try_from(cost).ok().and_then(|cost| cost.checked_mul(piece.work)) {
             Some(product) => i128::from(product / work),
             None => i128::from(cost).saturating_mul(i128::from(piece.work)) / i128::from(work),
         };
-        Some(is - elsewhere)
-    }
-
-    /// Frames that overlap this stretch of a node's time, last first.
-    fn between(&self, node: usize, from: i64, until: i64) -> impl Iterator<Item = &Standing> {
-        let before = self.by_node[node].range(..until).rev().map(|(_, standing)| standing);
-        before.take_while(move |standing| standing.piece.placed.end > from)
+        Some((Reverse(is - elsewhere), node, start, end, piece.job))
     }
 
     fn at(&self, node: usize, start: i64) -> Option<Piece> {
-        self.by_node[node].get(&start).map(|standing| standing.piece)
+        self.pieces.get(&(node, start)).copied()
     }
+}
+
+/// Class of nodes and slot in which a frame begins.
+fn place(state: &State, piece: &Piece) -> (usize, usize) {
+    (state.problem.class_of[piece.placed.node], state.admission.slot(piece.placed.start))
 }
 
 /// By job: cost of its middle frame in the best place that is free now, and that frame's work. `None` without
@@ -154,8 +166,9 @@ fn search<'s>(state: &State, job: usize, task: Task, work: u64, classes: &'s [us
         latest_end: asked.job.deadline?,
         classes,
         prefer: Prefer::Cheap,
-        only: Only::ANY,
-        for_others: false,
+        below: i64::MAX,
+        except: None,
+        for_others: 0,
     })
 }
 
@@ -169,7 +182,7 @@ impl Piece {
 fn dear(state: &State, board: &Board, in_vain: &InVain) -> Vec<Piece> {
     let problem = state.problem;
     let mut found = Vec::new();
-    for &Standing { piece, .. } in board.by_node.iter().flat_map(BTreeMap::values) {
+    for &piece in board.pieces.values() {
         let work = &problem.jobs[piece.job];
         let price = |&class: &usize| {
             let node = problem.representative(class);
@@ -193,24 +206,23 @@ fn saved(state: &State, placed: Placed) -> i64 {
 /// Moves a frame to a cheaper place. Returns whether there is one.
 fn improve(state: &mut State, board: &mut Board, piece: Piece) -> bool {
     let before = saved(state, piece.placed);
-    let freed = state.lanes[piece.placed.node].freed;
     lift(state, board, piece);
     let is_settled = settle(state, board, piece, before, LONGEST_CHAIN).is_some();
     if !is_settled {
         set(state, board, piece);
-        state.lanes[piece.placed.node].freed = freed;
     }
     is_settled
 }
 
 fn lift(state: &mut State, board: &mut Board, piece: Piece) {
-    board.take(piece);
-    state.unbook(piece.job, piece.placed);
+    board.take(state, piece);
+    state.vacate(&piece.placed);
 }
 
 fn set(state: &mut State, board: &mut Board, piece: Piece) {
-    state.book(piece.job, piece.placed);
-    board.put(state.problem, piece);
+    state.occupy(&piece.placed);
+    state.placed[piece.job][piece.index] = piece.placed;
+    board.put(state, piece);
 }
 
 /// Places a lifted frame for less than `below`, with all frames that it pushes out. Returns the cost. Without
@@ -241,7 +253,7 @@ fn settle(state: &mut State, board: &mut Board, piece: Piece, below: i64, chain:
 /// place.
 fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below: i64) -> Vec<Piece> {
     let problem = state.problem;
-    let mut best: Vec<(Reverse<i128>, usize, i64)> = Vec::new();
+    let mut best: Vec<Gain> = Vec::new();
     for &class in search.classes {
         let of_class = problem.representative(class);
         let Some(duration) = of_class.duration(piece.work, search.class_of_work) else { continue };
@@ -249,25 +261,25 @@ fn in_the_way(state: &State, board: &Board, piece: Piece, search: &Search, below
         if left <= 0 {
             continue;
         }
-        for &node in &problem.classes[class] {
-            for &Standing { piece: other, gain } in board.between(node, search.release, search.latest_end) {
-                let Placed { start, end, .. } = other.placed;
-                let Some(gain) = gain.map(|gain| gain + left).filter(|&gain| gain > 0) else { continue };
-                let entry = (Reverse(gain), node, start);
+        let slots = [search.release, search.latest_end].map(|instant| (class, state.admission.slot(instant)));
+        for (_, gains) in board.gains.range(slots[0]..=slots[1]) {
+            for &(Reverse(gain), node, start, end, job) in gains.iter().take(MOST_LOOKS) {
+                problem.looks.add(1);
+                let entry = (Reverse(gain + left), node, start, end, job);
                 let is_worse = best.len() == MOST_PLACES && best.last().is_some_and(|last| entry > *last);
-                if is_worse || other.job == piece.job {
-                    continue;
+                if gain + left <= 0 || is_worse {
+                    break;
                 }
                 let (from, until) = state.lanes[node].room_without(start, end);
-                if until.min(search.latest_end).saturating_sub(from.max(search.release)) < duration {
-                    continue;
+                let room = until.min(search.latest_end).saturating_sub(from.max(search.release));
+                if job != piece.job && room >= duration {
+                    best.insert(best.partition_point(|better| *better < entry), entry);
+                    best.truncate(MOST_PLACES);
                 }
-                best.insert(best.partition_point(|better| *better < entry), entry);
-                best.truncate(MOST_PLACES);
             }
         }
     }
-    best.into_iter().filter_map(|(_, node, start)| board.at(node, start)).collect()
+    best.into_iter().filter_map(|(_, node, start, ..)| board.at(node, start)).collect()
 }
 
 /// Puts a lifted frame into the place of another and places that one elsewhere, for less than `below`
@@ -293,11 +305,10 @@ fn push_out(
         }
     };
     let back = saved(state, other.placed);
-    let freed = state.lanes[node].freed;
     lift(state, board, other);
-    if let Some(fit) = state.lanes[node].fit(place, &wanted, Prefer::Early, &Unwanted) {
-        let placed = Placed { node, start: fit.start, end: fit.end, task: piece.placed.task };
-        let own = fit.added_cost.saturating_sub(back);
+    if let Some((start, end)) = state.lanes[node].first(&wanted) {
+        let placed = Placed { node, start, end, task: piece.placed.task };
+        let own = state.lanes[node].added_cost(place, start, end).saturating_sub(back);
         set(state, board, Piece { placed, ..piece });
         if let Some(rest) = settle(state, board, other, below.saturating_sub(own), chain - 1) {
             return Some(own.saturating_add(rest));
@@ -305,7 +316,6 @@ fn push_out(
         lift(state, board, Piece { placed, ..piece });
     }
     set(state, board, other);
-    state.lanes[node].freed = freed;
     None
 }
 

@@ -7,12 +7,16 @@ use crate::exchange::{InVain, exchange};
 use crate::lane::Prefer;
 use crate::model::Task;
 use crate::parts::divide_dear;
-use crate::state::{Only, Placed, Search, State};
+use crate::places::Search;
+use crate::state::{Placed, State};
 
 /// A round is the last if it saves less than one part in this many.
 const LEAST_GAIN: i64 = 2000;
 /// The most frames that are tried in parts to make them cheaper.
 const MOST_DIVIDED: usize = 300;
+/// After every so many frames of a job that find no cheaper place, one more of those that are like them is left
+/// out between two that are tried.
+const SKIPPED: u32 = 4;
 
 /// Makes a plan cheaper, in at most `rounds` rounds. Each round closes gaps, moves single frames to cheaper
 /// places, exchanges frames, and divides dear ones; each of these makes room for the next.
@@ -20,14 +24,13 @@ const MOST_DIVIDED: usize = 300;
 /// Frames of jobs without a deadline only move to earlier times on their nodes: those jobs were promised to
 /// be early, not cheap.
 pub(crate) fn improve(state: &mut State, rounds: usize) {
-    let mut searched = Searched::new();
-    cheapen(state, &mut searched);
+    cheapen(state);
     let mut in_vain = InVain::new();
     let mut trials = MOST_DIVIDED;
     for _ in 0..rounds {
         let before = state.cost();
         close_ranks(state);
-        cheapen(state, &mut searched);
+        cheapen(state);
         exchange(state, &mut in_vain);
         divide_dear(state, &mut trials);
         if before.saturating_sub(state.cost()) < before / LEAST_GAIN {
@@ -36,20 +39,24 @@ pub(crate) fn improve(state: &mut State, rounds: usize) {
     }
 }
 
-/// Tasks that found no place cheaper than theirs on a plainly billed node. By job and task: the node, and the
-/// clock at that time.
-type Searched = BTreeMap<(usize, Task), (usize, u64)>;
+/// Frames of a job in one class that found no cheaper place, one after the other.
+#[derive(Clone, Copy, Debug, Default)]
+struct Streak {
+    failed: u32,
+    /// So many like them are not tried.
+    left_out: u32,
+}
 
 /// Moves single frames, and single parts of frames, of jobs with a deadline to cheaper places in time.
-fn cheapen(state: &mut State, searched: &mut Searched) {
+fn cheapen(state: &mut State) {
     let problem = state.problem;
     // By the most that each frame could save, largest first.
-    let mut candidates: Vec<(Reverse<i64>, usize, Placed)> = Vec::new();
+    let mut candidates: Vec<(Reverse<i64>, usize, Placed, usize)> = Vec::new();
     for (job, work) in problem.jobs.iter().enumerate() {
         if work.job.deadline.is_none_or(|deadline| state.finish(job) > deadline) {
             continue;
         }
-        for &placed in state.placed[job].iter().skip(state.kept[job]) {
+        for (index, &placed) in state.placed[job].iter().enumerate().skip(state.kept[job]) {
             let Some(of_task) = work.work_of(placed.task) else { continue };
             let cheapest = work
                 .classes
@@ -63,22 +70,32 @@ fn cheapen(state: &mut State, searched: &mut Searched) {
             let saved = state.lanes[placed.node].saved_without(node, placed.start, placed.end);
             let least = if node.is_plainly_billed() { cheapest.unwrap_or(0) } else { 0 };
             if saved > least {
-                candidates.push((Reverse(saved - least), job, placed));
+                candidates.push((Reverse(saved - least), job, placed, index));
             }
         }
     }
     candidates
-        .sort_unstable_by_key(|&(gain, job, placed)| (gain, job, placed.start, placed.node, placed.task));
-    for (_, job, placed) in candidates {
-        cheapen_frame(state, job, placed, searched);
+        .sort_unstable_by_key(|&(gain, job, placed, _)| (gain, job, placed.start, placed.node, placed.task));
+    let mut streaks: BTreeMap<(usize, usize), Streak> = BTreeMap::new();
+    for (_, job, placed, index) in candidates {
+        let streak = streaks.entry((job, problem.class_of[placed.node])).or_default();
+        if streak.left_out > 0 {
+            streak.left_out -= 1;
+        } else if cheapen_frame(state, job, index) {
+            *streak = Streak::default();
+        } else {
+            streak.failed += 1;
+            streak.left_out = streak.failed / SKIPPED;
+        }
     }
 }
 
-fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut Searched) {
+/// Returns whether there is a cheaper place.
+fn cheapen_frame(state: &mut State, job: usize, index: usize) -> bool {
     let problem = state.problem;
+    let placed = state.placed[job][index];
     let work = &problem.jobs[job];
-    let Some(of_task) = work.work_of(placed.task) else { return };
-    let name = (job, placed.task);
+    let Some(of_task) = work.work_of(placed.task) else { return false };
     let node = problem.nodes[placed.node];
     let saved = state.lanes[placed.node].saved_without(node, placed.start, placed.end);
     let cheaper: Vec<usize> = work
@@ -92,9 +109,7 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
             price.is_some_and(|price| price < saved || !node.is_plainly_billed())
         })
         .collect();
-    let Some(release) = state.earliest(job, placed.task) else { return };
-    // A search that failed can only succeed once something is freed.
-    let before = searched.remove(&name).filter(|&(node, _)| node == placed.node);
+    let Some(release) = state.earliest(job, placed.task) else { return false };
     let search = Search {
         class_of_work: work.job.class,
         work: of_task,
@@ -102,38 +117,31 @@ fn cheapen_frame(state: &mut State, job: usize, placed: Placed, searched: &mut S
         latest_end: work.job.deadline.unwrap_or(i64::MAX),
         classes: &cheaper,
         prefer: Prefer::Cheap,
-        only: Only {
-            below: saved,
-            except: Some(placed.node),
-            freed_since: before.map_or(0, |(_, clock)| clock),
-        },
-        for_others: false,
+        below: saved,
+        except: Some(placed.node),
+        for_others: 0,
     };
-    if let Some((node, fit)) = state.find(&search)
-        && fit.added_cost < saved
-    {
-        state.unbook(job, placed);
-        state.book(job, Placed { node, start: fit.start, end: fit.end, task: placed.task });
-    } else if node.is_plainly_billed() {
-        searched.insert(name, (placed.node, state.clock));
-    }
+    let Some((node, fit)) = state.find(&search) else { return false };
+    state.relocate(job, index, Placed { node, start: fit.start, end: fit.end, task: placed.task });
+    true
 }
 
 /// Moves frames on plainly billed nodes to an earlier time just before them, so that free time lies in fewer,
 /// longer gaps.
 fn close_ranks(state: &mut State) {
     let problem = state.problem;
-    let mut by_node: Vec<Vec<(i64, usize, Placed)>> = vec![Vec::new(); problem.nodes.len()];
+    let mut by_node: Vec<Vec<(i64, usize, Task, usize)>> = vec![Vec::new(); problem.nodes.len()];
     for job in 0..problem.jobs.len() {
-        for &placed in state.placed[job].iter().skip(state.kept[job]) {
+        for (index, placed) in state.placed[job].iter().enumerate().skip(state.kept[job]) {
             if !placed.task.is_shared_cache() && problem.nodes[placed.node].is_plainly_billed() {
-                by_node[placed.node].push((placed.start, job, placed));
+                by_node[placed.node].push((placed.start, job, placed.task, index));
             }
         }
     }
     for pieces in &mut by_node {
-        pieces.sort_unstable_by_key(|&(start, job, placed)| (start, job, placed.task));
-        for &(start, job, placed) in pieces.iter() {
+        pieces.sort_unstable();
+        for &(start, job, _, index) in pieces.iter() {
+            let placed = state.placed[job][index];
             let Some(earliest) = state.earliest(job, placed.task) else { continue };
             let (from, _) = state.lanes[placed.node].room_without(start, placed.end);
             let by = start - from.max(earliest);
@@ -141,8 +149,7 @@ fn close_ranks(state: &mut State) {
                 continue;
             }
             let moved = Placed { start: start - by, end: placed.end - by, ..placed };
-            state.unbook(job, placed);
-            state.book(job, moved);
+            state.relocate(job, index, moved);
         }
     }
 }

@@ -64,11 +64,6 @@ impl Intervals {
         self.after(i64::MIN)
     }
 
-    #[inline]
-    pub fn longest(&self) -> i64 {
-        self.others.iter().fold(self.first.longest, |longest, block| longest.max(block.longest))
-    }
-
     /// Intervals that end after this instant.
     #[inline]
     pub fn after(&self, instant: i64) -> Long<'_> {
@@ -252,8 +247,6 @@ mod tests {
                 let expected = instants.intervals();
                 most = most.max(expected.len());
                 assert_eq!(intervals.iter().collect::<Vec<_>>(), expected, "seed {seed}, step {step}");
-                let lengths = expected.iter().map(|(start, end)| end - start);
-                assert_eq!(intervals.longest(), lengths.max().unwrap_or(0));
                 let (at, least) = (draw(4, 0, LENGTH), draw(5, 0, 8));
                 let long = expected.iter().copied().filter(|&(start, end)| end > at && end - start >= least);
                 assert_eq!(intervals.long_after(at, least).collect::<Vec<_>>(), long.collect::<Vec<_>>());

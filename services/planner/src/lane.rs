@@ -8,7 +8,7 @@ use crate::rental::rentals;
 
 /// The most gaps tried on a node that is not plainly billed. The first is the earliest; later ones may hold
 /// time that is already paid for.
-const GAPS_TRIED: usize = 8;
+const GAPS_TRIED: usize = 3;
 
 #[derive(Clone, Debug)]
 pub(crate) struct Lane {
@@ -16,10 +16,7 @@ pub(crate) struct Lane {
     stretches: Vec<Stretch>,
     /// Time for bookings: after the set-up, and not booked.
     free: Intervals,
-    longest_gap: i64,
     used: i64,
-    /// [`crate::state::State::clock`] when booked time was last released.
-    pub freed: u64,
     /// Cost of the rentals. Not kept for plainly billed nodes.
     cost: i128,
 }
@@ -56,33 +53,6 @@ pub(crate) struct Fit {
     pub worth: i128,
 }
 
-pub(crate) trait Market {
-    /// What others would pay for this time on top of its price, in units of 1 / [`IN_A_MICRO_UNIT`]
-    /// micro-unit.
-    fn worth(&self, start: i64, end: i64) -> i128;
-    /// The next instant at which time is worth less.
-    fn cheaper_from(&self, instant: i64) -> Option<i64>;
-    /// Whether others would pay for time at this instant.
-    fn is_scarce(&self, instant: i64) -> bool;
-}
-
-/// No other job wants the time.
-pub(crate) struct Unwanted;
-
-impl Market for Unwanted {
-    fn worth(&self, _: i64, _: i64) -> i128 {
-        0
-    }
-
-    fn cheaper_from(&self, _: i64) -> Option<i64> {
-        None
-    }
-
-    fn is_scarce(&self, _: i64) -> bool {
-        false
-    }
-}
-
 impl Fit {
     /// Orders places. Less is better.
     pub fn rank(&self, prefer: Prefer) -> (i128, i64, i64) {
@@ -98,100 +68,57 @@ impl Fit {
 
 impl Lane {
     pub fn new(node: &Node, windows: &[Window]) -> Self {
-        let first = |window: &Window| {
-            if window.warm { window.start } else { window.start.saturating_add(node.setup) }
-        };
-        let free = Intervals::union(windows.iter().map(|window| (first(window), window.end)).collect());
+        let free = Intervals::union(windows.iter().map(|window| (window.ready(node), window.end)).collect());
         Lane {
             is_plain: node.is_plainly_billed(),
-            longest_gap: free.longest(),
             free,
             stretches: windows.iter().map(|&window| Stretch { window, runs: Intervals::default() }).collect(),
             used: 0,
-            freed: 0,
             cost: 0,
         }
-    }
-
-    /// Whether no gap is long enough for a booking of this length.
-    pub fn is_too_full(&self, duration: i64) -> bool {
-        duration > self.longest_gap
     }
 
     pub fn is_empty(&self) -> bool {
         self.used == 0
     }
 
-    /// The least that a booking of this length adds to the cost, wherever it is.
+    /// On a node billed in steps: what is paid beyond the price of the booked time.
+    pub fn overpaid(&self, node: &Node) -> i128 {
+        self.cost - i128::from(price_of(node.price_per_hour, self.used))
+    }
+
+    /// On a node billed in steps: the least that a booking of this length adds to the cost, wherever it is.
     pub fn least_added_cost(&self, node: &Node, duration: i64) -> i64 {
-        if self.is_plain {
-            return price_of(node.price_per_hour, duration);
-        }
         let least = i128::from(price_of(node.price_per_hour, self.used.saturating_add(duration)));
         within_money(least - self.cost).max(0)
     }
 
-    /// The best place for a booking.
-    ///
-    /// A cheap place is one with the least cost, including what others would pay. Ties in scarce time go to
-    /// the place that leaves least of its gap (best fit), other ties to the earliest.
-    pub fn fit(&self, node: &Node, wanted: &Wanted, prefer: Prefer, market: &impl Market) -> Option<Fit> {
+    /// The earliest place for a booking.
+    pub fn first(&self, wanted: &Wanted) -> Option<(i64, i64)> {
+        self.free.long_after(wanted.release, wanted.duration).find_map(|gap| within(gap, wanted))
+    }
+
+    /// The place that adds least to the cost, with what others would pay for the time. Ties go to the earliest.
+    pub fn cheapest(&self, node: &Node, wanted: &Wanted, worth: impl Fn(i64, i64) -> i128) -> Option<Fit> {
         let mut best: Option<Fit> = None;
-        let mut tried = 0;
-        for gap in self.free.long_after(wanted.release, wanted.duration) {
-            if gap.0.saturating_add(wanted.duration) > wanted.latest_end {
-                break;
-            }
-            let Some((mut start, mut end)) = within(gap, wanted) else { continue };
-            if self.is_plain {
-                let added_cost = price_of(node.price_per_hour, wanted.duration);
-                let mut is_scarce = prefer == Prefer::Cheap && market.is_scarce(start);
-                if !is_scarce {
-                    // Time that is not scarce counts as a perfect fit.
-                    let worth = if prefer == Prefer::Early { 0 } else { market.worth(start, end) };
-                    let first = Fit { start, end, added_cost, left: 0, worth };
-                    if worth == 0 {
-                        return best.filter(|best| best.left == 0 && best.worth == 0).or(Some(first));
-                    }
-                }
-                loop {
-                    let left = if is_scarce { gap.1.saturating_sub(end) } else { 0 };
-                    let fit = Fit { start, end, added_cost, left, worth: market.worth(start, end) };
-                    if best.is_none_or(|best| fit.rank(prefer) < best.rank(prefer)) {
-                        best = Some(fit);
-                    }
-                    if fit.worth == 0 {
-                        break;
-                    }
-                    let Some(later) = market.cheaper_from(start) else { break };
-                    let Some(next) = within(gap, &Wanted { release: later, ..*wanted }) else {
-                        break;
-                    };
-                    (start, end) = next;
-                    is_scarce = market.is_scarce(start);
-                }
-                continue;
-            }
-            let stretch = &self.stretches[self.stretch_at(start)];
+        let gaps = self.free.long_after(wanted.release, wanted.duration);
+        for gap in gaps.take_while(|gap| gap.0 < wanted.latest_end).take(GAPS_TRIED) {
+            let Some((start, end)) = within(gap, wanted) else { continue };
             let mut consider = |start: i64, end: i64| {
-                let added_cost = within_money(stretch.added_cost(node, start, end));
-                let worth = if prefer == Prefer::Early { 0 } else { market.worth(start, end) };
-                let fit = Fit { start, end, added_cost, left: 0, worth };
-                if best.is_none_or(|best| fit.rank(prefer) < best.rank(prefer)) {
+                let added_cost = self.added_cost(node, start, end);
+                let fit = Fit { start, end, added_cost, left: 0, worth: worth(start, end) };
+                if best.is_none_or(|best| fit.rank(Prefer::Cheap) < best.rank(Prefer::Cheap)) {
                     best = Some(fit);
                 }
             };
             consider(start, end);
-            if prefer == Prefer::Early {
-                break;
-            }
             // Just before the next booking, it may need no rental of its own.
             let late_start = gap.1.saturating_sub(wanted.duration);
-            if gap.1 < stretch.window.end && gap.1 <= wanted.latest_end && late_start > start {
+            let is_followed = gap.1 < self.stretches[self.stretch_at(start)].window.end;
+            if is_followed && gap.1 <= wanted.latest_end && late_start > start {
                 consider(late_start, gap.1);
             }
-            tried += 1;
-            if tried == GAPS_TRIED || best.is_some_and(|best| best.added_cost == 0 && best.worth == 0) {
+            if best.is_some_and(|best| best.added_cost == 0 && best.worth == 0) {
                 break;
             }
         }
@@ -211,6 +138,11 @@ impl Lane {
         within_money(self.stretches[self.stretch_at(start)].added_cost(node, start, end))
     }
 
+    /// The free time that holds this instant or follows it.
+    pub fn gap(&self, instant: i64) -> Option<(i64, i64)> {
+        self.free.around(instant).1
+    }
+
     pub fn is_free(&self, start: i64, end: i64) -> bool {
         self.free.contains(start, end)
     }
@@ -225,7 +157,6 @@ impl Lane {
 
     pub fn book(&mut self, node: &Node, start: i64, end: i64) {
         self.free.take(start, end);
-        self.longest_gap = self.free.longest();
         self.used = self.used.saturating_add(end.saturating_sub(start));
         let at = self.stretch_at(start);
         let stretch = &mut self.stretches[at];
@@ -246,18 +177,12 @@ impl Lane {
             self.cost -= stretch.added_cost(node, start, end);
         }
         self.free.give(start, end);
-        self.longest_gap = self.free.longest();
         self.used = self.used.saturating_sub(end.saturating_sub(start));
     }
 
     /// What releasing this booking would save.
     pub fn saved_without(&self, node: &Node, start: i64, end: i64) -> i64 {
-        if self.is_plain {
-            return price_of(node.price_per_hour, end.saturating_sub(start));
-        }
-        let mut rest = self.stretches[self.stretch_at(start)].clone();
-        rest.runs.take(start, end);
-        within_money(rest.added_cost(node, start, end))
+        self.added_cost(node, start, end)
     }
 
     pub fn rentals(&self, node: &Node) -> Vec<Rental> {
@@ -284,12 +209,14 @@ impl Lane {
 }
 
 impl Stretch {
-    /// What another booking adds to the cost of the rentals. Only nearby rentals are computed again: no
-    /// rental spans a gap that is too long to pay for, so the sides of such a gap do not affect each other.
+    /// What a booking adds to the cost of the rentals, whether it is there already or not. Only nearby rentals
+    /// are computed again: no rental spans a gap that is too long to pay for, so the sides of such a gap do not
+    /// affect each other.
     fn added_cost(&self, node: &Node, start: i64, end: i64) -> i128 {
+        let own = self.runs.around(start).1.filter(|run| run.0 < end).unwrap_or((start, end));
         let mut near: Vec<(i64, i64)> = Vec::new();
         let (mut from, mut until) = (start, end);
-        let mut before = self.runs.before(start);
+        let mut before = if own.0 < start { Some((own.0, start)) } else { self.runs.before(start) };
         while let Some(run) = before
             && (self.window.warm || !never_pays(node, from.saturating_sub(run.1)))
         {
@@ -298,7 +225,8 @@ impl Stretch {
             before = self.runs.before(run.0);
         }
         near.reverse();
-        for run in self.runs.after(start) {
+        let rest = Some((end, own.1)).filter(|_| end < own.1);
+        for run in rest.into_iter().chain(self.runs.after(own.1)) {
             if never_pays(node, run.0.saturating_sub(until)) {
                 break;
             }
@@ -354,7 +282,7 @@ fn within_money(amount: i128) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Fit, Lane, Prefer, Unwanted, Wanted};
+    use super::{Fit, Lane, Wanted};
     use crate::calendar::Window;
     use crate::model::Node;
 
@@ -374,9 +302,7 @@ mod tests {
     fn a_stretch_must_fit_into_one_gap() {
         let node = Node { id: 1, ..Node::default() };
         let lane = lane(&node, &[(0, 10), (20, 40)]);
-        let at = |release, duration| {
-            lane.fit(&node, &wanted(release, duration), Prefer::Early, &Unwanted).map(|fit| fit.start)
-        };
+        let at = |release, duration| lane.first(&wanted(release, duration)).map(|(start, _)| start);
         assert_eq!(at(0, 10), Some(0));
         assert_eq!(at(1, 10), Some(20));
         assert_eq!(at(30, 10), Some(30));
@@ -389,7 +315,7 @@ mod tests {
         let node = Node { price_per_hour: 1000, billing_step: HOUR, ..Node::default() };
         let mut lane = lane(&node, &[(0, 100 * HOUR)]);
         lane.book(&node, 0, HOUR / 2);
-        let half = lane.fit(&node, &wanted(0, HOUR / 2), Prefer::Cheap, &Unwanted);
+        let half = lane.cheapest(&node, &wanted(0, HOUR / 2), |_, _| 0);
         assert_eq!(half, Some(Fit { start: HOUR / 2, end: HOUR, added_cost: 0, left: 0, worth: 0 }));
         assert_eq!(lane.least_added_cost(&node, HOUR / 2), 0);
         assert_eq!(lane.least_added_cost(&node, HOUR), 500);
@@ -440,7 +366,6 @@ mod tests {
     fn nothing_starts_before_the_set_up_is_done() {
         let node = Node { setup: 5, ..Node::default() };
         let lane = lane(&node, &[(0, 8), (10, 30)]);
-        let fit = lane.fit(&node, &wanted(0, 4), Prefer::Early, &Unwanted);
-        assert_eq!(fit.map(|fit| fit.start), Some(15));
+        assert_eq!(lane.first(&wanted(0, 4)), Some((15, 19)));
     }
 }

@@ -1,6 +1,6 @@
 //! A lower bound on a farm's cost, without a plan.
 
-use crate::admission::{MOST_VARIABLES, admit};
+use crate::admission::{MOST_ROWS, admit};
 use crate::model::{Input, InputError, Job, Proof};
 use crate::problem::Problem;
 use crate::proof::{Counted, value};
@@ -14,7 +14,7 @@ use crate::proof::{Counted, value};
 pub fn least_cost(input: &Input) -> Result<i64, InputError> {
     input.check()?;
     let problem = Problem::new(input);
-    let admission = admit(&problem, MOST_VARIABLES);
+    let admission = admit(&problem, MOST_ROWS);
     let counted = |job: &Job| {
         let admitted = problem.job(job.id).is_some_and(|index| admission.admitted[index]);
         match job.deadline {

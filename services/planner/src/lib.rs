@@ -44,22 +44,26 @@ mod exact;
 mod exchange;
 mod explain;
 mod fairness;
+mod gaps;
 mod improve;
 mod intervals;
 mod lane;
 mod least;
+mod looks;
 mod model;
 mod outcome;
 mod parts;
+mod places;
 mod problem;
 mod proof;
 mod rental;
 mod replan;
 mod schedule;
 mod score;
-mod simplex;
 mod simulate;
 mod state;
+mod supply;
+mod transport;
 mod verify;
 
 pub use answers::{
@@ -79,6 +83,6 @@ pub use model::{
     Verdict, WorkTotal,
 };
 pub use replan::{AtRisk, Event, Replanned, mend, replan};
-pub use schedule::{plan, plan_quickly};
+pub use schedule::{plan, plan_and_count, plan_quickly};
 pub use simulate::{JobRisk, Simulation, Stretch, scenarios, simulate};
 pub use verify::{Violation, verify};

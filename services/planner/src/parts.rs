@@ -13,9 +13,10 @@ use std::collections::BTreeMap;
 use crate::admission::Allotted;
 use crate::bound::{bound, first_alone};
 use crate::model::{Division, Job, Task, price_of};
+use crate::places::Search;
 use crate::problem::FrameWork;
 use crate::schedule::find_allotted;
-use crate::state::{Placed, Search, State};
+use crate::state::{Placed, State};
 
 /// The most numbers of parts tried for one frame, on top of the fewest that fit.
 const MOST_NUMBERS: u32 = 6;
@@ -220,8 +221,9 @@ impl Rooms {
                 let number = frame.number;
                 let task =
                     if parts == 1 { Task::Frame(number) } else { Task::Part { frame: number, part, parts } };
-                places.push(Placed { node: room.node, start, end, task });
-                state.lanes[room.node].book(problem.nodes[room.node], start, end);
+                let placed = Placed { node: room.node, start, end, task };
+                places.push(placed);
+                state.occupy(&placed);
                 room.start = end;
                 part += 1;
             }
@@ -434,10 +436,10 @@ fn try_by(
     let work = &problem.jobs[job];
     let mut spent = Spent::default();
     for placed in lifted {
-        let (node, lane) = (problem.nodes[placed.node], &mut state.lanes[placed.node]);
+        let (node, lane) = (problem.nodes[placed.node], &state.lanes[placed.node]);
         spent.money -= i128::from(lane.saved_without(node, placed.start, placed.end));
         spent.work -= work.work_of(placed.task).map_or(0, i128::from);
-        lane.unbook(node, placed.start, placed.end);
+        state.vacate(placed);
     }
     let mut numbers: Vec<i64> = lifted.iter().filter_map(|placed| placed.task.frame()).collect();
     numbers.sort_unstable();
@@ -453,11 +455,7 @@ fn try_by(
             && spent.money <= most.money
             && spent.work <= most.work
     });
-    for placed in places.iter().rev() {
-        state.lanes[placed.node].unbook(problem.nodes[placed.node], placed.start, placed.end);
-    }
-    for placed in lifted {
-        state.lanes[placed.node].book(problem.nodes[placed.node], placed.start, placed.end);
-    }
+    places.iter().rev().for_each(|placed| state.vacate(placed));
+    lifted.iter().for_each(|placed| state.occupy(placed));
     all.then_some(places)
 }

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use crate::calendar::{Window, windows};
+use crate::looks::Looks;
 use crate::model::{Division, FixedBooking, Frame, Input, Job, Node, Task};
+use crate::supply::Supply;
 
 /// An input, sorted by id.
 pub(crate) struct Problem<'a> {
@@ -16,6 +18,8 @@ pub(crate) struct Problem<'a> {
     pub class_of: Vec<usize>,
     /// By id.
     pub jobs: Vec<Work<'a>>,
+    pub supply: Supply,
+    pub looks: Looks,
 }
 
 pub(crate) struct Work<'a> {
@@ -46,7 +50,7 @@ impl<'a> Problem<'a> {
             fixed.entry(booking.node).or_default().push(booking);
         }
         let none = Vec::new();
-        let windows =
+        let windows: Vec<Vec<Window>> =
             nodes.iter().map(|node| windows(node, input.now, fixed.get(&node.id).unwrap_or(&none))).collect();
         let mut groups: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (index, node) in nodes.iter().enumerate() {
@@ -63,7 +67,9 @@ impl<'a> Problem<'a> {
         let mut jobs: Vec<&Job> = input.jobs.iter().collect();
         jobs.sort_unstable_by_key(|job| job.id);
         let jobs = jobs.into_iter().map(|job| Work::new(job, &nodes, &classes)).collect();
-        Problem { input, nodes, windows, classes, class_of, jobs }
+        let looks = Looks::default();
+        let supply = Supply::new(&nodes, &windows, &classes, &looks);
+        Problem { input, nodes, windows, classes, class_of, jobs, supply, looks }
     }
 
     /// A node of the class. All its nodes have the same speeds.
@@ -129,8 +135,18 @@ impl<'a> Work<'a> {
     }
 
     pub fn frame(&self, number: i64) -> Option<&FrameWork> {
-        let place = self.by_number.binary_search_by_key(&number, |&(number, _)| number).ok()?;
-        self.frames.get(self.by_number[place].1)
+        self.frames.get(self.place(number)?)
+    }
+
+    /// Where a frame is in `frames`.
+    pub fn place(&self, number: i64) -> Option<usize> {
+        // Numbers mostly follow each other.
+        let ahead = usize::try_from(number.checked_sub(self.by_number.first()?.0)?).ok()?;
+        if let Some(&(_, place)) = self.by_number.get(ahead).filter(|found| found.0 == number) {
+            return Some(place);
+        }
+        let found = self.by_number.binary_search_by_key(&number, |&(number, _)| number).ok()?;
+        Some(self.by_number[found].1)
     }
 
     /// Work of each part of the shared cache, or of all of it if it is not split.

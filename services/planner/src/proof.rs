@@ -110,10 +110,9 @@ impl<'a> Group<'a> {
         }
         for group in &mut groups {
             // Of nodes with equal speeds and prices, one is enough.
-            group.nodes.sort_by_key(|node| node.id);
-            group.nodes.dedup_by(|a, b| {
-                (a.speed, a.price_per_hour, &a.speeds) == (b.speed, b.price_per_hour, &b.speeds)
-            });
+            let terms = |node: &&'a Node| (node.speed, node.price_per_hour, &node.speeds);
+            group.nodes.sort_unstable_by_key(terms);
+            group.nodes.dedup_by_key(|node| terms(node));
         }
         groups
     }

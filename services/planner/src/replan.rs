@@ -283,42 +283,53 @@ fn make_way(state: &mut State, job: usize) -> bool {
         })
         .collect();
     others.sort_unstable();
-    for (has_deadline, _, other) in others.into_iter().take(MOST_ASKED) {
-        let mut trial = state.clone();
-        // Only frames before this job's deadline on nodes that it can use are lifted.
-        let lifted = trial.with_other_parts(other, |placed| {
-            !placed.task.is_shared_cache()
-                && placed.start < deadline
-                && placed.end > release
-                && work.classes.contains(&problem.class_of[placed.node])
-        });
-        trial.unbook_all(other, &lifted);
-        trial.kept[other] = trial.placed[other].len();
-        if !place_in_time(&mut trial, job) {
-            continue;
-        }
-        // Frames whose place is still free go back to it.
-        let is_taken = |placed: &Placed| !trial.lanes[placed.node].is_free(placed.start, placed.end);
-        let taken: BTreeSet<Option<i64>> =
-            lifted.iter().filter(|&placed| is_taken(placed)).map(|placed| placed.task.frame()).collect();
-        for &placed in lifted.iter().filter(|placed| !taken.contains(&placed.task.frame())) {
-            trial.book(other, placed);
-        }
-        trial.kept[other] = trial.placed[other].len();
-        let outranks = work.job.priority > problem.jobs[other].job.priority;
-        if has_deadline && place_in_time(&mut trial, other) {
-            *state = trial;
-            return true;
-        }
-        if !has_deadline || outranks {
-            as_early_as_possible(&mut trial, other);
-            if outranks || trial.is_kept(other) {
-                *state = trial;
-                return true;
+    others.into_iter().take(MOST_ASKED).any(|(.., other)| {
+        let before = [job, other].map(|of| (of, state.placed[of].clone(), state.kept[of]));
+        let makes_way = takes_time_of(state, job, other, (release, deadline));
+        if !makes_way {
+            for (of, placed, kept) in before {
+                state.restore(of, placed);
+                state.kept[of] = kept;
             }
         }
+        makes_way
+    })
+}
+
+/// Places a job by its deadline in the time of another, which is then placed anew. Returns whether the result
+/// is acceptable; see [`make_way`].
+fn takes_time_of(state: &mut State, job: usize, other: usize, (release, deadline): (i64, i64)) -> bool {
+    let problem = state.problem;
+    let (work, asked) = (&problem.jobs[job], problem.jobs[other].job);
+    // Only frames before this job's deadline on nodes that it can use are lifted.
+    let lifted = state.with_other_parts(other, |placed| {
+        !placed.task.is_shared_cache()
+            && placed.start < deadline
+            && placed.end > release
+            && work.classes.contains(&problem.class_of[placed.node])
+    });
+    state.unbook_all(other, &lifted);
+    state.kept[other] = state.placed[other].len();
+    if !place_in_time(state, job) {
+        return false;
     }
-    false
+    // Frames whose place is still free go back to it.
+    let is_taken = |placed: &Placed| !state.lanes[placed.node].is_free(placed.start, placed.end);
+    let taken: BTreeSet<Option<i64>> =
+        lifted.iter().filter(|&placed| is_taken(placed)).map(|placed| placed.task.frame()).collect();
+    for &placed in lifted.iter().filter(|placed| !taken.contains(&placed.task.frame())) {
+        state.book(other, placed);
+    }
+    state.kept[other] = state.placed[other].len();
+    if asked.deadline.is_some() && place_in_time(state, other) {
+        return true;
+    }
+    let outranks = work.job.priority > asked.priority;
+    if asked.deadline.is_some() && !outranks {
+        return false;
+    }
+    as_early_as_possible(state, other);
+    outranks || state.is_kept(other)
 }
 
 /// Promises that were kept and now break, each with a rescue.

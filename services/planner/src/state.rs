@@ -1,71 +1,22 @@
 //! A plan under construction: every node's lane, and the place of each task.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
-use crate::admission::{Admission, IN_A_MICRO_UNIT};
-use crate::lane::{Fit, Lane, Market, Prefer, Wanted};
+use crate::admission::Admission;
+use crate::lane::Lane;
 use crate::model::{Booking, SharedCache, Task};
-use crate::problem::Problem;
+use crate::places::Pool;
+use crate::problem::{Problem, Work};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Per cent of what others would pay that their time counts.
+const FOR_OTHERS: i128 = 120;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Placed {
     pub node: usize,
     pub start: i64,
     pub end: i64,
     pub task: Task,
-}
-
-/// Rank, node id, node index, and the place on the node.
-type Candidate = ((i128, i64, i64), u64, usize, Fit);
-
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Search<'s> {
-    pub class_of_work: u32,
-    pub work: u64,
-    pub release: i64,
-    pub latest_end: i64,
-    /// Classes of nodes to search.
-    pub classes: &'s [usize],
-    pub prefer: Prefer,
-    pub only: Only,
-    /// Add to the cost what others would pay for the time.
-    pub for_others: bool,
-}
-
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Only {
-    /// The place must cost less than this.
-    pub below: i64,
-    /// A node to leave out.
-    pub except: Option<usize>,
-    /// Skips plainly billed nodes on which nothing was freed since this count of [`State::clock`], for tasks
-    /// that found no place there at that time. Zero skips none.
-    pub freed_since: u64,
-}
-
-impl Only {
-    pub const ANY: Self = Self { below: i64::MAX, except: None, freed_since: 0 };
-}
-
-/// What others would pay for the time of a class of nodes, by the linear programme.
-struct Priced<'s> {
-    admission: &'s Admission,
-    class: usize,
-    for_others: bool,
-}
-
-impl Market for Priced<'_> {
-    fn worth(&self, start: i64, end: i64) -> i128 {
-        if self.for_others { self.admission.worth(self.class, start, end) } else { 0 }
-    }
-
-    fn cheaper_from(&self, instant: i64) -> Option<i64> {
-        self.admission.cheaper_from(self.class, instant).filter(|_| self.for_others)
-    }
-
-    fn is_scarce(&self, instant: i64) -> bool {
-        self.admission.is_scarce(self.class, instant)
-    }
 }
 
 /// A plan under construction.
@@ -76,58 +27,48 @@ pub(crate) struct State<'p, 'a> {
     pub admission: &'p Admission,
     /// List scheduling respects what others would pay for a place, and the slots that the programme gave a
     /// job.
-    pub for_others: bool,
+    pub is_selfless: bool,
     pub lanes: Vec<Lane>,
-    /// By job, in the order of placement.
+    /// By class of nodes.
+    pub pools: Vec<Pool>,
+    /// By job, in the order of placement: its shared cache first.
     pub placed: Vec<Vec<Placed>>,
     /// By job: the first tasks of `placed` that must not move.
     pub kept: Vec<usize>,
-    /// Counts releases of booked time.
-    pub clock: u64,
-}
-
-impl<'s> Search<'s> {
-    /// The earliest end of this much work of a job's frames, whenever that is.
-    pub fn early(state: &State<'s, '_>, job: usize, release: i64, work: u64) -> Self {
-        let of_job = &state.problem.jobs[job];
-        Search {
-            class_of_work: of_job.job.class,
-            work,
-            release,
-            latest_end: i64::MAX,
-            classes: &of_job.classes,
-            prefer: Prefer::Early,
-            only: Only::ANY,
-            for_others: state.for_others,
-        }
-    }
 }
 
 impl<'p, 'a> State<'p, 'a> {
     pub fn new(problem: &'p Problem<'a>, admission: &'p Admission) -> Self {
-        let lanes =
-            problem.nodes.iter().zip(&problem.windows).map(|(node, windows)| Lane::new(node, windows));
+        let nodes = problem.nodes.iter().zip(&problem.windows);
+        let lanes: Vec<Lane> = nodes.map(|(node, windows)| Lane::new(node, windows)).collect();
+        let pools = problem.supply.gaps.iter().map(Pool::unused).collect();
         State {
             problem,
             admission,
-            for_others: true,
-            lanes: lanes.collect(),
+            is_selfless: true,
+            lanes,
+            pools,
             placed: vec![Vec::new(); problem.jobs.len()],
             kept: vec![0; problem.jobs.len()],
-            clock: 0,
         }
     }
 
     /// Keeps these bookings where they are valid. Shared caches come first, since frames depend on them.
     pub fn keep(&mut self, bookings: &[Booking]) {
+        if bookings.is_empty() {
+            return;
+        }
         let mut sorted = bookings.to_vec();
-        sorted.sort_unstable_by_key(|booking| (!booking.task.is_shared_cache(), *booking));
-        sorted.dedup();
-        sorted.iter().for_each(|booking| self.keep_one(booking));
+        // Node by node, since that is several times as fast on a large farm.
+        sorted.sort_by_key(|booking| (!booking.task.is_shared_cache(), booking.node, *booking));
+        let mut there = There::new(self.problem);
+        sorted.iter().for_each(|booking| self.keep_one(booking, &mut there));
+        let of_class = |members: &Vec<usize>| Pool::new(self.problem, members, &self.lanes);
+        self.pools = self.problem.classes.iter().map(of_class).collect();
         self.drop_partial_frames();
     }
 
-    fn keep_one(&mut self, booking: &Booking) {
+    fn keep_one(&mut self, booking: &Booking, there: &mut There) {
         let problem = self.problem;
         let Some((job, node)) = problem.job(booking.job).zip(problem.node(booking.node)) else {
             return;
@@ -137,9 +78,16 @@ impl<'p, 'a> State<'p, 'a> {
         let is_right = duration.and_then(|duration| booking.start.checked_add(duration)) == Some(booking.end)
             && self.earliest(job, booking.task).is_some_and(|earliest| earliest <= booking.start)
             && self.lanes[node].is_free(booking.start, booking.end)
-            && !self.placed[job].iter().any(|placed| excludes(placed.task, booking.task));
+            && there.is_new(work, job, booking.task);
         if is_right {
-            self.book(job, Placed { node, start: booking.start, end: booking.end, task: booking.task });
+            // The pools follow when all are there.
+            self.lanes[node].book(problem.nodes[node], booking.start, booking.end);
+            self.placed[job].push(Placed {
+                node,
+                start: booking.start,
+                end: booking.end,
+                task: booking.task,
+            });
             self.kept[job] += 1;
         }
     }
@@ -160,7 +108,7 @@ impl<'p, 'a> State<'p, 'a> {
             let (partial, whole): (Vec<Placed>, Vec<Placed>) =
                 self.placed[job].iter().copied().partition(is_partial);
             self.kept[job] -= partial.len();
-            partial.into_iter().for_each(|placed| self.free(placed));
+            partial.into_iter().for_each(|placed| self.vacate(&placed));
             self.placed[job] = whole;
         }
     }
@@ -181,77 +129,60 @@ impl<'p, 'a> State<'p, 'a> {
         if self.misses_shared_cache(job) {
             return None;
         }
-        let cache_parts = self.placed[job].iter().filter(|placed| placed.task.is_shared_cache());
+        let cache_parts = self.placed[job].iter().take_while(|placed| placed.task.is_shared_cache());
         cache_parts.map(|part| part.end.max(release)).max()
     }
 
-    /// The best place on these classes of nodes. Ties go to the node with the lowest id.
-    pub fn find(&self, search: &Search) -> Option<(usize, Fit)> {
-        let problem = self.problem;
-        let mut classes: Vec<(i64, i64, usize)> = search
-            .classes
-            .iter()
-            .filter_map(|&class| {
-                let node = problem.representative(class);
-                let duration = node.duration(search.work, search.class_of_work)?;
-                Some((node.price(duration, false), duration, class))
-            })
-            .collect();
-        classes.sort_unstable();
-        let mut best: Option<Candidate> = None;
-        for (_, duration, class) in classes {
-            let wanted = Wanted { release: search.release, latest_end: search.latest_end, duration };
-            let market = Priced { admission: self.admission, class, for_others: search.for_others };
-            // Empty nodes of one class are alike, so the first is enough.
-            let mut empty: Option<usize> = None;
-            for &index in &problem.classes[class] {
-                let (node, lane) = (problem.nodes[index], &self.lanes[index]);
-                if lane.is_empty() {
-                    if empty.is_some_and(|first| problem.windows[first] == problem.windows[index]) {
-                        continue;
-                    }
-                    if search.only.except != Some(index) {
-                        empty = empty.or(Some(index));
-                    }
-                }
-                if lane.freed < search.only.freed_since && node.is_plainly_billed()
-                    || lane.is_too_full(duration)
-                {
-                    continue;
-                }
-                let least = lane.least_added_cost(node, duration);
-                let hopeless = least >= search.only.below
-                    || search.prefer == Prefer::Cheap
-                        && best.is_some_and(|(rank, ..)| i128::from(least) * IN_A_MICRO_UNIT > rank.0);
-                if hopeless || search.only.except == Some(index) {
-                    continue;
-                }
-                let Some(fit) = lane.fit(node, &wanted, search.prefer, &market) else {
-                    continue;
-                };
-                let rank = fit.rank(search.prefer);
-                if best.is_none_or(|(least, id, ..)| (rank, node.id) < (least, id)) {
-                    best = Some((rank, node.id, index, fit));
-                }
-            }
-        }
-        best.map(|(_, _, node, fit)| (node, fit))
-    }
-
     pub fn book(&mut self, job: usize, placed: Placed) {
-        let node = self.problem.nodes[placed.node];
-        self.lanes[placed.node].book(node, placed.start, placed.end);
+        self.occupy(&placed);
         self.placed[job].push(placed);
     }
 
+    /// See [`crate::places::Search::for_others`]. Outside of what the programme gave a job, others' time counts
+    /// more than they would pay: it then goes to those that have no other.
+    pub fn for_others(&self) -> i128 {
+        if self.is_selfless { FOR_OTHERS } else { 0 }
+    }
+
+    /// Moves a placed task.
+    pub fn relocate(&mut self, job: usize, index: usize, to: Placed) {
+        let from = std::mem::replace(&mut self.placed[job][index], to);
+        self.vacate(&from);
+        self.occupy(&to);
+    }
+
+    /// Takes the time of a task on its node, and nothing else.
+    pub fn occupy(&mut self, placed: &Placed) {
+        let &Placed { node: index, start, end, .. } = placed;
+        let (node, lane) = (self.problem.nodes[index], &mut self.lanes[index]);
+        let pool = &mut self.pools[self.problem.class_of[index]];
+        pool.leave(index, node, lane);
+        if let Some(gap) = lane.gap(start) {
+            pool.split(index, gap, (start, end));
+        }
+        lane.book(node, start, end);
+        pool.join(index, node, lane);
+    }
+
+    /// Gives the time of a task back.
+    pub fn vacate(&mut self, placed: &Placed) {
+        let &Placed { node: index, start, end, .. } = placed;
+        let (node, lane) = (self.problem.nodes[index], &mut self.lanes[index]);
+        let pool = &mut self.pools[self.problem.class_of[index]];
+        pool.leave(index, node, lane);
+        pool.close(index, lane.room_without(start, end), (start, end));
+        lane.unbook(node, start, end);
+        pool.join(index, node, lane);
+    }
+
     pub fn unbook(&mut self, job: usize, placed: Placed) {
-        self.free(placed);
+        self.vacate(&placed);
         self.placed[job].retain(|other| *other != placed);
     }
 
     /// Removes these places of the job.
     pub fn unbook_all(&mut self, job: usize, places: &[Placed]) {
-        places.iter().for_each(|&placed| self.free(placed));
+        places.iter().for_each(|placed| self.vacate(placed));
         let tasks: BTreeSet<Task> = places.iter().map(|placed| placed.task).collect();
         self.placed[job].retain(|placed| !tasks.contains(&placed.task));
     }
@@ -267,18 +198,21 @@ impl<'p, 'a> State<'p, 'a> {
         all().filter(|placed| is_wanted(placed) || is_part(placed)).collect()
     }
 
-    fn free(&mut self, placed: Placed) {
-        let (node, lane) = (self.problem.nodes[placed.node], &mut self.lanes[placed.node]);
-        lane.unbook(node, placed.start, placed.end);
-        lane.freed = self.clock;
-        self.clock += 1;
+    /// Gives the job the places that it had.
+    pub fn restore(&mut self, job: usize, before: Vec<Placed>) {
+        let now = std::mem::take(&mut self.placed[job]);
+        let had: HashSet<&Placed> = before.iter().collect();
+        let has: HashSet<&Placed> = now.iter().collect();
+        now.iter().filter(|placed| !had.contains(placed)).for_each(|placed| self.vacate(placed));
+        before.iter().filter(|placed| !has.contains(placed)).for_each(|placed| self.occupy(placed));
+        self.placed[job] = before;
     }
 
     /// Removes all but the first `count` placed tasks of the job.
     pub fn unbook_after(&mut self, job: usize, count: usize) {
         let count = count.min(self.placed[job].len());
         for last in self.placed[job].split_off(count).into_iter().rev() {
-            self.free(last);
+            self.vacate(&last);
         }
     }
 
@@ -304,7 +238,8 @@ impl<'p, 'a> State<'p, 'a> {
     /// Tasks of the shared cache without a place.
     pub fn missing_cache_parts(&self, job: usize) -> Vec<Task> {
         let all = self.problem.jobs[job].job.shared_cache.into_iter().flat_map(SharedCache::tasks);
-        all.filter(|&task| !self.placed[job].iter().any(|placed| placed.task == task)).collect()
+        let there = || self.placed[job].iter().take_while(|placed| placed.task.is_shared_cache());
+        all.filter(|&task| !there().any(|placed| placed.task == task)).collect()
     }
 
     /// Whether the job has a shared cache of which some part has no place.
@@ -326,15 +261,29 @@ impl<'p, 'a> State<'p, 'a> {
     }
 }
 
-/// Whether a job cannot have both tasks.
-fn excludes(one: Task, other: Task) -> bool {
-    match (one, other) {
-        (Task::SharedCachePart { part: p, parts: m }, Task::SharedCachePart { part: q, parts: n }) => {
-            p == q || m != n
+/// Tasks that have been kept.
+struct There {
+    /// By job and frame, and last its shared cache: the number of its parts, if there is any. 0 stands for a
+    /// whole.
+    divided: Vec<Vec<Option<u32>>>,
+    parts: HashSet<(usize, Task)>,
+}
+
+impl There {
+    fn new(problem: &Problem) -> Self {
+        let divided = problem.jobs.iter().map(|work| vec![None; work.frames.len() + 1]).collect();
+        There { divided, parts: HashSet::new() }
+    }
+
+    /// Whether the job has neither this task nor one that excludes it. If so, the job has it from now on.
+    fn is_new(&mut self, work: &Work, job: usize, task: Task) -> bool {
+        let place = task.frame().map_or(Some(work.frames.len()), |number| work.place(number));
+        let Some(divided) = place.and_then(|place| self.divided[job].get_mut(place)) else { return false };
+        match task {
+            Task::Part { parts, .. } | Task::SharedCachePart { parts, .. } => {
+                *divided.get_or_insert(parts) == parts && self.parts.insert((job, task))
+            }
+            Task::Frame(_) | Task::SharedCache => divided.replace(0).is_none(),
         }
-        (Task::Part { frame: a, part: p, parts: m }, Task::Part { frame: b, part: q, parts: n }) => {
-            a == b && (p == q || m != n)
-        }
-        _ => one.frame() == other.frame(),
     }
 }
