@@ -13,6 +13,7 @@ mod collapse;
 mod kernel;
 mod node;
 mod ray;
+mod reinsertion;
 mod traverse;
 mod triangle;
 

@@ -144,6 +144,34 @@ fn every_triangle_is_in_the_tree_and_no_node_lies_deeper_than_the_tree_says() {
 }
 
 #[test]
+fn the_tree_is_that_of_obvhs_on_one_thread_whatever_the_number_of_threads() {
+    use crate::collapse::Collapse;
+    use obvhs::{BvhBuildParams, bvh2::builder::build_bvh2_from_tris, triangle::Triangle};
+    use std::time::Duration;
+    // Equal boxes and areas, so that the order of equal elements matters; and enough of both for threads.
+    let (mut positions, mut triangles) = tiled_box(24, Vec3::ZERO, Vec3::ONE);
+    let radii: Vec<f32> = (0..114).map(|i| 0.4 + (i % 7) as f32 * 0.1).collect();
+    let (globe, faces) = dented_globe(&radii, Vec3::splat(0.4), 1.0);
+    let (soup, loose, _) = soup();
+    for (more, faces) in [(globe, faces), (soup, loose)] {
+        let first = positions.len() as u32;
+        positions.extend(more);
+        triangles.extend(faces.iter().map(|face| face.map(|v| v + first)));
+    }
+    let corner = |v: u32| glam::Vec3A::from(positions[v as usize]);
+    let input: Vec<Triangle> =
+        triangles.iter().map(|&[a, b, c]| Triangle { v0: corner(a), v1: corner(b), v2: corner(c) }).collect();
+    let params = BvhBuildParams { max_prims_per_leaf: GROUP as u32, ..BvhBuildParams::slow_build() };
+    let theirs = build_bvh2_from_tris(&input, params, &mut Duration::default());
+    let expected = format!("{:?}", Collapse::new(&theirs, &input).run());
+    for threads in [1, 2, 5] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let built = pool.install(|| Bvh::build(&positions, &triangles));
+        assert!(format!("{built:?}") == expected, "another tree on {threads} threads");
+    }
+}
+
+#[test]
 fn a_triangle_seen_edge_on_is_not_hit_at_infinity() {
     // The area seen along the ray is denormal, so its reciprocal is infinite.
     let positions = [Vec3::new(-4.0, 1.0, -3.0), Vec3::new(-4.0, -1.0, -3.0), Vec3::new(-4.0, 0.0, -1.0)];

@@ -2,6 +2,7 @@
 //! in every run and close to proportional to time. [`Counters`] counts one pixel.
 
 use forelight_bvh::Traversal;
+pub use forelight_threads::{clocked, process_cpu_nanos};
 use std::ops::{Add, AddAssign};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -179,15 +180,6 @@ pub fn build_work(triangles: usize, nodes: usize) -> u64 {
     2000 * triangles as u64 + 500 * nodes as u64
 }
 
-/// Runs `work`. Returns its result and this thread's CPU time in nanoseconds. `work` must not wait for a
-/// thread pool, because a waiting thread does other work.
-pub fn clocked<T>(work: impl FnOnce() -> T) -> (T, u64) {
-    let now = || nanos(rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime));
-    let start = now();
-    let given = work();
-    (given, now() - start)
-}
-
 /// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time. `trace` returns each
 /// pixel's time before, and a reference to its time now. Wall-clock time includes other processes; the CPU
 /// clock is too slow to read per pixel. So each pixel gets its share of the batch's CPU time.
@@ -200,13 +192,4 @@ pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>
             *now = before + ((*now - before) as f64 * share).round() as u64;
         }
     }
-}
-
-/// CPU time of all threads of this process, nanoseconds.
-pub fn process_cpu_nanos() -> u64 {
-    nanos(rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime))
-}
-
-fn nanos(t: rustix::time::Timespec) -> u64 {
-    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
 }

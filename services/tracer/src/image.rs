@@ -2,6 +2,7 @@
 
 use crate::cost::add_rays;
 use crate::cryptomatte::Matte;
+use crate::exr_file;
 use crate::{Pixel, RAY_NAMES, Rays, WorkByRay};
 use exr::prelude as exr;
 use forelight_pictures::{cost_map, tone_map};
@@ -135,10 +136,8 @@ impl Image {
             Encoding::SMALL_LOSSLESS,
             AnyChannels::sort(channels),
         );
-        use exr::WritableImage;
         let error = |e: exr::Error| ImageError { path: path.display().to_string(), reason: e.to_string() };
-        // Single-threaded, because other tasks render at the same time.
-        ExrImage::from_layer(layer).write().non_parallel().to_file(path).map_err(error)
+        exr_file::write(&ExrImage::from_layer(layer), path).map_err(error)
     }
 
     /// The image as 8-bit sRGB, tone-mapped for viewing.

@@ -33,6 +33,7 @@ mod cost;
 mod cryptomatte;
 mod effects;
 mod environment;
+mod exr_file;
 mod fingerprint;
 pub mod fresnel;
 mod geometry;
