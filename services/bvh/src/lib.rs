@@ -9,6 +9,7 @@
 //! * The portable and the AVX2 kernel return the same bits and the same counts.
 
 mod build;
+mod bytes;
 mod collapse;
 mod kernel;
 mod node;

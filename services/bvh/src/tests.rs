@@ -172,6 +172,33 @@ fn the_tree_is_that_of_obvhs_on_one_thread_whatever_the_number_of_threads() {
 }
 
 #[test]
+fn a_tree_comes_back_from_its_bytes_and_damaged_ones_are_refused() {
+    let (positions, triangles, rays) = soup();
+    let tree = Bvh::build(&positions, &triangles);
+    let bytes = tree.to_bytes();
+    let back = Bvh::from_bytes(&bytes, triangles.len()).unwrap();
+    assert_eq!(format!("{back:?}"), format!("{tree:?}"));
+    assert!(Bvh::from_bytes(&bytes, triangles.len() - 1).is_none(), "a triangle that is not there");
+    for length in [0, 7, 15, 16, 300, bytes.len() - 160, bytes.len() - 1] {
+        assert!(Bvh::from_bytes(&bytes[..length], triangles.len()).is_none(), "{length} bytes");
+    }
+    let empty = Bvh::default();
+    assert_eq!(Bvh::from_bytes(&empty.to_bytes(), 0).unwrap().size(), (0, 0));
+    // Whatever the bytes are: what is accepted can be traversed.
+    let mut random = 1u64;
+    for _ in 0..2000 {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let mut damaged = bytes.clone();
+        let place = (random >> 33) as usize % bytes.len();
+        damaged[place] ^= 1 << (random >> 61);
+        if let Some(tree) = Bvh::from_bytes(&damaged, triangles.len()) {
+            let ray = &rays[place % rays.len()];
+            tree.closest(ray, |_| true, &mut Traversal::default());
+        }
+    }
+}
+
+#[test]
 fn a_triangle_seen_edge_on_is_not_hit_at_infinity() {
     // The area seen along the ray is denormal, so its reciprocal is infinite.
     let positions = [Vec3::new(-4.0, 1.0, -3.0), Vec3::new(-4.0, -1.0, -3.0), Vec3::new(-4.0, 0.0, -1.0)];
