@@ -2,13 +2,15 @@
 //!
 //! Hazards of a thread pool for such work: a thread that waits for the pool takes up other work. It then waits
 //! for a lock that it holds itself, and counts CPU time of others. So threads are started for one call and end
-//! with it. There are as many as the current rayon pool has, since that is what the user allowed.
+//! with it. There are as many as the current rayon pool has, since that is what the user allowed. Outside of a
+//! pool there is one.
 
+use parking_lot::Mutex;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 use std::cell::Cell;
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::thread::{ScopedJoinHandle, scope};
+use std::thread::{Builder, ScopedJoinHandle, scope};
 
 thread_local! {
     /// CPU time of threads that have helped this one, nanoseconds.
@@ -22,7 +24,8 @@ const SHARES: usize = 8;
 
 /// Number of threads that work is shared between: those of the current rayon pool.
 pub fn count() -> usize {
-    if HELPS.get() { 1 } else { rayon::current_num_threads() }
+    let alone = HELPS.get() || rayon::current_thread_index().is_none();
+    if alone { 1 } else { rayon::current_num_threads() }
 }
 
 /// Calls `f` for each item on up to [`count`] threads, so that each has at least `least` items. Results are in
@@ -43,7 +46,9 @@ pub fn map<T: Sync, R: Send>(items: &[T], least: usize, f: impl Fn(&T) -> R + Sy
         }
     };
     let mut done = scope(|scope| {
-        let helpers: Vec<_> = (1..threads).map(|_| scope.spawn(|| help(work))).collect();
+        // If the system gives no thread, there is less help.
+        let helper = |_| Builder::new().spawn_scoped(scope, || help(work)).ok();
+        let helpers: Vec<_> = (1..threads).map_while(helper).collect();
         let mut done = work();
         helpers.into_iter().for_each(|helper| done.extend(joined(helper)));
         done
@@ -57,9 +62,17 @@ pub fn join<A, B: Send>(a: impl FnOnce() -> A, b: impl FnOnce() -> B + Send) -> 
     if count() <= 1 {
         return (a(), b());
     }
+    let waiting = Mutex::new(Some(b));
+    let take = || waiting.lock().take();
     scope(|scope| {
-        let helper = scope.spawn(|| help(b));
-        (a(), joined(helper))
+        let helper = Builder::new().spawn_scoped(scope, || help(|| take().map(|b| b())));
+        let a = a();
+        let b = match helper {
+            Ok(helper) => joined(helper),
+            // The system gives no thread.
+            Err(_) => take().map(|b| b()),
+        };
+        (a, b.unwrap_or_else(|| unreachable!("only one of both takes it")))
     })
 }
 
@@ -98,7 +111,7 @@ fn nanos(t: Timespec) -> u64 {
 mod tests {
     use super::*;
     use std::collections::BTreeSet;
-    use std::sync::{Barrier, Mutex};
+    use std::sync::Barrier;
 
     fn on<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
@@ -121,12 +134,12 @@ mod tests {
         let all = Barrier::new(3);
         on(3, || {
             map(&[0, 1, 2], 1, |_| {
-                threads.lock().unwrap().insert(format!("{:?}", std::thread::current().id()));
+                threads.lock().insert(format!("{:?}", std::thread::current().id()));
                 all.wait();
                 assert!(HELPS.get() == (count() == 1), "a helping thread would start threads");
             });
         });
-        assert_eq!(threads.into_inner().unwrap().len(), 3);
+        assert_eq!(threads.into_inner().len(), 3);
     }
 
     /// Keeps a thread busy for some milliseconds of CPU time.
@@ -146,6 +159,14 @@ mod tests {
             assert!(counted >= busy_for, "{counted} < {busy_for}");
             assert!(counted < 2 * busy_for, "{counted} >= 2 * {busy_for}");
         });
+    }
+
+    #[test]
+    fn outside_of_a_pool_there_is_one_thread() {
+        let caller = std::thread::current().id();
+        let threads = map(&[1, 2, 3], 1, |_| std::thread::current().id());
+        assert!(count() == 1 && threads.iter().all(|thread| *thread == caller));
+        assert_eq!(join(|| 1, || std::thread::current().id()), (1, caller));
     }
 
     #[test]
