@@ -180,6 +180,11 @@ pub fn build_work(triangles: usize, nodes: usize) -> u64 {
     2000 * triangles as u64 + 500 * nodes as u64
 }
 
+/// Work of reading a kept tree and checking it.
+pub fn load_work(triangles: usize, nodes: usize) -> u64 {
+    100 * triangles as u64 + 100 * nodes as u64
+}
+
 /// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time. `trace` returns each
 /// pixel's time before, and a reference to its time now. Wall-clock time includes other processes; the CPU
 /// clock is too slow to read per pixel. So each pixel gets its share of the batch's CPU time.

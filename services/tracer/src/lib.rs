@@ -71,5 +71,5 @@ pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};
 pub use samples::{SampleCounts, SampleCountsError};
 pub use settings::{CacheSettings, Settings, UncoveredGathers};
 pub use tiling::Tiling;
-pub use tracer::Tracer;
-pub use tree::Tree;
+pub use tracer::{Tracer, Trees};
+pub use tree::{Tree, TreeCost};
