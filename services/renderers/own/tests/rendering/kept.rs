@@ -55,7 +55,13 @@ fn results(rendered: &Rendered) -> String {
         pixels.map(|pixel| (pixel.color.map(f32::to_bits), pixel.work, pixel.rays, pixel.stratum)).collect();
     let stats = &rendered.stats;
     let once = stats.once.unwrap();
-    format!("{bits:?} {} {:?} {:?} {:?}", stats.work, stats.rays, stats.effects, (once.load.work, once.build.work))
+    format!(
+        "{bits:?} {} {:?} {:?} {:?}",
+        stats.work,
+        stats.rays,
+        stats.effects,
+        (once.load.work, once.build.work)
+    )
 }
 
 #[test]
