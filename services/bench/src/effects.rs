@@ -194,7 +194,7 @@ fn variant(runner: &Runner, first: &Runner) -> Variant {
         rays: totals.rays.iter().sum(),
         work: totals.work,
         tree_bytes: runner.tracer.bvh().bytes(),
-        build_cpu_seconds: runner.tracer.build_cost().cpu_nanos as f64 * 1e-9,
+        build_cpu_seconds: runner.tracer.tree_cost().build.cpu_nanos as f64 * 1e-9,
         cpu_seconds: spread(runner.nanos.iter().map(|&nanos| nanos as f64 * 1e-9).collect()).median,
         ratio: spread(ratios.collect()),
     }

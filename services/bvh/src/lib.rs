@@ -9,10 +9,12 @@
 //! * The portable and the AVX2 kernel return the same bits and the same counts.
 
 mod build;
+mod bytes;
 mod collapse;
 mod kernel;
 mod node;
 mod ray;
+mod reinsertion;
 mod traverse;
 mod triangle;
 

@@ -1,5 +1,6 @@
 //! The tree's memory layout.
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec4;
 
 /// Marks a child that is a leaf. The other bits are the index of its triangle group.
@@ -17,7 +18,7 @@ pub(crate) const GROUP: usize = 4;
 /// Eight boxes, stored axis by axis, and their children. An empty slot has an inverted box that no ray meets.
 /// Later slots have higher priority in an any-hit query; see [`crate::collapse`].
 #[repr(C, align(32))]
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Node {
     /// `bounds[0]` holds the lower planes and `bounds[1]` the upper planes, each indexed by axis and slot.
     pub bounds: [[[f32; WIDTH]; 3]; 2],
@@ -32,7 +33,8 @@ impl Node {
 }
 
 /// Up to four triangles, as `corners[corner][axis]`, one per lane. Unused lanes repeat the last.
-#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Group {
     pub corners: [[Vec4; 3]; 3],
     pub primitives: [u32; GROUP],

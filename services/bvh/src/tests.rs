@@ -144,6 +144,61 @@ fn every_triangle_is_in_the_tree_and_no_node_lies_deeper_than_the_tree_says() {
 }
 
 #[test]
+fn the_tree_is_that_of_obvhs_on_one_thread_whatever_the_number_of_threads() {
+    use crate::collapse::Collapse;
+    use obvhs::{BvhBuildParams, bvh2::builder::build_bvh2_from_tris, triangle::Triangle};
+    use std::time::Duration;
+    // Equal boxes and areas, so that the order of equal elements matters; and enough of both for threads.
+    let (mut positions, mut triangles) = tiled_box(24, Vec3::ZERO, Vec3::ONE);
+    let radii: Vec<f32> = (0..114).map(|i| 0.4 + (i % 7) as f32 * 0.1).collect();
+    let (globe, faces) = dented_globe(&radii, Vec3::splat(0.4), 1.0);
+    let (soup, loose, _) = soup();
+    for (more, faces) in [(globe, faces), (soup, loose)] {
+        let first = positions.len() as u32;
+        positions.extend(more);
+        triangles.extend(faces.iter().map(|face| face.map(|v| v + first)));
+    }
+    let corner = |v: u32| glam::Vec3A::from(positions[v as usize]);
+    let input: Vec<Triangle> =
+        triangles.iter().map(|&[a, b, c]| Triangle { v0: corner(a), v1: corner(b), v2: corner(c) }).collect();
+    let params = BvhBuildParams { max_prims_per_leaf: GROUP as u32, ..BvhBuildParams::slow_build() };
+    let theirs = build_bvh2_from_tris(&input, params, &mut Duration::default());
+    let expected = format!("{:?}", Collapse::new(&theirs, &input).run());
+    for threads in [1, 2, 5] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let built = pool.install(|| Bvh::build(&positions, &triangles));
+        assert!(format!("{built:?}") == expected, "another tree on {threads} threads");
+    }
+}
+
+#[test]
+fn a_tree_comes_back_from_its_bytes_and_damaged_ones_are_refused() {
+    let (positions, triangles, rays) = soup();
+    let tree = Bvh::build(&positions, &triangles);
+    let bytes = tree.to_bytes();
+    let back = Bvh::from_bytes(&bytes, triangles.len()).unwrap();
+    assert_eq!(format!("{back:?}"), format!("{tree:?}"));
+    assert!(Bvh::from_bytes(&bytes, triangles.len() - 1).is_none(), "a triangle that is not there");
+    for length in [0, 7, 15, 16, 300, bytes.len() - 160, bytes.len() - 1] {
+        assert!(Bvh::from_bytes(&bytes[..length], triangles.len()).is_none(), "{length} bytes");
+    }
+    let empty = Bvh::default();
+    assert_eq!(Bvh::from_bytes(&empty.to_bytes(), 0).unwrap().size(), (0, 0));
+    // Whatever the bytes are: what is accepted can be traversed.
+    let mut random = 1u64;
+    for _ in 0..2000 {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let mut damaged = bytes.clone();
+        let place = (random >> 33) as usize % bytes.len();
+        damaged[place] ^= 1 << (random >> 61);
+        if let Some(tree) = Bvh::from_bytes(&damaged, triangles.len()) {
+            let ray = &rays[place % rays.len()];
+            tree.closest(ray, |_| true, &mut Traversal::default());
+        }
+    }
+}
+
+#[test]
 fn a_triangle_seen_edge_on_is_not_hit_at_infinity() {
     // The area seen along the ray is denormal, so its reciprocal is infinite.
     let positions = [Vec3::new(-4.0, 1.0, -3.0), Vec3::new(-4.0, -1.0, -3.0), Vec3::new(-4.0, 0.0, -1.0)];

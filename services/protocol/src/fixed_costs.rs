@@ -66,7 +66,8 @@ impl FixedCosts {
     }
 }
 
-/// Costs that each process pays once per shot. They are not part of any frame or total.
+/// Costs that each process pays once per shot, unless its machine keeps the scene and the structure. They are
+/// not part of any frame or total.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProcessCosts {

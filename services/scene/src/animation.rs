@@ -11,6 +11,7 @@
 //! Rotations are interpolated by component in the same hemisphere, then normalised.
 
 use glam::{DQuat, DVec3, DVec4};
+use serde::{Deserialize, Serialize};
 
 /// A value that can be interpolated between keys.
 pub(crate) trait Keyed: Copy + PartialEq {
@@ -96,7 +97,7 @@ pub(crate) enum Interpolation {
 }
 
 /// A value as a function of time.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Curve<T> {
     /// Key times in frames, ascending, at least one.
     times: Vec<f64>,
@@ -104,7 +105,7 @@ pub(crate) struct Curve<T> {
     between: Between<T>,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Between<T> {
     Step,
     Linear,
@@ -186,7 +187,7 @@ impl<T: Keyed> Curve<T> {
 }
 
 /// A constant value or a curve.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Animated<T> {
     Constant(T),
     Curve(Curve<T>),

@@ -7,15 +7,16 @@ use crate::images::TextureLibrary;
 use crate::shot::Shot;
 use crate::{Color, MOST_NESTED, Material, Surface};
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// A light on a node of a glTF file.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct NodeLight {
     pub(crate) node: usize,
     pub(crate) kind: NodeLightKind,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) enum NodeLightKind {
     /// Radiant intensity in W/sr. `cone` holds the cosines of the inner and outer cone angle.
     Point { intensity: Vec3, cone: Option<(f32, f32)> },

@@ -9,7 +9,8 @@ use crate::regular_file::open_regular;
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
+use std::os::unix::fs::FileExt as _;
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
@@ -17,6 +18,8 @@ use zip::ZipArchive;
 /// folder around everything.
 pub struct Bundle {
     name: String,
+    /// Canonical path of the folder or archive.
+    place: PathBuf,
     store: Store,
     limits: Limits,
     usage: Mutex<Usage>,
@@ -26,6 +29,8 @@ enum Store {
     /// The folder's canonical path.
     Folder(PathBuf),
     Archive {
+        /// The same file as in `archive`, for its content as it is.
+        file: File,
         archive: Mutex<ZipArchive<BufReader<File>>>,
         /// Entry number by path.
         index: BTreeMap<String, usize>,
@@ -49,17 +54,22 @@ impl Bundle {
         let own_name = if canonical.is_dir() { canonical.file_name() } else { canonical.file_stem() };
         let name = own_name.map_or_else(|| "scene".to_owned(), |own| own.to_string_lossy().into_owned());
         let store = if canonical.is_dir() {
-            Store::Folder(canonical)
+            Store::Folder(canonical.clone())
         } else {
             let file = open_regular(&canonical).map_err(io)?;
             open_archive(&shown, file, limits)?
         };
-        Ok(Self { name, store, limits: *limits, usage: Mutex::default() })
+        Ok(Self { name, place: canonical, store, limits: *limits, usage: Mutex::default() })
     }
 
     /// Name of the folder or archive, without extension.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Canonical path of the folder or archive.
+    pub(crate) fn place(&self) -> &Path {
+        &self.place
     }
 
     /// The limits that the bundle was opened with.
@@ -102,7 +112,7 @@ impl Bundle {
         }
         let bytes = match &self.store {
             Store::Folder(root) => self.read_from_folder(root, path)?,
-            Store::Archive { archive, index } => {
+            Store::Archive { archive, index, .. } => {
                 let at = *index.get(path).ok_or_else(|| missing(path))?;
                 self.read_from_archive(&mut archive.lock(), path, at)?
             }
@@ -134,6 +144,33 @@ impl Bundle {
             hasher.update(hash.as_bytes());
         }
         *hasher.finalize().as_bytes()
+    }
+
+    /// Number of bytes read so far, after expansion.
+    pub(crate) fn bytes_read(&self) -> u64 {
+        self.usage.lock().bytes
+    }
+
+    /// Paths of the files read so far.
+    pub(crate) fn files_read(&self) -> Vec<String> {
+        self.usage.lock().files.keys().cloned().collect()
+    }
+
+    /// Hash of the content read so far: of an archive, the whole of it. `None` if it cannot be read.
+    pub(crate) fn content_read(&self) -> Option<[u8; 32]> {
+        match &self.store {
+            Store::Folder(_) => Some(self.digest()),
+            Store::Archive { file, .. } => hash_of(file).ok(),
+        }
+    }
+
+    /// [`Self::content_read`] after reading `files` of a folder. `None` if one cannot be read.
+    pub(crate) fn content_of(&self, files: &[String]) -> Option<[u8; 32]> {
+        if let Store::Folder(_) = self.store {
+            let read = forelight_threads::map(files, 1, |file| self.read(file).map(drop));
+            read.into_iter().collect::<Result<(), SceneError>>().ok()?;
+        }
+        self.content_read()
     }
 
     fn read_from_folder(&self, root: &Path, path: &str) -> Result<Vec<u8>, SceneError> {
@@ -183,6 +220,19 @@ impl std::fmt::Debug for Bundle {
     }
 }
 
+/// BLAKE3 hash of a whole file, wherever it is being read.
+fn hash_of(file: &File) -> io::Result<[u8; 32]> {
+    let (mut hasher, mut buffer, mut offset) = (blake3::Hasher::new(), vec![0; 1 << 18], 0);
+    loop {
+        let read = file.read_at(&mut buffer, offset)?;
+        if read == 0 {
+            return Ok(*hasher.finalize().as_bytes());
+        }
+        hasher.update(&buffer[..read]);
+        offset += read as u64;
+    }
+}
+
 fn missing(path: &str) -> SceneError {
     SceneError::Io { file: path.to_owned(), source: std::io::ErrorKind::NotFound.into() }
 }
@@ -202,6 +252,7 @@ fn check_ratio(file: &str, expanded: u64, compressed: u64, limits: &Limits) -> R
 
 /// Reads the archive's directory. Rejects every entry that must not be expanded, before any is.
 fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, SceneError> {
+    let whole = file.try_clone().map_err(|source| SceneError::Io { file: shown.to_owned(), source })?;
     let mut archive = ZipArchive::new(BufReader::new(file))
         .map_err(|e| SceneError::file(shown, format!("is neither a folder nor a readable .zip: {e}")))?;
     if archive.len() > limits.entries {
@@ -248,7 +299,7 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
             return Err(SceneError::file(file, "the archive has two entries of this name"));
         }
     }
-    Ok(Store::Archive { archive: Mutex::new(archive), index: without_common_folder(index) })
+    Ok(Store::Archive { file: whole, archive: Mutex::new(archive), index: without_common_folder(index) })
 }
 
 /// Removes the folder around everything, if there is one, as zipping a folder often adds it.

@@ -3,10 +3,10 @@
 use crate::Camera;
 use crate::animation::Animated;
 use glam::{DMat4, DVec3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// The image axis along which the field of view is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum FovAxis {
     #[default]
@@ -15,7 +15,7 @@ pub(crate) enum FovAxis {
 }
 
 /// A camera at `origin` that looks at `target`.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct LookAt {
     pub(crate) origin: Animated<DVec3>,
     pub(crate) target: Animated<DVec3>,
@@ -72,7 +72,7 @@ impl LookAt {
 }
 
 /// A perspective camera on a node. It looks along the node's −z.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct NodeCamera {
     /// Index into the shot's nodes.
     pub(crate) node: usize,
@@ -132,7 +132,7 @@ pub(crate) fn default_view(lowest: DVec3, highest: DVec3) -> LookAt {
 }
 
 /// The source of a shot's camera.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) enum CameraSource {
     LookAt(Box<LookAt>),
     Node(NodeCamera),

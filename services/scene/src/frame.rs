@@ -2,6 +2,7 @@
 
 use crate::{Camera, Material, Texture};
 use glam::{Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -52,24 +53,29 @@ impl Frame {
 }
 
 /// Indexed triangles with their objects and materials.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Geometry {
     /// Vertex positions, metres, finite.
+    #[serde(with = "crate::bulk")]
     pub positions: Vec<Vec3>,
     /// Unit shading normals, one per vertex. `Vec3::ZERO` means: use the geometric normal.
+    #[serde(with = "crate::bulk")]
     pub normals: Vec<Vec3>,
     /// Texture coordinates, one per vertex.
+    #[serde(with = "crate::bulk")]
     pub uvs: Vec<Vec2>,
     /// Vertex indices, counter-clockwise seen from the front. The loader has removed triangles of zero area.
+    #[serde(with = "crate::bulk")]
     pub triangles: Vec<[u32; 3]>,
     /// Stratum of each triangle: index into `strata`.
+    #[serde(with = "crate::bulk")]
     pub triangle_stratum: Vec<u32>,
     /// The (object, material) pairs of the scene. They are the same for every frame of a shot.
     pub strata: Strata,
 }
 
 /// The table of strata, (object, material) pairs. The index is the id in every preview and forecast.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Strata {
     /// Object names by object id.
     pub objects: Vec<String>,
@@ -158,7 +164,7 @@ pub struct Sun {
 }
 
 /// The surroundings of the scene.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub enum Environment {
     /// No light.
     #[default]

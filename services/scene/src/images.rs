@@ -4,7 +4,7 @@ use crate::bundle::Bundle;
 use crate::error::SceneError;
 use crate::{Texels, Texture, TextureId};
 use image::{ImageFormat, ImageReader};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 
 /// The textures loaded so far, by the name of their source.
@@ -15,17 +15,111 @@ pub(crate) struct TextureLibrary<'a> {
     /// For each texture, whether any texel has an alpha below 1.
     translucent: Vec<bool>,
     pixels: u64,
+    /// Textures that were decoded and are not loaded yet.
+    ready: BTreeMap<String, (Head, Result<Texels, SceneError>)>,
+}
+
+/// What an image says before its pixels.
+struct Head {
+    format: ImageFormat,
+    width: u32,
+    height: u32,
+}
+
+impl Head {
+    /// The format is determined by a file's contents, not by its name.
+    fn of(name: &str, bytes: &[u8]) -> Result<Self, SceneError> {
+        let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
+        let reader = reader.map_err(|e| SceneError::file(name, e.to_string()))?;
+        let Some(
+            format @ (ImageFormat::Png
+            | ImageFormat::Jpeg
+            | ImageFormat::WebP
+            | ImageFormat::Hdr
+            | ImageFormat::OpenExr),
+        ) = reader.format()
+        else {
+            return Err(SceneError::file(
+                name,
+                "is not a supported image (PNG, JPEG, WebP, Radiance HDR, OpenEXR)",
+            ));
+        };
+        let (width, height) = reader.into_dimensions().map_err(|e| unreadable(name, &e))?;
+        if width == 0 || height == 0 {
+            return Err(SceneError::file(name, "the image has no pixels"));
+        }
+        Ok(Self { format, width, height })
+    }
+
+    fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
+    }
+
+    /// The texels. The image's size is allowed by now.
+    fn decode(&self, name: &str, bytes: &[u8]) -> Result<Texels, SceneError> {
+        if self.format == ImageFormat::Jpeg && is_cut_short(bytes) {
+            return Err(SceneError::file(name, "is not a readable image: the JPEG file is truncated"));
+        }
+        let mut reader = ImageReader::with_format(Cursor::new(bytes), self.format);
+        // 16 bytes per pixel, and 64 MiB for decoder and other data.
+        let mut limits = image::Limits::default();
+        limits.max_alloc = Some(self.pixels() * 16 + (64 << 20));
+        reader.limits(limits);
+        let decoded = reader.decode().map_err(|e| unreadable(name, &e))?;
+        match self.format {
+            ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP => {
+                Ok(Texels::Srgb8(decoded.into_rgba8().pixels().map(|p| p.0).collect()))
+            }
+            _ => linear(name, &decoded.into_rgb32f(), self.width),
+        }
+    }
+}
+
+fn unreadable(name: &str, error: &image::ImageError) -> SceneError {
+    SceneError::file(name, format!("is not a readable image: {error}"))
 }
 
 impl<'a> TextureLibrary<'a> {
     pub(crate) fn new(bundle: &'a Bundle) -> Self {
-        Self { bundle, textures: Vec::new(), by_name: BTreeMap::new(), translucent: Vec::new(), pixels: 0 }
+        Self {
+            bundle,
+            textures: Vec::new(),
+            by_name: BTreeMap::new(),
+            translucent: Vec::new(),
+            pixels: 0,
+            ready: BTreeMap::new(),
+        }
+    }
+
+    /// Decodes files of the bundle that will be loaded, on all threads. It stops at the first that cannot be
+    /// decoded: errors appear when that one is loaded.
+    pub(crate) fn prefetch(&mut self, paths: impl Iterator<Item = String>) {
+        let mut pixels = self.pixels;
+        let mut found = Vec::new();
+        let wanted: BTreeSet<String> = paths.filter(|path| self.known(path).is_none()).collect();
+        for path in wanted {
+            let Ok(bytes) = self.bundle.read(&path) else { break };
+            let Ok(head) = Head::of(&path, &bytes) else { break };
+            pixels += head.pixels();
+            if pixels > self.bundle.limits().texture_pixels {
+                break;
+            }
+            found.push((path, bytes, head));
+        }
+        let decoded = forelight_threads::map(&found, 1, |(path, bytes, head)| head.decode(path, bytes));
+        for ((path, _, head), texels) in found.into_iter().zip(decoded) {
+            self.ready.insert(path, (head, texels));
+        }
     }
 
     /// Loads a texture from a file of the bundle.
     pub(crate) fn load(&mut self, path: &str) -> Result<TextureId, SceneError> {
         if let Some(id) = self.known(path) {
             return Ok(id);
+        }
+        if let Some((head, texels)) = self.ready.remove(path) {
+            self.check_limit(path, &head)?;
+            return Ok(self.add(path, &head, texels?));
         }
         let bytes = self.bundle.read(path)?;
         self.decode(path, &bytes)
@@ -36,58 +130,33 @@ impl<'a> TextureLibrary<'a> {
         if let Some(id) = self.known(name) {
             return Ok(id);
         }
-        let refused = |e: image::ImageError| SceneError::file(name, format!("is not a readable image: {e}"));
-        let open = || {
-            // The format is determined by a file's contents, not by its name.
-            let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format();
-            let reader = reader.map_err(|e| SceneError::file(name, e.to_string()))?;
-            match reader.format() {
-                Some(
-                    format @ (ImageFormat::Png
-                    | ImageFormat::Jpeg
-                    | ImageFormat::WebP
-                    | ImageFormat::Hdr
-                    | ImageFormat::OpenExr),
-                ) => Ok((reader, format)),
-                _ => Err(SceneError::file(
-                    name,
-                    "is not a supported image (PNG, JPEG, WebP, Radiance HDR, OpenEXR)",
-                )),
-            }
-        };
-        let (width, height) = open()?.0.into_dimensions().map_err(refused)?;
-        if width == 0 || height == 0 {
-            return Err(SceneError::file(name, "the image has no pixels"));
-        }
-        self.pixels += u64::from(width) * u64::from(height);
+        let head = Head::of(name, bytes)?;
+        self.check_limit(name, &head)?;
+        let texels = head.decode(name, bytes)?;
+        Ok(self.add(name, &head, texels))
+    }
+
+    /// Counts the texels of an image that is about to be decoded.
+    fn check_limit(&mut self, name: &str, head: &Head) -> Result<(), SceneError> {
+        self.pixels += head.pixels();
         let limit = self.bundle.limits().texture_pixels;
         if self.pixels > limit {
             let (file, found) = (name.to_owned(), self.pixels);
             return Err(SceneError::Limit { file, what: "texels of all textures", found, limit });
         }
-        let (mut reader, format) = open()?;
-        if format == ImageFormat::Jpeg && is_cut_short(bytes) {
-            return Err(SceneError::file(name, "is not a readable image: the JPEG file is truncated"));
-        }
-        // The image's size is allowed by now: 16 bytes per pixel, and 64 MiB for decoder and other data.
-        let mut limits = image::Limits::default();
-        limits.max_alloc = Some(u64::from(width) * u64::from(height) * 16 + (64 << 20));
-        reader.limits(limits);
-        let decoded = reader.decode().map_err(refused)?;
-        let texels = match format {
-            ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP => {
-                Texels::Srgb8(decoded.into_rgba8().pixels().map(|p| p.0).collect())
-            }
-            _ => linear(name, &decoded.into_rgb32f(), width)?,
-        };
+        Ok(())
+    }
+
+    fn add(&mut self, name: &str, head: &Head, texels: Texels) -> TextureId {
         let id = TextureId(self.textures.len() as u32);
         self.translucent.push(match &texels {
             Texels::Srgb8(texels) => texels.iter().any(|texel| texel[3] < 255),
             Texels::Linear(_) => false,
         });
+        let Head { width, height, .. } = *head;
         self.textures.push(Texture { name: name.to_owned(), width, height, texels });
         self.by_name.insert(name.to_owned(), id);
-        Ok(id)
+        id
     }
 
     /// The texture of this name, if it is loaded.

@@ -6,6 +6,7 @@
 
 mod animation;
 mod assembly;
+mod bulk;
 mod bundle;
 mod camera;
 mod camera_source;
@@ -15,6 +16,7 @@ mod error;
 mod frame;
 mod gltf_file;
 mod images;
+mod kept_scene;
 mod light_source;
 mod limits;
 mod material;

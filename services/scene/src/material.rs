@@ -2,10 +2,11 @@
 
 use crate::TextureId;
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use std::num::NonZeroU8;
 
 /// A colour, optionally varied by a texture: `factor` × texture, or `factor` alone.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Color {
     /// Linear Rec. 709 multiplier.
     pub factor: Vec3,
@@ -21,7 +22,7 @@ impl Color {
 }
 
 /// How a surface scatters light.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Surface {
     /// Lambertian reflection, on both sides.
     Lambert {
@@ -79,7 +80,7 @@ impl Surface {
 pub const MOST_NESTED: usize = 32;
 
 /// Cut-out by a texture's alpha channel.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AlphaMask {
     /// The texture whose alpha channel is used.
     pub texture: TextureId,
@@ -99,7 +100,7 @@ pub enum MaterialClass {
 }
 
 /// One material of a scene.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Material {
     /// Name in the bundle.
     pub name: String,

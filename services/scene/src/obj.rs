@@ -2,17 +2,19 @@
 //!
 //! `tobj` gives no line numbers, accepts NaN, does not report missing materials, fans non-convex faces, and
 //! mixes up attributes that only some faces have. So [`check`] goes through the text first: non-convex faces
-//! are triangulated, and a new model starts where attributes change.
+//! are triangulated, and a new model starts where attributes change. `tobj` reads what [`check`] writes at the
+//! same time, on another thread.
 
 use crate::assembly::{Assembly, plain_material};
 use crate::bundle::resolve;
 use crate::error::{Place, SceneError};
-use crate::obj_text::{text, without_comment};
+use crate::obj_text::{PipedText, piped_text, text, without_comment};
 use crate::polygon;
 use crate::shot::{Mesh, Node, Part, Placement, unit_or_zero};
 use crate::{Color, Surface};
 use glam::{DVec3, Vec2, Vec3};
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::BufRead;
 use std::sync::Arc;
 
 /// The name that `tobj` gives to faces before the first `o` or `g`.
@@ -23,8 +25,6 @@ const MOST_CUTTING: u64 = 1_000_000_000;
 
 /// A checked OBJ file.
 struct Checked {
-    /// Text for `tobj`, with the material libraries first.
-    text: Vec<u8>,
     /// Paths of the material libraries, each once, with the line that first names it.
     libraries: Vec<(String, usize)>,
     /// Materials in use, each with the line that first uses it.
@@ -35,18 +35,23 @@ struct Checked {
 
 /// Reads an OBJ file and its material libraries into the assembly.
 pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
-    let checked = check(path, &assembly.bundle.read(path)?, assembly.bundle.limits().triangles)?;
+    let bytes = assembly.bundle.read(path)?;
+    let limit = assembly.bundle.limits().triangles;
+    let (canonical, reader) = piped_text();
+    let (checked, parsed) =
+        forelight_threads::join(|| check(path, &bytes, limit, canonical), || parse(reader));
+    let checked = checked?;
     warn_ignored(assembly, path, &checked.ignored);
     let libraries = load_libraries(assembly, path, &checked.libraries)?;
-    let options =
-        tobj::LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
-    let mut sources = Vec::new();
-    for (file, library) in &libraries {
-        sources.extend(library.0.iter().map(|material| (file.clone(), material.clone())));
+    let mut sources: Vec<(String, tobj::Material)> = Vec::new();
+    // Of materials with the same name, the last counts.
+    let mut places: BTreeMap<&str, usize> = BTreeMap::new();
+    for (file, (materials, index)) in &libraries {
+        places.extend(index.iter().map(|(name, place)| (name.as_str(), sources.len() + place)));
+        sources.extend(materials.iter().map(|material| (file.clone(), material.clone())));
     }
-    let known: BTreeSet<&str> = sources.iter().map(|(_, material)| material.name.as_str()).collect();
     for (name, line) in &checked.materials {
-        if !known.contains(name.as_str()) {
+        if !places.contains_key(name.as_str()) {
             return Err(SceneError::line(
                 path,
                 *line,
@@ -54,22 +59,40 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
             ));
         }
     }
-    let (models, _) = tobj::load_obj_buf(&mut checked.text.as_slice(), &options, |name| {
-        let found = libraries.iter().find(|(file, _)| name == std::path::Path::new(file));
-        found.map_or(Err(tobj::LoadError::OpenFileFailed), |(_, library)| Ok(library.clone()))
-    })
-    .map_err(|e| SceneError::file(path, e.to_string()))?;
+    let (models, used) = parsed.map_err(|e| SceneError::file(path, e.to_string()))?;
     if models.iter().all(|model| model.mesh.indices.is_empty()) {
         return Err(SceneError::file(path, "has no face"));
     }
 
-    let first_material = assembly.materials.len() as u32;
+    let textures = sources
+        .iter()
+        .filter_map(|(file, source)| crate::bundle::resolve(file, source.diffuse_texture.as_ref()?).ok());
+    assembly.textures.prefetch(textures);
+    let first_material = assembly.materials.len();
     for (file, source) in &sources {
         let material = crate::mtl::material(assembly, file, source)?;
         assembly.add_material(material);
         assembly.check_priorities(file)?;
     }
-    place(assembly, path, models, first_material)
+    // All materials in use are known by now.
+    let used = used.iter().filter_map(|material| places.get(material.name.as_str()));
+    let used: Vec<u32> = used.map(|place| (first_material + place) as u32).collect();
+    place(assembly, path, models, &used)
+}
+
+/// Models, whose materials are indices into the materials in use, by name.
+type Parsed = (Vec<tobj::Model>, Vec<tobj::Material>);
+
+/// Has `tobj` read the text of [`check`]. In it, a library holds one material: the one that it is named after.
+fn parse(mut text: impl BufRead) -> Result<Parsed, tobj::LoadError> {
+    let options =
+        tobj::LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };
+    let (models, used) = tobj::load_obj_buf(&mut text, &options, |library| {
+        let name = library.to_str().unwrap_or_default().to_owned();
+        let material = tobj::Material { name: name.clone(), ..tobj::Material::default() };
+        Ok((vec![material], LibraryIndex::from([(name, 0)])))
+    })?;
+    Ok((models, used?))
 }
 
 /// A material library: its path in the bundle, and its content as read by `tobj`.
@@ -99,7 +122,7 @@ fn place(
     assembly: &mut Assembly<'_>,
     path: &str,
     models: Vec<tobj::Model>,
-    first_material: u32,
+    used: &[u32],
 ) -> Result<(), SceneError> {
     let file: Arc<str> = path.into();
     let mut objects: BTreeMap<String, (u32, usize)> = BTreeMap::new();
@@ -125,7 +148,7 @@ fn place(
             }
         };
         let material = match mesh.material_id {
-            Some(id) => first_material + id as u32,
+            Some(id) => used[id],
             None => *grey.get_or_insert_with(|| {
                 assembly.warn(format!("{path}: faces of `{name}` have no material and are rendered grey"));
                 let albedo = Color::plain(Vec3::splat(0.5));
@@ -161,11 +184,12 @@ fn warn_ignored(assembly: &mut Assembly<'_>, file: &str, ignored: &BTreeMap<Stri
     }
 }
 
-fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, SceneError> {
+/// Checks an OBJ file, and writes the text that `tobj` reads.
+fn check(file: &str, bytes: &[u8], triangle_limit: u64, out: PipedText) -> Result<Checked, SceneError> {
     let text = text(file, bytes)?;
     let mut check = Check {
         file,
-        out: Vec::with_capacity(text.len() + 1024),
+        out,
         name: UNNAMED,
         format: None,
         positions: Vec::new(),
@@ -184,20 +208,14 @@ fn check(file: &str, bytes: &[u8], triangle_limit: u64) -> Result<Checked, Scene
             return Err(SceneError::Limit { file: file.to_owned(), what: "triangles", found, limit });
         }
     }
-    // A file may name a library after the faces that use it, but `tobj` needs it first.
-    let mut text: Vec<u8> = Vec::with_capacity(check.out.len() + 1024);
-    for (library, _) in &check.libraries {
-        text.extend_from_slice(format!("mtllib {library}\n").as_bytes());
-    }
-    text.append(&mut check.out);
     let Check { libraries, materials, ignored, .. } = check;
-    Ok(Checked { text, libraries, materials, ignored })
+    Ok(Checked { libraries, materials, ignored })
 }
 
 struct Check<'a> {
     /// Path of the OBJ file.
     file: &'a str,
-    out: Vec<u8>,
+    out: PipedText,
     /// Name of the current object.
     name: &'a str,
     /// Whether the current model's faces have (texture coordinates, normals).
@@ -241,7 +259,12 @@ impl<'a> Check<'a> {
             }
             "usemtl" | "mtllib" if rest.is_empty() => return Err(format!("`{key}` needs a name")),
             "usemtl" => {
-                self.materials.entry(rest.to_owned()).or_insert(number);
+                // A file may name its libraries after the faces that use them, but `tobj` needs each material
+                // before. So each comes as a library of its own.
+                if !self.materials.contains_key(rest) {
+                    self.materials.insert(rest.to_owned(), number);
+                    self.write(&["mtllib ", rest]);
+                }
                 self.write(&["usemtl ", rest]);
             }
             "mtllib" => {
@@ -258,10 +281,7 @@ impl<'a> Check<'a> {
     }
 
     fn write(&mut self, parts: &[&str]) {
-        for part in parts {
-            self.out.extend_from_slice(part.as_bytes());
-        }
-        self.out.push(b'\n');
+        self.out.line(parts);
     }
 
     /// Reads a position: 3 numbers, or 4 with a weight, or 6 with a colour. The colour is ignored.

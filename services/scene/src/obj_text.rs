@@ -1,7 +1,10 @@
-//! The text of OBJ and MTL files: encoding, continued lines and comments.
+//! The text of OBJ and MTL files: encoding, continued lines and comments; and text on its way from one thread
+//! to another.
 
 use crate::error::SceneError;
 use std::borrow::Cow;
+use std::io::{self, BufRead, Read};
+use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// The text of a file, with continued lines joined. If it is not UTF-8, the error has the line.
 pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<Cow<'a, str>, SceneError> {
@@ -41,4 +44,73 @@ fn joined(text: &str) -> String {
 /// Removes a comment after numbers.
 pub(crate) fn without_comment(numbers: &str) -> &str {
     numbers.split_once('#').map_or(numbers, |(numbers, _)| numbers.trim_end())
+}
+
+/// Bytes that are sent together.
+const PIECE: usize = 1 << 18;
+
+/// Lines that another thread reads while they are written.
+pub(crate) struct PipedText {
+    piece: Vec<u8>,
+    sender: Sender<Vec<u8>>,
+}
+
+/// A pipe for text. Whatever is written fits, so both ends may also be used one after the other.
+pub(crate) fn piped_text() -> (PipedText, impl BufRead) {
+    let (sender, receiver) = channel();
+    (PipedText { piece: Vec::new(), sender }, Pieces { piece: Vec::new(), read: 0, receiver })
+}
+
+impl PipedText {
+    /// Writes a line that consists of these parts.
+    pub(crate) fn line(&mut self, parts: &[&str]) {
+        for part in parts {
+            self.piece.extend_from_slice(part.as_bytes());
+        }
+        self.piece.push(b'\n');
+        if self.piece.len() >= PIECE {
+            self.send();
+        }
+    }
+
+    fn send(&mut self) {
+        let next = Vec::with_capacity(PIECE + 1024);
+        // A reader that has met an error reads no further.
+        let _ = self.sender.send(std::mem::replace(&mut self.piece, next));
+    }
+}
+
+impl Drop for PipedText {
+    fn drop(&mut self) {
+        self.send();
+    }
+}
+
+struct Pieces {
+    piece: Vec<u8>,
+    /// Number of bytes of the piece that were read.
+    read: usize,
+    receiver: Receiver<Vec<u8>>,
+}
+
+impl BufRead for Pieces {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        while self.read == self.piece.len() {
+            let Ok(piece) = self.receiver.recv() else { return Ok(&[]) };
+            (self.piece, self.read) = (piece, 0);
+        }
+        Ok(&self.piece[self.read..])
+    }
+
+    fn consume(&mut self, read: usize) {
+        self.read += read;
+    }
+}
+
+impl Read for Pieces {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.fill_buf()?.read(buffer)?;
+        self.consume(read);
+        Ok(read)
+    }
 }

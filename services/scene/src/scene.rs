@@ -13,11 +13,14 @@ use crate::shot::{Baked, Shot};
 use crate::{Camera, Environment, Frame, Geometry, Material, PointLight, Strata, Sun, Texture};
 use glam::{DMat4, DVec3, Vec3};
 use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+pub(crate) use loading::Entry;
 
 /// The content of a bundle, from which several threads can make frames. As long as nothing moves, all share
 /// the same [`Geometry`].
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Scene {
     name: String,
     /// The file that errors of single frames name.
@@ -38,6 +41,7 @@ pub struct Scene {
     still_world: Vec<DMat4>,
     still: Baked,
     /// World matrices and geometry of the most recently made frame whose geometry differs from frame 0.
+    #[serde(skip)]
     recent: Mutex<Option<(Vec<DMat4>, Arc<Geometry>)>>,
     materials: Arc<[Material]>,
     /// Emission over time, with the index of its material.

@@ -7,18 +7,23 @@ use crate::limits::LARGEST_COORDINATE;
 use crate::tracks::Motion;
 use crate::{Geometry, Strata};
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
 /// Local geometry, carried by a node.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Mesh {
+    #[serde(with = "crate::bulk")]
     pub(crate) positions: Vec<Vec3>,
     /// One per position. Zero means: use the geometric normal.
+    #[serde(with = "crate::bulk")]
     pub(crate) normals: Vec<Vec3>,
     /// One per position.
+    #[serde(with = "crate::bulk")]
     pub(crate) uvs: Vec<Vec2>,
+    #[serde(with = "crate::bulk")]
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
@@ -28,7 +33,7 @@ pub(crate) fn unit_or_zero(v: Vec3) -> Vec3 {
 }
 
 /// A node's transform relative to its parent.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Placement {
     Matrix(DMat4),
     Parts { translation: DVec3, rotation: DQuat, scale: DVec3 },
@@ -50,7 +55,7 @@ impl Placement {
 }
 
 /// A named node of the hierarchy, which can be animated.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Node {
     pub(crate) name: String,
     /// Index of the parent, which comes before its children in the list.
@@ -112,27 +117,31 @@ pub(crate) struct Part {
 }
 
 /// All parts of a scene.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Shot {
     pub(crate) nodes: Vec<Node>,
+    #[serde(with = "parts_of_meshes")]
     pub(crate) parts: Vec<Part>,
     pub(crate) strata: Strata,
     /// Origin of world space, in the coordinates of the files, metres; see [`Shot::world`].
     pub(crate) origin: DVec3,
+    /// While geometry is read.
+    #[serde(skip)]
     stratum_by_pair: BTreeMap<(u32, u32), u32>,
-    /// Names in use, and the number of objects that were given each name.
+    /// Names in use, and the number of objects that were given each name. While geometry is read.
+    #[serde(skip)]
     object_names: BTreeMap<String, u32>,
     /// Triangles of all parts, including those without area.
     triangles: u64,
     vertices: u64,
 }
 
-/// The geometry of a frame, and the range of triangles of each part.
-#[derive(Debug)]
+/// The geometry of a frame, and where each part is in it.
+#[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Baked {
     pub(crate) geometry: Arc<Geometry>,
-    /// Range of triangles of each part.
-    ranges: Vec<Range<usize>>,
+    /// Vertices and triangles of each part.
+    ranges: Vec<(Range<usize>, Range<usize>)>,
     /// Number of triangles that were removed because they have no area.
     pub(crate) dropped: usize,
 }
@@ -225,14 +234,15 @@ impl Shot {
         let mut ranges = Vec::with_capacity(self.parts.len());
         for part in &self.parts {
             let to_world = ToWorld::new(&world[part.node]);
-            let first = geometry.positions.len() as u32;
+            let first = geometry.positions.len();
             for &position in &part.mesh.positions {
                 geometry.positions.push(to_world.position(position));
             }
             geometry.normals.extend(part.mesh.normals.iter().map(|&n| to_world.normal(n)));
             geometry.uvs.extend_from_slice(&part.mesh.uvs);
-            self.check_positions(part, &geometry.positions[first as usize..])?;
-            ranges.push(push_triangles(&mut geometry, part, first, to_world.mirrored));
+            self.check_positions(part, &geometry.positions[first..])?;
+            let triangles = push_triangles(&mut geometry, part, first as u32, to_world.mirrored);
+            ranges.push((first..geometry.positions.len(), triangles));
         }
         let dropped = triangles - geometry.triangles.len();
         Ok(Baked { geometry: Arc::new(geometry), ranges, dropped })
@@ -254,26 +264,30 @@ impl Shot {
             triangle_stratum: Vec::with_capacity(base.triangles.len()),
             strata: base.strata.clone(),
         };
-        let mut first = 0;
-        for (part, range) in self.parts.iter().zip(&still.ranges) {
-            let end = first + part.mesh.positions.len();
+        for (part, (vertices, triangles)) in self.parts.iter().zip(&still.ranges) {
             if moving[part.node] {
                 let to_world = ToWorld::new(&world[part.node]);
-                for (out, &local) in geometry.positions[first..end].iter_mut().zip(&part.mesh.positions) {
+                for (out, &local) in geometry.positions[vertices.clone()].iter_mut().zip(&part.mesh.positions)
+                {
                     *out = to_world.position(local);
                 }
-                for (out, &local) in geometry.normals[first..end].iter_mut().zip(&part.mesh.normals) {
+                for (out, &local) in geometry.normals[vertices.clone()].iter_mut().zip(&part.mesh.normals) {
                     *out = to_world.normal(local);
                 }
-                self.check_positions(part, &geometry.positions[first..end])?;
-                push_triangles(&mut geometry, part, first as u32, to_world.mirrored);
+                self.check_positions(part, &geometry.positions[vertices.clone()])?;
+                push_triangles(&mut geometry, part, vertices.start as u32, to_world.mirrored);
             } else {
-                geometry.triangles.extend_from_slice(&base.triangles[range.clone()]);
-                geometry.triangle_stratum.extend_from_slice(&base.triangle_stratum[range.clone()]);
+                geometry.triangles.extend_from_slice(&base.triangles[triangles.clone()]);
+                geometry.triangle_stratum.extend_from_slice(&base.triangle_stratum[triangles.clone()]);
             }
-            first = end;
         }
         Ok(geometry)
+    }
+
+    /// Forgets the meshes of parts that never move. Frames take these parts from the baked geometry.
+    pub(crate) fn forget_still(&mut self, moving: &[bool]) {
+        let nothing = Arc::<Mesh>::default();
+        self.parts.iter_mut().filter(|part| !moving[part.node]).for_each(|part| part.mesh = nothing.clone());
     }
 
     fn check_positions(&self, part: &Part, positions: &[Vec3]) -> Result<(), SceneError> {
@@ -333,6 +347,44 @@ impl ToWorld {
 
     fn normal(&self, local: Vec3) -> Vec3 {
         if self.identity { local } else { (self.normals * local.as_dvec3()).normalize_or_zero().as_vec3() }
+    }
+}
+
+/// Parts in a kept scene. A mesh that several parts share is written once.
+mod parts_of_meshes {
+    use super::{Mesh, Part};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+    use std::sync::Arc;
+
+    /// Indices of node, stratum, mesh and file.
+    type Indices = (usize, u32, usize, usize);
+
+    pub fn serialize<S: Serializer>(parts: &[Part], serializer: S) -> Result<S::Ok, S::Error> {
+        let (mut meshes, mut files): (Vec<&Arc<Mesh>>, Vec<&Arc<str>>) = Default::default();
+        let mut indices: Vec<Indices> = Vec::with_capacity(parts.len());
+        let mut known = std::collections::HashMap::new();
+        for Part { node, stratum, mesh, file } in parts {
+            let mesh = *known.entry(Arc::as_ptr(mesh)).or_insert_with(|| {
+                meshes.push(mesh);
+                meshes.len() - 1
+            });
+            // Parts come file by file.
+            if files.last().is_none_or(|last| *last != file) {
+                files.push(file);
+            }
+            indices.push((*node, *stratum, mesh, files.len() - 1));
+        }
+        (indices, meshes, files).serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Part>, D::Error> {
+        let (indices, meshes, files) =
+            <(Vec<Indices>, Vec<Arc<Mesh>>, Vec<Arc<str>>)>::deserialize(deserializer)?;
+        let part = |(node, stratum, mesh, file): Indices| {
+            Some(Part { node, stratum, mesh: meshes.get(mesh)?.clone(), file: files.get(file)?.clone() })
+        };
+        let parts: Option<Vec<Part>> = indices.into_iter().map(part).collect();
+        parts.ok_or_else(|| D::Error::custom("a part without mesh or file"))
     }
 }
 

@@ -1,22 +1,25 @@
 //! Images for surfaces and for the environment.
 
 use glam::{Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Index into [`crate::Frame::textures`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TextureId(pub u32);
 
 /// Stored texels. 8-bit images stay 8-bit to save memory. HDR images are linear floats.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Texels {
     /// sRGB-encoded colour with linear alpha.
+    #[serde(with = "crate::bulk")]
     Srgb8(Vec<[u8; 4]>),
     /// Linear RGB.
+    #[serde(with = "crate::bulk")]
     Linear(Vec<[f32; 3]>),
 }
 
 /// An image with bilinear, repeating lookup.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Texture {
     /// Path in the bundle, for error messages.
     pub name: String,

@@ -1,9 +1,11 @@
 //! Work on this machine: an open bundle, complete settings, and a thread pool.
 
 use crate::failure::BadInput;
-use crate::options::{MachineOptions, PreviewBackend, QualityOptions};
+use crate::options::{Keep, MachineOptions, PreviewBackend, QualityOptions};
 use crate::output::Bars;
 use anyhow::{Context, Result};
+use etcetera::BaseStrategy as _;
+use forelight_kept::Folder;
 use forelight_preview::Choice;
 use forelight_protocol::{FrameSet, RenderSettings, RenderSettingsRequest};
 use forelight_renderer_own::{OwnRenderer, OwnShot};
@@ -25,7 +27,10 @@ impl Local {
             return Err(BadInput::new(missing).into());
         }
         let pool = thread_pool(machine.threads)?;
-        let ambient = OwnRenderer::new(preview_choice(machine.preview));
+        let mut ambient = OwnRenderer::new(preview_choice(machine.preview));
+        if let Some(folder) = kept_scenes(machine.keep) {
+            ambient = ambient.keeping(folder);
+        }
         let spinner = bars.spinner(format!("loading {}", bundle.display()));
         let shot = pool.install(|| ambient.open(bundle));
         spinner.finish_and_clear();
@@ -78,6 +83,14 @@ pub fn thread_pool(threads: Option<u16>) -> Result<rayon::ThreadPool> {
         .thread_name(|index| format!("trace-{index}"))
         .build()
         .context("cannot start threads")
+}
+
+/// The folder of kept scenes in the user's cache folder. `None` if there can be none.
+fn kept_scenes(keep: Keep) -> Option<Folder> {
+    let user = etcetera::choose_base_strategy().ok().filter(|_| keep == Keep::On)?;
+    let folder = user.cache_dir().join("forelight/scenes");
+    let made = Folder::new(&folder);
+    made.inspect_err(|error| tracing::debug!(path = %folder.display(), %error, "scenes cannot be kept")).ok()
 }
 
 /// The choice of the previewer for the flag.

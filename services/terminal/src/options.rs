@@ -87,6 +87,19 @@ pub struct MachineOptions {
     /// Device that renders ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     pub preview: PreviewBackend,
+    /// Whether to keep loaded scenes and acceleration structures in the user's cache folder, so that later
+    /// commands start sooner. Results are the same
+    #[arg(long, value_name = "MODE", default_value = "on")]
+    pub keep: Keep,
+}
+
+/// Whether loaded scenes are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Keep {
+    /// Keep large scenes, up to 4 GiB together.
+    On,
+    /// Keep nothing, and use nothing that was kept.
+    Off,
 }
 
 /// The device that renders ID previews.

@@ -2,6 +2,7 @@
 //! in every run and close to proportional to time. [`Counters`] counts one pixel.
 
 use forelight_bvh::Traversal;
+pub use forelight_threads::{clocked, process_cpu_nanos};
 use std::ops::{Add, AddAssign};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -188,13 +189,9 @@ pub fn build_work(triangles: usize, nodes: usize) -> u64 {
     2000 * triangles as u64 + 500 * nodes as u64
 }
 
-/// Runs `work`. Returns its result and this thread's CPU time in nanoseconds. `work` must not wait for a
-/// thread pool, because a waiting thread does other work.
-pub fn clocked<T>(work: impl FnOnce() -> T) -> (T, u64) {
-    let now = || nanos(rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime));
-    let start = now();
-    let given = work();
-    (given, now() - start)
+/// Work of reading a kept tree and checking it.
+pub fn load_work(triangles: usize, nodes: usize) -> u64 {
+    100 * triangles as u64 + 100 * nodes as u64
 }
 
 /// Runs `trace`, and converts the wall-clock time of each traced pixel to CPU time. `trace` returns each
@@ -209,13 +206,4 @@ pub(crate) fn share_cpu_time<'a>(trace: impl FnOnce() -> Vec<(u64, &'a mut u64)>
             *now = before + ((*now - before) as f64 * share).round() as u64;
         }
     }
-}
-
-/// CPU time of all threads of this process, nanoseconds.
-pub fn process_cpu_nanos() -> u64 {
-    nanos(rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime))
-}
-
-fn nanos(t: rustix::time::Timespec) -> u64 {
-    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
 }

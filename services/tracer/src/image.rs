@@ -2,6 +2,7 @@
 
 use crate::cost::add_rays;
 use crate::cryptomatte::Matte;
+use crate::exr_file;
 use crate::{Pixel, RAY_NAMES, Rays, WorkByRay};
 use exr::prelude as exr;
 use forelight_pictures::{cost_map, tone_map};
@@ -42,6 +43,12 @@ pub struct Totals {
     pub work_by_ray: WorkByRay,
     /// CPU time, nanoseconds.
     pub cpu_nanos: u64,
+}
+
+/// What a channel holds of a pixel.
+enum Value<'a> {
+    Float(Box<dyn Fn(&Pixel) -> f32 + Sync + 'a>),
+    Integer(Box<dyn Fn(&Pixel) -> u32 + Sync + 'a>),
 }
 
 impl Totals {
@@ -103,30 +110,36 @@ impl Image {
         use exr::{
             AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer, LayerAttributes,
         };
-        let floats = |f: &dyn Fn(&Pixel) -> f32| FlatSamples::F32(self.pixels.iter().map(f).collect());
-        let integers = |f: &dyn Fn(&Pixel) -> u32| FlatSamples::U32(self.pixels.iter().map(f).collect());
         let pair = |p: &Pixel| frame.geometry.strata.pairs.get(p.stratum as usize);
-        let mut channels: exr::SmallVec<[AnyChannel<FlatSamples>; 4]> = exr::SmallVec::new();
+        let mut plain: Vec<(String, Value<'_>)> = Vec::new();
         for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
-            channels.push(AnyChannel::new(name, floats(&|p| p.color[c])));
+            plain.push((name.into(), Value::Float(Box::new(move |p| p.color[c]))));
         }
-        channels.push(AnyChannel::new("object.id", integers(&|p| pair(p).map_or(0, |ids| ids.0 + 1))));
-        channels.push(AnyChannel::new("material.id", integers(&|p| pair(p).map_or(0, |ids| ids.1 + 1))));
-        channels.push(AnyChannel::new("cost.work", floats(&|p| p.work as f32)));
-        channels.push(AnyChannel::new("cost.cpu_nanos", floats(&|p| p.cpu_nanos as f32)));
+        let object = move |p: &Pixel| pair(p).map_or(0, |ids| ids.0 + 1);
+        let material = move |p: &Pixel| pair(p).map_or(0, |ids| ids.1 + 1);
+        plain.push(("object.id".into(), Value::Integer(Box::new(object))));
+        plain.push(("material.id".into(), Value::Integer(Box::new(material))));
+        plain.push(("cost.work".into(), Value::Float(Box::new(|p| p.work as f32))));
+        plain.push(("cost.cpu_nanos".into(), Value::Float(Box::new(|p| p.cpu_nanos as f32))));
         for (k, name) in RAY_NAMES.into_iter().enumerate() {
-            channels.push(AnyChannel::new(format!("rays.{name}").as_str(), integers(&|p| p.rays[k])));
+            plain.push((format!("rays.{name}"), Value::Integer(Box::new(move |p| p.rays[k]))));
         }
+        let samples = forelight_threads::map(&plain, 1, |(_, value)| match value {
+            Value::Float(value) => FlatSamples::F32(self.pixels.iter().map(value).collect()),
+            Value::Integer(value) => FlatSamples::U32(self.pixels.iter().map(value).collect()),
+        });
+        let named = plain.iter().zip(samples);
+        let mut channels: exr::SmallVec<[AnyChannel<FlatSamples>; 4]> =
+            named.map(|((name, _), samples)| AnyChannel::new(name.as_str(), samples)).collect();
         let mut attributes = LayerAttributes::default();
-        for matte in mattes(frame) {
-            for (name, values) in matte.channels(&self.pixels) {
-                channels.push(AnyChannel::new(name.as_str(), FlatSamples::F32(values)));
-            }
+        let mattes = mattes(frame);
+        let ids = forelight_threads::map(&mattes, 1, |matte| matte.channels(&self.pixels));
+        for (name, values) in ids.into_iter().flatten() {
+            channels.push(AnyChannel::new(name.as_str(), FlatSamples::F32(values)));
+        }
+        for (name, value) in mattes.iter().flat_map(Matte::attributes) {
             let text = |value: &str| exr::Text::new_or_panic(value);
-            let named = matte.attributes();
-            attributes.other.extend(
-                named.iter().map(|(name, value)| (text(name), exr::AttributeValue::Text(text(value)))),
-            );
+            attributes.other.insert(text(&name), exr::AttributeValue::Text(text(&value)));
         }
         let layer = Layer::new(
             (self.width as usize, self.height as usize),
@@ -135,10 +148,8 @@ impl Image {
             Encoding::SMALL_LOSSLESS,
             AnyChannels::sort(channels),
         );
-        use exr::WritableImage;
         let error = |e: exr::Error| ImageError { path: path.display().to_string(), reason: e.to_string() };
-        // Single-threaded, because other tasks render at the same time.
-        ExrImage::from_layer(layer).write().non_parallel().to_file(path).map_err(error)
+        exr_file::write(&ExrImage::from_layer(layer), path).map_err(error)
     }
 
     /// The image as 8-bit sRGB, tone-mapped for viewing.

@@ -16,7 +16,7 @@ use crate::pixel::{Pixel, PixelsFinished, Underway};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach};
 use crate::tiling::{TILE, Tiling};
-use crate::tree::Tree;
+use crate::tree::{Tree, TreeCost};
 use crate::{SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
 use forelight_scene::{Frame, Material};
@@ -26,6 +26,8 @@ use rayon::prelude::*;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
+
+pub use prepare::Trees;
 
 /// Pixels per batch of [`Tracer::first_samples`]: thread clocks are read rarely, and every thread has work.
 const TOGETHER: usize = 64;
@@ -116,7 +118,7 @@ pub struct Tracer {
     given: Mutex<Option<Cache>>,
     effects: Effects,
     pub(crate) kernel: Box<dyn Trace>,
-    build: Cost,
+    tree: TreeCost,
     /// Work of all pixels traced so far, and of all gathers.
     pub(crate) pixel_work: Tally,
     pub(crate) gather_work: Tally,
@@ -233,9 +235,9 @@ impl Tracer {
         &self.frame
     }
 
-    /// Cost of building the tree, and of finding what can affect the image. Zero for a shared tree.
-    pub fn build_cost(&self) -> Cost {
-        self.build
+    /// Costs of the tree, and of finding what can affect the image. Zero for a tree that was given.
+    pub fn tree_cost(&self) -> TreeCost {
+        self.tree
     }
 
     /// Work by class so far: of all pixels, and of the cache's gathers. Planning is not included.

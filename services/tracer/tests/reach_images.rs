@@ -135,7 +135,7 @@ fn a_tree_is_shared_by_frames_that_see_the_same_of_the_scene_and_by_no_others() 
         frame.camera.origin = camera;
         let shared = Tracer::with_bvh(&frame, &settings(), first.bvh().clone());
         let same = Arc::ptr_eq(shared.bvh(), first.bvh());
-        assert_eq!(same, shared.build_cost() == Default::default());
+        assert_eq!(same, shared.tree_cost().build == Default::default());
         assert!(bits(&render(&shared)) == bits(&render(&Tracer::new(&frame, &settings()))));
         same
     };

@@ -4,11 +4,10 @@
 //! hash before it is opened: a damaged one is fetched again. The folder is its user's alone.
 
 use forelight_client::{Client, ClientError};
+use forelight_kept::Folder;
 use forelight_protocol::{ArtifactHash, BundleSource};
 use std::fs;
-use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 /// Fetched bundles are deleted, least recently used first, when they exceed this many bytes.
 const DISK_BYTES: u64 = 16 << 30;
@@ -16,7 +15,7 @@ const DISK_BYTES: u64 = 16 << 30;
 /// A folder of fetched bundles.
 #[derive(Debug)]
 pub struct Bundles {
-    folder: PathBuf,
+    folder: Folder,
     fetching: tokio::sync::Mutex<()>,
 }
 
@@ -26,8 +25,7 @@ impl Bundles {
     /// # Errors
     /// If the folder cannot be created.
     pub fn new(folder: &Path) -> Result<Self, std::io::Error> {
-        fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
-        Ok(Self { folder: folder.to_owned(), fetching: tokio::sync::Mutex::default() })
+        Ok(Self { folder: Folder::new(folder)?, fetching: tokio::sync::Mutex::default() })
     }
 
     /// Path of a task's bundle on this machine. Fetches the bundle if needed.
@@ -37,53 +35,21 @@ impl Bundles {
             BundleSource::Artifact(hash) => *hash,
         };
         let _one_at_a_time = self.fetching.lock().await;
-        let path = self.folder.join(format!("{hash}.zip"));
+        let path = self.folder.path().join(format!("{hash}.zip"));
         let failed = |source| ClientError::File { path: path.clone(), source };
         if is_whole(&path, hash).await {
-            // The time of last use decides which bundles are deleted.
-            if let Ok(file) = fs::File::options().append(true).open(&path) {
-                let _ = file.set_modified(SystemTime::now());
-            }
+            forelight_kept::used(&path);
             return Ok(path);
         }
         let partial = tempfile::Builder::new()
             .prefix(".fetching-")
-            .tempfile_in(&self.folder)
+            .tempfile_in(self.folder.path())
             .map_err(failed)?
             .into_temp_path();
         client.artifact_to_file(hash, &partial).await?;
         partial.persist(&path).map_err(|error| failed(error.error))?;
-        self.make_room(hash, DISK_BYTES);
+        self.folder.make_room("zip", &path, DISK_BYTES);
         Ok(path)
-    }
-
-    /// Deletes fetched bundles, least recently used first, until the rest fits in `limit` bytes. Keeps
-    /// `keep`.
-    fn make_room(&self, keep: ArtifactHash, limit: u64) {
-        let keep = format!("{keep}.zip");
-        let Ok(entries) = fs::read_dir(&self.folder) else { return };
-        let mut bundles: Vec<(SystemTime, u64, PathBuf)> = entries
-            .flatten()
-            .filter(|entry| entry.path().extension().is_some_and(|e| e == "zip"))
-            .filter_map(|entry| {
-                let about = entry.metadata().ok()?;
-                Some((about.modified().ok()?, about.len(), entry.path()))
-            })
-            .collect();
-        bundles.sort();
-        let mut bytes: u64 = bundles.iter().map(|(_, size, _)| size).sum();
-        for (_, size, path) in bundles {
-            if bytes <= limit {
-                return;
-            }
-            if path.file_name().is_some_and(|name| *name == *keep) {
-                continue;
-            }
-            // A bundle in use stays readable until it is closed. One that cannot be removed only takes space.
-            if fs::remove_file(&path).is_ok() {
-                bytes -= size;
-            }
-        }
     }
 }
 
@@ -114,18 +80,6 @@ async fn is_whole(path: &Path, hash: ArtifactHash) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
-
-    #[test]
-    fn the_folder_is_its_users_alone() {
-        use std::os::unix::fs::PermissionsExt as _;
-        let folder = tempfile::tempdir().unwrap();
-        let made = folder.path().join("a/b");
-        Bundles::new(&made).unwrap();
-        for folder in [made.as_path(), made.parent().unwrap()] {
-            assert_eq!(fs::metadata(folder).unwrap().permissions().mode() & 0o777, 0o700);
-        }
-    }
 
     #[tokio::test]
     async fn a_kept_file_is_whole_only_if_every_bit_of_it_is() {
@@ -137,22 +91,5 @@ mod tests {
         assert!(is_whole(&path, hash).await);
         fs::write(&path, b"a bundlE").unwrap();
         assert!(!is_whole(&path, hash).await);
-    }
-
-    #[test]
-    fn room_is_made_by_throwing_away_what_was_unused_for_longest() {
-        let folder = tempfile::tempdir().unwrap();
-        let bundles = Bundles::new(folder.path()).unwrap();
-        let hashes: Vec<ArtifactHash> = (0..4).map(|i| ArtifactHash([i; 32])).collect();
-        let path = |hash: &ArtifactHash| folder.path().join(format!("{hash}.zip"));
-        for (age, hash) in (0..).zip(&hashes) {
-            fs::write(path(hash), [0; 10]).unwrap();
-            let file = fs::File::options().append(true).open(path(hash)).unwrap();
-            file.set_modified(SystemTime::now() - Duration::from_secs(100 - age)).unwrap();
-        }
-        // The oldest is the one that was just fetched.
-        bundles.make_room(hashes[0], 25);
-        let left: Vec<bool> = hashes.iter().map(|hash| path(hash).exists()).collect();
-        assert_eq!(left, [true, false, false, true]);
     }
 }

@@ -9,6 +9,7 @@ mod ways;
 use crate::report::Report;
 use anyhow::{Context, Result, ensure};
 use forelight_forecast::PixelCurve;
+use forelight_kept::Folder;
 use forelight_protocol::{CacheMode, Integrator, RenderSettings};
 use forelight_renderer_own::{OwnFrame, Rendered, render_ready};
 use forelight_terminal::failure::Interrupted;
@@ -31,7 +32,8 @@ Examples:
   forelight bench divide kitchen/ --spp 16 --ambient-bounces 1 --cache on --parts 16 --nodes 16,128
 
 Costs are counted in work. Every node also pays for opening the scene, its acceleration structure and reading \
-the irradiance cache. Costs by forecast also pay for the samples that the forecast is made from. Buckets are \
+the irradiance cache. Nodes keep scenes and structures in one folder, as workers of one machine or home folder do, so \
+one of them builds the structure, and the others read it. Costs by forecast also pay for the samples that the forecast is made from. Buckets are \
 squares of 64 pixels in rows, which nodes take as they become free. The command fails if an image in parts \
 differs from that in one piece.")]
 pub struct Args {
@@ -47,6 +49,9 @@ pub struct Args {
     /// Number of parts to really render
     #[arg(long, value_name = "COUNT", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=512))]
     parts: u32,
+    /// Nodes share no folder: each loads the bundle and builds the acceleration structure itself
+    #[arg(long)]
+    apart: bool,
     /// Print the measurements as JSON to standard output
     #[arg(long)]
     json: bool,
@@ -90,7 +95,9 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
         let settings = local.settings(&args.quality)?;
         local.check_frame("--frame", args.frame)?;
         let spinner = bars.spinner(format!("rendering {}", bundle.display()));
-        let case = local.pool.install(|| measure(args, bundle, &local, settings, interrupt));
+        let kept = if args.apart { None } else { Some(tempfile::tempdir()?) };
+        let kept = kept.as_ref().map(|folder| Folder::new(folder.path())).transpose()?;
+        let case = local.pool.install(|| measure(args, (bundle, kept), &local, settings, interrupt));
         spinner.finish_and_clear();
         cases.push(case.with_context(|| format!("bundle {}", bundle.display()))?);
     }
@@ -99,7 +106,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
 
 fn measure(
     args: &Args,
-    bundle: &Path,
+    (bundle, kept): (&Path, Option<Folder>),
     local: &Local,
     settings: RenderSettings,
     interrupt: &Interrupt,
@@ -107,7 +114,7 @@ fn measure(
     let ready = local.shot.frame(args.frame, &settings)?;
     let whole = render_ready(&ready, &settings, None, &|_| (), &|_| (), interrupt.flag())?;
     let Rendered { image, stats, .. } = whole.ok_or(Interrupted)?;
-    let tasks = Tasks::new(bundle, local.shot.info().summary.digest, args.frame, &settings);
+    let tasks = Tasks::new(bundle, local.shot.info().summary.digest, args.frame, &settings, kept);
     let in_parts = tasks.render(args.parts, &stats, interrupt)?;
     let picture = forelight_pictures::png(&image.picture())?;
     ensure!(in_parts.has_image(&picture), "the image in parts differs from that in one piece");

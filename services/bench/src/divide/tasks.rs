@@ -3,6 +3,7 @@
 
 use anyhow::{Result, anyhow, bail};
 use bytes::Bytes;
+use forelight_kept::Folder;
 use forelight_preview::Choice;
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillSpec, DivideSpec, FinishedPart, JobId, PartRange, PixelRange,
@@ -46,11 +47,19 @@ pub struct Tasks {
     digest: SceneDigest,
     frame: u32,
     settings: RenderSettings,
+    kept: Option<Folder>,
 }
 
 impl Tasks {
-    pub fn new(bundle: &Path, digest: SceneDigest, frame: u32, settings: &RenderSettings) -> Self {
-        Self { bundle: bundle.to_owned(), digest, frame, settings: settings.clone() }
+    /// `kept` is where nodes keep scenes and trees.
+    pub fn new(
+        bundle: &Path,
+        digest: SceneDigest,
+        frame: u32,
+        settings: &RenderSettings,
+        kept: Option<Folder>,
+    ) -> Self {
+        Self { bundle: bundle.to_owned(), digest, frame, settings: settings.clone(), kept }
     }
 
     fn source(&self) -> BundleSource {
@@ -62,12 +71,15 @@ impl Tasks {
         if interrupt.is_set() {
             return Err(Interrupted.into());
         }
-        TaskRunner::new(OwnRenderer::new(Choice::Cpu)).execute(&assignment, &Control::default()).map_err(
-            |error| match error {
-                ExecuteError::Cancelled => Interrupted.into(),
-                error => anyhow!("frame {}: {error}", self.frame),
-            },
-        )
+        let renderer = OwnRenderer::new(Choice::Cpu);
+        let renderer = match &self.kept {
+            Some(folder) => renderer.keeping(folder.clone()),
+            None => renderer,
+        };
+        TaskRunner::new(renderer).execute(&assignment, &Control::default()).map_err(|error| match error {
+            ExecuteError::Cancelled => Interrupted.into(),
+            error => anyhow!("frame {}: {error}", self.frame),
+        })
     }
 
     /// Renders the frame in parts. `whole` is the same frame in one piece.

@@ -6,6 +6,7 @@ use crate::connection::{connect, read_token};
 use anyhow::{Context, Result};
 use etcetera::BaseStrategy as _;
 use forelight_client::Client;
+use forelight_kept::Folder;
 use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
@@ -137,7 +138,11 @@ pub fn equipment(
     preview: PreviewBackend,
     commands: &[PathBuf],
 ) -> Result<(Arc<Bundles>, Arc<Renderers>, Capabilities)> {
-    let renderer = OwnRenderer::new(preview_choice(preview));
+    let bundles = Bundles::new(folder);
+    let scenes = bundles.and_then(|bundles| Ok((bundles, Folder::new(&folder.join("scenes"))?)));
+    let (bundles, scenes) =
+        scenes.with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
+    let renderer = OwnRenderer::new(preview_choice(preview)).keeping(scenes);
     let adapter =
         renderer.adapter().context("cannot render previews with the device that --preview names")?;
     let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(commands)?);
@@ -147,8 +152,6 @@ pub fn equipment(
         vulkan_adapter: adapter.and_then(|adapter| Capabilities::name(&adapter.name)),
         ..machine()
     };
-    let bundles = Bundles::new(folder)
-        .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
     Ok((Arc::new(bundles), Arc::new(renderers), capabilities))
 }
 

@@ -3,6 +3,7 @@
 use crate::error::RenderError;
 use crate::previewer::SharedPreviewer;
 use crate::shot::OwnShot;
+use forelight_kept::Folder;
 use forelight_preview::{Choice, PreviewError};
 use forelight_scene::Limits;
 use std::path::Path;
@@ -13,6 +14,7 @@ use std::sync::Arc;
 pub struct OwnRenderer {
     previewer: Arc<SharedPreviewer>,
     limits: Limits,
+    kept: Option<Folder>,
 }
 
 /// A graphics device.
@@ -27,7 +29,13 @@ pub struct Adapter {
 impl OwnRenderer {
     /// A renderer that makes previews as `choice` says.
     pub fn new(choice: Choice) -> Self {
-        Self { previewer: Arc::new(SharedPreviewer::new(choice)), limits: Limits::default() }
+        Self { previewer: Arc::new(SharedPreviewer::new(choice)), limits: Limits::default(), kept: None }
+    }
+
+    /// Keeps loaded scenes and trees in a folder, and takes them from there.
+    #[must_use]
+    pub fn keeping(self, folder: Folder) -> Self {
+        Self { kept: Some(folder), ..self }
     }
 
     /// The graphics device for previews. `None` if previews are made on the CPU.
@@ -41,6 +49,6 @@ impl OwnRenderer {
 
     /// Opens a bundle.
     pub fn open(&self, path: &Path) -> Result<OwnShot, RenderError> {
-        OwnShot::open(path, &self.limits, self.previewer.clone())
+        OwnShot::open(path, &self.limits, self.previewer.clone(), self.kept.clone())
     }
 }

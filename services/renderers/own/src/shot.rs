@@ -4,11 +4,14 @@ use crate::answers::{Counted, ShotInfo, StratumInfo};
 use crate::costs::{counts, spent};
 use crate::error::RenderError;
 use crate::previewer::{SharedPreviewer, backend, preview_spent};
+use forelight_kept::Folder;
 use forelight_protocol::{
     PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
-use forelight_tracer::{Cache, CacheTotals, Effects, Settings, Tracer, clocked, tracer_version};
+use forelight_tracer::{
+    Cache, CacheTotals, Effects, Settings, Tracer, TreeCost, Trees, clocked, tracer_version,
+};
 use parking_lot::Mutex;
 use std::path::Path;
 use std::sync::Arc;
@@ -24,7 +27,11 @@ pub struct OwnShot {
     everything: bool,
     /// Geometry of frame 0. Frames in which nothing has moved share it.
     still: Arc<Geometry>,
+    /// Cost of loading the bundle, as if nothing were kept.
     load: Spent,
+    /// What was really spent on it.
+    loading: Spent,
+    kept: Option<Folder>,
     still_tree: Mutex<Still>,
     /// Tree of the last frame in which something had moved.
     moved_tree: Mutex<Option<Tree>>,
@@ -40,7 +47,7 @@ struct Tree {
 #[derive(Default)]
 struct Still {
     tree: Option<Tree>,
-    /// Cost of this tree and earlier ones: a camera that leaves a closed room sees another scene.
+    /// Cost of building this tree and earlier ones: a camera that leaves a closed room sees another scene.
     built: Spent,
 }
 
@@ -49,7 +56,7 @@ pub(crate) struct Ready {
     pub(crate) tracer: Tracer,
     /// Cost of the tree whenever it was built, if the shot's frames cannot share one.
     pub(crate) own_tree: Spent,
-    /// Cost of the tree if it was built by this call.
+    /// What this call spent on the tree.
     pub(crate) built_now: Spent,
 }
 
@@ -58,10 +65,16 @@ impl OwnShot {
         path: &Path,
         limits: &Limits,
         previewer: Arc<SharedPreviewer>,
+        kept: Option<Folder>,
     ) -> Result<Self, RenderError> {
-        let (scene, loading) = clocked(|| Scene::load(path, limits));
-        let scene = scene?;
-        let load = Spent { work: 0, cpu_nanos: loading };
+        let (loaded, loading) = clocked(|| match &kept {
+            Some(folder) => {
+                Scene::load_or_keep(path, limits, folder).map(|(scene, load)| (scene, Some(load)))
+            }
+            None => Scene::load(path, limits).map(|scene| (scene, None)),
+        });
+        let (scene, load) = loaded?;
+        let time = |cpu_nanos| Spent { work: 0, cpu_nanos };
         let first = scene.frame(0)?;
         Ok(Self {
             info: ShotInfo {
@@ -69,7 +82,9 @@ impl OwnShot {
                 renderer: format!("forelight {}, tracer {}", env!("CARGO_PKG_VERSION"), tracer_version()),
                 strata: strata(&first),
             },
-            load,
+            load: time(load.unwrap_or(loading)),
+            loading: time(loading),
+            kept,
             moves: scene.geometry_moves(),
             everything: false,
             scene,
@@ -85,7 +100,12 @@ impl OwnShot {
         Self { everything: true, ..self }
     }
 
-    /// What this process has paid once for the shot so far.
+    /// What was spent on opening the bundle: little if its scene was kept.
+    pub(crate) fn loading(&self) -> Spent {
+        self.loading
+    }
+
+    /// What a process that has nothing kept pays once for the shot so far.
     pub(crate) fn once(&self) -> ProcessCosts {
         let build = if self.moves { Spent::default() } else { self.still_tree.lock().built };
         ProcessCosts { load: self.load, build }
@@ -104,32 +124,37 @@ impl OwnShot {
     pub(crate) fn tracer(&self, frame: &Frame, settings: &Settings) -> Ready {
         // If something moves, every frame is charged for a tree. Its cost must not depend on earlier frames.
         let own = |build: Spent| if self.moves { build } else { Spent::default() };
-        let ready = |known: Option<&Tree>| {
+        let ready = |known: Option<&Tree>, kept: Option<&Folder>| {
             let known = known.filter(|tree| Arc::ptr_eq(&tree.geometry, &frame.geometry));
             let tracer = match known {
                 _ if self.everything => {
                     Tracer::complete(frame, settings).with_kernel_for(Effects::default().with_all())
                 }
-                Some(tree) => Tracer::with_bvh(frame, settings, tree.bvh.clone()),
-                None => Tracer::new(frame, settings),
+                _ => {
+                    let trees = Trees { known: known.map(|tree| tree.bvh.clone()), kept };
+                    Tracer::with_trees(frame, settings, trees)
+                }
             };
             // A frame that sees other parts of the scene has built its own tree.
             let shared = known.filter(|tree| Arc::ptr_eq(&tree.bvh, tracer.bvh()));
-            let build = shared.map_or_else(|| spent(tracer.build_cost()), |tree| tree.build);
-            let built_now = if shared.is_some() { Spent::default() } else { build };
+            let TreeCost { build, spent: spent_now } = tracer.tree_cost();
+            let build = shared.map_or_else(|| spent(build), |tree| tree.build);
+            let built_now = if shared.is_some() { Spent::default() } else { spent(spent_now) };
+            let new = if shared.is_some() { Spent::default() } else { build };
             let tree = Tree { geometry: frame.geometry.clone(), bvh: tracer.bvh().clone(), build };
-            (Ready { tracer, own_tree: own(build), built_now }, tree)
+            (Ready { tracer, own_tree: own(build), built_now }, tree, new)
         };
         if Arc::ptr_eq(&frame.geometry, &self.still) {
             // Locked while the tree is built, so that workers wait for one build instead of doing two.
             let mut still = self.still_tree.lock();
-            let (ready, tree) = ready(still.tree.as_ref());
-            *still = Still { tree: Some(tree), built: still.built.plus(ready.built_now) };
+            let (ready, tree, new) = ready(still.tree.as_ref(), self.kept.as_ref());
+            *still = Still { tree: Some(tree), built: still.built.plus(new) };
             return ready;
         }
         // Not locked: workers on different frames build different trees at the same time.
         let known = self.moved_tree.lock().clone();
-        let (ready, tree) = ready(known.as_ref());
+        // Not kept: a shot may have thousands.
+        let (ready, tree, _) = ready(known.as_ref(), None);
         *self.moved_tree.lock() = Some(tree);
         ready
     }

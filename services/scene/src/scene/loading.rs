@@ -35,15 +35,30 @@ impl Scene {
     ///
     /// The error is the first one found, with file, place and reason.
     pub fn load(path: &Path, limits: &Limits) -> Result<Self, SceneError> {
+        let (bundle, entry) = Self::opened(path, limits)?;
+        Self::of(&bundle, &entry)
+    }
+
+    /// Opens a bundle, and says where its scene begins.
+    pub(crate) fn opened(path: &Path, limits: &Limits) -> Result<(Bundle, Entry), SceneError> {
         let (root, single) = match single_file(path) {
             Some((folder, file)) => (folder, Some(file)),
             None => (path, None),
         };
         let bundle = Bundle::open(root, limits)?;
-        match single {
-            Some(file) if file != DESCRIPTION => Self::of_gltf(&bundle, &file),
-            _ if bundle.contains(DESCRIPTION) => Self::of_description(&bundle),
-            _ => Self::of_gltf(&bundle, &only_geometry(&bundle)?),
+        let entry = match single {
+            Some(file) if file != DESCRIPTION => Entry::Gltf(file),
+            _ if bundle.contains(DESCRIPTION) => Entry::Description,
+            _ => Entry::Gltf(only_geometry(&bundle)?),
+        };
+        Ok((bundle, entry))
+    }
+
+    /// Loads the scene of an opened bundle.
+    pub(crate) fn of(bundle: &Bundle, entry: &Entry) -> Result<Self, SceneError> {
+        match entry {
+            Entry::Description => Self::of_description(bundle),
+            Entry::Gltf(file) => Self::of_gltf(bundle, file),
         }
     }
 
@@ -173,6 +188,7 @@ impl Scene {
                 CameraSource::LookAt(Box::new(default_view(low + origin, high + origin)))
             }
         };
+        assembly.shot.forget_still(&moving);
         let digest = assembly.bundle.digest();
         let Assembly { fps, shot, materials, textures, lights: node_lights, warnings, .. } = assembly;
         let scene = Self {
@@ -200,6 +216,15 @@ impl Scene {
         scene.check_views()?;
         Ok(scene)
     }
+}
+
+/// Where the scene of a bundle begins.
+#[derive(Debug)]
+pub(crate) enum Entry {
+    /// With its `scene.json`.
+    Description,
+    /// With this glTF file.
+    Gltf(String),
 }
 
 /// The scene's description. For a scene without `scene.json`, most fields have their defaults.

@@ -2,7 +2,7 @@
 
 use super::Tracer;
 use crate::Settings;
-use crate::cost::{Cost, Tally, build_work, clocked};
+use crate::cost::{Tally, clocked};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
 use crate::fresnel;
@@ -10,33 +10,48 @@ use crate::kernel::kernel;
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::reach::{Reach, reachable};
-use crate::tree::Tree;
+use crate::tree::{Tree, TreeCost};
+use forelight_kept::Folder;
 use forelight_protocol::{Integrator, MaterialMode};
 use forelight_scene::{Color, Frame, Material, Sun, Surface};
 use glam::Vec3;
 use parking_lot::Mutex;
 use std::sync::{Arc, OnceLock};
 
+/// Trees that need not be built again.
+#[derive(Default)]
+pub struct Trees<'a> {
+    /// A tree that was built before for the same geometry.
+    pub known: Option<Arc<Tree>>,
+    /// Where trees are kept.
+    pub kept: Option<&'a Folder>,
+}
+
 impl Tracer {
     /// Builds the tree and collects the lights. The camera is resized to the settings. Objects and lights
     /// that cannot affect the image are left out; see [`Self::left_out`].
     pub fn new(frame: &Frame, settings: &Settings) -> Self {
-        Self::build(frame, settings, None, false)
+        Self::with_trees(frame, settings, Trees::default())
     }
 
     /// Like [`Self::new`], with a tree built earlier for the same geometry, if the same triangles can affect
     /// this image.
     pub fn with_bvh(frame: &Frame, settings: &Settings, bvh: Arc<Tree>) -> Self {
-        Self::build(frame, settings, Some(bvh), false)
+        Self::with_trees(frame, settings, Trees { known: Some(bvh), ..Trees::default() })
+    }
+
+    /// The same with any tree from elsewhere.
+    pub fn with_trees(frame: &Frame, settings: &Settings, trees: Trees<'_>) -> Self {
+        Self::build(frame, settings, trees, false)
     }
 
     /// Like [`Self::new`], but leaves nothing out, for comparison; images have the same bits. Lights that
     /// cannot affect the image are sampled only if all lights are, never by a choice among many.
     pub fn complete(frame: &Frame, settings: &Settings) -> Self {
-        Self::build(frame, settings, None, true)
+        Self::build(frame, settings, Trees::default(), true)
     }
 
-    fn build(frame: &Frame, settings: &Settings, bvh: Option<Arc<Tree>>, complete: bool) -> Self {
+    fn build(frame: &Frame, settings: &Settings, trees: Trees<'_>, complete: bool) -> Self {
         let mut frame = frame.clone();
         frame.camera = frame.camera.resized(settings.width, settings.height);
         let materials: Vec<Material> = match settings.materials {
@@ -50,11 +65,10 @@ impl Tracer {
         let (reach, finding) = clocked(|| reachable(&frame, &materials));
         let everything = Reach::everything(&frame);
         let included = if complete { &everything } else { &reach };
-        let known = bvh.filter(|bvh| bvh.is_over(&frame.geometry, included));
-        let (bvh, build) = known.map(|bvh| (bvh, Cost::default())).unwrap_or_else(|| {
-            let (tree, building) = clocked(|| Tree::new(&frame.geometry, included));
-            let work = build_work(tree.triangles(frame.geometry.triangles.len()), tree.size().0);
-            (Arc::new(tree), Cost { work, cpu_nanos: finding + building })
+        let known = trees.known.filter(|bvh| bvh.is_over(&frame.geometry, included));
+        let (bvh, tree) = known.map(|bvh| (bvh, TreeCost::default())).unwrap_or_else(|| {
+            let (tree, cost) = Tree::new(&frame.geometry, included, trees.kept);
+            (Arc::new(tree), cost.after(finding))
         });
         let luminaires = Luminaires::new(&frame, &reach, complete);
         let sky = if included.environment() { Sky::new(&frame) } else { Sky::Black };
@@ -96,7 +110,7 @@ impl Tracer {
             settings: settings.clone(),
             bvh,
             frame,
-            build,
+            tree,
             pixel_work: Tally::default(),
             gather_work: Tally::default(),
             samples: OnceLock::new(),

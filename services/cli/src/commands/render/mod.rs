@@ -164,7 +164,7 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
         .with_context(|| format!("bundle {}", args.bundle.display()))?;
     drop(bar);
     let (mut rendered, samples) = rendered.ok_or(Interrupted)?;
-    files.write(&rendered.image, &rendered.frame)?;
+    local.pool.install(|| files.write(&rendered.image, &rendered.frame))?;
     if let Some(samples) = &samples {
         args.allot.write_samples(samples, size)?;
     }

@@ -71,7 +71,7 @@ impl Kernel {
                 (by_class(std::array::from_fn(|class| after[class] - before[class]), triangles), nanos)
             }
             Does::Build(frame, settings) => {
-                let Cost { work, cpu_nanos } = Tracer::new(frame, settings).build_cost();
+                let Cost { work, cpu_nanos } = Tracer::new(frame, settings).tree_cost().build;
                 (ByClass { build: work, ..ByClass::default() }, cpu_nanos)
             }
         }

@@ -48,7 +48,7 @@ impl Execute for TaskRunner {
         let loading = Cell::new(Spent::default());
         let load = || {
             let shot = self.renderer.open(&assignment.bundle)?;
-            loading.set(shot.once().load);
+            loading.set(shot.loading());
             Ok::<_, RenderError>(Arc::new(shot))
         };
         let shot = self.shots.open(assignment.spec.bundle(), &assignment.bundle, load)?;

@@ -3,6 +3,7 @@
 mod cached;
 mod divided;
 mod division_farm;
+mod kept;
 mod part_costs;
 mod quotes;
 mod room;
