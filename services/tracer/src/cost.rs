@@ -45,14 +45,6 @@ pub struct Cost {
     pub cpu_nanos: u64,
 }
 
-impl Cost {
-    /// This many times the cost.
-    pub fn times(self, factor: f64) -> Self {
-        let times = |value: u64| (value as f64 * factor).round() as u64;
-        Self { work: times(self.work), cpu_nanos: times(self.cpu_nanos) }
-    }
-}
-
 impl Add for Cost {
     type Output = Self;
     fn add(self, other: Self) -> Self {

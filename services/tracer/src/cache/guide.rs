@@ -134,6 +134,9 @@ impl Guide {
 impl Level {
     /// Number of rays in each stratum of a record's gather. `None` if each has one.
     pub(super) fn rays_of(&self, index: usize) -> Option<Vec<u16>> {
+        if self.guide.bright.is_empty() {
+            return None;
+        }
         self.deviations(index).and_then(|deviations| self.allotted(&deviations))
     }
 

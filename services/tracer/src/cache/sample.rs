@@ -20,7 +20,6 @@ impl Cache {
                 picks.into_iter().map(move |index| (level as usize, index))
             })
             .collect();
-        let usual_rays: Vec<f64> = self.levels.iter().map(|level| level.usual_rays(each, seed)).collect();
         let sample = |(level, index): (usize, usize)| {
             let gathered = || self.gathered(tracer, level, index);
             let record = if level + 1 == self.levels.len() {
@@ -30,21 +29,11 @@ impl Cache {
             };
             let nanos = self.levels[level].smoothing_nanos(index, &record);
             let smoothing = Cost { work: 0, cpu_nanos: nanos };
-            let usual = usual_rays[level] / self.levels[level].number_of_rays(index) as f64;
-            RecordCost {
-                level: level as u32,
-                index,
-                cost: record.cost.times(usual) + smoothing,
-                rays: record.rays.map(|rays| (f64::from(rays) * usual).round() as u32),
-            }
+            RecordCost { level: level as u32, index, cost: record.cost + smoothing, rays: record.rays }
         };
         picks.into_par_iter().map(sample).collect()
     }
 }
-
-/// The number of rays of a record is known without gathering it. The mean is taken over this many times more
-/// records.
-const KNOWN: usize = 16;
 
 impl Level {
     /// Number of rays of a record's gather.
@@ -53,28 +42,24 @@ impl Level {
         self.rays_of(index).map_or(one_each, |counts| counts.into_iter().map(u32::from).sum())
     }
 
-    /// Mean number of rays of the level's gathers.
-    fn usual_rays(&self, each: usize, seed: u64) -> f64 {
-        let picks = self.spread(each.saturating_mul(KNOWN), hash(seed));
-        let rays: u64 = picks.par_iter().map(|&index| u64::from(self.number_of_rays(index))).sum();
-        rays as f64 / picks.len().max(1) as f64
-    }
-
-    /// Chooses `each` records, or all, with equal probability. They are ordered along a space-filling curve
-    /// per axis direction, and every n-th is taken (systematic sampling: Cochran, *Sampling Techniques*, 3rd
-    /// edition 1977, chapter 8). `start` is the offset of the first, in units of 2⁻⁶⁴ of a step.
+    /// Chooses `each` records, or all, with equal probability. They are ordered by their number of rays, which
+    /// is known before they are gathered, and then along a space-filling curve per axis direction. Every n-th is
+    /// taken (systematic sampling: Cochran, *Sampling Techniques*, 3rd edition 1977, chapter 8). `start` is the
+    /// offset of the first, in units of 2⁻⁶⁴ of a step.
     fn spread(&self, each: usize, start: u64) -> Vec<usize> {
         let count = self.planned.len();
         let picks = each.min(count);
         let cells = Cells::around(&self.planned);
-        let mut order: Vec<usize> = (0..count).collect();
-        order.sort_by_cached_key(|&index| curve(&self.planned[index], &cells));
+        let key = |index: usize| (self.number_of_rays(index), curve(&self.planned[index], &cells));
+        let mut order: Vec<((u32, u64), usize)> =
+            (0..count).into_par_iter().map(|index| (key(index), index)).collect();
+        order.sort_unstable();
         let place = |pick: usize| {
             let at = (pick as u128) << 64 | u128::from(start);
             // Below `count`, because `at` is below picks · 2⁶⁴.
             ((at * count as u128 / picks as u128) >> 64) as usize
         };
-        (0..picks).map(|pick| order[place(pick)]).collect()
+        (0..picks).map(|pick| order[place(pick)].1).collect()
     }
 }
 
