@@ -4258,7 +4258,8 @@ export interface components {
              */
             type: string;
         };
-        /** @description Costs that each process pays once per shot. They are not part of any frame or total. */
+        /** @description Costs that each process pays once per shot, unless its machine keeps the scene and the structure. They are
+         *     not part of any frame or total. */
         ProcessCosts: {
             /** @description Building the acceleration structures that frames share because nothing moves: one for each closed room
              *     that the camera visits. 0 if each frame builds its own. */
@@ -4711,7 +4712,8 @@ export interface components {
             cache_accuracy?: number;
             /**
              * Format: int32
-             * @description Hemisphere rays per cache record. Each further bounce has a quarter of them, at least 48.
+             * @description Hemisphere rays per cache record. Each further bounce has a quarter of them, at least 48. Directions of
+             *     small bright spots get more.
              */
             cache_rays?: number;
             /**
