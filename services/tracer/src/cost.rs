@@ -163,8 +163,8 @@ const READ_WORK: u64 = 300;
 /// Work of considering one cache record.
 const RECORD_WORK: u64 = 4;
 
-/// Work of a record besides its gather: allotting its rays by those of 40 neighbours (12,000), and averaging it
-/// with about 280 (3,400). Constant, so that a record's cost is known at once.
+/// Work of a record besides its gather: allotting its rays by those of 40 neighbours (12,000), and
+/// averaging it with about 280 (3,400). Constant, so that a record's cost is known at once.
 pub const BESIDES_WORK: u64 = 15_400;
 
 /// [`BESIDES_WORK`] by class.

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 impl Cache {
-    /// Gathers some of a level's records on the current thread pool, and smooths the level once it is full. The next deeper level must be filled. `progress` receives the number of records done. Returns
+    /// Gathers some of a level's records on the current thread pool, and smooths the level once it is full.
+    /// The next deeper level must be filled. `progress` receives the number of records done. Returns
     /// `false` if `cancel` was set.
     pub fn fill(
         &self,

@@ -1,9 +1,9 @@
 //! Guide: gives more rays to the strata of a gather where the light is concentrated.
 //!
-//! A small bright spot, such as a wall that a spot lamp shines at, lies in few of a gather's strata. One ray each
-//! finds it by chance, and the image shows blotches. The plan's rays of a record's neighbours tell where the light
-//! comes from. The record's own rays are not asked: so the number of rays in a stratum does not depend on what the
-//! gather finds, and the mean of the gather stays unbiased.
+//! A small bright spot, such as a wall that a spot lamp shines at, lies in few of a gather's strata. One
+//! ray each finds it by chance, and the image shows blotches. The plan's rays of a record's neighbours tell
+//! where the light comes from. The record's own rays are not asked: so the number of rays in a stratum does
+//! not depend on what the gather finds, and the mean of the gather stays unbiased.
 
 use super::hemisphere::{PLAN_RAYS, Strata};
 use super::{Level, Planned};
@@ -29,8 +29,8 @@ const BRIGHT: f32 = 4.0;
 /// Weight in a stratum of a bright ray in the stratum beside it.
 const BESIDE: f32 = 0.1;
 
-/// Standard error that a gather may have, as a fraction of the level's mean irradiance. Smoothing reduces it to a
-/// few per cent.
+/// Standard error that a gather may have, as a fraction of the level's mean irradiance. Smoothing reduces
+/// it to a few per cent.
 const TOLERATED: f32 = 0.2;
 
 /// Each deeper level may have this multiple of the error, because the gathers that read it average it.
@@ -95,7 +95,8 @@ impl Moments {
     }
 }
 
-/// Mean radiance of the plan's rays. It is chosen once per level, so that records of later frames do not change it.
+/// Mean radiance of the plan's rays. It is chosen once per level, so that records of later frames do not
+/// change it.
 pub fn mean_radiance(planned: &[Planned]) -> f32 {
     let rays = planned.iter().flat_map(|planned| planned.lit.iter());
     let sum: f64 = rays.map(|&lit| f64::from(lit)).sum();
@@ -140,8 +141,8 @@ impl Level {
         self.deviations(index).and_then(|deviations| self.allotted(&deviations))
     }
 
-    /// Standard deviation of the radiance within each stratum of a record, by the rays of its neighbours. `None` if
-    /// these are few, or none is bright.
+    /// Standard deviation of the radiance within each stratum of a record, by the rays of its neighbours.
+    /// `None` if these are few, or none is bright.
     fn deviations(&self, index: usize) -> Option<Vec<f32>> {
         let (site, guide) = (&self.planned[index].site, &self.guide);
         let neighbours = self.guides(index);
@@ -184,8 +185,8 @@ impl Level {
         near.into_iter().map(|(_, other)| other as usize).collect()
     }
 
-    /// The fewest rays by which the standard error is within the tolerance: in proportion to the deviations (Neyman
-    /// 1934), at least one each.
+    /// The fewest rays by which the standard error is within the tolerance: in proportion to the deviations
+    /// (Neyman 1934), at least one each.
     fn allotted(&self, deviations: &[f32]) -> Option<Vec<u16>> {
         const STEPS: u32 = 12;
         let allowed = (self.guide.tolerance * deviations.len() as f32 / PI).powi(2);
@@ -217,7 +218,8 @@ mod tests {
     use crate::cache::Site;
     use forelight_bvh::Hit;
 
-    /// Records on a floor, 0.1 m apart, under a grey dome of radiance 0.1 and a bright spot overhead at x = 1 m.
+    /// Records on a floor, 0.1 m apart, under a grey dome of radiance 0.1 and a bright spot overhead at x =
+    /// 1 m.
     fn level(spot: f32) -> Level {
         let mut level = Level {
             strata: Strata::for_rays(192),

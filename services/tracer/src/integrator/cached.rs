@@ -61,8 +61,8 @@ impl<const K: u32> Pixels<'_, K> {
         Segment { ray, passed: None, arrival: self.gathered(), level, depth: 0, vertex: 1, weight: 1.0 }
     }
 
-    /// Gathers the hemisphere above a record of `level`. The plan's rays are not traced again. `counts` is the
-    /// number of rays of each stratum, 1 if absent.
+    /// Gathers the hemisphere above a record of `level`. The plan's rays are not traced again. `counts` is
+    /// the number of rays of each stratum, 1 if absent.
     pub fn gather_record(
         &mut self,
         strata: &Strata,
