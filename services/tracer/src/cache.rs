@@ -141,7 +141,8 @@ pub struct CacheTotals {
 }
 
 impl Level {
-    /// Indexes the planned records. `world` is the bounding box of the scene; `depth` the number of the level.
+    /// Indexes the planned records. `world` is the bounding box of the scene; `depth` the number of the
+    /// level.
     fn prepare(&mut self, world: Bounds, depth: usize) {
         let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
         self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));

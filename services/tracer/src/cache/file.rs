@@ -319,7 +319,7 @@ fn planned_of(row: &PlannedRow) -> Option<Planned> {
     let radius = row.radius.is_finite() && row.radius > 0.0;
     let corral = row.corral.iter().all(|distance| *distance >= 0.0);
     let hits = row.hits.iter().all(|h| [h.u, h.v, h.t].iter().all(|n| n.is_finite()));
-    let lit = row.lit.iter().all(|radiance| radiance.is_finite());
+    let lit = row.lit.iter().all(|radiance| (0.0..=Planned::BRIGHTEST).contains(radiance));
     (finite && site.normal.is_normalized() && radius && corral && hits && lit).then(|| Planned {
         key: row.key,
         site,

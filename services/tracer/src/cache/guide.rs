@@ -95,12 +95,20 @@ impl Moments {
     }
 }
 
+/// The radiance of the brightest records counts as this multiple of the median of those that are not dark. A
+/// record beside a lamp would otherwise make every other spot look dim.
+const BRIGHTEST_RECORD: f64 = 16.0;
+
 /// Mean radiance of the plan's rays. It is chosen once per level, so that records of later frames do not
 /// change it.
 pub fn mean_radiance(planned: &[Planned]) -> f32 {
-    let rays = planned.iter().flat_map(|planned| planned.lit.iter());
-    let sum: f64 = rays.map(|&lit| f64::from(lit)).sum();
-    (sum / (planned.len() * PLAN_RAYS).max(1) as f64) as f32
+    let of_record =
+        |planned: &Planned| planned.lit.iter().map(|&lit| f64::from(lit)).sum::<f64>() / PLAN_RAYS as f64;
+    let means: Vec<f64> = planned.iter().map(of_record).collect();
+    let mut lit: Vec<f64> = means.iter().copied().filter(|&mean| mean > 0.0).collect();
+    lit.sort_unstable_by(f64::total_cmp);
+    let most = BRIGHTEST_RECORD * lit.get(lit.len() / 2).copied().unwrap_or_default();
+    (means.iter().map(|mean| mean.min(most)).sum::<f64>() / means.len().max(1) as f64) as f32
 }
 
 impl Guide {
@@ -110,10 +118,9 @@ impl Guide {
         let mut guide = Self { tolerance, ..Self::default() };
         for planned in planned {
             let mut others = Moments::default();
-            for ((direction, hit), &radiance) in
-                planned.directions(strata).zip(&*planned.hits).zip(&*planned.lit)
-            {
+            for (ray, &radiance) in planned.lit.iter().enumerate() {
                 if radiance > BRIGHT * mean {
+                    let (direction, hit) = (planned.direction(strata, ray), planned.hits[ray]);
                     let to = hit.map_or(direction, |hit| planned.site.position + hit.t * direction);
                     guide.bright.push(Bright { to, leaves: hit.is_none(), radiance });
                 } else {
@@ -199,7 +206,10 @@ impl Level {
             });
             variance <= allowed || number >= most
         };
-        let (mut low, mut high) = (0.0, deviations.iter().sum::<f32>() / allowed);
+        let sum: f32 = deviations.iter().sum();
+        // The first suffices for the variance. With the second, there are at most `most` rays more than
+        // strata.
+        let (mut low, mut high) = (0.0, (sum / allowed).min(most / sum));
         if suffices(low) || !high.is_finite() {
             return None;
         }
@@ -232,7 +242,8 @@ mod tests {
             let place = Vec3::new((number % 10) as f32, (number / 10) as f32, 0.0) * 0.1;
             let mut planned =
                 Planned { key: number, ..Planned::in_the_open(Site::bare(place, Vec3::Z), 1.0) };
-            for (ray, direction) in planned.directions(&level.strata).enumerate() {
+            for ray in 0..PLAN_RAYS {
+                let direction = planned.direction(&level.strata, ray);
                 let t = 2.0 / direction.z.max(0.1);
                 let at = place + t * direction;
                 let in_spot = (at - Vec3::new(1.0, 0.5, 2.0)).length() < 0.35;
@@ -272,6 +283,21 @@ mod tests {
     fn even_light_gets_one_ray_per_stratum() {
         assert_eq!(level(0.1).rays_of(44), None);
         assert_eq!(level(0.0).rays_of(44), None);
+    }
+
+    #[test]
+    fn a_record_in_much_brighter_light_has_at_most_five_times_the_rays() {
+        for bright in [1e3, 1e4, 1e9] {
+            let mut level = level(0.1);
+            // The neighbours of one record see very uneven light, and the level is dark.
+            for number in [33, 34, 35, 43, 45, 53, 54, 55] {
+                (0..PLAN_RAYS).for_each(|ray| level.planned[number].lit[ray] = bright * (ray % 3) as f32);
+            }
+            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+            let counts = level.rays_of(44).expect("its neighbours see bright light");
+            let all: u32 = counts.iter().map(|&count| u32::from(count)).sum();
+            assert!(all > 192 && all <= 5 * 192, "{all} rays with {bright}");
+        }
     }
 
     #[test]

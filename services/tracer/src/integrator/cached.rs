@@ -9,9 +9,6 @@ use forelight_bvh::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// The guide needs no larger radiances, and squares them.
-const BRIGHTEST: f32 = 1e12;
-
 impl<const K: u32> Pixels<'_, K> {
     /// Indirect diffuse light: interpolated, or gathered where no record covers the point.
     pub fn interpolate(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
@@ -44,7 +41,7 @@ impl<const K: u32> Pixels<'_, K> {
         // At the last level, nothing is gathered, and no cache is read.
         let segment = self.gathered_segment(self.tracer.settings.ambient_bounces, site, direction);
         let radiance = self.arriving(segment, hit).element_sum() / 3.0;
-        (hit, if radiance.is_nan() { 0.0 } else { radiance.clamp(0.0, BRIGHTEST) })
+        (hit, if radiance.is_nan() { 0.0 } else { radiance.clamp(0.0, Planned::BRIGHTEST) })
     }
 
     /// Follows a record's plan rays to where they read `level`, the level after the record's own.
