@@ -67,13 +67,14 @@ pub trait Trace: Send + Sync {
     ) -> (Vec<Keyed>, Counters);
 
     /// Traces rays from a site. Returns each hit, and the direct light that it brings (radiance, mean over
-    /// the channels). `key` is the random key of that light.
+    /// the channels). `key` is the random key of that light. Without `with_light`, it is 0.
     fn plan_rays(
         &self,
         tracer: &Tracer,
         site: &Site,
         key: u64,
         directions: &[Vec3; PLAN_RAYS],
+        with_light: bool,
     ) -> ([(Option<Hit>, f32); PLAN_RAYS], Counters);
 
     /// Gathers the irradiance at a planned record of a level. `counts` is the number of rays of each

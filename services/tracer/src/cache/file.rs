@@ -199,7 +199,8 @@ impl Cache {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
         for (depth, level) in cache.levels.iter_mut().enumerate() {
-            level.prepare(cache.world, depth);
+            level.is_guided = depth == 0;
+            level.prepare(cache.world);
         }
         Ok(cache)
     }

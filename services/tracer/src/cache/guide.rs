@@ -33,9 +33,6 @@ const BESIDE: f32 = 0.1;
 /// it to a few per cent.
 const TOLERATED: f32 = 0.2;
 
-/// Each deeper level may have this multiple of the error, because the gathers that read it average it.
-const DEEPER: f32 = 2.0;
-
 /// Most rays of a stratum.
 const MOST_OF_STRATUM: f32 = 256.0;
 
@@ -112,10 +109,9 @@ pub fn mean_radiance(planned: &[Planned]) -> f32 {
 }
 
 impl Guide {
-    /// The guide of a level. `mean`: mean radiance of its rays; `depth`: number of the level.
-    pub fn new(planned: &[Planned], strata: &Strata, mean: f32, depth: usize) -> Self {
-        let tolerance = TOLERATED * DEEPER.powi(depth as i32) * PI * mean;
-        let mut guide = Self { tolerance, ..Self::default() };
+    /// The guide of a level. `mean`: mean radiance of its rays.
+    pub fn new(planned: &[Planned], strata: &Strata, mean: f32) -> Self {
+        let mut guide = Self { tolerance: TOLERATED * PI * mean, ..Self::default() };
         for planned in planned {
             let mut others = Moments::default();
             for (ray, &radiance) in planned.lit.iter().enumerate() {
@@ -132,6 +128,11 @@ impl Guide {
         guide
     }
 
+    /// Whether records are allotted rays by it: whether any light is bright.
+    pub fn is_asked(&self) -> bool {
+        !self.bright.is_empty()
+    }
+
     /// The bright rays of a record.
     fn bright(&self, record: usize) -> &[Bright] {
         let start = record.checked_sub(1).map_or(0, |before| self.records[before].0);
@@ -142,10 +143,7 @@ impl Guide {
 impl Level {
     /// Number of rays in each stratum of a record's gather. `None` if each has one.
     pub(super) fn rays_of(&self, index: usize) -> Option<Vec<u16>> {
-        if self.guide.bright.is_empty() {
-            return None;
-        }
-        self.deviations(index).and_then(|deviations| self.allotted(&deviations))
+        self.guide.is_asked().then(|| self.deviations(index)).flatten().and_then(|all| self.allotted(&all))
     }
 
     /// Standard deviation of the radiance within each stratum of a record, by the rays of its neighbours.
@@ -233,6 +231,7 @@ mod tests {
     fn level(spot: f32) -> Level {
         let mut level = Level {
             strata: Strata::for_rays(192),
+            is_guided: true,
             accuracy: 0.2,
             smallest: 0.01,
             largest: 1.0,
@@ -252,7 +251,7 @@ mod tests {
             }
             level.planned.push(planned);
         }
-        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
         level
     }
 
@@ -274,7 +273,7 @@ mod tests {
         let (mut level, before) = (level(100.0), level(100.0).rays_of(44));
         *level.planned[44].lit = [70.0; PLAN_RAYS];
         // The mean is kept, as for a plan that goes on.
-        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
         assert_eq!(level.rays_of(44), before);
         assert_ne!(level.rays_of(45), self::level(100.0).rays_of(45));
     }
@@ -293,7 +292,7 @@ mod tests {
             for number in [33, 34, 35, 43, 45, 53, 54, 55] {
                 (0..PLAN_RAYS).for_each(|ray| level.planned[number].lit[ray] = bright * (ray % 3) as f32);
             }
-            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
             let counts = level.rays_of(44).expect("its neighbours see bright light");
             let all: u32 = counts.iter().map(|&count| u32::from(count)).sum();
             assert!(all > 192 && all <= 5 * 192, "{all} rays with {bright}");
@@ -308,7 +307,7 @@ mod tests {
                 planned.lit.iter_mut().for_each(|lit| *lit = if *lit == spot { spot } else { 0.0 });
             });
             level.brightness = 0.0;
-            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
             for index in 0..100 {
                 let counts = level.rays_of(index).unwrap_or_default();
                 assert!(counts.iter().all(|&count| count >= 1), "{spot}");

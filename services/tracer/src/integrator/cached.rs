@@ -34,10 +34,14 @@ impl<const K: u32> Pixels<'_, K> {
         Vec3::ZERO
     }
 
-    /// The hit of a ray from a site, and the direct light that it brings, mean over the channels.
-    pub fn plan_ray(&mut self, site: &Site, direction: Vec3) -> (Option<Hit>, f32) {
+    /// The hit of a ray from a site, and the direct light that it brings, mean over the channels. Without
+    /// `with_light`, the light is 0.
+    pub fn plan_ray(&mut self, site: &Site, direction: Vec3, with_light: bool) -> (Option<Hit>, f32) {
         self.counters.ray(Category::Ambient);
         let hit = self.closest(&ray_from(site, direction), None);
+        if !with_light {
+            return (hit, 0.0);
+        }
         // At the last level, nothing is gathered, and no cache is read.
         let segment = self.gathered_segment(self.tracer.settings.ambient_bounces, site, direction);
         let radiance = self.arriving(segment, hit).element_sum() / 3.0;
