@@ -38,6 +38,8 @@ run_logged() {
 }
 export -f run_logged
 export work
+# Programs under test keep nothing for later runs.
+export XDG_CACHE_HOME=$work/cache
 
 # Lists the tests that were not run, whether the others passed or failed.
 finish() {

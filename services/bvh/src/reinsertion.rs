@@ -1,9 +1,9 @@
 //! Improves a binary tree by moving subtrees to where they enlarge boxes least (Meister and Bittner 2018,
 //! "Parallel Reinsertion for Bounding Volume Hierarchy Optimization"). The steps are those of `obvhs`.
 //!
-//! The search for better places takes two thirds of a build, so all threads share it. `obvhs` can do that too,
-//! but then also sorts on all threads. Its order of equal elements, and so the tree, would depend on their
-//! number. Here, only the search is shared, and the tree is that of one thread.
+//! The search for better places takes two thirds of a build, so all threads share it. `obvhs` can do that
+//! too, but then also sorts on all threads. Its order of equal elements, and so the tree, would depend on
+//! their number. Here, only the search is shared, and the tree is that of one thread.
 
 use obvhs::bvh2::reinsertion::{Reinsertion, find_reinsertion, reinsert_node};
 use obvhs::bvh2::{Bvh2, node::Bvh2Node};

@@ -15,8 +15,9 @@ use crate::problem::{Problem, Work};
 use crate::proof::{Counted, value};
 use crate::transport::{Demand, Programme, Solution, Way};
 
-/// The most rows of classes and slots: as many as can be solved in half a second for hundreds of jobs. With two
-/// thirds of them, the bound of a studio's week is 0.5 % lower, and prices are too coarse for good plans.
+/// The most rows of classes and slots: as many as can be solved in half a second for hundreds of jobs. With
+/// two thirds of them, the bound of a studio's week is 0.5 % lower, and prices are too coarse for good
+/// plans.
 pub(crate) const MOST_ROWS: usize = 660;
 /// More slots gain little.
 const MOST_SLOTS: usize = 96;
@@ -149,8 +150,8 @@ fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
     all.sort_unstable();
     all.dedup();
     if all.len() > most {
-        // Deadlines and releases matter most: calendars only say where time lies within a slot. Slots are short
-        // where there are many of them, and nowhere long.
+        // Deadlines and releases matter most: calendars only say where time lies within a slot. Slots are
+        // short where there are many of them, and nowhere long.
         all = spread(&of_jobs, most, (start, horizon));
     }
     all.insert(0, start);
@@ -158,8 +159,8 @@ fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
     all
 }
 
-/// Up to `most` of these sorted instants: half as if every n-th were taken, duplicates included, and half as if
-/// they were taken at equal distances in time.
+/// Up to `most` of these sorted instants: half as if every n-th were taken, duplicates included, and half
+/// as if they were taken at equal distances in time.
 fn spread(instants: &[i64], most: usize, (start, horizon): (i64, i64)) -> Vec<i64> {
     let (count, length) = (instants.len().max(1) as i128, (i128::from(horizon) - i128::from(start)).max(1));
     let mut found = Vec::new();

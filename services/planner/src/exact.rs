@@ -5,7 +5,8 @@
 //! never hurts the frames after it, so the search finds every set that can be in time.
 //!
 //! Then each node gets a set, priced by its rentals. Where nodes are billed plainly, the result is the
-//! optimum, as long as frames that may be divided are whole. Frames that must be divided count as their parts.
+//! optimum, as long as frames that may be divided are whole. Frames that must be divided count as their
+//! parts.
 
 use crate::lane::{Lane, Wanted};
 use crate::model::Task;

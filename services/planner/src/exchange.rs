@@ -63,8 +63,8 @@ type Gain = (Reverse<i128>, usize, i64, i64, usize);
 struct Board {
     /// By node and start.
     pieces: BTreeMap<(usize, i64), Piece>,
-    /// By class of nodes and slot of the programme: those that could go elsewhere. What is saved is the cost of
-    /// their place, less that of the best free alternative.
+    /// By class of nodes and slot of the programme: those that could go elsewhere. What is saved is the
+    /// cost of their place, less that of the best free alternative.
     gains: BTreeMap<(usize, usize), BTreeSet<Gain>>,
     /// See [`elsewhere`].
     elsewhere: Vec<Option<(i64, u64)>>,

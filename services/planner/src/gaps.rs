@@ -1,9 +1,9 @@
 //! The gaps of a class of nodes, in one search tree.
 //!
-//! The tree is a treap (Seidel and Aragon 1996): sorted by start and node, and a heap by a hash of both, so its
-//! depth grows with the logarithm of the number of gaps, whatever the order in which they came. Each entry
-//! knows the longest gap and the latest end below it. So the first gap that is long enough, and one that spans
-//! a given time, are found without a look at the others.
+//! The tree is a treap (Seidel and Aragon 1996): sorted by start and node, and a heap by a hash of both, so
+//! its depth grows with the logarithm of the number of gaps, whatever the order in which they came. Each
+//! entry knows the longest gap and the latest end below it. So the first gap that is long enough, and one
+//! that spans a given time, are found without a look at the others.
 
 use forelight_random::{hash, mix};
 
@@ -82,8 +82,8 @@ impl Gaps {
         self.first_below(self.root, from, length)
     }
 
-    /// Of the gaps that begin before an instant and end at or after another: the last to begin. Ties go to the
-    /// first node.
+    /// Of the gaps that begin before an instant and end at or after another: the last to begin. Ties go to
+    /// the first node.
     pub fn spanning(&self, instant: i64, end: i64) -> Option<Gap> {
         let last = self.last_below(self.root, instant, end)?;
         self.next((last.start, 0), end.saturating_sub(last.start))

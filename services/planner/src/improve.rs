@@ -14,8 +14,8 @@ use crate::state::{Placed, State};
 const LEAST_GAIN: i64 = 2000;
 /// The most frames that are tried in parts to make them cheaper.
 const MOST_DIVIDED: usize = 300;
-/// After every so many frames of a job that find no cheaper place, one more of those that are like them is left
-/// out between two that are tried.
+/// After every so many frames of a job that find no cheaper place, one more of those that are like them is
+/// left out between two that are tried.
 const SKIPPED: u32 = 4;
 
 /// Makes a plan cheaper, in at most `rounds` rounds. Each round closes gaps, moves single frames to cheaper

@@ -98,7 +98,8 @@ impl Lane {
         self.free.long_after(wanted.release, wanted.duration).find_map(|gap| within(gap, wanted))
     }
 
-    /// The place that adds least to the cost, with what others would pay for the time. Ties go to the earliest.
+    /// The place that adds least to the cost, with what others would pay for the time. Ties go to the
+    /// earliest.
     pub fn cheapest(&self, node: &Node, wanted: &Wanted, worth: impl Fn(i64, i64) -> i128) -> Option<Fit> {
         let mut best: Option<Fit> = None;
         let gaps = self.free.long_after(wanted.release, wanted.duration);
@@ -209,9 +210,9 @@ impl Lane {
 }
 
 impl Stretch {
-    /// What a booking adds to the cost of the rentals, whether it is there already or not. Only nearby rentals
-    /// are computed again: no rental spans a gap that is too long to pay for, so the sides of such a gap do not
-    /// affect each other.
+    /// What a booking adds to the cost of the rentals, whether it is there already or not. Only nearby
+    /// rentals are computed again: no rental spans a gap that is too long to pay for, so the sides of such
+    /// a gap do not affect each other.
     fn added_cost(&self, node: &Node, start: i64, end: i64) -> i128 {
         let own = self.runs.around(start).1.filter(|run| run.0 < end).unwrap_or((start, end));
         let mut near: Vec<(i64, i64)> = Vec::new();

@@ -20,8 +20,8 @@ use crate::state::{Placed, State};
 
 /// The most numbers of parts tried for one frame, on top of the fewest that fit.
 const MOST_NUMBERS: u32 = 6;
-/// If the frames that end too late cannot be placed around the others, those that end in the last of this many
-/// pieces of a job's length move as well.
+/// If the frames that end too late cannot be placed around the others, those that end in the last of this
+/// many pieces of a job's length move as well.
 const PIECES: i64 = 3;
 /// An earlier end may cost a job at most one part in this many more.
 const WORTH_OF_TIME: i128 = 33;
@@ -310,9 +310,9 @@ pub(crate) fn even_out(state: &mut State, job: usize) {
 
 /// What an earlier end may cost, the preferred limit first.
 ///
-/// A job with no more frames than nodes is measured by the node that would end its longest frame first, if the
-/// farm were empty. Where others are on that node, a frame that should end early may be on a dear node as a
-/// whole, and in parts on cheaper ones a little later.
+/// A job with no more frames than nodes is measured by the node that would end its longest frame first, if
+/// the farm were empty. Where others are on that node, a frame that should end early may be on a dear node
+/// as a whole, and in parts on cheaper ones a little later.
 fn limits(state: &State, job: usize) -> Vec<Spent> {
     let problem = state.problem;
     let work = &problem.jobs[job];
@@ -334,11 +334,11 @@ fn limits(state: &State, job: usize) -> Vec<Spent> {
     strict.map(|money| Spent { money, ..most }).into_iter().chain([most]).collect()
 }
 
-/// For the earliest end that the limit pays for: the places of the frames that end later, and new ones. `None`
-/// if it pays for no earlier end.
+/// For the earliest end that the limit pays for: the places of the frames that end later, and new ones.
+/// `None` if it pays for no earlier end.
 ///
-/// For a given end, the frames that end later are lifted. They are placed anew in as few parts as end by then,
-/// in the cheapest gaps. The end is found by bisection.
+/// For a given end, the frames that end later are lifted. They are placed anew in as few parts as end by
+/// then, in the cheapest gaps. The end is found by bisection.
 fn end_early(
     state: &mut State,
     job: usize,
@@ -368,8 +368,8 @@ fn end_early(
     best
 }
 
-/// Divides frames of jobs with a deadline where their parts fit into cheaper gaps in time, the largest possible
-/// saving first. Each attempt uses up one of the trials.
+/// Divides frames of jobs with a deadline where their parts fit into cheaper gaps in time, the largest
+/// possible saving first. Each attempt uses up one of the trials.
 pub(crate) fn divide_dear(state: &mut State, trials: &mut usize) {
     let problem = state.problem;
     let mut found: Vec<(Reverse<i64>, usize, i64, Placed)> = Vec::new();
@@ -423,8 +423,8 @@ fn movable(state: &State, job: usize) -> BTreeMap<i64, Vec<Placed>> {
     found
 }
 
-/// New places for lifted frames between two instants, at no more than this on top of what they cost. The state
-/// stays as it is.
+/// New places for lifted frames between two instants, at no more than this on top of what they cost. The
+/// state stays as it is.
 fn try_by(
     state: &mut State,
     job: usize,

@@ -1,8 +1,8 @@
 //! Searches for the best place of a task, class by class.
 //!
-//! Nodes of a class differ in their free time alone. So a search asks each class's [`Gaps`] for the first place
-//! from a few instants on, and does not look at single nodes. Only where nodes are billed in steps does it also
-//! try those that have been paid for time that nobody uses.
+//! Nodes of a class differ in their free time alone. So a search asks each class's [`Gaps`] for the first
+//! place from a few instants on, and does not look at single nodes. Only where nodes are billed in steps
+//! does it also try those that have been paid for time that nobody uses.
 
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -127,8 +127,8 @@ struct InClass<'s, 'p, 'a> {
 impl State<'_, '_> {
     /// The best place on these classes of nodes. Ties go to the node with the lowest id.
     ///
-    /// A cheap place is one with the least cost, including what others would pay. Ties in scarce time go to the
-    /// place that leaves least of its gap (best fit), other ties to the earliest.
+    /// A cheap place is one with the least cost, including what others would pay. Ties in scarce time go to
+    /// the place that leaves least of its gap (best fit), other ties to the earliest.
     pub fn find(&self, search: &Search) -> Option<(usize, Fit)> {
         let mut classes: Vec<(i64, i64, usize)> = search
             .classes

@@ -39,8 +39,8 @@ pub fn plan(input: &Input) -> Result<Plan, InputError> {
     Ok(plan_and_count(input)?.0)
 }
 
-/// As [`plan`], with the number of gaps, frames, places and numbers that were looked at: a measure of the time
-/// that a plan takes, and the same on every machine.
+/// As [`plan`], with the number of gaps, frames, places and numbers that were looked at: a measure of the
+/// time that a plan takes, and the same on every machine.
 ///
 /// # Errors
 /// As [`plan`].

@@ -138,8 +138,8 @@ impl<'p, 'a> State<'p, 'a> {
         self.placed[job].push(placed);
     }
 
-    /// See [`crate::places::Search::for_others`]. Outside of what the programme gave a job, others' time counts
-    /// more than they would pay: it then goes to those that have no other.
+    /// See [`crate::places::Search::for_others`]. Outside of what the programme gave a job, others' time
+    /// counts more than they would pay: it then goes to those that have no other.
     pub fn for_others(&self) -> i128 {
         if self.is_selfless { FOR_OTHERS } else { 0 }
     }

@@ -17,8 +17,8 @@ pub(crate) struct Supply {
 
 /// The number of open nodes of a class as a function of time.
 struct Open {
-    /// From each of these instants on, sorted: how many nodes are open, and how much time all of them together
-    /// had before it.
+    /// From each of these instants on, sorted: how many nodes are open, and how much time all of them
+    /// together had before it.
     steps: Vec<(i64, u64, u128)>,
 }
 
@@ -77,8 +77,8 @@ impl Supply {
         Supply { gaps: classes.iter().map(of_class).collect(), open, changes }
     }
 
-    /// The first instant at which the time of some classes since `release`, each times its speed, reaches this
-    /// amount.
+    /// The first instant at which the time of some classes since `release`, each times its speed, reaches
+    /// this amount.
     pub fn reaches(&self, amount: u128, release: i64, classes: &[(usize, u64)]) -> Option<i64> {
         if amount == 0 {
             return Some(release);

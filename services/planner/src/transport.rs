@@ -1,12 +1,13 @@
-//! Linear programmes that give the time of nodes to jobs: each demand is served in one or more rows of limited
-//! capacity, or left unserved at a penalty, at the least cost.
+//! Linear programmes that give the time of nodes to jobs: each demand is served in one or more rows of
+//! limited capacity, or left unserved at a penalty, at the least cost.
 //!
-//! Minimise Σ c x + Σ penalty · u subject to Σ served · x + u = needed for each demand, Σ x ≤ capacity for each
-//! row, x ≥ 0, u ≥ 0.
+//! Minimise Σ c x + Σ penalty · u subject to Σ served · x + u = needed for each demand, Σ x ≤ capacity for
+//! each row, x ≥ 0, u ≥ 0.
 //!
-//! The revised primal simplex method with generalised upper bounds (Dantzig and Van Slyke 1967). Every variable
-//! belongs to one demand and one row, so each demand has a *key* variable in the basis, and its equation needs
-//! no row in the inverse. The inverse has as many rows as there are capacities, however many demands there are.
+//! The revised primal simplex method with generalised upper bounds (Dantzig and Van Slyke 1967). Every
+//! variable belongs to one demand and one row, so each demand has a *key* variable in the basis, and its
+//! equation needs no row in the inverse. The inverse has as many rows as there are capacities, however many
+//! demands there are.
 //!
 //! General solvers in pure Rust give no prices (microlp) or no vertex (clarabel); the planner needs both. An
 //! inexact solution makes a bound weaker, never wrong: [`crate::proof`] rounds the prices to integers and
@@ -68,8 +69,8 @@ struct Variable {
 }
 
 impl Programme {
-    /// Solves the programme. Typically the steps are three times the demands and rows. Many more would mean that
-    /// the method cycles, so they are limited.
+    /// Solves the programme. Typically the steps are three times the demands and rows. Many more would mean
+    /// that the method cycles, so they are limited.
     pub fn solve(&self, looks: &Looks) -> Solution {
         let mut basis = Basis::new(self, looks);
         let most_steps = 40 * (self.capacities.len() + self.demands.len()) + 1000;
@@ -263,8 +264,8 @@ impl<'a> Basis<'a> {
         served.chunk_by(|a, b| a.0 == b.0).map(sum).collect()
     }
 
-    /// The variable that falls to zero first, and how far the entering one can grow until then. Ties go to the
-    /// fastest.
+    /// The variable that falls to zero first, and how far the entering one can grow until then. Ties go to
+    /// the fastest.
     fn leaving(&self, rates: &[f64], of_keys: &[(usize, f64)]) -> Option<(Leaving, f64)> {
         let others = self.others.iter().zip(rates).enumerate();
         let others = others.map(|(place, (&(_, value), &rate))| (Leaving::Other(place), value, rate));

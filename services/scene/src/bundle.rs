@@ -127,8 +127,8 @@ impl Bundle {
         Ok(bytes)
     }
 
-    /// Counts bytes that `file` expands to by a compression of its own. Fails if the bundle's files become too
-    /// large.
+    /// Counts bytes that `file` expands to by a compression of its own. Fails if the bundle's files become
+    /// too large.
     pub(crate) fn count_expanded(&self, file: &str, bytes: u64) -> Result<(), SceneError> {
         let mut usage = self.usage.lock();
         usage.bytes = usage.bytes.saturating_add(bytes);

@@ -10,7 +10,7 @@ use crate::error::SceneError;
 use crate::limits::Limits;
 use crate::scene::Entry;
 use blake3::Hash;
-use forelight_kept::{Folder, named};
+use forelight_kept::{Folder, LARGEST, named};
 use forelight_threads::clocked;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -30,8 +30,9 @@ struct Head {
 }
 
 impl Scene {
-    /// Like [`Scene::load`], but takes the scene from `folder` if it was kept there, and keeps it otherwise.
-    /// Also returns the CPU time of loading the bundle itself, now or when the scene was kept, in nanoseconds.
+    /// Like [`Scene::load`], but takes the scene from `folder` if it was kept there, and keeps it
+    /// otherwise. Also returns the CPU time of loading the bundle itself, now or when the scene was kept,
+    /// in nanoseconds.
     ///
     /// # Errors
     /// As [`Scene::load`]. Whatever is wrong with the folder is logged, and no error.
@@ -39,7 +40,8 @@ impl Scene {
         Self::load_or_keep_from(LEAST_BYTES, path, limits, folder)
     }
 
-    /// The same for bundles of at least `least` bytes.
+    /// The same for bundles of at least `least` bytes. What is made of larger ones than a kept file is not
+    /// copied.
     fn load_or_keep_from(
         least: u64,
         path: &Path,
@@ -58,7 +60,7 @@ impl Scene {
             Self::of(&bundle, &entry).map(|scene| (scene, bundle))
         });
         let (scene, bundle) = loaded?;
-        if bundle.bytes_read() >= least {
+        if (least..=LARGEST).contains(&bundle.bytes_read()) {
             keep(folder, &name, &scene, &bundle, nanos);
         }
         Ok((scene, nanos))
@@ -84,7 +86,7 @@ fn keep(folder: &Folder, name: &Hash, scene: &Scene, bundle: &Bundle, nanos: u64
     let head = Head { content, files, nanos };
     let bytes = postcard::to_allocvec(&head).and_then(|head| postcard::to_extend(scene, head));
     match bytes {
-        Ok(bytes) => folder.write(name, &bytes),
+        Ok(bytes) => folder.write(name, &[&bytes]),
         Err(error) => tracing::warn!(%error, "a scene cannot be kept"),
     }
 }
@@ -113,7 +115,7 @@ mod tests {
         let bytes = folder.read(&name).expect("the scene is kept");
         let (head, rest) = postcard::take_from_bytes::<Head>(&bytes).unwrap();
         let head = postcard::to_allocvec(&Head { nanos: MARK, ..head }).unwrap();
-        folder.write(&name, &[&head, rest].concat());
+        folder.write(&name, &[&head, rest]);
         Ok((scene, nanos == MARK))
     }
 

@@ -1,9 +1,9 @@
 //! Reads OBJ geometry, with `tobj`.
 //!
 //! `tobj` gives no line numbers, accepts NaN, does not report missing materials, fans non-convex faces, and
-//! mixes up attributes that only some faces have. So [`check`] goes through the text first: non-convex faces
-//! are triangulated, and a new model starts where attributes change. `tobj` reads what [`check`] writes at the
-//! same time, on another thread.
+//! mixes up attributes that only some faces have. So [`check`] goes through the text first: non-convex
+//! faces are triangulated, and a new model starts where attributes change. `tobj` reads what [`check`]
+//! writes at the same time, on another thread.
 
 use crate::assembly::{Assembly, plain_material};
 use crate::bundle::resolve;
@@ -83,7 +83,8 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
 /// Models, whose materials are indices into the materials in use, by name.
 type Parsed = (Vec<tobj::Model>, Vec<tobj::Material>);
 
-/// Has `tobj` read the text of [`check`]. In it, a library holds one material: the one that it is named after.
+/// Has `tobj` read the text of [`check`]. In it, a library holds one material: the one that it is named
+/// after.
 fn parse(mut text: impl BufRead) -> Result<Parsed, tobj::LoadError> {
     let options =
         tobj::LoadOptions { single_index: true, triangulate: true, ignore_points: true, ignore_lines: true };

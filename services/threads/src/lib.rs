@@ -1,9 +1,9 @@
 //! Short work on several threads, with its CPU time: loading a scene, building a tree, writing a file.
 //!
-//! Hazards of a thread pool for such work: a thread that waits for the pool takes up other work. It then waits
-//! for a lock that it holds itself, and counts CPU time of others. So threads are started for one call and end
-//! with it. There are as many as the current rayon pool has, since that is what the user allowed. Outside of a
-//! pool there is one.
+//! Hazards of a thread pool for such work: a thread that waits for the pool takes up other work. It then
+//! waits for a lock that it holds itself, and counts CPU time of others. So threads are started for one
+//! call and end with it. There are as many as the current rayon pool has, since that is what the user
+//! allowed. Outside of a pool there is one.
 
 use parking_lot::Mutex;
 use rustix::time::{ClockId, Timespec, clock_gettime};
@@ -28,8 +28,8 @@ pub fn count() -> usize {
     if alone { 1 } else { rayon::current_num_threads() }
 }
 
-/// Calls `f` for each item on up to [`count`] threads, so that each has at least `least` items. Results are in
-/// the order of the items.
+/// Calls `f` for each item on up to [`count`] threads, so that each has at least `least` items. Results are
+/// in the order of the items.
 pub fn map<T: Sync, R: Send>(items: &[T], least: usize, f: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let threads = count().min(items.len() / least.max(1));
     if threads <= 1 {

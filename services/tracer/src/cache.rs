@@ -88,6 +88,9 @@ pub struct Level {
     explored: usize,
     /// Allowed error; see [`Planned::error`].
     accuracy: f32,
+    /// Whether bright spots get more rays: on the first level. The gathers that read deeper levels average
+    /// their noise.
+    is_guided: bool,
     /// Mean radiance of the first plan's rays, mean over the channels.
     brightness: f32,
     /// Places of the planned records.
@@ -141,15 +144,17 @@ pub struct CacheTotals {
 }
 
 impl Level {
-    /// Indexes the planned records. `world` is the bounding box of the scene; `depth` the number of the level.
-    fn prepare(&mut self, world: Bounds, depth: usize) {
+    /// Indexes the planned records. `world` is the bounding box of the scene.
+    fn prepare(&mut self, world: Bounds) {
         let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
         self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));
-        if self.brightness == 0.0 {
-            self.brightness = guide::mean_radiance(&self.planned);
-        }
         (self.index, self.places) = (index, Places::of(&self.planned));
-        self.guide = Guide::new(&self.planned, &self.strata, self.brightness, depth);
+        if self.is_guided {
+            if self.brightness == 0.0 {
+                self.brightness = guide::mean_radiance(&self.planned);
+            }
+            self.guide = Guide::new(&self.planned, &self.strata, self.brightness);
+        }
     }
 
     fn is_full(&self) -> bool {

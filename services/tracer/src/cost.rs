@@ -163,12 +163,12 @@ const READ_WORK: u64 = 300;
 /// Work of considering one cache record.
 const RECORD_WORK: u64 = 4;
 
-/// Work of a record besides its gather: allotting its rays by those of 40 neighbours (12,000), and averaging it
-/// with about 280 (3,400). Constant, so that a record's cost is known at once.
-pub const BESIDES_WORK: u64 = 15_400;
+/// Work of allotting a record's rays by those of 40 neighbours. Constant, so that a record's cost is known at
+/// once.
+pub const GUIDING_WORK: u64 = 12_000;
 
-/// [`BESIDES_WORK`] by class.
-pub const BESIDES: WorkByClass = [0, 0, 0, 0, BESIDES_WORK];
+/// Work of averaging a record with about 280 neighbours. Constant for the same reason.
+pub const SMOOTHING_WORK: u64 = 3400;
 
 /// Work: operations weighted by their time on a present-day core, in units of about a nanosecond. The weights
 /// come from a regression of time on counts over the test scenes.

@@ -179,9 +179,10 @@ impl<const K: u32> Trace for Kernel<K> {
         site: &Site,
         key: u64,
         directions: &[Vec3; PLAN_RAYS],
+        with_light: bool,
     ) -> ([(Option<Hit>, f32); PLAN_RAYS], Counters) {
         let mut pixels = Pixels::new(tracer, self, Sampler::keyed(hash(key)));
-        let traced = directions.map(|direction| pixels.plan_ray(site, direction));
+        let traced = directions.map(|direction| pixels.plan_ray(site, direction, with_light));
         (traced, pixels.counters)
     }
 

@@ -66,18 +66,19 @@ pub trait Trace: Send + Sync {
         planned: &Planned,
     ) -> (Vec<Keyed>, Counters);
 
-    /// Traces rays from a site. Returns each hit, and the direct light that it brings (radiance, mean over the
-    /// channels). `key` is the random key of that light.
+    /// Traces rays from a site. Returns each hit, and the direct light that it brings (radiance, mean over
+    /// the channels). `key` is the random key of that light. Without `with_light`, it is 0.
     fn plan_rays(
         &self,
         tracer: &Tracer,
         site: &Site,
         key: u64,
         directions: &[Vec3; PLAN_RAYS],
+        with_light: bool,
     ) -> ([(Option<Hit>, f32); PLAN_RAYS], Counters);
 
-    /// Gathers the irradiance at a planned record of a level. `counts` is the number of rays of each stratum, 1
-    /// if absent.
+    /// Gathers the irradiance at a planned record of a level. `counts` is the number of rays of each
+    /// stratum, 1 if absent.
     fn gather(
         &self,
         tracer: &Tracer,
@@ -391,9 +392,9 @@ impl Tracer {
         wanted().then_some(traced)
     }
 
-    /// Traces the first camera samples alone of pixels, by row-major index, on the current thread pool. Returns
-    /// each pixel after one sample, after two, and so on up to `samples`, and the cost. `None` if `stop`
-    /// returned `true`.
+    /// Traces the first camera samples alone of pixels, by row-major index, on the current thread pool.
+    /// Returns each pixel after one sample, after two, and so on up to `samples`, and the cost. `None` if
+    /// `stop` returned `true`.
     pub fn first_samples(
         &self,
         pixels: &[u32],

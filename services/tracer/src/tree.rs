@@ -3,7 +3,7 @@
 use crate::Reach;
 use crate::cost::{Cost, build_work, clocked, load_work};
 use forelight_bvh::{Bvh, Hit, Ray, Traversal};
-use forelight_kept::{Folder, named};
+use forelight_kept::{Folder, LARGEST, named};
 use forelight_scene::Geometry;
 use std::borrow::Cow;
 
@@ -55,11 +55,14 @@ impl Tree {
             None => None,
         };
         let (bvh, building) = clocked(|| Bvh::build(&geometry.positions, &triangles));
-        if let Some((folder, name)) = kept.zip(name) {
-            folder.write(&name, &[&building.to_le_bytes()[..], &bvh.to_bytes()].concat());
-        }
+        let ((), keeping) = clocked(|| {
+            if let Some((folder, name)) = kept.zip(name).filter(|_| bvh.bytes() as u64 <= LARGEST) {
+                folder.write(&name, &[&building.to_le_bytes(), &bvh.to_bytes()]);
+            }
+        });
         let build = Cost { work: build_work(triangles.len(), bvh.size().0), cpu_nanos: building };
-        (Self { bvh, held }, TreeCost { build, spent: build })
+        let spent = Cost { cpu_nanos: looking + building + keeping, ..build };
+        (Self { bvh, held }, TreeCost { build, spent })
     }
 
     /// Whether this tree, built for the same geometry, holds exactly the triangles that can be met.
@@ -108,8 +111,8 @@ impl Tree {
     }
 }
 
-/// The name of a kept tree over these triangles, and the tree with the CPU time of building it in nanoseconds,
-/// if it was kept.
+/// The name of a kept tree over these triangles, and the tree with the CPU time of building it in
+/// nanoseconds, if it was kept.
 fn find(folder: &Folder, geometry: &Geometry, triangles: &[[u32; 3]]) -> (blake3::Hash, Option<(Bvh, u64)>) {
     let mut hasher = named("tree");
     hasher.update(&(triangles.len() as u64).to_le_bytes());

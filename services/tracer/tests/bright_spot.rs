@@ -36,7 +36,8 @@ fn room() -> Frame {
     frame
 }
 
-/// Radiance of the floor at a point: the sum over the lit part of the ceiling of its radiance times the form factor.
+/// Radiance of the floor at a point: the sum over the lit part of the ceiling of its radiance times the
+/// form factor.
 fn radiance(x: f64, z: f64) -> f64 {
     const STEPS: i32 = 200;
     let above = f64::from(CEILING - LAMP);

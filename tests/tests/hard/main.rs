@@ -18,6 +18,7 @@
 //! | 22 to 24, 27 | forecasts | `forecast` |
 //! | 25 | plans | `planning` |
 //! | 26 | sums | `sums` |
+//! | 28 | light by way of small bright places, fine detail | `spots` |
 //!
 //! `FORELIGHT_HARD_RAYS` sets the number of rays of case 10. The default is four million; the table asks for
 //! a hundred million.
@@ -35,4 +36,5 @@ mod planning;
 mod scattering;
 mod shared_cache;
 mod similarity;
+mod spots;
 mod sums;

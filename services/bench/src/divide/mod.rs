@@ -1,7 +1,7 @@
 //! `forelight bench divide`: one frame on many nodes, divided by forecast cost, by area, and into buckets.
 //!
-//! Each frame is rendered in one piece for the true work of its pixels. From this, the makespans of three ways
-//! to divide it follow for any number of nodes. It is also really rendered in parts, task by task.
+//! Each frame is rendered in one piece for the true work of its pixels. From this, the makespans of three
+//! ways to divide it follow for any number of nodes. It is also really rendered in parts, task by task.
 
 mod tasks;
 mod ways;

@@ -138,11 +138,14 @@ pub fn equipment(
     preview: PreviewBackend,
     commands: &[PathBuf],
 ) -> Result<(Arc<Bundles>, Arc<Renderers>, Capabilities)> {
-    let bundles = Bundles::new(folder);
-    let scenes = bundles.and_then(|bundles| Ok((bundles, Folder::new(&folder.join("scenes"))?)));
-    let (bundles, scenes) =
-        scenes.with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
-    let renderer = OwnRenderer::new(preview_choice(preview)).keeping(scenes);
+    let bundles = Bundles::new(folder)
+        .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
+    let mut renderer = OwnRenderer::new(preview_choice(preview));
+    let scenes = folder.join("scenes");
+    match Folder::new(&scenes) {
+        Ok(scenes) => renderer = renderer.keeping(scenes),
+        Err(error) => tracing::warn!(folder = %scenes.display(), %error, "loaded scenes cannot be kept"),
+    }
     let adapter =
         renderer.adapter().context("cannot render previews with the device that --preview names")?;
     let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(commands)?);

@@ -199,7 +199,8 @@ impl Cache {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
         for (depth, level) in cache.levels.iter_mut().enumerate() {
-            level.prepare(cache.world, depth);
+            level.is_guided = depth == 0;
+            level.prepare(cache.world);
         }
         Ok(cache)
     }
@@ -319,7 +320,7 @@ fn planned_of(row: &PlannedRow) -> Option<Planned> {
     let radius = row.radius.is_finite() && row.radius > 0.0;
     let corral = row.corral.iter().all(|distance| *distance >= 0.0);
     let hits = row.hits.iter().all(|h| [h.u, h.v, h.t].iter().all(|n| n.is_finite()));
-    let lit = row.lit.iter().all(|radiance| radiance.is_finite());
+    let lit = row.lit.iter().all(|radiance| (0.0..=Planned::BRIGHTEST).contains(radiance));
     (finite && site.normal.is_normalized() && radius && corral && hits && lit).then(|| Planned {
         key: row.key,
         site,

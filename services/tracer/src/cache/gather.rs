@@ -1,13 +1,14 @@
 //! Fill: gathers the irradiance at planned records.
 
 use super::{Cache, Record};
-use crate::cost::{BESIDES, BESIDES_WORK, Cost, clocked};
+use crate::cost::{Cost, GUIDING_WORK, SMOOTHING_WORK, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 impl Cache {
-    /// Gathers some of a level's records on the current thread pool, and smooths the level once it is full. The next deeper level must be filled. `progress` receives the number of records done. Returns
+    /// Gathers some of a level's records on the current thread pool, and smooths the level once it is full.
+    /// The next deeper level must be filled. `progress` receives the number of records done. Returns
     /// `false` if `cancel` was set.
     pub fn fill(
         &self,
@@ -41,8 +42,9 @@ impl Cache {
         };
         let ((record, counters), cpu_nanos) = clocked(gather);
         tracer.gather_work.add(counters.work_by_class());
-        tracer.gather_work.add(BESIDES);
-        let cost = Cost { work: counters.work() + BESIDES_WORK, cpu_nanos };
+        let besides = SMOOTHING_WORK + if here.guide.is_asked() { GUIDING_WORK } else { 0 };
+        tracer.gather_work.add([0, 0, 0, 0, besides]);
+        let cost = Cost { work: counters.work() + besides, cpu_nanos };
         Record { cost, rays: counters.rays, ..record }
     }
 }

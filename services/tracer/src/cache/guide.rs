@@ -1,9 +1,9 @@
 //! Guide: gives more rays to the strata of a gather where the light is concentrated.
 //!
-//! A small bright spot, such as a wall that a spot lamp shines at, lies in few of a gather's strata. One ray each
-//! finds it by chance, and the image shows blotches. The plan's rays of a record's neighbours tell where the light
-//! comes from. The record's own rays are not asked: so the number of rays in a stratum does not depend on what the
-//! gather finds, and the mean of the gather stays unbiased.
+//! A small bright spot, such as a wall that a spot lamp shines at, lies in few of a gather's strata. One
+//! ray each finds it by chance, and the image shows blotches. The plan's rays of a record's neighbours tell
+//! where the light comes from. The record's own rays are not asked: so the number of rays in a stratum does
+//! not depend on what the gather finds, and the mean of the gather stays unbiased.
 
 use super::hemisphere::{PLAN_RAYS, Strata};
 use super::{Level, Planned};
@@ -29,12 +29,9 @@ const BRIGHT: f32 = 4.0;
 /// Weight in a stratum of a bright ray in the stratum beside it.
 const BESIDE: f32 = 0.1;
 
-/// Standard error that a gather may have, as a fraction of the level's mean irradiance. Smoothing reduces it to a
-/// few per cent.
+/// Standard error that a gather may have, as a fraction of the level's mean irradiance. Smoothing reduces
+/// it to a few per cent.
 const TOLERATED: f32 = 0.2;
-
-/// Each deeper level may have this multiple of the error, because the gathers that read it average it.
-const DEEPER: f32 = 2.0;
 
 /// Most rays of a stratum.
 const MOST_OF_STRATUM: f32 = 256.0;
@@ -95,24 +92,31 @@ impl Moments {
     }
 }
 
-/// Mean radiance of the plan's rays. It is chosen once per level, so that records of later frames do not change it.
+/// The radiance of the brightest records counts as this multiple of the median of those that are not dark. A
+/// record beside a lamp would otherwise make every other spot look dim.
+const BRIGHTEST_RECORD: f64 = 16.0;
+
+/// Mean radiance of the plan's rays. It is chosen once per level, so that records of later frames do not
+/// change it.
 pub fn mean_radiance(planned: &[Planned]) -> f32 {
-    let rays = planned.iter().flat_map(|planned| planned.lit.iter());
-    let sum: f64 = rays.map(|&lit| f64::from(lit)).sum();
-    (sum / (planned.len() * PLAN_RAYS).max(1) as f64) as f32
+    let of_record =
+        |planned: &Planned| planned.lit.iter().map(|&lit| f64::from(lit)).sum::<f64>() / PLAN_RAYS as f64;
+    let means: Vec<f64> = planned.iter().map(of_record).collect();
+    let mut lit: Vec<f64> = means.iter().copied().filter(|&mean| mean > 0.0).collect();
+    lit.sort_unstable_by(f64::total_cmp);
+    let most = BRIGHTEST_RECORD * lit.get(lit.len() / 2).copied().unwrap_or_default();
+    (means.iter().map(|mean| mean.min(most)).sum::<f64>() / means.len().max(1) as f64) as f32
 }
 
 impl Guide {
-    /// The guide of a level. `mean`: mean radiance of its rays; `depth`: number of the level.
-    pub fn new(planned: &[Planned], strata: &Strata, mean: f32, depth: usize) -> Self {
-        let tolerance = TOLERATED * DEEPER.powi(depth as i32) * PI * mean;
-        let mut guide = Self { tolerance, ..Self::default() };
+    /// The guide of a level. `mean`: mean radiance of its rays.
+    pub fn new(planned: &[Planned], strata: &Strata, mean: f32) -> Self {
+        let mut guide = Self { tolerance: TOLERATED * PI * mean, ..Self::default() };
         for planned in planned {
             let mut others = Moments::default();
-            for ((direction, hit), &radiance) in
-                planned.directions(strata).zip(&*planned.hits).zip(&*planned.lit)
-            {
+            for (ray, &radiance) in planned.lit.iter().enumerate() {
                 if radiance > BRIGHT * mean {
+                    let (direction, hit) = (planned.direction(strata, ray), planned.hits[ray]);
                     let to = hit.map_or(direction, |hit| planned.site.position + hit.t * direction);
                     guide.bright.push(Bright { to, leaves: hit.is_none(), radiance });
                 } else {
@@ -122,6 +126,11 @@ impl Guide {
             guide.records.push((guide.bright.len(), others));
         }
         guide
+    }
+
+    /// Whether records are allotted rays by it: whether any light is bright.
+    pub fn is_asked(&self) -> bool {
+        !self.bright.is_empty()
     }
 
     /// The bright rays of a record.
@@ -134,14 +143,11 @@ impl Guide {
 impl Level {
     /// Number of rays in each stratum of a record's gather. `None` if each has one.
     pub(super) fn rays_of(&self, index: usize) -> Option<Vec<u16>> {
-        if self.guide.bright.is_empty() {
-            return None;
-        }
-        self.deviations(index).and_then(|deviations| self.allotted(&deviations))
+        self.guide.is_asked().then(|| self.deviations(index)).flatten().and_then(|all| self.allotted(&all))
     }
 
-    /// Standard deviation of the radiance within each stratum of a record, by the rays of its neighbours. `None` if
-    /// these are few, or none is bright.
+    /// Standard deviation of the radiance within each stratum of a record, by the rays of its neighbours.
+    /// `None` if these are few, or none is bright.
     fn deviations(&self, index: usize) -> Option<Vec<f32>> {
         let (site, guide) = (&self.planned[index].site, &self.guide);
         let neighbours = self.guides(index);
@@ -184,8 +190,8 @@ impl Level {
         near.into_iter().map(|(_, other)| other as usize).collect()
     }
 
-    /// The fewest rays by which the standard error is within the tolerance: in proportion to the deviations (Neyman
-    /// 1934), at least one each.
+    /// The fewest rays by which the standard error is within the tolerance: in proportion to the deviations
+    /// (Neyman 1934), at least one each.
     fn allotted(&self, deviations: &[f32]) -> Option<Vec<u16>> {
         const STEPS: u32 = 12;
         let allowed = (self.guide.tolerance * deviations.len() as f32 / PI).powi(2);
@@ -198,7 +204,10 @@ impl Level {
             });
             variance <= allowed || number >= most
         };
-        let (mut low, mut high) = (0.0, deviations.iter().sum::<f32>() / allowed);
+        let sum: f32 = deviations.iter().sum();
+        // The first suffices for the variance. With the second, there are at most `most` rays more than
+        // strata.
+        let (mut low, mut high) = (0.0, (sum / allowed).min(most / sum));
         if suffices(low) || !high.is_finite() {
             return None;
         }
@@ -217,10 +226,12 @@ mod tests {
     use crate::cache::Site;
     use forelight_bvh::Hit;
 
-    /// Records on a floor, 0.1 m apart, under a grey dome of radiance 0.1 and a bright spot overhead at x = 1 m.
+    /// Records on a floor, 0.1 m apart, under a grey dome of radiance 0.1 and a bright spot overhead at x =
+    /// 1 m.
     fn level(spot: f32) -> Level {
         let mut level = Level {
             strata: Strata::for_rays(192),
+            is_guided: true,
             accuracy: 0.2,
             smallest: 0.01,
             largest: 1.0,
@@ -230,7 +241,8 @@ mod tests {
             let place = Vec3::new((number % 10) as f32, (number / 10) as f32, 0.0) * 0.1;
             let mut planned =
                 Planned { key: number, ..Planned::in_the_open(Site::bare(place, Vec3::Z), 1.0) };
-            for (ray, direction) in planned.directions(&level.strata).enumerate() {
+            for ray in 0..PLAN_RAYS {
+                let direction = planned.direction(&level.strata, ray);
                 let t = 2.0 / direction.z.max(0.1);
                 let at = place + t * direction;
                 let in_spot = (at - Vec3::new(1.0, 0.5, 2.0)).length() < 0.35;
@@ -239,7 +251,7 @@ mod tests {
             }
             level.planned.push(planned);
         }
-        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
         level
     }
 
@@ -261,7 +273,7 @@ mod tests {
         let (mut level, before) = (level(100.0), level(100.0).rays_of(44));
         *level.planned[44].lit = [70.0; PLAN_RAYS];
         // The mean is kept, as for a plan that goes on.
-        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
         assert_eq!(level.rays_of(44), before);
         assert_ne!(level.rays_of(45), self::level(100.0).rays_of(45));
     }
@@ -273,6 +285,21 @@ mod tests {
     }
 
     #[test]
+    fn a_record_in_much_brighter_light_has_at_most_five_times_the_rays() {
+        for bright in [1e3, 1e4, 1e9] {
+            let mut level = level(0.1);
+            // The neighbours of one record see very uneven light, and the level is dark.
+            for number in [33, 34, 35, 43, 45, 53, 54, 55] {
+                (0..PLAN_RAYS).for_each(|ray| level.planned[number].lit[ray] = bright * (ray % 3) as f32);
+            }
+            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
+            let counts = level.rays_of(44).expect("its neighbours see bright light");
+            let all: u32 = counts.iter().map(|&count| u32::from(count)).sum();
+            assert!(all > 192 && all <= 5 * 192, "{all} rays with {bright}");
+        }
+    }
+
+    #[test]
     fn extreme_radiances_do_no_harm() {
         for spot in [1e-30, 1e12] {
             let mut level = level(spot);
@@ -280,7 +307,7 @@ mod tests {
                 planned.lit.iter_mut().for_each(|lit| *lit = if *lit == spot { spot } else { 0.0 });
             });
             level.brightness = 0.0;
-            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE }, 0);
+            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
             for index in 0..100 {
                 let counts = level.rays_of(index).unwrap_or_default();
                 assert!(counts.iter().all(|&count| count >= 1), "{spot}");

@@ -191,14 +191,15 @@ impl Strata {
             for k in (0..self.sectors).step_by(2) {
                 let block = [at(j, k), at(j, k + 1), at(j + 1, k), at(j + 1, k + 1)];
                 variance += block.iter().filter_map(|sample| sample.variance).sum::<f32>();
-                let single =
-                    || block.iter().filter(|s| s.variance.is_none()).map(|s| s.radiance.element_sum() / 3.0);
-                let count = single().count() as f32;
-                if count > 1.0 {
-                    let mean = single().sum::<f32>() / count;
-                    let squares = single().map(|value| (value - mean) * (value - mean));
-                    variance += count * squares.sum::<f32>() / (count - 1.0);
-                }
+                let value = |sample: &Sample| sample.radiance.element_sum() / 3.0;
+                let is_single = |sample: &&Sample| sample.variance.is_none();
+                // One alone is compared with the whole block.
+                let singles = block.iter().filter(is_single).count();
+                let is_compared = |sample: &&Sample| singles == 1 || is_single(sample);
+                let count = if singles == 1 { 4.0 } else { singles as f32 };
+                let mean = block.iter().filter(is_compared).map(value).sum::<f32>() / count;
+                let squares = block.iter().filter(is_single).map(|s| (value(s) - mean) * (value(s) - mean));
+                variance += squares.sum::<f32>() * count / (count - 1.0);
             }
         }
         variance.sqrt()

@@ -175,6 +175,7 @@ impl Planning<'_> {
             let deeper = DEEPER.powi(depth as i32);
             Level {
                 strata: Strata::for_rays(settings.rays / FEWER.pow(depth)),
+                is_guided: depth == 0,
                 accuracy: if depth == 0 { seen } else { (accuracy * deeper).min(COARSE) },
                 smallest: (smallest * deeper).min(largest),
                 largest,
@@ -220,7 +221,7 @@ impl Planning<'_> {
             None => self.cover_pixels(&mut coverage),
             Some(before) => self.cover_gathers(before, depth, &mut coverage),
         }
-        let ((), indexing) = clocked(|| level.prepare(world, depth as usize));
+        let ((), indexing) = clocked(|| level.prepare(world));
         self.plan.cost.cpu_nanos += starting + indexing;
     }
 
@@ -322,7 +323,7 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
     let locals: [Vec3; PLAN_RAYS] =
         std::array::from_fn(|ray| level.strata.direction(level.strata.of_plan(ray), 0, &sampler));
     let directions = locals.map(|local| basis.to_world(local));
-    let (traced, counters) = tracer.kernel.plan_rays(tracer, &site, key, &directions);
+    let (traced, counters) = tracer.kernel.plan_rays(tracer, &site, key, &directions, level.is_guided);
     let (hits, lit) = (traced.map(|(hit, _)| hit), traced.map(|(_, lit)| lit));
     let mut inverse = 0.0f64;
     let mut corral = [f32::INFINITY; SECTORS];

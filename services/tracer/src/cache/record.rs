@@ -21,7 +21,8 @@ pub struct Planned {
     pub corral: [f32; SECTORS],
     /// Hits of the plan's rays. They are boxed, because reading accesses the other fields millions of times.
     pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
-    /// Radiance that each of them brings without further bounces, mean over the channels, at most 10¹².
+    /// Radiance that each of them brings without further bounces, mean over the channels, at most
+    /// [`Planned::BRIGHTEST`].
     pub lit: Box<[f32; PLAN_RAYS]>,
 }
 
@@ -29,6 +30,9 @@ pub struct Planned {
 const SLANT: f32 = 0.25;
 
 impl Planned {
+    /// The guide needs no larger radiances, and squares them.
+    pub const BRIGHTEST: f32 = 1e12;
+
     /// The error of using this record at a site: |p − pᵢ| / Rᵢ + √(1 − n·nᵢ), the split-sphere bound without
     /// its constants (Ward, Rubinstein and Clear 1988, equation 5). `None` if it is not below `allowed`, or
     /// the record has another coat, faces away, is in front of or behind the surface, or beyond an obstacle.
@@ -50,9 +54,15 @@ impl Planned {
     }
 
     /// World directions of the plan's rays. `strata` are those of its level.
-    pub fn directions(&self, strata: &Strata) -> impl Iterator<Item = Vec3> + use<> {
-        let (basis, sampler, strata) = (Basis::new(self.site.normal), Sampler::keyed(self.key), *strata);
-        (0..PLAN_RAYS).map(move |ray| basis.to_world(strata.direction(strata.of_plan(ray), 0, &sampler)))
+    pub fn directions(&self, strata: &Strata) -> impl Iterator<Item = Vec3> {
+        let strata = *strata;
+        (0..PLAN_RAYS).map(move |ray| self.direction(&strata, ray))
+    }
+
+    /// World direction of one of the plan's rays.
+    pub fn direction(&self, strata: &Strata, ray: usize) -> Vec3 {
+        let local = strata.direction(strata.of_plan(ray), 0, &Sampler::keyed(self.key));
+        Basis::new(self.site.normal).to_world(local)
     }
 
     /// Distance from the record, in a direction, to the nearest obstacle on the surface.

@@ -42,10 +42,10 @@ impl Level {
         self.rays_of(index).map_or(one_each, |counts| counts.into_iter().map(u32::from).sum())
     }
 
-    /// Chooses `each` records, or all, with equal probability. They are ordered by their number of rays, which
-    /// is known before they are gathered, and then along a space-filling curve per axis direction. Every n-th is
-    /// taken (systematic sampling: Cochran, *Sampling Techniques*, 3rd edition 1977, chapter 8). `start` is the
-    /// offset of the first, in units of 2⁻⁶⁴ of a step.
+    /// Chooses `each` records, or all, with equal probability. They are ordered by their number of rays,
+    /// which is known before they are gathered, and then along a space-filling curve per axis direction.
+    /// Every n-th is taken (systematic sampling: Cochran, *Sampling Techniques*, 3rd edition 1977, chapter
+    /// 8). `start` is the offset of the first, in units of 2⁻⁶⁴ of a step.
     fn spread(&self, each: usize, start: u64) -> Vec<usize> {
         let count = self.planned.len();
         let picks = each.min(count);

@@ -43,7 +43,7 @@ impl Cache {
         if let Some(change) = Change::between(from, to) {
             // Start with the deepest level: a record that reads a dropped one must be dropped too.
             let mut deeper: Option<(&Level, Vec<bool>)> = None;
-            for (depth, level) in self.levels.iter().enumerate().rev() {
+            for level in self.levels.iter().rev() {
                 let strata = &level.strata;
                 let keeps = |planned: &Planned| {
                     let reads_dropped = deeper.as_ref().is_some_and(|(level, kept)| {
@@ -53,7 +53,7 @@ impl Cache {
                     !reads_dropped && !change.touches(strata, planned, from)
                 };
                 let kept: Vec<bool> = level.planned.iter().map(keeps).collect();
-                carried.levels.insert(0, level.only(&kept, carried.world, depth));
+                carried.levels.insert(0, level.only(&kept, carried.world));
                 deeper = Some((level, kept));
             }
         }
@@ -71,12 +71,13 @@ impl Level {
     }
 
     /// The level with some of its records. Smoothed values stay if all contributing records are kept.
-    fn only(&self, kept: &[bool], world: Bounds, depth: usize) -> Self {
+    fn only(&self, kept: &[bool], world: Bounds) -> Self {
         let mut level = Self {
             strata: self.strata,
             accuracy: self.accuracy,
             smallest: self.smallest,
             largest: self.largest,
+            is_guided: self.is_guided,
             brightness: self.brightness,
             ..Self::default()
         };
@@ -89,7 +90,7 @@ impl Level {
             level.known.push(known[index].filter(|_| all_kept()));
         }
         level.explored = level.planned.len();
-        level.prepare(world, depth);
+        level.prepare(world);
         level
     }
 }

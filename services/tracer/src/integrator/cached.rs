@@ -9,9 +9,6 @@ use forelight_bvh::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// The guide needs no larger radiances, and squares them.
-const BRIGHTEST: f32 = 1e12;
-
 impl<const K: u32> Pixels<'_, K> {
     /// Indirect diffuse light: interpolated, or gathered where no record covers the point.
     pub fn interpolate(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
@@ -37,14 +34,18 @@ impl<const K: u32> Pixels<'_, K> {
         Vec3::ZERO
     }
 
-    /// The hit of a ray from a site, and the direct light that it brings, mean over the channels.
-    pub fn plan_ray(&mut self, site: &Site, direction: Vec3) -> (Option<Hit>, f32) {
+    /// The hit of a ray from a site, and the direct light that it brings, mean over the channels. Without
+    /// `with_light`, the light is 0.
+    pub fn plan_ray(&mut self, site: &Site, direction: Vec3, with_light: bool) -> (Option<Hit>, f32) {
         self.counters.ray(Category::Ambient);
         let hit = self.closest(&ray_from(site, direction), None);
+        if !with_light {
+            return (hit, 0.0);
+        }
         // At the last level, nothing is gathered, and no cache is read.
         let segment = self.gathered_segment(self.tracer.settings.ambient_bounces, site, direction);
         let radiance = self.arriving(segment, hit).element_sum() / 3.0;
-        (hit, if radiance.is_nan() { 0.0 } else { radiance.clamp(0.0, BRIGHTEST) })
+        (hit, if radiance.is_nan() { 0.0 } else { radiance.clamp(0.0, Planned::BRIGHTEST) })
     }
 
     /// Follows a record's plan rays to where they read `level`, the level after the record's own.
@@ -61,8 +62,8 @@ impl<const K: u32> Pixels<'_, K> {
         Segment { ray, passed: None, arrival: self.gathered(), level, depth: 0, vertex: 1, weight: 1.0 }
     }
 
-    /// Gathers the hemisphere above a record of `level`. The plan's rays are not traced again. `counts` is the
-    /// number of rays of each stratum, 1 if absent.
+    /// Gathers the hemisphere above a record of `level`. The plan's rays are not traced again. `counts` is
+    /// the number of rays of each stratum, 1 if absent.
     pub fn gather_record(
         &mut self,
         strata: &Strata,

@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> Result<()> {
     let stats = |path| json_file::read_written_by("forelight render --stats", path);
     let stats: Option<RenderStats> = args.stats.as_deref().map(stats).transpose()?;
     // Nothing is traced here.
-    let machine = MachineOptions { threads: Some(1), preview: PreviewBackend::Cpu, keep: Keep::On };
+    let machine = MachineOptions { threads: Some(1), preview: PreviewBackend::Cpu, keep: Keep::Off };
     let local = Local::open(&args.bundle, &machine, &Bars::new(args.out.is_none()))?;
     let settings = local.settings(&args.quality)?;
     let frames = local.frames(args.frames.as_ref())?;

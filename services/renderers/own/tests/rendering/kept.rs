@@ -48,7 +48,8 @@ fn rendered(shot: &OwnShot, frame: u32) -> Rendered {
     render_frame(shot, frame, &settings(), Given::default(), &|_| {}, &never).unwrap().unwrap()
 }
 
-/// All that must not depend on what is kept: bits, counters, work, and what a process pays that keeps nothing.
+/// All that must not depend on what is kept: bits, counters, work, and what a process pays that keeps
+/// nothing.
 fn results(rendered: &Rendered) -> String {
     let pixels = rendered.image.pixels.iter();
     let bits: Vec<_> =
