@@ -4712,8 +4712,8 @@ export interface components {
             cache_accuracy?: number;
             /**
              * Format: int32
-             * @description Hemisphere rays per cache record. Each further bounce has a quarter of them, at least 48. Directions of
-             *     small bright spots get more.
+             * @description Hemisphere rays per cache record. Each further bounce has a quarter of them, at least 48. Directions
+             *     of small bright spots get more.
              */
             cache_rays?: number;
             /**
