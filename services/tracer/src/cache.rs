@@ -93,9 +93,10 @@ pub struct Level {
     is_guided: bool,
     /// Mean radiance of the first plan's rays, mean over the channels.
     brightness: f32,
-    /// Places of the planned records.
-    places: Places,
-    guide: Guide,
+    /// Places of the planned records, made when first needed: a full cache that is only read needs none.
+    places: OnceLock<Places>,
+    /// Made when first needed, for the same reason.
+    guide: OnceLock<Guide>,
     /// Bounds of the radii, metres.
     smallest: f32,
     largest: f32,
@@ -148,13 +149,27 @@ impl Level {
     fn prepare(&mut self, world: Bounds) {
         let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
         self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));
-        (self.index, self.places) = (index, Places::of(&self.planned));
-        if self.is_guided {
-            if self.brightness == 0.0 {
-                self.brightness = guide::mean_radiance(&self.planned);
-            }
-            self.guide = Guide::new(&self.planned, &self.strata, self.brightness);
+        (self.index, self.places, self.guide) = (index, OnceLock::new(), OnceLock::new());
+        if self.is_guided && self.brightness == 0.0 {
+            self.brightness = guide::mean_radiance(&self.planned);
         }
+    }
+
+    fn places(&self) -> &Places {
+        self.places.get_or_init(|| Places::of(&self.planned))
+    }
+
+    fn guide(&self) -> &Guide {
+        self.guide.get_or_init(|| match self.is_guided {
+            true => Guide::new(&self.planned, &self.strata, self.brightness),
+            false => Guide::default(),
+        })
+    }
+
+    /// Makes what gathers need, so that no single record is charged for it.
+    fn make_ready_to_gather(&self) {
+        self.places();
+        self.guide();
     }
 
     fn is_full(&self) -> bool {

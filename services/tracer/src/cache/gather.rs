@@ -19,6 +19,9 @@ impl Cache {
         cancel: &AtomicBool,
     ) -> bool {
         self.smooth(level + 1);
+        if !records.is_empty() {
+            self.levels[level].make_ready_to_gather();
+        }
         let done = AtomicU64::new(0);
         records.par_iter().for_each(|&index| {
             if !cancel.load(Ordering::Relaxed) {
@@ -42,7 +45,7 @@ impl Cache {
         };
         let ((record, counters), cpu_nanos) = clocked(gather);
         tracer.gather_work.add(counters.work_by_class());
-        let besides = SMOOTHING_WORK + if here.guide.is_asked() { GUIDING_WORK } else { 0 };
+        let besides = SMOOTHING_WORK + if here.guide().is_asked() { GUIDING_WORK } else { 0 };
         tracer.gather_work.add([0, 0, 0, 0, besides]);
         let cost = Cost { work: counters.work() + besides, cpu_nanos };
         Record { cost, rays: counters.rays, ..record }

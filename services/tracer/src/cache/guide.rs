@@ -143,13 +143,13 @@ impl Guide {
 impl Level {
     /// Number of rays in each stratum of a record's gather. `None` if each has one.
     pub(super) fn rays_of(&self, index: usize) -> Option<Vec<u16>> {
-        self.guide.is_asked().then(|| self.deviations(index)).flatten().and_then(|all| self.allotted(&all))
+        self.guide().is_asked().then(|| self.deviations(index)).flatten().and_then(|all| self.allotted(&all))
     }
 
     /// Standard deviation of the radiance within each stratum of a record, by the rays of its neighbours.
     /// `None` if these are few, or none is bright.
     fn deviations(&self, index: usize) -> Option<Vec<f32>> {
-        let (site, guide) = (&self.planned[index].site, &self.guide);
+        let (site, guide) = (&self.planned[index].site, self.guide());
         let neighbours = self.guides(index);
         let bright: usize = neighbours.iter().map(|&other| guide.bright(other).len()).sum();
         let others = neighbours.iter().map(|&other| guide.records[other].1);
@@ -175,7 +175,7 @@ impl Level {
         let here = &self.planned[index];
         let position = here.site.position;
         let mut near: Vec<(f32, u32)> = self
-            .places
+            .places()
             .within(here.radius * self.accuracy * REACH, position)
             .map(|other| (other, &self.planned[other as usize].site))
             .filter(|&(other, site)| other as usize != index && site.normal.dot(here.site.normal) > LEAST_COS)
@@ -194,7 +194,7 @@ impl Level {
     /// (Neyman 1934), at least one each.
     fn allotted(&self, deviations: &[f32]) -> Option<Vec<u16>> {
         const STEPS: u32 = 12;
-        let allowed = (self.guide.tolerance * deviations.len() as f32 / PI).powi(2);
+        let allowed = (self.guide().tolerance * deviations.len() as f32 / PI).powi(2);
         let rays = |deviation: &f32, scale: f32| (deviation * scale).ceil().clamp(1.0, MOST_OF_STRATUM);
         let most = MOST_OF_RECORD * deviations.len() as f32;
         let suffices = |scale: f32| {

@@ -24,6 +24,7 @@ impl Cache {
         if !self.levels[1..].iter().all(Level::is_full) {
             self.partial.get_or_init(|| ());
         }
+        first.make_ready_to_gather();
         let allowed = first.accuracy * READ_RELAXED;
         let look = |pixel: u32| {
             let (mut sites, mut counters) = (Vec::new(), Counters::default());

@@ -221,7 +221,10 @@ impl Planning<'_> {
             None => self.cover_pixels(&mut coverage),
             Some(before) => self.cover_gathers(before, depth, &mut coverage),
         }
-        let ((), indexing) = clocked(|| level.prepare(world));
+        let ((), indexing) = clocked(|| {
+            level.prepare(world);
+            level.make_ready_to_gather();
+        });
         self.plan.cost.cpu_nanos += starting + indexing;
     }
 

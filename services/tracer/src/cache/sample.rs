@@ -12,6 +12,7 @@ use rayon::prelude::*;
 impl Cache {
     /// See [`Tracer::sample_records`].
     pub fn sample(&self, tracer: &Tracer, each: usize, seed: u64) -> Vec<RecordCost> {
+        self.levels.iter().for_each(Level::make_ready_to_gather);
         let picks: Vec<(usize, usize)> = (0u64..)
             .zip(&self.levels)
             .flat_map(|(level, here)| {

@@ -76,7 +76,7 @@ impl Level {
     pub(super) fn neighbours(&self, index: usize) -> impl Iterator<Item = (u32, f32)> {
         let here = &self.planned[index];
         let allowed = self.accuracy * WIDER;
-        self.places.within(here.radius * allowed, here.site.position).filter_map(move |neighbour| {
+        self.places().within(here.radius * allowed, here.site.position).filter_map(move |neighbour| {
             let there = &self.planned[neighbour as usize];
             let error = there.error(&here.site, allowed)?.max(here.error(&there.site, allowed)?);
             Some((neighbour, error))
