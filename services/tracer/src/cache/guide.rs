@@ -113,15 +113,17 @@ impl Guide {
     pub fn new(planned: &[Planned], strata: &Strata, mean: f32) -> Self {
         let mut guide = Self { tolerance: TOLERATED * PI * mean, ..Self::default() };
         for planned in planned {
+            let is_bright = |radiance: f32| radiance > BRIGHT * mean;
             let mut others = Moments::default();
-            for (ray, &radiance) in planned.lit.iter().enumerate() {
-                if radiance > BRIGHT * mean {
-                    let (direction, hit) = (planned.direction(strata, ray), planned.hits[ray]);
+            planned.lit.iter().filter(|&&lit| !is_bright(lit)).for_each(|&lit| others.add(1.0, lit));
+            // Most records have no bright ray, and need no directions.
+            if planned.lit.iter().any(|&lit| is_bright(lit)) {
+                let rays = planned.directions(strata).zip(&*planned.hits).zip(&*planned.lit);
+                let bright = rays.filter(|&(_, &radiance)| is_bright(radiance));
+                guide.bright.extend(bright.map(|((direction, hit), &radiance)| {
                     let to = hit.map_or(direction, |hit| planned.site.position + hit.t * direction);
-                    guide.bright.push(Bright { to, leaves: hit.is_none(), radiance });
-                } else {
-                    others.add(1.0, radiance);
-                }
+                    Bright { to, leaves: hit.is_none(), radiance }
+                }));
             }
             guide.records.push((guide.bright.len(), others));
         }
@@ -241,8 +243,7 @@ mod tests {
             let place = Vec3::new((number % 10) as f32, (number / 10) as f32, 0.0) * 0.1;
             let mut planned =
                 Planned { key: number, ..Planned::in_the_open(Site::bare(place, Vec3::Z), 1.0) };
-            for ray in 0..PLAN_RAYS {
-                let direction = planned.direction(&level.strata, ray);
+            for (ray, direction) in planned.directions(&level.strata).enumerate() {
                 let t = 2.0 / direction.z.max(0.1);
                 let at = place + t * direction;
                 let in_spot = (at - Vec3::new(1.0, 0.5, 2.0)).length() < 0.35;

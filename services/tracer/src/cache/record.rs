@@ -54,15 +54,9 @@ impl Planned {
     }
 
     /// World directions of the plan's rays. `strata` are those of its level.
-    pub fn directions(&self, strata: &Strata) -> impl Iterator<Item = Vec3> {
-        let strata = *strata;
-        (0..PLAN_RAYS).map(move |ray| self.direction(&strata, ray))
-    }
-
-    /// World direction of one of the plan's rays.
-    pub fn direction(&self, strata: &Strata, ray: usize) -> Vec3 {
-        let local = strata.direction(strata.of_plan(ray), 0, &Sampler::keyed(self.key));
-        Basis::new(self.site.normal).to_world(local)
+    pub fn directions(&self, strata: &Strata) -> impl Iterator<Item = Vec3> + use<> {
+        let (basis, sampler, strata) = (Basis::new(self.site.normal), Sampler::keyed(self.key), *strata);
+        (0..PLAN_RAYS).map(move |ray| basis.to_world(strata.direction(strata.of_plan(ray), 0, &sampler)))
     }
 
     /// Distance from the record, in a direction, to the nearest obstacle on the surface.
