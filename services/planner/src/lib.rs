@@ -54,6 +54,7 @@ mod model;
 mod outcome;
 mod parts;
 mod places;
+mod pool;
 mod problem;
 mod proof;
 mod rental;

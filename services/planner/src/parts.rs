@@ -13,9 +13,8 @@ use std::collections::BTreeMap;
 use crate::admission::Allotted;
 use crate::bound::{bound, first_alone};
 use crate::model::{Division, Job, Task, price_of};
-use crate::places::Search;
+use crate::places::{Search, find_allotted};
 use crate::problem::FrameWork;
-use crate::schedule::find_allotted;
 use crate::state::{Placed, State};
 
 /// The most numbers of parts tried for one frame, on top of the fewest that fit.

@@ -4,14 +4,9 @@
 //! place from a few instants on, and does not look at single nodes. Only where nodes are billed in steps
 //! does it also try those that have been paid for time that nobody uses.
 
-use std::cmp::Reverse;
-use std::collections::BTreeSet;
-
-use crate::admission::{Admission, IN_A_MICRO_UNIT};
-use crate::gaps::{Gap, Gaps};
-use crate::lane::{Fit, Lane, Prefer, Wanted};
-use crate::model::Node;
-use crate::problem::Problem;
+use crate::admission::{Admission, Allotted, IN_A_MICRO_UNIT};
+use crate::gaps::Gap;
+use crate::lane::{Fit, Prefer, Wanted};
 use crate::state::State;
 
 /// The most gaps tried for the smallest that holds a task, where time is scarce.
@@ -51,64 +46,6 @@ impl<'s> Search<'s> {
             except: None,
             for_others: state.for_others(),
         }
-    }
-}
-
-/// The free time of a class of nodes.
-#[derive(Clone, Debug)]
-pub(crate) struct Pool {
-    gaps: Gaps,
-    /// Nodes billed in steps that have bookings: what is paid for unused time, most first.
-    overpaid: BTreeSet<(Reverse<i128>, usize)>,
-}
-
-impl Pool {
-    /// Without any bookings.
-    pub fn unused(gaps: &Gaps) -> Self {
-        Pool { gaps: gaps.clone(), overpaid: BTreeSet::new() }
-    }
-
-    pub fn new(problem: &Problem, members: &[usize], lanes: &[Lane]) -> Self {
-        let mut pool = Pool::unused(&Gaps::new(&problem.looks));
-        for &node in members {
-            let gaps = lanes[node].gaps(i64::MIN, 0);
-            gaps.for_each(|(start, end)| pool.gaps.insert(Gap { start, node, end }));
-            pool.join(node, problem.nodes[node], &lanes[node]);
-        }
-        pool
-    }
-
-    /// To be called before a node's bookings change.
-    pub fn leave(&mut self, index: usize, node: &Node, lane: &Lane) {
-        if !node.is_plainly_billed() {
-            self.overpaid.remove(&(Reverse(lane.overpaid(node)), index));
-        }
-    }
-
-    /// To be called after a node's bookings changed.
-    pub fn join(&mut self, index: usize, node: &Node, lane: &Lane) {
-        if !node.is_plainly_billed() && !lane.is_empty() {
-            self.overpaid.insert((Reverse(lane.overpaid(node)), index));
-        }
-    }
-
-    /// A booking splits a gap.
-    pub fn split(&mut self, node: usize, (from, until): (i64, i64), (start, end): (i64, i64)) {
-        self.gaps.remove(from, node);
-        for (start, end) in [(from, start), (end, until)].into_iter().filter(|(start, end)| start < end) {
-            self.gaps.insert(Gap { start, node, end });
-        }
-    }
-
-    /// Without a booking, this becomes one gap.
-    pub fn close(&mut self, node: usize, (from, until): (i64, i64), (start, end): (i64, i64)) {
-        if from < start {
-            self.gaps.remove(from, node);
-        }
-        if end < until {
-            self.gaps.remove(end, node);
-        }
-        self.gaps.insert(Gap { start: from, node, end: until });
     }
 }
 
@@ -188,7 +125,7 @@ impl InClass<'_, '_, '_> {
     /// Tries nodes billed in steps on which time is paid for that nobody uses.
     fn try_overpaid(&mut self) {
         let state = self.state;
-        let overpaid = state.pools[self.class].overpaid.iter().map(|&(_, index)| index);
+        let overpaid = state.pools[self.class].overpaid();
         for index in overpaid.filter(|&index| self.search.except != Some(index)).take(NODES_TRIED) {
             let (node, lane) = (state.problem.nodes[index], &state.lanes[index]);
             let least = lane.least_added_cost(node, self.wanted.duration);
@@ -206,7 +143,7 @@ impl InClass<'_, '_, '_> {
         let state = self.state;
         let Wanted { release, latest_end, duration } = self.wanted;
         let mut from = release;
-        while let Some((gap, start)) = state.pools[self.class].gaps.first(from, duration) {
+        while let Some((gap, start)) = state.pools[self.class].gaps().first(from, duration) {
             let end = start.saturating_add(duration);
             if end > latest_end || gap.end < end {
                 break;
@@ -237,7 +174,7 @@ impl InClass<'_, '_, '_> {
         let Wanted { latest_end, duration, .. } = self.wanted;
         let mut after = if first.start < from { (from, 0) } else { (first.start, first.node + 1) };
         for _ in 0..GAPS_TRIED {
-            let Some(gap) = state.pools[self.class].gaps.next(after, duration) else { return };
+            let Some(gap) = state.pools[self.class].gaps().next(after, duration) else { return };
             let is_scarce = self.admission().is_scarce(self.class, gap.start);
             if gap.start.saturating_add(duration) > latest_end || !is_scarce {
                 return;
@@ -265,4 +202,33 @@ impl InClass<'_, '_, '_> {
         };
         self.offer(gap.node, fit);
     }
+}
+
+/// The best place within a job's allotment, which it uses up. At least half of the frame must lie in the
+/// slot.
+pub(crate) fn find_allotted(
+    state: &State,
+    search: &Search,
+    allotment: &mut [Allotted],
+) -> Option<(usize, Fit)> {
+    let mut best: Option<(usize, usize, Fit)> = None;
+    for (index, piece) in allotment.iter().enumerate().filter(|(_, piece)| piece.left > 0) {
+        let node = state.problem.representative(piece.class);
+        let half = node.duration(search.work, search.class_of_work)? / 2;
+        let within = Search {
+            classes: &[piece.class],
+            release: search.release.max(piece.start.saturating_sub(half)),
+            latest_end: search.latest_end.min(piece.end.saturating_add(half)),
+            for_others: search.for_others.min(100),
+            ..*search
+        };
+        if let Some((node, fit)) = state.find(&within)
+            && best.is_none_or(|(_, _, least)| fit.rank(search.prefer) < least.rank(search.prefer))
+        {
+            best = Some((index, node, fit));
+        }
+    }
+    let (index, node, fit) = best?;
+    allotment[index].left = allotment[index].left.saturating_sub(fit.end - fit.start);
+    Some((node, fit))
 }

@@ -8,11 +8,11 @@ use crate::bound::{bound, bound_of_all};
 use crate::exact;
 use crate::fairness::Turns;
 use crate::improve::improve;
-use crate::lane::{Fit, Prefer};
+use crate::lane::Prefer;
 use crate::model::{Booking, Bound, Input, InputError, Node, Plan, Task, price_of};
 use crate::outcome;
 use crate::parts::{even_out, place_in_parts};
-use crate::places::Search;
+use crate::places::{Search, find_allotted};
 use crate::problem::{FrameWork, Problem};
 use crate::score::Score;
 use crate::state::{Placed, State};
@@ -244,35 +244,6 @@ fn place_frame(
         }
     }
     place_in_parts(state, job, frame, &search, allotment)
-}
-
-/// The best place within a job's allotment, which it uses up. At least half of the frame must lie in the
-/// slot.
-pub(crate) fn find_allotted(
-    state: &State,
-    search: &Search,
-    allotment: &mut [Allotted],
-) -> Option<(usize, Fit)> {
-    let mut best: Option<(usize, usize, Fit)> = None;
-    for (index, piece) in allotment.iter().enumerate().filter(|(_, piece)| piece.left > 0) {
-        let node = state.problem.representative(piece.class);
-        let half = node.duration(search.work, search.class_of_work)? / 2;
-        let within = Search {
-            classes: &[piece.class],
-            release: search.release.max(piece.start.saturating_sub(half)),
-            latest_end: search.latest_end.min(piece.end.saturating_add(half)),
-            for_others: search.for_others.min(100),
-            ..*search
-        };
-        if let Some((node, fit)) = state.find(&within)
-            && best.is_none_or(|(_, _, least)| fit.rank(search.prefer) < least.rank(search.prefer))
-        {
-            best = Some((index, node, fit));
-        }
-    }
-    let (index, node, fit) = best?;
-    allotment[index].left = allotment[index].left.saturating_sub(fit.end - fit.start);
-    Some((node, fit))
 }
 
 /// Places the shared cache, if any. All frames wait for it, so a cheaper place may at most double the

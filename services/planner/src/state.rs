@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 use crate::admission::Admission;
 use crate::lane::Lane;
 use crate::model::{Booking, SharedCache, Task};
-use crate::places::Pool;
+use crate::pool::Pool;
 use crate::problem::{Problem, Work};
 
 /// Per cent of what others would pay that their time counts.

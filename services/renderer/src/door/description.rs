@@ -1,6 +1,7 @@
 //! What is in a scene.
 
 use super::answers::Cost;
+use super::asset::{Asset, AssetState};
 use super::error::RendererError;
 use super::settings::Settings;
 use serde::{Deserialize, Serialize};
@@ -41,31 +42,6 @@ pub struct Object {
     pub kind: String,
     /// Number of its triangles. `None` if it is made of something else.
     pub triangles: Option<u64>,
-}
-
-/// Where an asset is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AssetState {
-    /// A file, or files, that exist.
-    Present,
-    /// Inside the scene.
-    Packed,
-    /// A file that does not exist.
-    Missing,
-}
-
-/// A file that the scene refers to.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Asset {
-    /// Such as `image`, `library`, `cache`, `font` or `volume`.
-    pub kind: String,
-    /// Its name in the scene.
-    pub name: String,
-    /// Absolute path. Patterns such as `<UDIM>` are left as they are.
-    pub path: String,
-    /// Where it is.
-    pub state: AssetState,
 }
 
 /// What is in a scene.

@@ -1,6 +1,6 @@
 //! Why a renderer has no answer.
 
-use super::description::Asset;
+use super::asset::Asset;
 use super::settings::SettingsError;
 use std::io;
 use std::path::PathBuf;

@@ -14,6 +14,7 @@
 
 mod answers;
 mod artefact;
+mod asset;
 mod description;
 mod error;
 mod part;
@@ -26,7 +27,8 @@ pub use answers::{
     TakenOver,
 };
 pub use artefact::Artefact;
-pub use description::{Asset, AssetState, Camera, Description, Frames, Object};
+pub use asset::{Asset, AssetState};
+pub use description::{Camera, Description, Frames, Object};
 pub use error::{Ending, RendererError};
 pub use forelight_protocol::RendererId;
 pub use part::{Part, Region};

@@ -1,12 +1,7 @@
 //! Finds Blender, and starts it.
 
-use crate::settings::SCHEMA;
-use crate::shot::BlenderShot;
-use forelight_renderer::door::{
-    Capabilities, Capability, Limits, Renderer, RendererError, RendererId, Run, Shot,
-};
+use forelight_renderer::door::{Limits, RendererError, RendererId, Run};
 use forelight_renderer::process::{Meaning, Message, Program, run};
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -45,7 +40,7 @@ enum How {
 /// Blender Cycles on this machine.
 #[derive(Debug, Clone)]
 pub struct Cycles {
-    id: RendererId,
+    pub(crate) id: RendererId,
     how: How,
 }
 
@@ -135,38 +130,6 @@ fn is_supported(version: &str) -> bool {
     matches!((numbers.next(), numbers.next()), (Some(major), Some(minor)) if (major, minor) >= OLDEST && major < TOO_NEW)
 }
 
-impl Renderer for Cycles {
-    fn id(&self) -> &RendererId {
-        &self.id
-    }
-
-    fn settings_schema(&self) -> Value {
-        SCHEMA.clone()
-    }
-
-    fn capabilities(&self) -> Capabilities {
-        let mut all = Capabilities::from([
-            Capability::MeasureSamples,
-            Capability::MeasureRegions,
-            Capability::MeasureManyRegions,
-            Capability::TakeOverSamples,
-        ]);
-        if locates_costs(&self.id.version) {
-            all.insert(Capability::LocateCosts);
-        }
-        all
-    }
-
-    fn open(&self, scene: &Path, run: &Run<'_>) -> Result<Box<dyn Shot>, RendererError> {
-        Ok(Box::new(BlenderShot::open(self.clone(), scene, run)?))
-    }
-}
-
-/// Whether Cycles writes the time of each pixel: since Blender 5.0.
-fn locates_costs(version: &str) -> bool {
-    version.split('.').next().and_then(|major| major.parse().ok()).is_some_and(|major: u32| major >= 5)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -183,6 +146,5 @@ mod tests {
         ] {
             assert_eq!(is_supported(version), supported, "{version}");
         }
-        assert!(locates_costs("5.0.1") && !locates_costs("4.5.15"));
     }
 }

@@ -9,6 +9,7 @@
 //! | `installation` | finds Blender, and starts it |
 //! | `connection` | questions to the driver and its answers |
 //! | `settings` | Cycles' own settings |
+//! | `renderer` | the door: what Cycles can, and how it opens a scene |
 //! | `shot` | the four questions of the door |
 //! | `image` | multi-layer EXR files: ids, times, merging shares of the samples |
 //! | `driver/` | the Python that runs inside Blender |
@@ -28,6 +29,7 @@
 mod connection;
 mod image;
 mod installation;
+mod renderer;
 mod settings;
 mod shot;
 

@@ -68,7 +68,8 @@
 //! | --- | --- |
 //! | `file` | the file's tables, and what is wrong with them |
 //! | `template` | texts with placeholders |
-//! | `renderer` | finds the program and its version |
+//! | `installation` | finds the program and its version |
+//! | `renderer` | the door: what the program can, and how it opens a scene |
 //! | `shot` | the four questions of the door |
 //! | `output` | progress and known messages |
 //!
@@ -78,9 +79,10 @@
 //! two sizes, or two numbers of samples.
 
 mod file;
+mod installation;
 mod output;
 mod renderer;
 mod shot;
 mod template;
 
-pub use renderer::{CommandRenderer, EXTENSION, open_command};
+pub use installation::{CommandRenderer, EXTENSION, open_command};

@@ -1,8 +1,8 @@
 //! The four questions of the door, to a program that is started for each of them.
 
 use crate::file::Can;
+use crate::installation::CommandRenderer;
 use crate::output::Listener;
-use crate::renderer::CommandRenderer;
 use crate::template::Values;
 use forelight_renderer::door::{
     Artefact, Capabilities, Common, Cost, Description, FixedCosts, FrameCounts, Limits, Measured, Part,

@@ -1,8 +1,8 @@
 //! Surfaces and materials of pixels: what a camera ray meets first.
 
+use crate::opened::Opened;
 use crate::rays::{Rays, rays_of};
 use crate::scene::SceneFrame;
-use crate::shot::RadianceShot;
 use crate::tracer::Tracer;
 use forelight_pictures::id_color;
 use forelight_renderer::door::{Common, Cost, PixelCount, RendererError, Run, Shown};
@@ -68,7 +68,7 @@ impl Kept {
     /// What the frame shows, and the cost of finding it now: none if a preview found it.
     pub fn see(
         &self,
-        shot: &RadianceShot,
+        opened: &Opened,
         frame: &SceneFrame,
         common: &Common,
         run: &Run<'_>,
@@ -77,7 +77,7 @@ impl Kept {
         if let Some(seen) = self.seen.lock().remove(&key) {
             return Ok((seen, Cost::default()));
         }
-        let seen = Arc::new(see(shot, frame, common, run)?);
+        let seen = Arc::new(see(opened, frame, common, run)?);
         let cost = seen.cost.clone();
         let mut kept = self.seen.lock();
         if kept.len() < KEPT {
@@ -97,25 +97,21 @@ pub(crate) struct Seen {
 }
 
 /// What every pixel of an image of this size shows.
-fn see(
-    shot: &RadianceShot,
-    frame: &SceneFrame,
-    common: &Common,
-    run: &Run<'_>,
-) -> Result<Seen, RendererError> {
+fn see(opened: &Opened, frame: &SceneFrame, common: &Common, run: &Run<'_>) -> Result<Seen, RendererError> {
     let since = Instant::now();
     let one = Common { samples: 1, ..*common };
-    let mut tracer = Tracer::of_names(&shot.radiance, &shot.scene, &frame.octree, run)?;
+    let mut tracer = Tracer::of_names(&opened.radiance, &opened.scene, &frame.octree, run)?;
     let pixels: Vec<u32> = (0..common.width * common.height).collect();
     let mut shown = Vec::with_capacity(pixels.len());
     let mut view_nanos = 0;
     for chunk in pixels.chunks(AT_A_TIME) {
-        let Rays { rays, cpu_nanos } = rays_of((&shot.radiance, &shot.scene, frame), &one, chunk, 0..1, run)?;
+        let Rays { rays, cpu_nanos } =
+            rays_of((&opened.radiance, &opened.scene, frame), &one, chunk, 0..1, run)?;
         view_nanos += cpu_nanos;
         for names in tracer.names(&rays, run)? {
             let number = |[surface, modifier, material]: [String; 3]| Shown {
-                object: Some(shot.names.number(object(&surface, &modifier))),
-                material: Some(shot.names.number(&material)),
+                object: Some(opened.names.number(object(&surface, &modifier))),
+                material: Some(opened.names.number(&material)),
             };
             shown.push(names.map_or(Shown { object: None, material: None }, number));
         }

@@ -1,10 +1,10 @@
 //! Renders groups of a frame's pixels, on as many processes as there are threads.
 
 use crate::ambient::Ambient;
+use crate::opened::Opened;
 use crate::rays::{Rays, rays_of};
 use crate::scene::SceneFrame;
 use crate::settings::arguments;
-use crate::shot::RadianceShot;
 use crate::tracer::{Colour, Tracer};
 use forelight_renderer::door::{Cost, FixedCosts, RendererError, Run, Settings};
 use std::ops::Range;
@@ -48,7 +48,7 @@ impl Traced {
 
 /// Renders groups of pixels with some of their samples. Every process gets groups that follow each other.
 pub(crate) fn trace(
-    shot: &RadianceShot,
+    opened: &Opened,
     frame: &SceneFrame,
     settings: &Settings,
     groups: &[Vec<u32>],
@@ -58,7 +58,7 @@ pub(crate) fn trace(
     let since = Instant::now();
     let processes = (run.limits.threads.max(1) as usize).min(groups.len().max(1));
     let done = AtomicUsize::new(0);
-    let one = Process { shot, frame, settings, samples, ambient, run, done: &done, all: groups.len() };
+    let one = Process { opened, frame, settings, samples, ambient, run, done: &done, all: groups.len() };
     let mut traced = Traced::default();
     std::thread::scope(|scope| {
         let shares: Vec<_> = groups
@@ -82,7 +82,7 @@ pub(crate) fn trace(
 
 /// What one process renders, but for its groups.
 struct Process<'a> {
-    shot: &'a RadianceShot,
+    opened: &'a Opened,
     frame: &'a SceneFrame,
     settings: &'a Settings,
     samples: Range<u32>,
@@ -96,10 +96,11 @@ struct Process<'a> {
 
 impl Process<'_> {
     fn trace(&self, groups: &[Vec<u32>]) -> Result<Traced, RendererError> {
-        let (shot, run) = (self.shot, self.run);
-        let mut arguments = shot.arguments(arguments(self.settings));
+        let (opened, run) = (self.opened, self.run);
+        let mut arguments = opened.arguments(arguments(self.settings));
         arguments.extend(self.ambient.iter().flat_map(|ambient| ambient.arguments()));
-        let mut tracer = Tracer::of_values(&shot.radiance, &shot.scene, &self.frame.octree, &arguments, run)?;
+        let mut tracer =
+            Tracer::of_values(&opened.radiance, &opened.scene, &self.frame.octree, &arguments, run)?;
         let mut traced = Traced { prepare: tracer.warm(run)?.unwrap_or(0), ..Traced::default() };
         let mut before = traced.prepare;
         let mut rest = groups;
@@ -107,7 +108,7 @@ impl Process<'_> {
             let (now, later) = rest.split_at(self.at_a_time(rest));
             rest = later;
             let pixels: Vec<u32> = now.iter().flatten().copied().collect();
-            let of = (&shot.radiance, &shot.scene, self.frame);
+            let of = (&opened.radiance, &opened.scene, self.frame);
             let Rays { rays, cpu_nanos } =
                 rays_of(of, &self.settings.common, &pixels, self.samples.clone(), run)?;
             traced.cost.cpu_nanos += cpu_nanos;

@@ -1,10 +1,7 @@
 //! Finds Radiance, and starts its programs.
 
-use crate::settings::{SCHEMA, defaults};
-use crate::shot::RadianceShot;
-use forelight_renderer::door::{
-    Capabilities, Capability, Limits, Renderer, RendererError, RendererId, Run, Shot,
-};
+use crate::settings::defaults;
+use forelight_renderer::door::{Limits, RendererError, RendererId, Run};
 use forelight_renderer::process::{Meaning, Message, Program, run};
 use serde_json::{Map, Value};
 use std::ffi::OsString;
@@ -37,7 +34,7 @@ pub(crate) const MESSAGES: &[Message] = &[
 /// Radiance on this machine.
 #[derive(Debug, Clone)]
 pub struct Radiance {
-    id: RendererId,
+    pub(crate) id: RendererId,
     folder: PathBuf,
     /// Where it looks for files. `None`: where it was built to look.
     files: Option<OsString>,
@@ -145,31 +142,6 @@ fn version(text: &str) -> Option<String> {
     let fits = |c: &char| c.is_ascii_alphanumeric() || "._+-".contains(*c);
     let version: String = word.chars().filter(fits).take(50).collect();
     (!version.is_empty()).then_some(version)
-}
-
-impl Renderer for Radiance {
-    fn id(&self) -> &RendererId {
-        &self.id
-    }
-
-    fn settings_schema(&self) -> Value {
-        SCHEMA.clone()
-    }
-
-    fn capabilities(&self) -> Capabilities {
-        Capabilities::from([
-            Capability::MeasureSamples,
-            Capability::MeasureRegions,
-            Capability::MeasureManyRegions,
-            Capability::MeasurePixels,
-            Capability::TakeOverPixels,
-            Capability::LocateCosts,
-        ])
-    }
-
-    fn open(&self, scene: &Path, run: &Run<'_>) -> Result<Box<dyn Shot>, RendererError> {
-        Ok(Box::new(RadianceShot::open(self.clone(), scene, run)?))
-    }
 }
 
 #[cfg(test)]

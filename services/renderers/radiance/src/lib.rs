@@ -22,6 +22,8 @@
 //! | `ambient` | values of indirect light that pixels share |
 //! | `finished` | files of finished pixels and ambient values |
 //! | `pictures` | image files |
+//! | `opened` | what all questions about a scene share |
+//! | `renderer` | the door: what Radiance can, and how it opens a scene |
 //! | `shot` | the four questions of the door |
 //!
 //! # Costs
@@ -42,9 +44,11 @@ mod finished;
 mod ids;
 mod image;
 mod installation;
+mod opened;
 mod pictures;
 mod profile;
 mod rays;
+mod renderer;
 mod rif;
 mod scene;
 mod settings;

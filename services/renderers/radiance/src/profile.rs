@@ -13,10 +13,10 @@ use crate::blocks::SIDE;
 use crate::finished::{self, Finished, Pixel};
 use crate::ids::{self, Seen};
 use crate::image::{PREPARE, mean};
+use crate::opened::Opened;
 use crate::rays::{Rays, rays_of};
 use crate::scene::SceneFrame;
 use crate::settings::{arguments, number, shares_values};
-use crate::shot::RadianceShot;
 use crate::tracer::{Colour, Tracer};
 use crate::tree::{Counter, Counts};
 use forelight_renderer::door::{
@@ -34,7 +34,7 @@ const EMPTY_ANSWERS: usize = 15;
 
 /// Measures pixels of a frame.
 pub(crate) struct RadianceProfiler<'a> {
-    shot: &'a RadianceShot,
+    opened: &'a Opened,
     frame: &'a SceneFrame,
     settings: &'a Settings,
     run: &'a Run<'a>,
@@ -58,20 +58,20 @@ pub(crate) struct RadianceProfiler<'a> {
 
 impl<'a> RadianceProfiler<'a> {
     pub fn start(
-        shot: &'a RadianceShot,
+        opened: &'a Opened,
         frame: &'a SceneFrame,
         settings: &'a Settings,
         run: &'a Run<'a>,
     ) -> Result<Self, RendererError> {
         let since = Instant::now();
         let quiet = Run { progress: &|_| {}, ..*run };
-        let (seen, seeing) = shot.kept.see(shot, frame, &settings.common, &quiet)?;
-        let arguments = shot.arguments(arguments(settings));
+        let (seen, seeing) = opened.kept.see(opened, frame, &settings.common, &quiet)?;
+        let arguments = opened.arguments(arguments(settings));
         let ambient = shares_values(settings).then(|| Ambient::new(run.scratch)).transpose()?;
         let with_file: Vec<String> =
             arguments.iter().cloned().chain(ambient.iter().flat_map(Ambient::arguments)).collect();
-        let mut values = Tracer::of_values(&shot.radiance, &shot.scene, &frame.octree, &with_file, run)?;
-        let trees = Tracer::of_trees(&shot.radiance, &shot.scene, &frame.octree, &arguments, run)?;
+        let mut values = Tracer::of_values(&opened.radiance, &opened.scene, &frame.octree, &with_file, run)?;
+        let trees = Tracer::of_trees(&opened.radiance, &opened.scene, &frame.octree, &arguments, run)?;
         let unknown = || RendererError::Failed("/proc does not say what a process used".to_owned());
         let prepare = values.warm(run)?.ok_or_else(unknown)?;
         let mut answers = Vec::with_capacity(EMPTY_ANSWERS);
@@ -87,7 +87,7 @@ impl<'a> RadianceProfiler<'a> {
             most_specular: number(settings, "specular_sampling").clamp(1.0, 1e6) as usize,
         };
         Ok(Self {
-            shot,
+            opened,
             frame,
             settings,
             run,
@@ -142,7 +142,7 @@ impl PixelProfiler for RadianceProfiler<'_> {
             order.sort_by_key(place);
         }
         let sorted: Vec<u32> = order.iter().map(|&at| pixels[at]).collect();
-        let of = (&self.shot.radiance, &self.shot.scene, self.frame);
+        let of = (&self.opened.radiance, &self.opened.scene, self.frame);
         let Rays { rays, cpu_nanos } = rays_of(of, &common, &sorted, 0..common.samples, self.run)?;
         self.views += cpu_nanos;
         let beside = self.beside();
@@ -168,7 +168,7 @@ impl PixelProfiler for RadianceProfiler<'_> {
         let beside = self.beside();
         let mut costs = Vec::with_capacity(runs.len());
         for (pixels, warming) in runs {
-            let of = (&self.shot.radiance, &self.shot.scene, self.frame);
+            let of = (&self.opened.radiance, &self.opened.scene, self.frame);
             let Rays { rays, cpu_nanos } = rays_of(of, &common, pixels, 0..common.samples, self.run)?;
             self.views += cpu_nanos;
             let (warming, measured) = rays.split_at(*warming.min(&pixels.len()) * samples);
@@ -192,7 +192,7 @@ impl PixelProfiler for RadianceProfiler<'_> {
 
     fn finish(self: Box<Self>) -> Result<ProfiledPixels, RendererError> {
         let Self {
-            shot,
+            opened,
             frame,
             settings,
             run,
@@ -220,7 +220,7 @@ impl PixelProfiler for RadianceProfiler<'_> {
         finished::write(&path, &finished, &ambient)?;
         cost.wall_nanos = u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
         let artefact = Artefact {
-            renderer: shot.radiance.id().clone(),
+            renderer: opened.radiance.id().clone(),
             frame: frame.number,
             settings: settings.clone(),
             part: Part::Pixels(finished.keys().copied().collect()),

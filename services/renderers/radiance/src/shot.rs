@@ -3,9 +3,10 @@
 use crate::ambient::Ambient;
 use crate::blocks::{Blocks, SIDE, pixels_of};
 use crate::finished::{self, Content, Pixel};
-use crate::ids::{self, Kept, Names};
+use crate::ids;
 use crate::image::{Traced, trace};
 use crate::installation::Radiance;
+use crate::opened::Opened;
 use crate::pictures;
 use crate::profile::RadianceProfiler;
 use crate::scene::Scene;
@@ -27,10 +28,7 @@ const MOST_PIXELS: u64 = 1 << 28;
 
 /// A scene of Radiance.
 pub(crate) struct RadianceShot {
-    pub radiance: Radiance,
-    pub scene: Scene,
-    pub names: Names,
-    pub kept: Kept,
+    opened: Opened,
     description: Description,
 }
 
@@ -55,12 +53,7 @@ impl RadianceShot {
             notes: scene.notes.clone(),
             opening: scene.cost.clone(),
         };
-        Ok(Self { radiance, scene, names: Names::default(), kept: Kept::default(), description })
-    }
-
-    /// Arguments of rtrace: those of the settings, and those of the scene that no setting stands for.
-    pub fn arguments(&self, of_settings: Vec<String>) -> Vec<String> {
-        of_settings.into_iter().chain(self.scene.arguments.kept.iter().cloned()).collect()
+        Ok(Self { opened: Opened::new(radiance, scene), description })
     }
 
     /// The file of ambient values of a render: with those that were taken over, or else an empty one if
@@ -96,7 +89,7 @@ impl RadianceShot {
     ) -> Result<Content, RendererError> {
         let mut all = Content::default();
         for artefact in from {
-            artefact.check(self.radiance.id(), frame, settings)?;
+            artefact.check(self.opened.radiance.id(), frame, settings)?;
             if !matches!(artefact.part, Part::Pixels(_)) {
                 return Err(artefact.unusable("it is not of single pixels"));
             }
@@ -175,7 +168,7 @@ impl Shot for RadianceShot {
     }
 
     fn capabilities(&self, settings: &Settings) -> Capabilities {
-        let mut all = self.radiance.capabilities();
+        let mut all = self.opened.radiance.capabilities();
         if shares_values(settings) {
             // A pixel's cost depends on those before it: a part by itself costs more than within the frame.
             all.remove(&Capability::MeasureSamples);
@@ -187,7 +180,7 @@ impl Shot for RadianceShot {
     }
 
     fn names(&self, shown: Shown) -> (Option<String>, Option<String>) {
-        let name = |number: Option<u32>| self.names.name(number?);
+        let name = |number: Option<u32>| self.opened.names.name(number?);
         (name(shown.object), name(shown.material))
     }
 
@@ -203,8 +196,9 @@ impl Shot for RadianceShot {
         let mut all = Vec::with_capacity(frames.len());
         for (done, &number) in frames.iter().enumerate() {
             let progress = |share: f64| (run.progress)((done as f64 + share) / frames.len() as f64);
-            let frame = self.scene.frame(number)?;
-            let (seen, cost) = self.kept.see(self, frame, &small, &Run { progress: &progress, ..*run })?;
+            let frame = self.opened.scene.frame(number)?;
+            let (seen, cost) =
+                self.opened.kept.see(&self.opened, frame, &small, &Run { progress: &progress, ..*run })?;
             let counts = ids::counts(&seen.shown, settings.pixels());
             all.push(FrameCounts { frame: number, counts, sampled_pixels, cost });
         }
@@ -228,7 +222,8 @@ impl Shot for RadianceShot {
         let groups = groups(&settings.common, part);
         let ambient = self.ambient(settings, &[], run)?;
         let shared = (ambient.as_ref(), run);
-        let traced = trace(self, self.scene.frame(frame)?, settings, &groups, samples, shared)?;
+        let traced =
+            trace(&self.opened, self.opened.scene.frame(frame)?, settings, &groups, samples, shared)?;
         let fixed = traced.fixed();
         let region = |pixels: &Vec<u32>| Region {
             x: pixels[0] % settings.common.width,
@@ -251,7 +246,7 @@ impl Shot for RadianceShot {
         run: &'a Run<'a>,
     ) -> Result<Box<dyn PixelProfiler + 'a>, RendererError> {
         self.check(settings)?;
-        Ok(Box::new(RadianceProfiler::start(self, self.scene.frame(frame)?, settings, run)?))
+        Ok(Box::new(RadianceProfiler::start(&self.opened, self.opened.scene.frame(frame)?, settings, run)?))
     }
 
     fn render(
@@ -262,7 +257,7 @@ impl Shot for RadianceShot {
         run: &Run<'_>,
     ) -> Result<Rendered, RendererError> {
         self.check(settings)?;
-        let shown = self.scene.frame(frame)?;
+        let shown = self.opened.scene.frame(frame)?;
         let Content { pixels: mut finished, ambient } = self.taken_over(frame, settings, taken_over)?;
         let ambient = self.ambient(settings, &ambient, run)?;
         let over = TakenOver {
@@ -277,7 +272,7 @@ impl Shot for RadianceShot {
         };
         let groups: Vec<Vec<u32>> = (0..blocks.count()).map(rest).collect();
         let shared = (ambient.as_ref(), run);
-        let traced = trace(self, shown, settings, &groups, 0..settings.common.samples, shared)?;
+        let traced = trace(&self.opened, shown, settings, &groups, 0..settings.common.samples, shared)?;
         let fixed = traced.fixed();
         let Traced { pixels, nanos, cost, .. } = traced;
         finished.extend(pixels.into_iter().map(|(index, colour)| (index, Pixel { colour, cpu_nanos: 0 })));

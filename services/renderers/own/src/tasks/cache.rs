@@ -1,15 +1,14 @@
 //! Tasks of irradiance caches: plan, fill a part, merge parts.
 
-use crate::error::RenderError;
 use crate::shared_cache::{Filled, fill_part, plan_shared};
 use crate::shot::OwnShot;
-use crate::tasks::given::expect;
+use crate::tasks::given::{of_given_cache, only_cache, unusable};
 use forelight_protocol::{
     CacheFillResult, CacheFillSpec, CacheMergeResult, CacheMergeSpec, CachePlanSpec, LogLevel, Spent,
     TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
-use forelight_tracer::{Cache, CacheError, clocked};
+use forelight_tracer::{Cache, clocked};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 pub(crate) fn plan(shot: &OwnShot, spec: &CachePlanSpec, control: &Control) -> Result<Outcome, ExecuteError> {
@@ -96,29 +95,6 @@ pub(crate) fn merge(
     let spent = Spent { work: 0, cpu_nanos: merging + smoothing + writing };
     let result = CacheMergeResult { cache: files.add(bytes), bytes: size, full, spent };
     Ok(Outcome { result: TaskResult::CacheMerge(result), artifacts: files.contents })
-}
-
-pub(crate) fn only_cache(assignment: &Assignment) -> Result<Cache, ExecuteError> {
-    expect(1, assignment.caches.len())?;
-    Cache::from_bytes(&assignment.caches[0]).map_err(unusable)
-}
-
-pub(crate) fn of_given_cache(error: RenderError) -> ExecuteError {
-    match error {
-        RenderError::Cache(error) => unusable(error),
-        other => other.into(),
-    }
-}
-
-/// A damaged file is damaged for all workers. One of another renderer version may suit another worker.
-fn unusable(error: CacheError) -> ExecuteError {
-    let text = format!("the irradiance cache cannot be used: {error}");
-    match error {
-        CacheError::Length { .. } | CacheError::Damaged(_) => ExecuteError::Permanent(text),
-        CacheError::Foreign | CacheError::OtherScene(_) | CacheError::OtherPlan => {
-            ExecuteError::Transient(text)
-        }
-    }
 }
 
 fn sum(records: &[u32]) -> u64 {

@@ -1,12 +1,17 @@
-//! What a task is given of its frame: irradiance caches and finished pixels.
+//! What a task is given: settings, irradiance caches and finished pixels.
 
-use super::cache::of_given_cache;
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use bytes::Bytes;
-use forelight_protocol::{ArtifactHash, LogLevel, Spent};
+use forelight_protocol::{ArtifactHash, JobSettings, LogLevel, RenderSettings, Spent};
 use forelight_renderer::{Assignment, Control, ExecuteError};
 use forelight_tracer::{Cache, CacheError, Profile};
+
+/// The settings of a task as our own renderer has them.
+pub(crate) fn own(settings: &JobSettings) -> Result<&RenderSettings, ExecuteError> {
+    let foreign = || ExecuteError::Permanent("the task is for another renderer".to_owned());
+    settings.own().ok_or_else(foreign)
+}
 
 /// What a task of a divided frame starts with.
 pub(crate) struct Start {
@@ -89,6 +94,31 @@ pub(crate) fn usable(what: &str, bytes: &Bytes, ready: &OwnFrame<'_>, control: &
         Err(why) => {
             control.log(LogLevel::Warn, format!("{what} cannot be used: {why}"));
             None
+        }
+    }
+}
+
+/// The one irradiance cache that a task is given.
+pub(crate) fn only_cache(assignment: &Assignment) -> Result<Cache, ExecuteError> {
+    expect(1, assignment.caches.len())?;
+    Cache::from_bytes(&assignment.caches[0]).map_err(unusable)
+}
+
+/// The error of a task whose irradiance cache cannot be used.
+pub(crate) fn of_given_cache(error: RenderError) -> ExecuteError {
+    match error {
+        RenderError::Cache(error) => unusable(error),
+        other => other.into(),
+    }
+}
+
+/// A damaged file is damaged for all workers. One of another renderer version may suit another worker.
+pub(crate) fn unusable(error: CacheError) -> ExecuteError {
+    let text = format!("the irradiance cache cannot be used: {error}");
+    match error {
+        CacheError::Length { .. } | CacheError::Damaged(_) => ExecuteError::Permanent(text),
+        CacheError::Foreign | CacheError::OtherScene(_) | CacheError::OtherPlan => {
+            ExecuteError::Transient(text)
         }
     }
 }

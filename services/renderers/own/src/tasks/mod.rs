@@ -1,34 +1,36 @@
 //! Execution of each kind of task: previews and profiles here, irradiance caches in `cache`, renders in
-//! `render`, divided frames in `divide`, `part` and `whole`. What
-//! they are given is in `given`.
+//! `render`, divided frames in `divide`, `part` and `whole`. What they are given is in `given`, what they say
+//! of their progress in `progress`.
 
 pub(crate) mod cache;
 mod checkpoint;
 mod divide;
 mod given;
 mod part;
+mod progress;
 pub(crate) mod render;
 mod whole;
 
+use self::given::own;
+use self::progress::Reporting;
 use self::render::render;
-use crate::accuracy::{AccuracyObserver, AccuracyOptions, predict};
+use crate::accuracy::{AccuracyOptions, predict};
 use crate::error::{RenderError, ShotError};
 use crate::opening::OwnRenderer;
-use crate::profile::{Observer, count_frames, profile_frame};
+use crate::profile::{count_frames, profile_frame};
 use crate::quote_options::QuoteOptions;
 use crate::render::pictures::{encoding_nanos, png, write_cost};
 use crate::results::{preview_result, profile_result};
 use crate::shared_cache::profile_shared;
 use crate::shot::OwnShot;
 use forelight_protocol::{
-    AccuracyDoc, JobSettings, LadderKind, LogLevel, PreviewSpec, ProfileArtifacts, ProfileSpec,
-    RenderSettings, Spent, SpentOnForecast, TaskResult, TaskSpec,
+    AccuracyDoc, LadderKind, LogLevel, PreviewSpec, ProfileArtifacts, ProfileSpec, Spent, SpentOnForecast,
+    TaskResult, TaskSpec,
 };
 use forelight_quote::{is_own, without_ladders};
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Files, OpenShots, Outcome};
 use std::cell::Cell;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 /// Executes tasks. All workers of a process share one runner, and so its open shots.
 pub struct TaskRunner {
@@ -78,12 +80,6 @@ impl Execute for TaskRunner {
     }
 }
 
-/// The settings of a task as our own renderer has them.
-pub(crate) fn own(settings: &JobSettings) -> Result<&RenderSettings, ExecuteError> {
-    let foreign = || ExecuteError::Permanent("the task is for another renderer".to_owned());
-    settings.own().ok_or_else(foreign)
-}
-
 fn preview(shot: &OwnShot, spec: &PreviewSpec, control: &Control) -> Result<Outcome, ExecuteError> {
     let settings = own(&spec.settings)?;
     let counted = count_frames(shot, &spec.frames, settings, &Reporting::all(control))?;
@@ -113,9 +109,9 @@ fn profile(
     let mut result = profile_result(shot.info(), settings, &profiled, artifacts);
     result.spent.cpu_nanos += encoding;
     if spec.cache.is_some() {
-        let cache = cache::only_cache(assignment)?;
+        let cache = given::only_cache(assignment)?;
         profile_shared(shot, &profiled, settings, &options, cache)
-            .map_err(cache::of_given_cache)?
+            .map_err(given::of_given_cache)?
             .add_to(&mut result);
     }
     if spec.ladders {
@@ -153,49 +149,6 @@ fn ladders(
             control.log(LogLevel::Warn, format!("ladders of qualities cannot be predicted: {error}"));
             Ok(without_ladders(spec.frame, settings, &error.to_string()))
         }
-    }
-}
-
-/// Reports the steps of a quote as progress of the task.
-struct Reporting<'a> {
-    control: &'a Control,
-    /// The range of the task's progress that this covers, 0 to 1.
-    from: f64,
-    to: f64,
-}
-
-impl<'a> Reporting<'a> {
-    fn all(control: &'a Control) -> Self {
-        Self { control, from: 0.0, to: 1.0 }
-    }
-
-    fn report(&self, done: usize, all: usize) {
-        let part = done as f64 / all.max(1) as f64;
-        self.control.set_progress(self.from + part * (self.to - self.from));
-    }
-}
-
-impl Observer for Reporting<'_> {
-    fn previewed(&self, done: usize, all: usize) {
-        self.report(done, all);
-    }
-
-    fn profiled(&self, done: usize, all: usize) {
-        self.report(done, all);
-    }
-
-    fn is_cancelled(&self) -> bool {
-        self.control.is_cancelled()
-    }
-}
-
-impl AccuracyObserver for Reporting<'_> {
-    fn predicted(&self, done: usize, all: usize) {
-        self.report(done, all);
-    }
-
-    fn cancel(&self) -> &AtomicBool {
-        self.control.cancelled()
     }
 }
 

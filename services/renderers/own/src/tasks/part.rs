@@ -1,9 +1,8 @@
 //! Renders one part of a divided frame.
 
 use super::checkpoint::Checkpoints;
-use super::given::{self, usable};
-use super::own;
-use super::render::{count, fraction};
+use super::given::{self, own, usable};
+use super::progress::{count, fraction};
 use crate::answers::Progress;
 use crate::frame::OwnFrame;
 use crate::shot::OwnShot;

@@ -1,16 +1,16 @@
 //! The render task: equally many camera samples for every pixel, or a given amount of work.
 
 use crate::adaptive::work_budget::render_for_work;
-use crate::answers::{Progress, Step};
+use crate::answers::Progress;
 use crate::costs::seconds;
 use crate::frame::OwnFrame;
 use crate::render::pictures::{encode, write_cost};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use crate::tasks::checkpoint::Checkpoints;
-use crate::tasks::given::usable;
+use crate::tasks::given::{self, own, usable};
+use crate::tasks::progress::{count, fraction};
 use crate::tasks::whole::put_together;
-use crate::tasks::{given, own};
 use forelight_protocol::{
     CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
     TaskResult,
@@ -134,21 +134,4 @@ fn for_work(
     let made = render_for_work(ready, work, &progress, &passed, control.cancelled())?;
     let made = made.ok_or(ExecuteError::Cancelled)?;
     Ok(made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered)
-}
-
-/// Reports finished pixels, of `all`, and their cost.
-pub(crate) fn count(pixels: &[(u32, Pixel)], all: u64, control: &Control) {
-    let Totals { pixels: done, work, cpu_nanos, .. } = Totals::of(pixels.iter().map(|(_, pixel)| pixel));
-    control.finished_pixels(FinishedPixels { done, all, work, cpu_nanos });
-}
-
-/// Progress of a render, 0 to 1. Filling an irradiance cache takes about half of it.
-pub(crate) fn fraction(Progress { step, done, all }: Progress, cached: bool) -> f64 {
-    let part = done as f64 / all.max(1) as f64;
-    match (step, cached) {
-        (Step::Planning, _) => 0.0,
-        (Step::Filling, _) => 0.5 * part,
-        (Step::Tracing, true) => 0.5 + 0.5 * part,
-        (Step::Tracing, false) => part,
-    }
 }

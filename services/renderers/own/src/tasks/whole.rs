@@ -1,7 +1,7 @@
 //! Puts a divided frame together from the files of its parts.
 
 use super::given::{self, usable};
-use super::render::{count, fraction};
+use super::progress::{count, fraction};
 use crate::answers::Progress;
 use crate::frame::OwnFrame;
 use crate::render::{Rendered, rendered};
