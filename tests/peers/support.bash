@@ -44,10 +44,18 @@ blender_module() {
   PIP_NO_CACHE_DIR=1 python_with blender bpy==5.0.1 'numpy>=1.26,<3' 'OpenEXR>=3.3,<4'
 }
 
+# workspace VERB…: cargo, for the whole workspace and with the features of tests/run.sh. For single packages,
+# cargo would build their dependencies again, with fewer features.
+workspace() {
+  local features
+  read -ra features <<<"${FORELIGHT_FEATURES:-}"
+  cargo "$1" --quiet --workspace "${features[@]}" "${@:2}"
+}
+
 # Sets FORELIGHT_BIN to a fresh build, unless it is set.
 need_forelight() {
   if [ -z "${FORELIGHT_BIN:-}" ]; then
-    cargo build --quiet -p forelight-cli
+    workspace build --bin forelight
     FORELIGHT_BIN=$PWD/target/debug/forelight
   fi
 }

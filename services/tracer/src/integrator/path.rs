@@ -58,7 +58,8 @@ struct Candidate {
 }
 
 impl<const K: u32> Pixels<'_, K> {
-    /// Radiance along a camera ray, estimated by one path.
+    /// Radiance along a camera ray, estimated by one path. It is one long loop, because each step reads and
+    /// changes most of the path's state.
     pub fn path(&mut self, mut ray: Ray) -> Vec3 {
         let settings = &self.tracer.settings;
         let mut origin = Origin::Only;
@@ -134,16 +135,8 @@ impl<const K: u32> Pixels<'_, K> {
                 compression *= eta * eta;
                 self.media = beyond;
             }
-            if vertex >= ROULETTE {
-                let most = if vertex < LONG { 1.0 } else { SURVIVAL };
-                let survival = (throughput.max_element() * compression).min(most);
-                if survival < 1.0 {
-                    if self.sampler.next(Purpose::Roulette, vertex).x >= survival {
-                        break;
-                    }
-                    throughput /= survival;
-                }
-            }
+            let Some(survival) = self.roulette(throughput.max_element() * compression, vertex) else { break };
+            throughput /= survival;
             self.goes_on(category(scattering.lobe));
             if scattering.lobe == Lobe::Straight {
                 passed = Some(p.passed());
@@ -154,6 +147,21 @@ impl<const K: u32> Pixels<'_, K> {
         }
         self.counters.back_to(Category::Primary);
         total
+    }
+
+    /// Ends long paths of little weight at random (Russian roulette). `None` if the path ends, else the
+    /// probability that it went on.
+    fn roulette(&mut self, weight: f32, vertex: u32) -> Option<f32> {
+        let most = match vertex {
+            ..ROULETTE => return Some(1.0),
+            ROULETTE..LONG => 1.0,
+            _ => SURVIVAL,
+        };
+        let survival = weight.min(most);
+        if survival >= 1.0 {
+            return Some(1.0);
+        }
+        (self.sampler.next(Purpose::Roulette, vertex).x < survival).then_some(survival)
     }
 
     /// Counts the path's next ray.
