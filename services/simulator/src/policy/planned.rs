@@ -8,6 +8,7 @@
 //! * New jobs, lost frames and intervals cause a new plan. In between, nodes follow their bookings.
 
 mod learned;
+mod queued;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -19,6 +20,7 @@ use forelight_planner::{
 use crate::farm::{Farm, Policy, TaskState};
 use crate::world::World;
 use learned::Learned;
+use queued::Queued;
 
 const HOUR: i64 = 3_600_000_000;
 /// The planner knows calendars this far beyond the last deadline.
@@ -31,6 +33,7 @@ const OVERDUE: f64 = 1.25;
 const PATIENCE: i64 = 8;
 /// A job without a place in the plan aims at this much after its deadline.
 const SOON: i64 = 12 * HOUR;
+
 /// This project's policy.
 #[derive(Clone, Debug)]
 pub struct Planned {
@@ -47,34 +50,6 @@ pub struct Planned {
     kept: BTreeSet<usize>,
     learned: Learned,
     plans: u64,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Queued {
-    job: usize,
-    task: usize,
-    /// For a part of a frame that the plan divides: which of how many. `task` is the frame then.
-    part: Option<(u32, u32)>,
-    /// Booked time.
-    length: i64,
-}
-
-impl Queued {
-    /// Whether the task is still waiting.
-    fn waits(&self, farm: &Farm) -> bool {
-        let entry = &farm.jobs[self.job];
-        let part = self.part.and_then(|(part, parts)| entry.part(self.task, part, parts));
-        !entry.withdrawn && entry.tasks[part.unwrap_or(self.task)] == TaskState::Waiting
-    }
-
-    /// Starts the task. Returns whether it could.
-    fn start(&self, farm: &mut Farm, node: usize) -> bool {
-        let started = match self.part {
-            None => farm.start(node, self.job, self.task),
-            Some(part) => farm.start_part(node, self.job, self.task, part),
-        };
-        started.is_ok()
-    }
 }
 
 impl Planned {
