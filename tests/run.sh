@@ -26,14 +26,15 @@ touch "$FORELIGHT_NOT_RUN"
 
 step() { printf '\n== %s (%d s)\n' "$1" "$SECONDS"; }
 
-# run_logged SCRIPT: runs a script of tests. Says when it begins, and prints its output at the end.
+# run_logged SCRIPT: runs a script of tests. Says when it begins, and prints its output and its times at the end.
 run_logged() {
   local name status=0 start=$SECONDS log
   name=$(basename "$1" .sh) log=$work/$name.log
   printf '.. %s\n' "$name"
-  "$1" >"$log" 2>&1 || status=$?
-  flock "$work" bash -c 'printf "\n-- %s (%d s%s)\n" "$1" "$2" "$3"; cat "$4"' - "$name" \
-    $((SECONDS - start)) "$([ $status = 0 ] || echo ', FAILED')" "$log"
+  TIMEFORMAT='%0U + %0S'
+  { time "$1" >"$log" 2>&1; } 2>"$log.cpu" || status=$?
+  flock "$work" bash -c 'printf "\n-- %s (%d s, %s s of CPU time%s)\n" "$1" "$2" "$3" "$4"; cat "$5"' - "$name" \
+    $((SECONDS - start)) "$(cat "$log.cpu")" "$([ $status = 0 ] || echo ', FAILED')" "$log"
   return $status
 }
 export -f run_logged
