@@ -45,6 +45,7 @@ mod installation;
 mod pictures;
 mod profile;
 mod rays;
+pub mod reading;
 mod rif;
 mod scene;
 mod settings;
