@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # Runs Schemathesis (https://schemathesis.readthedocs.io) against a farm and its OpenAPI document: valid and
-# invalid requests are generated from the document, and every response is checked against it. The farm has a
-# finished job, a cancelled one with a lease, a webhook and a budget, so that deep routes are reached.
+# invalid requests are generated from the document, and every response is checked against it: valid ones are
+# accepted, invalid ones refused. The farm has a finished job, a cancelled one with a lease, one that waits to be
+# accepted, a webhook and a budget, so that deep routes are reached.
 #
 #   FORELIGHT_BIN                     the program (default: target/debug/forelight, which is built)
-#   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests per operation in the random part (default: 15)
+#   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests per operation in the random part (default: 15; 200 takes a while)
 #   FORELIGHT_SCHEMATHESIS_SEED       seed of the random part (default: 1)
 #
 # Further arguments go to schemathesis. Needs Python with venv, and network access for pip. Without them it is
@@ -43,11 +44,11 @@ export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
 token=$(cat "$work/data/tokens/operator.token")
 "$environment/bin/python" "$here/schemathesis_things.py" "$url" "$token" "$work/job.json" >"$work/things.json"
 "$environment/bin/python" "$here/schemathesis_config.py" "$work/things.json" >"$work/schemathesis.toml"
-own_token=$("$environment/bin/python" -c 'import json, sys; print(json.load(sys.stdin)["own_tokens"][0])' <"$work/things.json")
 bundle=$("$environment/bin/python" -c 'import json, sys; print(json.load(sys.stdin)["job"]["bundle"]["id"])' <"$work/job.json")
 
-export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle \
-  FORELIGHT_OWN_TOKEN=$own_token
+export SCHEMATHESIS_HOOKS=schemathesis_hooks PYTHONPATH=$here FORELIGHT_EXAMPLE_SCENE=$scene FORELIGHT_EXAMPLE_BUNDLE=$bundle
+FORELIGHT_THINGS=$(cat "$work/things.json")
+export FORELIGHT_THINGS
 cd "$work"
 "$environment/bin/schemathesis" --config-file "$work/schemathesis.toml" run "$url/openapi.yaml" \
   --header "Authorization: Bearer $token" \

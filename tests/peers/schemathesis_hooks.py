@@ -1,12 +1,22 @@
-"""Tells Schemathesis how bundles are made, and which requests are no tests."""
+"""Tells Schemathesis what a schema cannot say of a good request: which things exist, that a deadline is to come,
+that of two fields one is given. Bad requests are left as they are."""
 
+import datetime
 import io
+import json
 import os
 import pathlib
+import uuid
 import zipfile
 
 import schemathesis
 from hypothesis import strategies
+
+things = json.loads(os.environ["FORELIGHT_THINGS"])
+bundle_id = os.environ["FORELIGHT_EXAMPLE_BUNDLE"]
+
+# BLAKE3 of nothing.
+HASH_OF_NOTHING = "af1349b9f5f9a1a6a0404dea36dcc9499bcb25c9adc112b7cc9a93cae41f3262"
 
 
 def packed(files):
@@ -38,26 +48,119 @@ bundles = strategies.one_of(
 schemathesis.openapi.media_type("application/zip", bundles)
 
 
+def ahead(hours=24):
+    """An instant to come."""
+    instant = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(hours=hours)
+    return instant.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+def sensible(value, key=None):
+    """The value of a field, with times that are to come, known zones, and one of what excludes another."""
+    if key in ("deadline", "expires_at") and value is not None:
+        return ahead()
+    if key == "zone":
+        return "Europe/Berlin"
+    if key == "url":
+        return "http://127.0.0.1:9/"
+    if key == "maintenance" and isinstance(value, list):
+        return [{"start": ahead(hours)} for hours in range(len(value))]
+    if key == "pixels" and isinstance(value, dict):
+        return {**value, "done": min(value["done"], value["all"])}
+    if isinstance(value, dict):
+        return {name: sensible(inner, name) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [sensible(inner) for inner in value]
+    return value
+
+
+def without(body, *names):
+    return {name: value for name, value in body.items() if name not in names}
+
+
+def job(body):
+    """A small job of the existing bundle. One that is held would never end, and neither would its events."""
+    small = {"width": 8, "height": 8, "spp": 1}
+    body = without(body, "renderer", "cache", "output", "ladders", "division", "within", "profile_frames", "limits", "hold")
+    return {**body, "bundle": {"id": bundle_id}, "settings": small, "frames": "0-1", "project": "default", "samples": 16}
+
+
+def what_if(body):
+    changes = [
+        {"more_nodes": {"node_id": things["nodes"][0], "count": 1}},
+        {"later": {"job_id": things["open_jobs"][0], "by_ms": 1000}},
+    ]
+    return {"job_id": things["open_jobs"][0], "change": changes[len(str(body)) % 2]}
+
+
+def retention(body):
+    return body if body.get("kind") in ("images", "profiles", "jobs") else without(body, "project")
+
+
+def token(body):
+    return {**without(body, "projects"), "role": body.get("role") or "viewer"}
+
+
+def one_of(first, second, otherwise):
+    """Of two fields the first that is there."""
+
+    def kept(body):
+        given = body.get(first) or otherwise
+        return {**without(body, first, second), first: given}
+
+    return kept
+
+
+# What makes a body good, by method and path.
+GOOD = {
+    ("POST", "/v1/jobs"): job,
+    ("POST", "/v1/jobs/check"): job,
+    ("POST", "/v1/plans/what-if"): what_if,
+    ("POST", "/v1/retention"): retention,
+    ("POST", "/v1/tokens"): token,
+    ("PATCH", "/v1/tokens/{id}"): lambda body: without(body, "projects"),
+    ("POST", "/v1/quotas"): one_of("project", "token", "default"),
+    ("POST", "/v1/sessions"): one_of("code", "token", "a code that nobody has"),
+    ("POST", "/v1/budget-forecasts"): lambda body: without(body, "date"),
+    ("POST", "/v1/leases/{id}/result"): one_of("error", "result", {"message": "no"}),
+}
+
+
+def query(path, given):
+    """Page tokens come from an answer, so none is made up. A timeline ends after it begins."""
+    given = {name: value for name, value in given.items() if name != "page_token"}
+    if path == "/v1/timeline":
+        given = {name: value for name, value in given.items() if name not in ("from", "to")}
+    return given
+
+
 @schemathesis.hook
-def map_body(context, body):
-    """Half of the jobs use the existing bundle and are small, so that some of them finish. No claim waits
-    long."""
-    if not isinstance(body, dict):
-        return body
-    path = context.operation.path
-    if path in ("/v1/jobs", "/v1/jobs/check") and len(str(body)) % 2 == 0:
-        small = {"width": 8, "height": 8, "spp": 1}
-        changes = {"bundle": {"id": os.environ["FORELIGHT_EXAMPLE_BUNDLE"]}, "settings": small, "frames": "0-1", "deadline": None}
-        return {**body, **changes}
-    if path == "/v1/leases" and isinstance(body.get("wait_ms"), int):
-        return {**body, "wait_ms": min(body["wait_ms"], 500)}
-    return body
+def map_case(context, case):
+    """No claim waits long, and good requests are good."""
+    path, method = case.operation.path, case.operation.method.upper()
+    if path == "/v1/leases" and isinstance(case.body, dict) and isinstance(case.body.get("wait_ms"), int):
+        case.body = {**case.body, "wait_ms": min(case.body["wait_ms"], 500)}
+    if case.meta is None or not case.meta.generation.mode.is_positive:
+        return case
+    headers = dict(case.headers or {})
+    if any(name.lower() == "idempotency-key" for name in headers):
+        headers = {name: value for name, value in headers.items() if name.lower() != "idempotency-key"}
+        # A key is of one request.
+        case.headers = {**headers, "Idempotency-Key": str(uuid.uuid4())}
+    if case.query:
+        case.query = query(path, dict(case.query))
+    if path == "/v1/bundles" and method == "POST":
+        case.body = good
+    elif path == "/v1/artifacts/{blake3}" and method == "PUT":
+        case.path_parameters, case.body = {"blake3": HASH_OF_NOTHING}, b""
+    elif isinstance(case.body, dict):
+        case.body = GOOD.get((method, path), lambda body: body)(sensible(case.body))
+    return case
 
 
 @schemathesis.hook
 def filter_case(context, case):
     """A client may send headers that the document does not name. The token of these requests must not be
     revoked or replaced: all requests after that would be refused."""
-    is_own = (case.path_parameters or {}).get("id") == os.environ["FORELIGHT_OWN_TOKEN"]
+    is_own = (case.path_parameters or {}).get("id") in things["own_tokens"]
     of_own_token = case.operation.path.startswith("/v1/tokens/") and is_own
     return "x-schemathesis-unknown-property" not in (case.headers or {}) and not of_own_token

@@ -39,7 +39,16 @@ for _ in range(100):
         break
     time.sleep(0.1)
 ask("POST", f"/v1/jobs/{second_job}/cancel")
+
+# A third job is quoted, and waits to be accepted. The first node goes on with whatever comes.
+ask("PATCH", f"/v1/nodes/{second}", {"drain": True})
 ask("PATCH", f"/v1/nodes/{node}", {"pause": False})
+open_job = ask("POST", "/v1/jobs", {**request, "name": "third", "hold": True})["id"]
+for _ in range(600):
+    if ask("GET", f"/v1/jobs/{open_job}")["state"] == "quoted":
+        break
+    time.sleep(0.1)
+ask("PATCH", f"/v1/nodes/{second}", {"drain": False})
 tokens = ask("GET", "/v1/tokens?page_size=200")["items"]
 own_token = next(found["id"] for found in tokens if found["name"] == "first operator")
 made_token = ask("POST", "/v1/tokens", {"name": "guest", "role": "viewer"})["token"]["id"]
@@ -51,6 +60,7 @@ print(
     json.dumps(
         {
             "jobs": [job["id"], job["id"], second_job, absent],
+            "open_jobs": [open_job],
             "frames": [0, 1, 7],
             "plans": [job["plan_id"], absent],
             "bundles": [job["bundle"]["id"], absent],

@@ -4,6 +4,7 @@
 pub mod bundles;
 pub mod case;
 pub mod events;
+pub mod foreign;
 pub mod http;
 pub mod ledger;
 pub mod parsers;
@@ -11,6 +12,7 @@ pub mod pictures;
 pub mod processes;
 pub mod proxy;
 pub mod reference;
+pub mod routes;
 pub mod shim;
 pub mod statistics;
 pub mod waiting;

@@ -24,8 +24,13 @@ pub struct Parser {
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// All parsers.
-pub const PARSERS: [Parser; 11] = [
+/// All parsers, with those of [`crate::foreign`] and the routes of a service.
+pub fn all() -> impl Iterator<Item = Parser> {
+    PARSERS.into_iter().chain(crate::foreign::PARSERS).chain([crate::routes::ROUTES])
+}
+
+/// Parsers of scenes, artefacts and messages.
+const PARSERS: [Parser; 11] = [
     Parser { name: "description", read: description, seeds: description_seeds },
     Parser { name: "obj", read: obj, seeds: || vec![OBJ.into()] },
     Parser { name: "mtl", read: mtl, seeds: || vec![MTL.into()] },
@@ -159,7 +164,7 @@ fn survives(result: Result<Scene, SceneError>) {
     }
 }
 
-fn one_line(message: &str) {
+pub(crate) fn one_line(message: &str) {
     assert!(!message.is_empty() && !message.contains(['\n', '\r']), "more than one line: {message:?}");
 }
 

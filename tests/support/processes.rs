@@ -70,13 +70,14 @@ pub struct Process {
 impl Process {
     /// Starts the program. Its output and log go to files in `logs` that begin with `name`.
     pub fn start<A: AsRef<OsStr>>(logs: &Path, name: &str, arguments: &[A]) -> Self {
-        Self::start_with(logs, name, arguments, &[])
+        Self::start_with(logs, name, Command::new(binary()), arguments, &[])
     }
 
-    /// Starts it with these environment variables.
+    /// Starts it by this command, with these environment variables.
     fn start_with<A: AsRef<OsStr>>(
         logs: &Path,
         name: &str,
+        mut command: Command,
         arguments: &[A],
         environment: &[(String, PathBuf)],
     ) -> Self {
@@ -84,7 +85,7 @@ impl Process {
         let file =
             |path: &Path| File::create(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let started = Timestamp::now();
-        let child = Command::new(binary())
+        let child = command
             .args(arguments)
             .stdin(Stdio::null())
             .stdout(file(&output))
@@ -147,11 +148,20 @@ impl Drop for Process {
     }
 }
 
+/// A shell that sets a limit and then becomes the program.
+fn limited(limit: &str) -> Command {
+    let mut shell = Command::new("sh");
+    shell.args(["-c", &format!("{limit} && exec \"$0\" \"$@\"")]).arg(binary());
+    shell
+}
+
 /// A service with its data in a temporary folder: `forelight serve`, or `forelight farm` with workers.
 pub struct Service {
     folder: tempfile::TempDir,
     arguments: Vec<String>,
     environment: Vec<(String, PathBuf)>,
+    /// A line of a shell that limits the process.
+    limit: Option<&'static str>,
     process: Option<Process>,
     address: String,
     starts: u32,
@@ -166,12 +176,21 @@ impl Service {
         service
     }
 
+    /// The same under a limit, which a line of a shell sets.
+    pub async fn limited(command: &str, flags: &[&str], limit: &'static str) -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder can be made");
+        let mut service = Self { limit: Some(limit), ..Self::prepared(folder, command, flags) };
+        service.launch().await;
+        service
+    }
+
     /// A service that is not started yet, with its data in this folder.
     pub fn prepared(folder: tempfile::TempDir, command: &str, flags: &[&str]) -> Self {
         let data = folder.path().join("data");
         let mut arguments = vec![command.to_owned(), "--data".to_owned(), data.display().to_string()];
         arguments.extend(flags.iter().map(|&flag| flag.to_owned()));
-        Self { folder, arguments, environment: Vec::new(), process: None, address: String::new(), starts: 0 }
+        let (environment, address) = (Vec::new(), String::new());
+        Self { folder, arguments, environment, limit: None, process: None, address, starts: 0 }
     }
 
     /// Sets these environment variables for all later starts.
@@ -190,7 +209,9 @@ impl Service {
         let mut arguments = self.arguments.clone();
         arguments.extend(["--listen".to_owned(), listen.to_owned()]);
         let name = format!("service-{}", self.starts);
-        let mut process = Process::start_with(self.folder.path(), &name, &arguments, &self.environment);
+        let command = self.limit.map_or_else(|| Command::new(binary()), limited);
+        let folder = self.folder.path();
+        let mut process = Process::start_with(folder, &name, command, &arguments, &self.environment);
         let address = eventually("the service's address", PATIENCE, async || {
             assert_eq!(process.has_ended(), None, "the service ended: {}", process.last_words());
             let printed = process.printed();

@@ -4,7 +4,7 @@
 //! names a folder to write the good input to, as a start for fuzzing: `tests/fuzz/corpus`.
 
 use forelight_random::Random;
-use forelight_tests::parsers::{PARSERS, Parser};
+use forelight_tests::parsers::{Parser, all};
 use forelight_tests::repository;
 use serde_json::Value;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -89,7 +89,7 @@ fn read(parser: &Parser, bytes: &[u8], which: &str) {
 
 #[test]
 fn good_input_of_every_parser_is_read() {
-    for parser in PARSERS {
+    for parser in all() {
         for (number, seed) in (parser.seeds)().iter().enumerate() {
             read(&parser, seed, "seed");
             if let Some(folder) = std::env::var_os("FORELIGHT_SEEDS") {
@@ -107,7 +107,7 @@ fn good_input_of_every_parser_is_read() {
 fn what_fuzzing_once_found_is_read_or_refused() {
     let folder = repository().join("tests/hard/fuzzed");
     let mut count = 0;
-    for parser in PARSERS {
+    for parser in all() {
         let Ok(entries) = std::fs::read_dir(folder.join(parser.name)) else { continue };
         for path in entries.map(|entry| entry.expect("the folder can be read").path()) {
             read(&parser, &std::fs::read(&path).expect("the file can be read"), &path.display().to_string());
@@ -121,7 +121,7 @@ fn what_fuzzing_once_found_is_read_or_refused() {
 fn mutated_input_of_every_parser_is_read_or_refused() {
     let wanted = std::env::var("FORELIGHT_MUTATIONS").ok().and_then(|n| n.parse().ok());
     let mutations: u64 = wanted.unwrap_or(400);
-    for parser in PARSERS {
+    for parser in all() {
         let seeds = (parser.seeds)();
         for number in 0..mutations {
             let mut random = Random::new(number);
@@ -147,7 +147,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 fn any_number_of_a_document_may_be_any_other_number() {
     let others = ["-1", "0", "1", "5", "4294967295", "18446744073709551615", "1e38", "-1e300", "0.5", "null"];
     let mut count = 0;
-    for parser in PARSERS.iter().filter(|p| ["description", "gltf", "protocol"].contains(&p.name)) {
+    for parser in all().filter(|p| ["description", "gltf", "protocol"].contains(&p.name)) {
         for seed in (parser.seeds)() {
             let document: Value = serde_json::from_slice(&seed).expect("the seed is JSON");
             let mut found = Vec::new();
@@ -157,7 +157,7 @@ fn any_number_of_a_document_may_be_any_other_number() {
                     let mut changed = document.clone();
                     let place = changed.pointer_mut(&pointer).expect("the place was just found");
                     *place = serde_json::from_str(other).expect("a number");
-                    read(parser, changed.to_string().as_bytes(), &format!("{pointer} = {other}"));
+                    read(&parser, changed.to_string().as_bytes(), &format!("{pointer} = {other}"));
                     count += 1;
                 }
             }

@@ -32,10 +32,12 @@ pub const MOST_NIGHTS: u32 = 60;
 const REMEMBERED: u32 = 400;
 
 /// Computes the forecast and keeps it under its first night, replacing an earlier one. After the middle of
-/// that night it is not kept: the track record compares the night with what was known before.
+/// that night it is not kept: the track record compares the night with what was known before. A forecast of
+/// `projects` alone is not kept either, and compared with nothing.
 pub async fn budget_forecast(
     store: &Store,
     request: &BudgetForecastRequest,
+    projects: Option<Vec<String>>,
     now: Timestamp,
 ) -> Result<BudgetForecast, BudgetForecastError> {
     let nights = nights(request, now)?;
@@ -53,11 +55,16 @@ pub async fn budget_forecast(
     let begins = budgets.iter().filter_map(|budget| budget.period.bounds(&budget.zone, first.from));
     let since = begins.map(|(from, _)| from).chain([first.from]).min().unwrap_or(first.from);
     let ledger = store.ledger(since, now).await?;
+    let zone = request.zone.clone();
+    let is_of_all = projects.is_none();
+    let basis = Basis { now, zone, nights: nights.clone(), nodes, jobs, ledger, budgets, projects };
+    let basis = basis.of_its_projects();
+    let mut forecast = tokio::task::spawn_blocking(move || work_out(&basis, &snapshot)).await??;
+    if !is_of_all {
+        return Ok(forecast);
+    }
     let past = store.budget_forecasts_before(&request.zone, first.from, REMEMBERED).await?;
     let track_record = track_record(store, &past, now).await?;
-    let zone = request.zone.clone();
-    let basis = Basis { now, zone, nights: nights.clone(), nodes, jobs, ledger, budgets };
-    let mut forecast = tokio::task::spawn_blocking(move || work_out(&basis, &snapshot)).await??;
     forecast.track_record = track_record;
     if let Some(before) = past.first() {
         forecast.compared_with = Some(before.forecast.made_at);

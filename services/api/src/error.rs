@@ -83,6 +83,7 @@ impl From<StoreError> for ApiError {
             StoreError::KeyReused => ProblemKind::IdempotencyKeyReused,
             StoreError::HashMismatch { .. } => ProblemKind::HashMismatch,
             StoreError::NoProject(_) => ProblemKind::Invalid,
+            StoreError::QuotaExceeded(_) => ProblemKind::QuotaExceeded,
             StoreError::TooLarge { .. } => ProblemKind::TooLarge,
             StoreError::BrokenOff(_) => ProblemKind::Malformed,
             StoreError::Busy | StoreError::ArtifactsAway(_) => ProblemKind::Busy,

@@ -7,6 +7,7 @@ mod json;
 mod path;
 mod query;
 mod reach;
+mod version;
 
 pub(crate) use auth::{
     Anyone, OneTimeToken, Operator, Peer, PeerAddress, Reader, Submitter, UNKNOWN_TOKEN, WorkerToken,
@@ -17,3 +18,4 @@ pub(crate) use json::{JsonBody, Large, media_type};
 pub(crate) use path::{Segment, Segments};
 pub(crate) use query::{QueryParameters, number, number_if_any};
 pub(crate) use reach::{FarmReader, OwnJob, SeenFrame, SeenJob, check_may_change};
+pub(crate) use version::WorkerVersion;

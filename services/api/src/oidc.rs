@@ -195,8 +195,8 @@ impl SignIn {
             .or_else(|| claims.preferred_username().map(|name| name.as_str()))
             .unwrap_or(subject);
         let name: String = name.chars().filter(|letter| !letter.is_control()).take(200).collect();
-        let groups = grants::groups(claims.additional_claims().0.get(&self.config.groups_claim));
-        let rights = self.config.rights(&groups).ok_or_else(|| SignInError::NoRole(name.clone()))?;
+        let groups = claims.additional_claims().0.get(&self.config.groups_claim);
+        let rights = self.config.rights_of(groups).ok_or_else(|| SignInError::NoRole(name.clone()))?;
         Ok(Person { subject: format!("{} {subject}", self.config.issuer), name, rights })
     }
 

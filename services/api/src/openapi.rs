@@ -1,9 +1,26 @@
 //! The OpenAPI document without its operations, which `router` adds.
 
 use forelight_protocol::{WebhookData, WebhookMessage};
+use utoipa::openapi::schema::AdditionalProperties;
 use utoipa::openapi::security::{ApiKey, ApiKeyValue, Http, HttpAuthScheme, SecurityScheme};
-use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, SecurityRequirement};
+use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, RefOr, Schema, SecurityRequirement};
 use utoipa::{PartialSchema, ToSchema};
+
+/// Variants that are told apart by their only key have no other, which serde holds them to.
+pub(crate) fn with_one_key(mut document: OpenApi) -> OpenApi {
+    let schemas = document.components.iter_mut().flat_map(|components| components.schemas.values_mut());
+    for schema in schemas {
+        let RefOr::T(Schema::OneOf(variants)) = schema else { continue };
+        for variant in &mut variants.items {
+            if let RefOr::T(Schema::Object(object)) = variant
+                && (object.required.len(), object.properties.len()) == (1, 1)
+            {
+                object.additional_properties = Some(Box::new(AdditionalProperties::FreeForm(false)));
+            }
+        }
+    }
+    document
+}
 
 pub(crate) fn frame() -> OpenApi {
     let mut info = Info::new("forelight", env!("CARGO_PKG_VERSION"));

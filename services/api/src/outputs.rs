@@ -88,7 +88,8 @@ pub(crate) async fn write_outputs(app: &App) {
         let all_written = match app.store.due_outputs(AT_ONCE).await {
             Ok(due) if due.is_empty() => true,
             Ok(due) => {
-                if write_all(app, root, &due).await {
+                // What failed comes last from now on, so whatever else is due has its turn.
+                if write_all(app, root, &due).await > 0 {
                     continue;
                 }
                 false
@@ -106,24 +107,23 @@ pub(crate) async fn write_outputs(app: &App) {
     }
 }
 
-/// Writes these images. Returns whether all were written.
-async fn write_all(app: &App, root: &OutputRoot, due: &[DueOutput]) -> bool {
-    let mut all_written = true;
+/// Writes these images. Returns how many were written.
+async fn write_all(app: &App, root: &OutputRoot, due: &[DueOutput]) -> usize {
+    let mut written = 0;
     for output in due {
         if app.stopping.is_cancelled() {
-            return false;
+            return 0;
         }
         let error = write_one(app, root, output).await.err();
         if let Some(error) = &error {
             tracing::warn!(job = %output.job, frame = output.frame, path = output.path, error, "image not written");
         }
-        all_written &= error.is_none();
-        if let Err(error) = app.store.note_output(output, error.as_deref()).await {
-            tracing::warn!(%error, "the service could not note that an image was written");
-            all_written = false;
+        match app.store.note_output(output, error.as_deref(), app.now()).await {
+            Ok(()) => written += usize::from(error.is_none()),
+            Err(error) => tracing::warn!(%error, "the service could not note that an image was written"),
         }
     }
-    all_written
+    written
 }
 
 async fn write_one(app: &App, root: &OutputRoot, output: &DueOutput) -> Result<(), String> {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner as planner;
 use forelight_protocol::{
-    Booking, FrameMove, FramePlace, JobId, JobVerdict, Money, NodeId, PlanDifference, PlanId, Timestamp,
+    Booking, FrameMove, FramePlace, JobId, JobVerdict, Money, NodeId, Plan, PlanDifference, Timestamp,
     Verdict, VerdictChange,
 };
 use forelight_store::{Store, StoreError};
@@ -15,10 +15,11 @@ use crate::conductor::settle::stayed;
 
 const MOST_LINES: usize = 50;
 
-/// Compares a plan with the bookings before it.
-pub(crate) async fn difference(store: &Store, plan: PlanId) -> Result<PlanDifference, StoreError> {
-    let after = store.plan(plan).await?;
-    let (before, said) = store.booked_before(plan).await?;
+/// Compares a plan, or the part of it that somebody sees, with the bookings before it.
+pub(crate) async fn difference(store: &Store, after: Plan) -> Result<PlanDifference, StoreError> {
+    let plan = after.id;
+    let (mut before, said) = store.booked_before(plan).await?;
+    before.retain(|booking| after.verdicts.iter().any(|verdict| verdict.job_id == booking.job_id));
     let places = Places::new(before.iter().chain(&after.bookings));
     let compared = planner::difference(&places.plan(&before), &places.plan(&after.bookings));
     let mut nodes = BTreeMap::new();

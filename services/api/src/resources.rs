@@ -18,6 +18,7 @@ pub(crate) mod nodes;
 pub(crate) mod page;
 pub(crate) mod plans;
 pub(crate) mod projects;
+pub(crate) mod quotas;
 pub(crate) mod responses;
 pub(crate) mod retention;
 pub(crate) mod sessions;

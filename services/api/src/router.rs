@@ -25,13 +25,13 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::error::render_problems;
-use crate::openapi::frame;
+use crate::openapi::{frame, with_one_key};
 use crate::paced_body::PacedBody;
 use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, audit, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases,
-    left_out, nodes, page, plans, projects, retention, sessions, sign_in, strip, tasks, timeline, tokens,
-    webhooks,
+    left_out, nodes, page, plans, projects, quotas, retention, sessions, sign_in, strip, tasks, timeline,
+    tokens, webhooks,
 };
 use crate::rights::end_with_right;
 use crate::state::App;
@@ -116,6 +116,7 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(budgets::list, budgets::set))
         .routes(routes!(budgets::forecast))
         .routes(routes!(projects::list, projects::set))
+        .routes(routes!(quotas::list, quotas::set))
         .routes(routes!(retention::get, retention::set))
         .routes(routes!(retention::prune))
         .routes(routes!(webhooks::add, webhooks::list))
@@ -131,6 +132,7 @@ fn routes_of_people() -> OpenApiRouter<App> {
 pub fn openapi_yaml() -> String {
     let of_workers = routes_of_workers().into_openapi();
     let document = frame().merge_from(of_workers).merge_from(routes_of_people().into_openapi());
+    let document = with_one_key(document);
     // Strings, numbers, lists and maps with string keys always have a YAML form.
     document.to_yaml().unwrap_or_default()
 }

@@ -8,6 +8,27 @@ use utoipa::{IntoParams, ToSchema};
 #[allow(dead_code, reason = "describes bodies that are streamed and never held")]
 pub(crate) struct FileContent(Vec<u8>);
 
+/// The header with which a stream of events is taken up again.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "describes the header that streams of events read")]
+pub(crate) struct LastEventIdHeader {
+    /// The last event seen
+    #[param(rename = "Last-Event-ID")]
+    id: Option<i64>,
+}
+
+/// The header in which a worker states its version.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "describes the header that `WorkerVersion` reads")]
+pub(crate) struct WorkerVersionHeader {
+    /// Version of the worker protocol that the worker speaks; 1 if absent. `worker-too-old` and `worker-too-new`
+    /// say that the service does not understand it
+    #[param(rename = "Forelight-Worker-Protocol", minimum = 1, maximum = 2)]
+    version: Option<u32>,
+}
+
 /// The header of requests that create something.
 #[derive(IntoParams)]
 #[into_params(parameter_in = Header)]

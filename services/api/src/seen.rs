@@ -6,11 +6,12 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    AnswersDoc, Dashboard, Event, EventKind, JobId, Node, PlanChange, PlanEffect, Promise, TimelinePage,
-    Waits,
+    AnswersDoc, Dashboard, Event, EventKind, Job, JobId, JobVerdict, Node, Plan, PlanChange, PlanEffect,
+    Promise, TimelinePage, Waits,
 };
 use forelight_store::tokens::Principal;
 
+use crate::conductor::settle::IN_THE_WAY;
 use crate::error::ApiResult;
 use crate::state::App;
 
@@ -57,6 +58,37 @@ impl Seen {
         }
     }
 
+    /// Leaves out of a job what it says of others.
+    pub fn show_job(&self, job: &mut Job) {
+        self.show(&mut job.waits, &mut job.promise);
+        if let Some(verdict) = &mut job.verdict {
+            self.show_verdict(verdict);
+        }
+    }
+
+    fn show_verdict(&self, verdict: &mut JobVerdict) {
+        if let Seen::Some(_) = self {
+            verdict.ways_out.retain(|effect| self.sees_effect(effect));
+            let reasons = verdict.reasons.iter_mut().filter(|reason| reason.starts_with(IN_THE_WAY));
+            reasons.for_each(|reason| reason.truncate(IN_THE_WAY.len()));
+        }
+    }
+
+    /// A plan without what it says of others. `None` if it says nothing else.
+    pub fn show_plan(&self, mut plan: Plan) -> Option<Plan> {
+        if let Seen::Some(_) = self {
+            plan.causes.clear();
+            plan.verdicts.retain(|verdict| self.sees(verdict.job_id));
+            plan.verdicts.iter_mut().for_each(|verdict| self.show_verdict(verdict));
+            plan.bookings.retain(|booking| self.sees(booking.job_id));
+            plan.shared_cache_bookings.retain(|booking| self.sees(booking.job_id));
+            if plan.verdicts.is_empty() && plan.bookings.is_empty() {
+                return None;
+            }
+        }
+        Some(plan)
+    }
+
     /// Leaves out of the answers about a job what they say of others.
     pub fn show_answers(&self, mut answers: AnswersDoc) -> AnswersDoc {
         if let Seen::Some(_) = self {
@@ -92,6 +124,20 @@ pub(crate) fn mentioned<'a>(
     behind.chain(promise.iter().flat_map(|promise| promise.rescue.iter()).flat_map(in_effect))
 }
 
+/// The jobs that a job mentions.
+pub(crate) fn mentioned_by(job: &Job) -> impl Iterator<Item = JobId> + '_ {
+    let ways_out = job.verdict.iter().flat_map(|verdict| &verdict.ways_out);
+    mentioned(&job.waits, &job.promise).chain(ways_out.flat_map(in_effect))
+}
+
+/// The jobs that a plan mentions.
+pub(crate) fn mentioned_in(plan: &Plan) -> impl Iterator<Item = JobId> + '_ {
+    let verdicts = plan.verdicts.iter();
+    let said = verdicts.flat_map(|said| said.ways_out.iter().flat_map(in_effect).chain([said.job_id]));
+    let caches = plan.shared_cache_bookings.iter().map(|booking| booking.job_id);
+    said.chain(plan.bookings.iter().map(|booking| booking.job_id)).chain(caches)
+}
+
 /// The jobs that an effect mentions.
 pub(crate) fn in_effect(effect: &PlanEffect) -> impl Iterator<Item = JobId> + '_ {
     let about = match &effect.change {
@@ -125,6 +171,7 @@ pub(crate) fn shown_node(caller: &Principal, node: Node) -> Node {
 
 /// A dashboard for a caller who reaches some projects only. `jobs` are those of his that it mentions.
 pub(crate) fn show_dashboard(mut farm: Dashboard, caller: &Principal, seen: &Seen) -> Dashboard {
+    farm.finish = None;
     farm.jobs.retain(|job| caller.sees(&job.project));
     for job in &mut farm.jobs {
         seen.show(&mut job.waits, &mut job.promise);

@@ -7,6 +7,7 @@ mod connection;
 mod contact_sheet;
 mod failure;
 mod job_options;
+mod storage;
 
 use clap::Parser;
 use forelight_terminal::foreign_text::log_fields;

@@ -7,6 +7,7 @@ mod farm;
 mod jobs;
 mod leases;
 mod nodes;
+mod quotas;
 mod sessions;
 mod tokens;
 

@@ -11,7 +11,7 @@ use crate::backoff::Backoff;
 use crate::error::ClientError;
 use crate::token::Token;
 use bytes::Bytes;
-use forelight_protocol::Problem;
+use forelight_protocol::{Problem, WORKER_PROTOCOL, WORKER_PROTOCOL_HEADER};
 use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Certificate, Method, Response, StatusCode};
 use serde::Serialize;
@@ -74,6 +74,13 @@ impl Request {
 
     pub fn timeout(mut self, timeout: Option<Duration>) -> Self {
         self.timeout = timeout;
+        self
+    }
+
+    /// The same request of a worker, which states its version.
+    pub fn of_worker(mut self) -> Self {
+        let name = HeaderName::from_static(WORKER_PROTOCOL_HEADER);
+        self.headers.insert(name, HeaderValue::from(WORKER_PROTOCOL));
         self
     }
 

@@ -34,3 +34,12 @@ mod next_step;
 pub use cluster::{Cluster, ClusterError, Programs};
 pub use command::Submitting;
 pub use engine::{Engine, Options};
+
+/// Whether output can be read as that of `squeue`, of `sinfo` and of `sbatch`.
+pub fn can_read(output: &[u8]) -> [bool; 3] {
+    [
+        answer::jobs(output).is_ok(),
+        answer::nodes(output, Some("all")).is_ok(),
+        answer::submitted(output).is_ok(),
+    ]
+}

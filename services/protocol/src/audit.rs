@@ -75,6 +75,10 @@ actions!(
     ProjectSet = "project_set",
     /// How long something is kept was set.
     RetentionSet = "retention_set",
+    /// Entries of the audit that were past their time were deleted.
+    AuditPruned = "audit_pruned",
+    /// A quota was set, or removed.
+    QuotaSet = "quota_set",
     /// A budget was set.
     BudgetSet = "budget_set",
     /// A webhook was added.

@@ -120,7 +120,8 @@ pub struct BudgetRequest {
     pub project: String,
     /// The period.
     pub period: BudgetPeriod,
-    /// The amount, in micro-units.
+    /// The amount, in micro-units: 0 to 10¹⁸.
+    #[schema(value_type = i64, minimum = 0, maximum = 1_000_000_000_000_000_000_i64)]
     pub amount: Money,
     /// Time zone of nights and months: its name in the IANA database.
     #[serde(default = "utc")]

@@ -104,6 +104,16 @@ pub struct Profiled {
     pub pixels: u64,
 }
 
+/// What a job takes of the farm's storage until it is deleted. See `GET /v1/retention`.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct StorageForecast {
+    /// Bytes of images, cost maps and previews of all frames: measured on the profiled frames. An image that is
+    /// written elsewhere takes its bytes there once more.
+    pub file_bytes: u64,
+    /// Bytes of rows in the database, for all frames.
+    pub database_bytes: u64,
+}
+
 /// Cost of making the quote: previews and profiling.
 #[derive(Clone, Copy, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct SpentOnForecast {
@@ -161,6 +171,9 @@ pub struct ForecastDoc {
     /// Total cost at the mean price of the farm's nodes, with a shared cache. Absent without nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
+    /// What the job takes of the farm's storage. Absent with renderers whose files are not measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub storage: Option<StorageForecast>,
 }
 
 /// The scene and settings of a quote.

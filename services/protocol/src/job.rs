@@ -8,8 +8,8 @@ use crate::node::given;
 use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FrameForecast, FrameSet, JobId, JobSettings,
     JobState, JobVerdict, Ladders, LiveForecast, Money, NodeId, OutputPattern, PageToken, PlanId, Promise,
-    Quantiles, RenderSettingsRequest, RenderStats, RendererRequest, SceneSummary, SharedCacheProgress,
-    TaskLimits, Timestamp, Waits,
+    Quantiles, RenderSettingsRequest, RenderStats, RenderedBy, RendererRequest, SceneSummary,
+    SharedCacheProgress, TaskLimits, Timestamp, Waits,
 };
 
 /// Request for a new job.
@@ -220,6 +220,10 @@ pub struct Job {
     /// The renderer. Absent for forelight's own. Complete once the job is previewed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub renderer: Option<RendererRequest>,
+    /// Which version of forelight's own renderer renders it. Absent for other renderers, until the job is
+    /// previewed, and if no node states its version.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rendered_by: Option<RenderedBy>,
     /// Summary of the scene in the bundle. With another renderer, numbers are 0 until the job is previewed.
     pub scene: SceneSummary,
     /// The frames to render.
@@ -301,6 +305,14 @@ pub struct Job {
     pub created_at: Timestamp,
     /// When it was done, failed or cancelled. Absent until then.
     pub finished_at: Option<Timestamp>,
+}
+
+impl Job {
+    /// The renderer that a node must have for its tasks. `None`: every node will do.
+    pub fn needs(&self) -> Option<RendererRequest> {
+        let own = || self.rendered_by.as_ref().map(|by| RendererRequest::own(&by.version));
+        self.renderer.clone().or_else(own)
+    }
 }
 
 /// One page of jobs, newest first.

@@ -45,6 +45,7 @@ mod plan;
 mod problem;
 mod profile;
 mod quantiles;
+mod quota;
 mod renderer;
 mod result;
 mod retention;
@@ -60,6 +61,7 @@ mod time;
 mod timeline;
 mod token;
 mod track_record;
+mod version;
 mod webhook;
 
 pub use accuracy::{
@@ -100,7 +102,7 @@ pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
 pub use fixed_costs::{FixedCosts, ProcessCosts};
 pub use forecast::{
     ForecastDoc, ForecastTotals, FrameForecast, NodeSeconds, Profiled, QuotedShot, RayQuantiles,
-    SpentOnForecast,
+    SpentOnForecast, StorageForecast,
 };
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
@@ -139,7 +141,8 @@ pub use profile::{
     UncoveredGathers,
 };
 pub use quantiles::{MoneyQuantiles, Quantiles};
-pub use renderer::{JobSettings, RendererId, RendererRequest, ShotSettings};
+pub use quota::{Quota, QuotaList, QuotaRequest};
+pub use renderer::{JobSettings, OWN_RENDERER, RenderedBy, RendererId, RendererRequest, ShotSettings};
 pub use result::{
     Described, FrameStrata, MeasuredFrame, MeasuredShare, PreviewBackend, PreviewResult, RenderArtifacts,
     RenderResult, SampleCost, StratumTime, TaskResult, Varied,
@@ -160,6 +163,7 @@ pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, LeaveOutRequest, LeftOutJob,
     QuantileHits, TrackRecord, TrackRecordKind, TrackRecordRow,
 };
+pub use version::{OLDEST_WORKER_PROTOCOL, WORKER_PROTOCOL, WORKER_PROTOCOL_HEADER};
 pub use webhook::{
     Delivery, DeliveryPage, DeliveryState, Webhook, WebhookData, WebhookKind, WebhookList, WebhookMessage,
     WebhookRequest,

@@ -53,7 +53,8 @@ pub struct LogLine {
     pub at: Timestamp,
     /// Severity.
     pub level: LogLevel,
-    /// The text. It is cut after 500 characters.
+    /// The text, 1 character or more. It is cut after 500 characters.
+    #[schema(min_length = 1)]
     pub text: String,
 }
 

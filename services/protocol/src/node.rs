@@ -5,8 +5,8 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::{
-    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, RendererId,
-    RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
+    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, OWN_RENDERER, PageToken,
+    RendererId, RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
 };
 
 /// Registers a node. A node with the same name is updated; it keeps its id and what an operator set.
@@ -78,7 +78,12 @@ pub struct Capabilities {
     /// Whether that adapter is a hardware GPU, not a software driver.
     #[serde(default)]
     pub gpu: bool,
-    /// Renderers besides forelight's own, at most 50. Tasks of their jobs go only to nodes that have them.
+    /// Version of the worker's program: 1 to 50 characters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 50)]
+    pub version: Option<String>,
+    /// Renderers, at most 50. Tasks of their jobs go only to nodes that have them. A worker lists forelight's own
+    /// as `forelight`, with its version.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 50)]
     pub renderers: Vec<RendererId>,
@@ -215,9 +220,15 @@ pub enum NodeState {
 }
 
 impl Node {
-    /// Whether it has a renderer, besides our own, that the request allows.
+    /// Whether it has a renderer that the request allows.
     pub fn has_renderer(&self, asked: &RendererRequest) -> bool {
         self.capabilities.renderers.iter().any(|id| asked.allows(id))
+    }
+
+    /// The version of our own renderer that it has, if it says so.
+    pub fn own_version(&self) -> Option<&str> {
+        let own = self.capabilities.renderers.iter().find(|id| id.name == OWN_RENDERER);
+        own.map(|id| id.version.as_str())
     }
 
     /// Whether it may get tasks.

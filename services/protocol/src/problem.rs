@@ -16,6 +16,8 @@ pub enum ProblemKind {
     Forbidden,
     /// 403: a page of another site made the request, with the cookie of a session.
     CrossSite,
+    /// 403: a project or a token has used up its quota.
+    QuotaExceeded,
     /// 404: the resource does not exist.
     NotFound,
     /// 405: the resource exists, but does not support the method.
@@ -26,8 +28,14 @@ pub enum ProblemKind {
     LeaseLost,
     /// 409: a request with the same idempotency key is still in progress.
     IdempotencyInFlight,
+    /// 409: the worker is older than what this service understands. It must be upgraded.
+    WorkerTooOld,
+    /// 409: the worker is newer than what this service understands. The service must be upgraded.
+    WorkerTooNew,
     /// 410: the farm had the content, and lost it.
     ArtifactLost,
+    /// 412: the file is another one than the header says.
+    PreconditionFailed,
     /// 413: the request is too large.
     TooLarge,
     /// 415: the media type is not supported.
@@ -61,17 +69,21 @@ pub enum ProblemKind {
 
 impl ProblemKind {
     /// All kinds.
-    pub const ALL: [ProblemKind; 24] = [
+    pub const ALL: [ProblemKind; 28] = [
         ProblemKind::Malformed,
         ProblemKind::Unauthenticated,
         ProblemKind::Forbidden,
         ProblemKind::CrossSite,
+        ProblemKind::QuotaExceeded,
         ProblemKind::NotFound,
         ProblemKind::MethodNotAllowed,
         ProblemKind::Conflict,
         ProblemKind::LeaseLost,
         ProblemKind::IdempotencyInFlight,
+        ProblemKind::WorkerTooOld,
+        ProblemKind::WorkerTooNew,
         ProblemKind::ArtifactLost,
+        ProblemKind::PreconditionFailed,
         ProblemKind::TooLarge,
         ProblemKind::UnsupportedMediaType,
         ProblemKind::RangeNotSatisfiable,
@@ -115,6 +127,7 @@ impl ProblemKind {
             ProblemKind::Unauthenticated => ("unauthenticated", 401, "A valid token or session is needed"),
             ProblemKind::Forbidden => ("forbidden", 403, "The token's role does not allow this"),
             ProblemKind::CrossSite => ("cross-site", 403, "The request comes from another site"),
+            ProblemKind::QuotaExceeded => ("quota-exceeded", 403, "The quota is used up"),
             ProblemKind::NotFound => ("not-found", 404, "Not found"),
             ProblemKind::MethodNotAllowed => ("method-not-allowed", 405, "The method is not allowed here"),
             ProblemKind::Conflict => ("conflict", 409, "The state of the resource does not allow this"),
@@ -122,7 +135,12 @@ impl ProblemKind {
             ProblemKind::IdempotencyInFlight => {
                 ("idempotency-in-flight", 409, "A request with this idempotency key is in progress")
             }
+            ProblemKind::WorkerTooOld => ("worker-too-old", 409, "The worker is too old for this service"),
+            ProblemKind::WorkerTooNew => ("worker-too-new", 409, "The worker is too new for this service"),
             ProblemKind::ArtifactLost => ("artifact-lost", 410, "The farm no longer has the content"),
+            ProblemKind::PreconditionFailed => {
+                ("precondition-failed", 412, "The file is another one than the header says")
+            }
             ProblemKind::TooLarge => ("too-large", 413, "The request is too large"),
             ProblemKind::UnsupportedMediaType => {
                 ("unsupported-media-type", 415, "The media type is not supported")

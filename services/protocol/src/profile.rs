@@ -178,6 +178,11 @@ pub struct ProfileResult {
     /// Costs that the process paid once for the shot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub once: Option<ProcessCosts>,
+    /// Bytes of a frame's files, measured on an image of its size that is made of the profiled pixels. Absent if
+    /// they were not measured. At most 2⁴⁰.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(maximum = 1_099_511_627_776_u64)]
+    pub file_bytes: Option<u64>,
     /// Ladders of other qualities in this frame, with the requested quality as one rung. Absent unless the
     /// task asks for them. If they could not be made, only the reason.
     #[serde(default, skip_serializing_if = "Option::is_none")]

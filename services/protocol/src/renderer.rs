@@ -20,6 +20,19 @@ pub struct RendererId {
     pub version: String,
 }
 
+/// Name of forelight's own renderer among a node's renderers. Jobs leave `renderer` out for it.
+pub const OWN_RENDERER: &str = "forelight";
+
+/// The version of forelight's own renderer that renders a job. Images and costs of other versions may differ.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct RenderedBy {
+    /// The version, such as `tracer-13`. Only nodes with it get tasks of the job.
+    pub version: String,
+    /// Why frames of the job come from more than one version. Absent if they do not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mixed: Option<String>,
+}
+
 impl fmt::Display for RendererId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} {}", self.name, self.version)
@@ -27,6 +40,11 @@ impl fmt::Display for RendererId {
 }
 
 impl RendererId {
+    /// Our own renderer with this version of its tracer.
+    pub fn own(tracer: u32) -> Self {
+        Self { name: OWN_RENDERER.to_owned(), version: format!("tracer-{tracer}") }
+    }
+
     /// Checks name and version. The error names the field.
     pub fn check(&self) -> Result<(), (&'static str, String)> {
         check_name(&self.name)?;
@@ -71,6 +89,11 @@ impl From<&RendererId> for RendererRequest {
 }
 
 impl RendererRequest {
+    /// Exactly this version of our own renderer.
+    pub fn own(version: &str) -> Self {
+        Self { name: OWN_RENDERER.to_owned(), version: Some(version.to_owned()) }
+    }
+
     /// Whether this renderer is one of those asked for.
     pub fn allows(&self, id: &RendererId) -> bool {
         id.answers_to().contains(&self.to_string())

@@ -23,11 +23,13 @@ pub enum RetentionKind {
     Plans,
     /// All that is left of a job, counted from its end. What it cost stays in the books of its project.
     Jobs,
+    /// Entries of the audit, counted from when they were made.
+    Audit,
 }
 
 impl RetentionKind {
     /// All kinds, in the order in which they are deleted.
-    pub const ALL: [RetentionKind; 7] = [
+    pub const ALL: [RetentionKind; 8] = [
         RetentionKind::Logs,
         RetentionKind::Events,
         RetentionKind::Images,
@@ -35,6 +37,7 @@ impl RetentionKind {
         RetentionKind::Jobs,
         RetentionKind::Plans,
         RetentionKind::Scenes,
+        RetentionKind::Audit,
     ];
 
     /// The name, as in JSON.
@@ -47,6 +50,7 @@ impl RetentionKind {
             RetentionKind::Events => "events",
             RetentionKind::Plans => "plans",
             RetentionKind::Jobs => "jobs",
+            RetentionKind::Audit => "audit",
         }
     }
 
@@ -63,6 +67,7 @@ impl RetentionKind {
             RetentionKind::Logs => 30,
             RetentionKind::Images | RetentionKind::Scenes | RetentionKind::Events => 90,
             RetentionKind::Jobs => 365,
+            RetentionKind::Audit => 1095,
         }
     }
 }

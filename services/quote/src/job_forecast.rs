@@ -6,7 +6,7 @@ use forelight_forecast::{Corrections, Costs, Measure, Quantity, shot_times};
 use forelight_protocol::{
     ArtifactHash, ByClass, CacheQuote, FixedCosts, ForecastDoc, ForecastTotals, FrameForecast, LeftOut,
     MOST_PARTS, MoneyQuantiles, NodeSeconds, ProcessCosts, Profiled, Quantiles, QuotedShot, RayQuantiles,
-    RenderSettings, RendererId, Spent, SpentOnForecast,
+    RenderSettings, RendererId, Spent, SpentOnForecast, StorageForecast,
 };
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +55,9 @@ pub struct JobForecast {
     pub cache: Option<CacheQuote>,
     /// Total in money, including a shared irradiance cache.
     pub cost: Option<MoneyQuantiles>,
+    /// Bytes of a frame's files: the mean of the profiled frames. `None` if they were not measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_bytes: Option<u64>,
     /// For each frame, a number for the set of lights that shine in it. Empty if all frames have the same
     /// lights.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -73,7 +76,12 @@ impl JobForecast {
 
     /// The document for clients, with its shot and the forecasts of its frames.
     pub fn document(self, of: QuotedShot, frames: Vec<FrameForecast>) -> ForecastDoc {
+        let count = frames.len() as u64;
         ForecastDoc {
+            storage: self.frame_bytes.map(|bytes| StorageForecast {
+                file_bytes: bytes.saturating_mul(count),
+                database_bytes: DATABASE_BYTES.saturating_mul(count),
+            }),
             of: Some(of),
             frames,
             total: self.total,
@@ -92,6 +100,9 @@ impl JobForecast {
         }
     }
 }
+
+/// Bytes of the database that a frame takes, measured on a year of a simulated studio.
+const DATABASE_BYTES: u64 = 31_000;
 
 /// Key of the past jobs that a quote learns from: renderer version and class of features.
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -241,10 +252,18 @@ impl Measured<'_> {
             cpu_seconds_on: Vec::new(),
             cache: None,
             cost: None,
+            frame_bytes: self.frame_bytes(),
             lights: Populations::lights(&populations),
             clock,
         };
         Ok(Quote { job, frames, spreads, shared_cache: None })
+    }
+
+    /// Mean of the bytes of files of the profiled frames.
+    fn frame_bytes(&self) -> Option<u64> {
+        let bytes: Vec<u64> = self.profiles.iter().filter_map(|profile| profile.result.file_bytes).collect();
+        let sum = bytes.iter().fold(0u64, |sum, &bytes| sum.saturating_add(bytes));
+        sum.checked_div(bytes.len() as u64)
     }
 
     fn profiled(&self) -> Profiled {

@@ -77,6 +77,7 @@ fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfil
         left_out: vec![LeftOut { what: "sun 0".to_owned(), reason: "outside".to_owned() }],
         renderer: Some("r 1".to_owned()),
         fixed,
+        file_bytes: Some(5000),
         once: Some(ProcessCosts { load, build: write }),
         ladders: None,
         spent: Spent { work: 50, cpu_nanos: 0 },

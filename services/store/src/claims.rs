@@ -17,6 +17,7 @@ use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::idempotency::{Answered, IdempotencyKey, RecordedAnswer, earlier_answer, record};
+use crate::jobs::versions::note_other;
 use crate::leases::sweeping::sweep;
 use crate::leases::touch;
 use crate::nodes::{self, NodeRow, sleep_of};
@@ -65,7 +66,7 @@ impl Store {
             return Ok(Some(Answered::Repeated(answer)));
         }
         if let Some(task) = wanted {
-            this_task(write.connection().await?, task, now).await?;
+            this_task(write.connection().await?, (task, node), now).await?;
         }
         touch(&mut write, node, now);
         self.commit(write).await?;
@@ -91,7 +92,7 @@ impl Store {
             node = nodes::read(write.connection().await?, node.id).await?;
         }
         let offered = match wanted {
-            Some(task) => this_task(write.connection().await?, task, now).await?.into(),
+            Some(task) => this_task(write.connection().await?, (task, node.id), now).await?.into(),
             None => offer(write.connection().await?, &node, self.up_since(), now).await?,
         };
         touch(&mut write, node.id, now);
@@ -102,6 +103,9 @@ impl Store {
             self.commit(write).await?;
             return Ok(None);
         };
+        if wanted.is_some() {
+            note_other(&mut write, task.job_id.into(), &node, now).await?;
+        }
         let lease = lease(&mut write, &node, task, ttl, now);
         record(&mut write, key, 200, &lease, now);
         self.commit(write).await?;
@@ -121,7 +125,7 @@ impl Store {
             return Ok(true);
         }
         match wanted {
-            Some(task) => match this_task(&mut connection, task, now).await {
+            Some(task) => match this_task(&mut connection, (task, node), now).await {
                 Ok(task) => Ok(task.is_some()),
                 // The claim gets an answer, although no task.
                 Err(StoreError::Conflict(_)) => Ok(true),
@@ -301,35 +305,42 @@ async fn offer(
     Ok(Some(first).into())
 }
 
-/// A task by its id, if it is ready; `None` while it is leased, or waits after a failure.
+/// A task by its id, if it is ready, or is to be run a second time and the node has not tried it; `None` while
+/// it is leased, or waits after a failure.
 async fn this_task(
     connection: &mut SqliteConnection,
-    task: TaskId,
+    (task, node): (TaskId, NodeId),
     now: Timestamp,
 ) -> Result<Option<OfferedTask>> {
     let row = sqlx::query!(
         r#"SELECT id, job_id, spec, limits, fence, not_before,
                   (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS "job_state!: Word<JobState>",
                   (SELECT j.work_by_class FROM jobs j WHERE j.id = tasks.job_id) AS "work_by_class?: Json<ByClass>",
-                  CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS "state!: String"
-           FROM tasks WHERE id = ?"#,
-        task.0
+                  CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS "state!: String",
+                  again = 1 AND held = 0 AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = tasks.id
+                  AND f.node_id = ?2 AND f.state IN ('active', 'failed')) AS "may_again!: bool"
+           FROM tasks WHERE id = ?1"#,
+        task.0,
+        node.0
     )
     .fetch_optional(connection)
     .await?
     .ok_or(StoreError::NotFound("task"))?;
+    let is_again = row.state == "leased" && row.may_again;
     match row.state.as_str() {
-        "ready" => Ok((Timestamp::from(row.not_before) <= now).then_some(OfferedTask {
-            id: row.id,
-            job_id: row.job_id,
-            spec: row.spec,
-            limits: row.limits,
-            fence: row.fence,
-            job_state: row.job_state,
-            work_by_class: row.work_by_class,
-            is_again: false,
-            is_booked_elsewhere: false,
-        })),
+        "ready" | "leased" if is_again || row.state == "ready" => {
+            Ok((Timestamp::from(row.not_before) <= now).then_some(OfferedTask {
+                id: row.id,
+                job_id: row.job_id,
+                spec: row.spec,
+                limits: row.limits,
+                fence: row.fence,
+                job_state: row.job_state,
+                work_by_class: row.work_by_class,
+                is_again,
+                is_booked_elsewhere: false,
+            }))
+        }
         "leased" | "waiting" => Ok(None),
         over => Err(StoreError::Conflict(format!("the task is {over}"))),
     }

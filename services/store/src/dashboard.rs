@@ -5,8 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use forelight_protocol::{
-    Booking, Budget, Dashboard, DashboardCounts, DashboardJob, DashboardNode, Money, MoneyQuantiles, Night,
-    Node, NodeActivity, NodeCounts, NodeId, NodeState, PowerState, ProjectSpending, TaskCounts, Timestamp,
+    Booking, Budget, Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobState, Money,
+    MoneyQuantiles, Night, Node, NodeActivity, NodeCounts, NodeId, NodeState, PowerState, ProjectSpending,
+    TaskCounts, Timestamp,
 };
 use sqlx::SqliteConnection;
 
@@ -32,7 +33,7 @@ const EVENTS: u32 = 20;
 impl Store {
     /// Everything that a dashboard shows first, read in one transaction. A node is alive if it was heard of
     /// within the last three lease times. `projection` is the expected course of the open bookings. The jobs
-    /// are those of `projects`, if they are given.
+    /// and their counts are those of `projects`, if they are given.
     pub async fn dashboard(
         &self,
         projection: &Projection,
@@ -44,8 +45,9 @@ impl Store {
         let connection = &mut *transaction;
         let ends = projection.ends();
         let unattended = unattended(connection, ttl, now).await?;
-        let record = track_record::totals(connection).await?;
-        let counts = counts(connection, now.plus_micros(-silent_after(ttl))).await?;
+        let seen = projects.as_deref();
+        let record = track_record::totals(connection, seen).await?;
+        let counts = counts(connection, seen, now.plus_micros(-silent_after(ttl))).await?;
         let (nodes, node_counts) = dashboard_nodes(connection, ttl, now).await?;
         let spread = outlooks::of_farm(connection).await?;
         Ok(Dashboard {
@@ -66,10 +68,15 @@ impl Store {
         })
     }
 
-    /// The farm's counts.
-    pub async fn counts(&self, ttl: Duration, now: Timestamp) -> Result<DashboardCounts> {
+    /// The farm's counts; those of jobs and tasks in `projects` alone, if they are given.
+    pub async fn counts(
+        &self,
+        projects: Option<&[String]>,
+        ttl: Duration,
+        now: Timestamp,
+    ) -> Result<DashboardCounts> {
         let silent_since = now.plus_micros(-silent_after(ttl));
-        counts(&mut *self.read().await?, silent_since).await
+        counts(&mut *self.read().await?, projects, silent_since).await
     }
 }
 
@@ -83,30 +90,62 @@ fn next_bookings(projection: &Projection, now: Timestamp) -> Vec<Booking> {
     waiting.take(BOOKINGS).map(booking).collect()
 }
 
-async fn counts(connection: &mut SqliteConnection, silent_since: Timestamp) -> Result<DashboardCounts> {
+/// How many jobs or tasks there are in each state. Without projects, an index alone answers that.
+macro_rules! by_state {
+    ($row:ident, $connection:expr, $projects:expr, $all:literal, $some:literal) => {
+        match $projects {
+            None => sqlx::query_as!($row, $all).fetch_all(&mut *$connection).await?,
+            Some(projects) => {
+                sqlx::query_as!($row, $some, Json(projects)).fetch_all(&mut *$connection).await?
+            }
+        }
+    };
+}
+
+struct JobsInState {
+    state: Word<JobState>,
+    number: u64,
+}
+
+struct TasksInState {
+    state: String,
+    number: u64,
+}
+
+async fn counts(
+    connection: &mut SqliteConnection,
+    projects: Option<&[String]>,
+    silent_since: Timestamp,
+) -> Result<DashboardCounts> {
     let mut counts = DashboardCounts::default();
-    for row in sqlx::query!(
-        r#"SELECT state AS "state!: Word<forelight_protocol::JobState>", count(*) AS "number!: u64"
-           FROM jobs GROUP BY state"#
-    )
-    .fetch_all(&mut *connection)
-    .await?
-    {
-        *counts.jobs.of(row.state.0) = row.number;
-        if !row.state.0.is_final() {
-            counts.jobs_active += row.number;
+    let jobs = by_state!(
+        JobsInState,
+        connection,
+        projects,
+        r#"SELECT state AS "state!: Word<JobState>", count(*) AS "number!: u64" FROM jobs GROUP BY state"#,
+        r#"SELECT state AS "state!: Word<JobState>", count(*) AS "number!: u64" FROM jobs
+           WHERE project IN (SELECT value FROM json_each(?)) GROUP BY state"#
+    );
+    for JobsInState { state: Word(state), number } in jobs {
+        *counts.jobs.of(state) = number;
+        if !state.is_final() {
+            counts.jobs_active += number;
         }
     }
     counts.jobs_done = counts.jobs.done;
     counts.jobs_failed = counts.jobs.failed;
     counts.jobs_cancelled = counts.jobs.cancelled;
-    for row in sqlx::query!("SELECT state, count(*) AS \"number!: u64\" FROM tasks GROUP BY state")
-        .fetch_all(&mut *connection)
-        .await?
-    {
-        let number = row.number;
+    let tasks = by_state!(
+        TasksInState,
+        connection,
+        projects,
+        r#"SELECT state, count(*) AS "number!: u64" FROM tasks GROUP BY state"#,
+        r#"SELECT state, count(*) AS "number!: u64" FROM tasks WHERE job_id IN
+           (SELECT id FROM jobs WHERE project IN (SELECT value FROM json_each(?))) GROUP BY state"#
+    );
+    for TasksInState { state, number } in tasks {
         let TaskCounts { waiting, ready, leased, done, failed, cancelled } = &mut counts.tasks;
-        match row.state.as_str() {
+        match state.as_str() {
             "waiting" => *waiting = number,
             "ready" => *ready = number,
             "leased" => *leased = number,

@@ -20,6 +20,9 @@ pub enum StoreError {
         "there is no project {0:?}; ask an operator to make it with `forelight project`, or name another"
     )]
     NoProject(String),
+    /// A project or a token has used up its quota.
+    #[error("{0}")]
+    QuotaExceeded(String),
     /// The state of the thing does not allow this.
     #[error("{0}")]
     Conflict(String),

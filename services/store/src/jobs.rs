@@ -10,10 +10,11 @@ pub(crate) mod progress;
 pub(crate) mod retrying;
 pub(crate) mod strip;
 pub(crate) mod submitting;
+pub(crate) mod versions;
 
 use forelight_protocol::{
     BundleRef, BundleSource, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobSettings, JobState,
-    JobVerdict, Ladders, Money, RendererRequest, SceneSummary, TaskLimits, Within,
+    JobVerdict, Ladders, Money, RenderedBy, RendererRequest, SceneSummary, TaskLimits, Within,
 };
 use sqlx::SqliteConnection;
 
@@ -38,6 +39,7 @@ pub(crate) struct JobRow {
     pub frames: String,
     pub frames_total: u32,
     pub renderer: Option<Json<RendererRequest>>,
+    pub rendered_by: Option<Json<RenderedBy>>,
     pub settings: Json<JobSettings>,
     pub samples: u32,
     pub profile_frames: u32,
@@ -72,7 +74,7 @@ macro_rules! job_rows {
         sqlx::query_as!(
             $crate::jobs::JobRow,
             "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
-             frames_total, renderer, settings, samples, profile_frames, profiles_more, ladders, cache, division, output, within, limits, \
+             frames_total, renderer, rendered_by, settings, samples, profile_frames, profiles_more, ladders, cache, division, output, within, limits, \
              deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
              hold, terms, terms_planned, error, created_at, finished_at FROM jobs "
                 + $rest
@@ -137,6 +139,7 @@ impl JobRow {
             state,
             bundle: BundleRef { id: self.bundle_id.map(Into::into), path: self.bundle_path },
             renderer: self.renderer.map(|it| it.0),
+            rendered_by: self.rendered_by.map(|it| it.0),
             scene: self.scene.0,
             frames,
             settings: self.settings.0,

@@ -39,7 +39,7 @@ pub(crate) mod renewing;
 pub(crate) mod sweeping;
 
 use forelight_protocol::{
-    Event, EventKind, JobId, JobState, LeaseId, NodeId, TaskId, TaskKind, TaskSpec, Timestamp,
+    Event, EventKind, JobId, JobState, LeaseId, NodeId, OWN_RENDERER, TaskId, TaskKind, TaskSpec, Timestamp,
 };
 use sqlx::{FromRow, SqliteConnection};
 
@@ -84,7 +84,7 @@ pub(crate) struct LeaseRow {
     pub kind: TaskKind,
     pub frame: Option<u32>,
     pub part: Option<u32>,
-    /// The task's renderer. `None` for our own.
+    /// The renderer that a node must have for the task. `None`: any version of our own.
     pub renderer: Option<String>,
     pub failures: u32,
     pub expiries: u32,
@@ -101,6 +101,14 @@ pub(crate) struct LeaseRow {
     pub has_another: bool,
     /// Whether the task's frame is divided into parts.
     pub is_divided: bool,
+}
+
+impl LeaseRow {
+    /// Whether a renderer other than our own does the task.
+    pub(crate) fn is_of_another_renderer(&self) -> bool {
+        let name = self.renderer.as_deref().and_then(|renderer| renderer.split(' ').next());
+        name.is_some_and(|name| name != OWN_RENDERER)
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug, serde::Deserialize)]

@@ -1,6 +1,6 @@
 //! Images that are still to be written where their job wants them.
 
-use forelight_protocol::{ArtifactHash, JobId, OutputOf, OutputPattern, RenderArtifacts};
+use forelight_protocol::{ArtifactHash, JobId, OutputOf, OutputPattern, RenderArtifacts, Timestamp};
 
 use crate::columns::{Id, Json, corrupt};
 use crate::database::Store;
@@ -31,13 +31,14 @@ struct Row {
 }
 
 impl Store {
-    /// Images that are still to be written, oldest job first, at most `limit`.
+    /// Images that are still to be written, at most `limit`: those that were never tried, oldest job first, then
+    /// those that could not be written, in turn.
     pub async fn due_outputs(&self, limit: u32) -> Result<Vec<DueOutput>> {
         let rows = sqlx::query_as!(
             Row,
             "SELECT f.job_id, f.frame, j.name, j.project, j.output, f.artifacts \
              FROM frames f INDEXED BY frames_output_due JOIN jobs j ON j.id = f.job_id \
-             WHERE f.output_due = 1 ORDER BY f.job_id, f.frame LIMIT ?",
+             WHERE f.output_due = 1 ORDER BY f.output_tried_at, f.job_id, f.frame LIMIT ?",
             limit
         )
         .fetch_all(self.readers())
@@ -45,16 +46,17 @@ impl Store {
         rows.into_iter().filter_map(|row| row.due().transpose()).collect()
     }
 
-    /// Notes that an image was written, or why not: it stays due then.
-    pub async fn note_output(&self, of: &DueOutput, error: Option<&str>) -> Result<()> {
+    /// Notes that an image was written, or why not: it stays due then, behind all others.
+    pub async fn note_output(&self, of: &DueOutput, error: Option<&str>, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         run!(
             write,
-            "UPDATE frames SET output_due = ?1 IS NOT NULL, output_error = ?1 WHERE job_id = ?2 AND frame = ?3 \
-             AND output_due = 1",
+            "UPDATE frames SET output_due = ?1 IS NOT NULL, output_error = ?1, output_tried_at = iif(?1 IS NULL, NULL, ?4) \
+             WHERE job_id = ?2 AND frame = ?3 AND output_due = 1",
             error,
             of.job.0,
-            of.frame
+            of.frame,
+            now.micros()
         );
         self.commit(write).await
     }

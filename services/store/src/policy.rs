@@ -16,6 +16,7 @@
 //! | `retries` | when a failed task is tried again, and when it fails its job |
 //! | `shared_cache` | how many rounds fill a shared cache, and what follows each |
 //! | `unattended` | why no node works on new quotes |
+//! | `versions` | which version of our own renderer renders a job |
 //! | `work_stealing` | which booked tasks an idle node may take |
 
 pub(crate) mod availability;
@@ -32,4 +33,5 @@ pub(crate) mod retention;
 pub(crate) mod retries;
 pub(crate) mod shared_cache;
 pub(crate) mod unattended;
+pub(crate) mod versions;
 pub(crate) mod work_stealing;

@@ -15,7 +15,7 @@ use crate::database::{Store, Write};
 use crate::division;
 use crate::error::{Result, StoreError};
 use crate::events::{append, job_state};
-use crate::jobs;
+use crate::jobs::{self, versions};
 use crate::leases::failing::{end_attempt_beside, hold_against_others};
 use crate::leases::{LeaseRow, LeaseState, end, read_in, touch};
 use crate::living::{self, Occasion};
@@ -300,8 +300,9 @@ async fn keep(
             for frame in &preview.frames {
                 show_preview(write, row.job_id, frame.frame, frame.preview_png);
             }
-            if let Some(described) = &preview.described {
-                keep_description(write, row.job_id, described);
+            match &preview.described {
+                Some(described) => keep_description(write, row.job_id, described),
+                None => versions::choose(write, row.job_id, now).await?,
             }
         }
         TaskResult::Measured(_) => {}
@@ -378,11 +379,11 @@ async fn keep_render(
         stats.cpu_seconds * speed
     };
     // Renderers that count no work have CPU time instead, see `quote_sampled`.
-    let actual_work = if row.renderer.is_some() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };
+    let actual_work = if row.is_of_another_renderer() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };
     later!(
         write,
         "UPDATE frames SET actual = ?, actual_work = ?, actual_cpu = ?, artifacts = ?, finished_at = ?, \
-             preview_png = coalesce(?, preview_png), output_error = NULL, \
+             preview_png = coalesce(?, preview_png), output_error = NULL, output_tried_at = NULL, \
              output_due = (SELECT j.output IS NOT NULL FROM jobs j WHERE j.id = frames.job_id) \
              WHERE job_id = ? AND frame = ?",
         Json(stats),

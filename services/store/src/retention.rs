@@ -3,7 +3,7 @@
 //! | module | deletes |
 //! | --- | --- |
 //! | `jobs` | images and profiles of jobs, and whole jobs |
-//! | `records` | logs, events, plans, scenes |
+//! | `records` | logs, events, plans, scenes, the audit |
 //! | `crate::artifacts::collecting` | files that nothing refers to any more |
 //!
 //! Every write deletes little, so that others have their turn in between. A service that dies meanwhile goes
@@ -53,7 +53,7 @@ impl Store {
         let mut items = Vec::new();
         for kind in RetentionKind::ALL {
             let (number, bytes) = match kind {
-                RetentionKind::Logs | RetentionKind::Events | RetentionKind::Plans => {
+                RetentionKind::Logs | RetentionKind::Events | RetentionKind::Plans | RetentionKind::Audit => {
                     (self.prune_records(kind, &rules, dry_run, now).await?, 0)
                 }
                 RetentionKind::Scenes => self.prune_scenes(&rules, dry_run, now).await?,

@@ -13,6 +13,8 @@
 //!       └──────────────────────────────────────────────────┘
 //! ```
 //!
+//! A task that makes no progress is announced once more, beside the element whose process has it.
+//!
 //! An element says only that a process was requested; leases alone say who works on a task. So an element
 //! that runs twice, is lost or comes late is harmless: its process asks for the lease of exactly its task,
 //! and gets it or not.
@@ -51,6 +53,8 @@ pub struct Waiting {
     pub lost: Vec<String>,
     /// When the last of these ended.
     pub lost_at: Option<Timestamp>,
+    /// The node on which it makes no progress, if this is a second attempt beside that one.
+    pub beside: Option<String>,
 }
 
 /// Where and when a plan has booked a frame.
@@ -142,7 +146,8 @@ macro_rules! of_task {
 }
 
 impl Store {
-    /// The ready tasks that are in no open array, by deadline, priority, age of the job, and booked time.
+    /// The ready tasks that are in no open array, and those that are to be run a second time beside an attempt
+    /// that makes no progress. By deadline, priority, age of the job, and booked time.
     pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>> {
         let rows = sqlx::query!(
             r#"SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS "node?",
@@ -153,15 +158,17 @@ impl Store {
                            WHEN 'render' THEN iif(f.parts = 1, f.cpu_p95, NULL) ELSE f.cpu_p95 END AS "cpu_p95?: f64",
                       (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements
                        WHERE task_id = t.id) AS "lost?: String",
-                      (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS "lost_at?: Time"
+                      (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS "lost_at?: Time",
+                      iif(t.state = 'leased', (SELECT h.name FROM nodes h WHERE h.id = t.node_id), NULL) AS "beside?: String"
                FROM tasks t JOIN jobs j ON j.id = t.job_id
                LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
                LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id AND b.frame = t.frame AND b.part = t.booked_part
                LEFT JOIN shared_cache_bookings s
                     ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND t.frame IS NULL AND s.part = t.part
                LEFT JOIN nodes n ON n.id = coalesce(b.node_id, s.node_id)
-               WHERE t.state = 'ready' AND t.held = 0
-                     AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL)
+               WHERE (t.state = 'ready' OR t.state = 'leased' AND t.again = 1) AND t.held = 0
+                     AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL
+                                     AND e.beside >= (t.state = 'leased'))
                ORDER BY t.due_at, t.priority DESC, t.job_id, coalesce(b.start_at, s.start_at), t.kind, t.frame, t.part"#
         )
         .fetch_all(self.readers())
@@ -171,10 +178,13 @@ impl Store {
             .map(|row| {
                 let verdict = row.verdict.map(|it| it.0.verdict);
                 let is_held = matches!(verdict, Some(Verdict::OnTime | Verdict::OverBudget));
-                let booked = row
-                    .node
-                    .zip(row.start_at.zip(row.end_at))
-                    .map(|(node, (start, end))| BookedTime { node, start: start.into(), end: end.into() });
+                // A second attempt has no booking: it begins at once, on any other node.
+                let booking = row.node.zip(row.start_at.zip(row.end_at)).filter(|_| row.beside.is_none());
+                let booked = booking.map(|(node, (start, end))| BookedTime {
+                    node,
+                    start: start.into(),
+                    end: end.into(),
+                });
                 Waiting {
                     task: row.id.into(),
                     job: row.job_id.into(),
@@ -183,9 +193,10 @@ impl Store {
                     frame: row.frame,
                     booked,
                     cpu_p95: row.cpu_p95,
-                    deadline: row.deadline_at.filter(|_| is_held).map(Into::into),
+                    deadline: row.deadline_at.filter(|_| is_held && row.beside.is_none()).map(Into::into),
                     lost: row.lost.map_or(Vec::new(), |lost| lost.lines().map(str::to_owned).collect()),
                     lost_at: row.lost_at.map(Into::into),
+                    beside: row.beside,
                 }
             })
             .collect())
@@ -212,9 +223,11 @@ impl Store {
         for (task, position) in new.tasks.iter().zip(0_i64..) {
             let written = run!(
                 write,
-                "INSERT INTO slurm_elements (array_id, position, task_id) SELECT ?1, ?2, id FROM tasks \
-                 WHERE id = ?3 AND state = 'ready' AND NOT EXISTS (SELECT 1 FROM slurm_elements \
-                 WHERE task_id = ?3 AND outcome IS NULL)",
+                "INSERT INTO slurm_elements (array_id, position, task_id, beside) \
+                 SELECT ?1, ?2, t.id, t.state = 'leased' FROM tasks t \
+                 WHERE t.id = ?3 AND (t.state = 'ready' OR t.state = 'leased' AND t.again = 1) \
+                 AND NOT EXISTS (SELECT 1 FROM slurm_elements e \
+                 WHERE e.task_id = ?3 AND e.outcome IS NULL AND e.beside >= (t.state = 'leased'))",
                 array,
                 position,
                 task.0

@@ -37,6 +37,8 @@ pub(crate) struct Common {
     pub digest: SceneDigest,
     pub settings: JobSettings,
     pub renderer: Option<RendererRequest>,
+    /// The version of our own renderer that a node must have.
+    pub own: Option<RendererRequest>,
     pub deadline: Option<Timestamp>,
     pub priority: i32,
     pub limits: TaskLimits,
@@ -95,6 +97,7 @@ impl Common {
             digest: row.scene.0.digest,
             settings: row.settings.0.clone(),
             renderer: row.renderer.as_ref().map(|it| it.0.clone()),
+            own: row.rendered_by.as_ref().map(|it| RendererRequest::own(&it.0.version)),
             deadline: row.deadline_at.map(Into::into),
             priority: row.priority,
             limits: row.limits.0,
@@ -288,7 +291,7 @@ impl Common {
             booked.map(|slot| slot.start.micros()),
             booked.and_then(|slot| slot.rate),
             Json(&self.limits),
-            spec.renderer().map(ToString::to_string)
+            spec.renderer().or(self.own.as_ref()).map(ToString::to_string)
         );
         write.made_work |= state == READY;
         Ok(())

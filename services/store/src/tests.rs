@@ -30,6 +30,7 @@ mod lying_farm;
 mod node_learning;
 mod opening;
 mod orders;
+mod outputs;
 mod plans;
 mod records;
 mod retention;
@@ -37,6 +38,7 @@ mod shared_cache;
 mod statements;
 mod trust;
 mod unattended;
+mod versions;
 mod work_stealing;
 mod writing;
 
@@ -302,6 +304,7 @@ fn profile_result(frame: u32, profile: ArtifactHash) -> ProfileResult {
         renderer: None,
         fixed: FixedCosts::default(),
         ladders: None,
+        file_bytes: None,
         once: None,
         spent: Spent { work: 10, cpu_nanos: 500 },
         artifacts: ProfileArtifacts { profile, preview_png: None },

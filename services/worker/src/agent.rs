@@ -14,6 +14,8 @@
 //! * **The node should sleep.** The service knows the node's calendar. A renewal, or the answer to a claim,
 //!   says until when the node sleeps. Until then this worker sends nothing. It follows the wall clock, so the
 //!   machine may be suspended.
+//! * **Worker and service speak other versions.** A worker that is too old ends, and says which version to
+//!   install. One that is too new waits until the service is upgraded.
 //! * **This process is told to stop.** The work is stopped and the lease given back, for another node.
 
 use crate::bundles::Bundles;
@@ -36,6 +38,9 @@ use uuid::Uuid;
 const CLAIM_WAIT_MS: u32 = 20_000;
 /// Pause after an unexpected refusal, to limit the rate of requests.
 const AFTER_REFUSAL: Duration = Duration::from_secs(2);
+
+/// How often a worker that is too new for the service asks again.
+const AFTER_TOO_NEW: Duration = Duration::from_secs(30);
 
 /// How often a sleeping worker checks the clock.
 const GLANCE: Duration = Duration::from_secs(30);
@@ -64,6 +69,14 @@ pub enum AgentError {
     /// The service refused the token or the registration.
     #[error("the service at {address} refused this worker: check its token and registration")]
     Refused {
+        /// Address of the service.
+        address: String,
+        /// Its reason.
+        source: ClientError,
+    },
+    /// The service does not understand this program's version. Its reason says what to do.
+    #[error("the service at {address} and this worker do not understand each other")]
+    Version {
         /// Address of the service.
         address: String,
         /// Its reason.
@@ -165,12 +178,13 @@ impl Agent {
                 Ok(Claimed::Asleep(time)) => {
                     self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
                 }
+                Err(error) if error.is(ProblemKind::WorkerTooOld) => return Err(self.refused(error)),
                 // The worker is refused, or another process has taken its node over.
                 Err(error) if is_unwanted(&error) || error.is(ProblemKind::Conflict) => {
                     return Err(self.refused(error));
                 }
-                // The service lost its data and does not know the node.
-                Err(error) if error.is(ProblemKind::NotFound) => {
+                // The service lost its data and does not know the node, or it was replaced by an older one.
+                Err(error) if error.is(ProblemKind::NotFound) || error.is(ProblemKind::WorkerTooNew) => {
                     match self.register(Some(self.worker), &stop).await? {
                         Some(again) => node = again,
                         None => break,
@@ -211,7 +225,8 @@ impl Agent {
         Ok(Errand::Stopped)
     }
 
-    /// Registers the node. Retries until the service answers. `None` if `stop` came first.
+    /// Registers the node. Retries until the service answers, and understands this worker. `None` if `stop` came
+    /// first.
     async fn register(
         &self,
         worker: Option<Uuid>,
@@ -219,12 +234,22 @@ impl Agent {
     ) -> Result<Option<NodeId>, AgentError> {
         let client = self.client.with_backoff(Backoff::FOREVER);
         let registration = NodeRegistration { worker, ..self.registration.clone() };
-        // Registering is an update by name, so each attempt is a request of its own.
-        let registered = tokio::select! {
-            () = stop.cancelled() => return Ok(None),
-            registered = client.register(&registration, Uuid::now_v7()) => registered,
+        let node = loop {
+            // Registering is an update by name, so each attempt is a request of its own.
+            let registered = tokio::select! {
+                () = stop.cancelled() => return Ok(None),
+                registered = client.register(&registration, Uuid::now_v7()) => registered,
+            };
+            match registered {
+                Ok(node) => break node,
+                // A process for one task does not keep its place waiting.
+                Err(error) if error.is(ProblemKind::WorkerTooNew) && worker.is_some() => {
+                    tracing::warn!(node = self.registration.name, %error, "waiting for a newer service");
+                    pause(AFTER_TOO_NEW, stop).await;
+                }
+                Err(error) => return Err(self.refused(error)),
+            }
         };
-        let node = registered.map_err(|error| self.refused(error))?;
         tracing::info!(node = node.name, id = %node.id, speed = node.speed, cores = node.cores, "registered");
         Ok(Some(node.id))
     }
@@ -262,7 +287,13 @@ impl Agent {
     }
 
     fn refused(&self, source: ClientError) -> AgentError {
-        AgentError::Refused { address: self.client.address().into(), source }
+        let address = self.client.address().into();
+        let is_version = source.is(ProblemKind::WorkerTooOld) || source.is(ProblemKind::WorkerTooNew);
+        if is_version {
+            AgentError::Version { address, source }
+        } else {
+            AgentError::Refused { address, source }
+        }
     }
 
     /// Executes one leased task.

@@ -46,6 +46,8 @@ struct Farm {
     /// Renewals say that the node will sleep for this many microseconds.
     bedtime: Option<i64>,
     registrations: u32,
+    /// Registrations are answered with this problem.
+    refuse_registrations: Option<ProblemKind>,
     renewals: Vec<RenewRequest>,
     artifacts: BTreeSet<ArtifactHash>,
     reports: Vec<ResultRequest>,
@@ -83,7 +85,13 @@ async fn claim(State(farm): State<Shared>, Json(request): Json<ClaimRequest>) ->
 }
 
 async fn register(State(farm): State<Shared>) -> Response {
-    farm.lock().registrations += 1;
+    {
+        let mut farm = farm.lock();
+        farm.registrations += 1;
+        if let Some(kind) = farm.refuse_registrations {
+            return problem(kind);
+        }
+    }
     let node = serde_json::json!({
         "id": Uuid::nil(), "name": "node-1", "speed": 1.0, "speed_set": false, "price_per_hour": 0, "price_set": false, "cores": 1, "drain": false,
         "task_id": null, "created_at": "2026-01-01T00:00:00Z", "last_seen_at": "2026-01-01T00:00:00Z",
@@ -481,6 +489,17 @@ async fn a_worker_whose_node_another_has_taken_over_ends_and_says_so() {
     let rig = Rig::new(Farm { over: true, ..Farm::default() }, Slow::new(Duration::ZERO)).await;
     let AgentError::Refused { source, .. } = rig.agent.await.unwrap().unwrap_err() else { panic!() };
     assert!(source.is(ProblemKind::Conflict), "{source}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_that_is_too_old_ends_and_one_that_is_too_new_waits_for_a_newer_service() {
+    let refusing = |kind| Farm { refuse_registrations: Some(kind), ..Farm::default() };
+    let rig = Rig::new(refusing(ProblemKind::WorkerTooOld), Slow::new(Duration::ZERO)).await;
+    let AgentError::Version { source, .. } = rig.agent.await.unwrap().unwrap_err() else { panic!() };
+    assert!(source.is(ProblemKind::WorkerTooOld), "{source}");
+    let rig = Rig::new(refusing(ProblemKind::WorkerTooNew), Slow::new(Duration::ZERO)).await;
+    rig.until("it asked", |farm| farm.registrations == 1).await;
+    rig.end().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -3,6 +3,7 @@
 
 mod cancelling;
 mod command_line;
+mod few_files;
 mod refusals;
 mod shot;
 

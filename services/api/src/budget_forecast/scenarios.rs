@@ -31,6 +31,9 @@ pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForec
         for stretch in stretches {
             let (job, node) = (stretch.job as usize, stretch.node as usize);
             ends[job][scenario] = ends[job][scenario].max(stretch.end);
+            if !basis.is_about(&basis.jobs[job].job.project) {
+                continue;
+            }
             let paid = Paid {
                 price: basis.nodes[node].price_per_hour,
                 from: Timestamp::from_micros(stretch.start),
@@ -75,12 +78,13 @@ pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForec
             .jobs
             .iter()
             .zip(&ends)
+            .filter(|(open, _)| basis.is_about(&open.job.project))
             .filter_map(|(job, ends)| not_ready(basis, job, ends))
             .collect(),
         unknown: basis
             .jobs
             .iter()
-            .filter(|job| job.forecast.is_none())
+            .filter(|open| open.forecast.is_none() && basis.is_about(&open.job.project))
             .map(|job| job.job.name.clone())
             .collect(),
         compared_with: None,

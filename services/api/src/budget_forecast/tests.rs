@@ -148,6 +148,7 @@ fn forecast_of(
         jobs: vec![open],
         ledger: Vec::new(),
         budgets: Vec::new(),
+        projects: None,
     };
     work_out(&basis, &snapshot).unwrap()
 }

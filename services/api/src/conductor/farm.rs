@@ -324,7 +324,7 @@ fn class(job: u64) -> u32 {
 fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
     let known = jobs.iter().filter_map(|job| Some((&job.job, job.forecast.as_ref()?)));
     let speed = |((job, forecast), id): ((&Job, &JobForecast), u64)| {
-        if job.renderer.as_ref().is_some_and(|renderer| !node.has_renderer(renderer)) {
+        if job.needs().is_some_and(|renderer| !node.has_renderer(&renderer)) {
             return Some((class(id), 0));
         }
         let speed = node.corrected_speed(forecast.work_by_class.as_ref())?;

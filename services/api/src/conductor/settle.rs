@@ -229,7 +229,7 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
     let mut reasons = Vec::new();
     let verdict = match (finish, asked.job.deadline) {
         (None, _) => {
-            reasons.push(unplaced(farm, asked.job.renderer.as_ref(), entry));
+            reasons.push(unplaced(farm, asked.job.needs().as_ref(), entry));
             Verdict::Impossible
         }
         (Some(finish), Some(deadline)) if finish > deadline.micros() => {
@@ -289,6 +289,9 @@ fn unplaced(farm: &Farm, renderer: Option<&RendererRequest>, entry: Option<&plan
     }
 }
 
+/// How a reason begins that names other jobs.
+pub(crate) const IN_THE_WAY: &str = "what is booked already stands in the way";
+
 /// Reason why a job is late that would be on time alone.
 fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> String {
     let before: BTreeSet<u64> = plan
@@ -304,9 +307,9 @@ fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> S
     match (names.len(), before.len()) {
         (0, _) => "its frames do not fit into the nodes' time before it".to_owned(),
         (shown, all) if shown < all => {
-            format!("what is booked already stands in the way: {} and {} more", names.join(", "), all - shown)
+            format!("{IN_THE_WAY}: {} and {} more", names.join(", "), all - shown)
         }
-        _ => format!("what is booked already stands in the way: {}", names.join(", ")),
+        _ => format!("{IN_THE_WAY}: {}", names.join(", ")),
     }
 }
 

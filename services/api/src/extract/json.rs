@@ -7,6 +7,7 @@ use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
 use forelight_protocol::ProblemKind;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 use serde_path_to_error::{Path, Segment};
 
 use super::body::whole;
@@ -75,7 +76,13 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
         });
     }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
-    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+    let parsed = serde_path_to_error::deserialize(&mut deserializer);
+    if parsed.is_err()
+        && let Some(value) = with_integers(bytes)
+    {
+        return Ok(value);
+    }
+    let value = parsed.map_err(|error| {
         let pointer = pointer(error.path());
         let error = error.into_inner();
         let is_json = || serde_json::from_slice::<serde::de::IgnoredAny>(bytes).is_ok();
@@ -90,6 +97,32 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
         ApiError::new(ProblemKind::Malformed, format!("the body goes on after its end: {error}"))
     })?;
     Ok(value)
+}
+
+/// The body, read so that 7.0 is an integer, as JSON Schema has it (2020-12, section 4.2.3 of the core). `None` if
+/// that does not make it readable.
+fn with_integers<T: DeserializeOwned>(bytes: &[u8]) -> Option<T> {
+    let mut value: Value = serde_json::from_slice(bytes).ok()?;
+    make_integers(&mut value).then_some(())?;
+    serde_json::from_value(value).ok()
+}
+
+/// Makes integers of fractions that are whole numbers. Returns whether there were any.
+fn make_integers(value: &mut Value) -> bool {
+    /// Beyond this, not every integer has a fraction of its own: 2⁵³.
+    const EXACT: f64 = 9_007_199_254_740_992.0;
+    match value {
+        Value::Array(list) => list.iter_mut().fold(false, |found, inner| make_integers(inner) | found),
+        Value::Object(map) => map.values_mut().fold(false, |found, inner| make_integers(inner) | found),
+        Value::Number(number) => match number.as_f64().filter(|_| number.is_f64()) {
+            Some(whole) if whole.fract() == 0.0 && whole.abs() <= EXACT => {
+                *number = (whole as i64).into();
+                true
+            }
+            _ => false,
+        },
+        Value::Null | Value::Bool(_) | Value::String(_) => false,
+    }
 }
 
 fn pointer(path: &Path) -> String {

@@ -57,7 +57,7 @@ fn default_claim() -> String {
 }
 
 /// The names in a claim.
-pub(super) fn groups(claim: Option<&Value>) -> BTreeSet<String> {
+fn groups(claim: Option<&Value>) -> BTreeSet<String> {
     match claim {
         Some(Value::String(name)) => BTreeSet::from([name.clone()]),
         Some(Value::Array(names)) => {
@@ -90,9 +90,12 @@ impl SignInProvider {
         Ok(())
     }
 
-    /// What a person in these groups may do: the most that one of them allows. `None` if nothing.
-    ///
-    pub(super) fn rights(&self, groups: &BTreeSet<String>) -> Option<Rights> {
+    /// What a person may do whose claim about groups is this: the most that one of them allows. `None` if nothing.
+    pub fn rights_of(&self, claim: Option<&Value>) -> Option<Rights> {
+        self.rights(&groups(claim))
+    }
+
+    fn rights(&self, groups: &BTreeSet<String>) -> Option<Rights> {
         let held = |grant: &&Grant| grant.group == "*" || groups.contains(&grant.group);
         let (mut everywhere, mut projects) = (None::<Role>, BTreeMap::<String, Role>::new());
         for grant in self.grants.iter().filter(held) {

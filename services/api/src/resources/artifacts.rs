@@ -45,9 +45,9 @@ pub(crate) async fn put(
 
 /// An artefact's bytes, or a range of them. They are verified first: 500 if they are not what was stored.
 #[utoipa::path(get, path = "/v1/artifacts/{blake3}", operation_id = "artifact_get",
-    tag = "work", params(("blake3" = ArtifactHash, Path), ("Range" = Option<String>, Header, description = "One range of bytes")),
+    tag = "work", params(("blake3" = ArtifactHash, Path), ("Range" = Option<String>, Header, description = "Ranges of bytes, at most 16"), ("If-Match" = Option<String>, Header, description = "Tags of which the file must have one")),
     responses((status = 200, description = "The bytes", body = inline(FileContent), content_type = "application/octet-stream"),
-              (status = 206, description = "The range of them", body = inline(FileContent), content_type = "application/octet-stream"),
+              (status = 206, description = "The ranges of them; of several, each with its place", content((inline(FileContent) = "application/octet-stream"), (inline(FileContent) = "multipart/byteranges"))),
               (status = 304, description = "The client has them"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,

@@ -13,7 +13,7 @@ use crate::budget_forecast::{BudgetForecastError, budget_forecast};
 use crate::costly::key;
 use crate::document::Document;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{FarmReader, JsonBody, Operator, Reader};
+use crate::extract::{JsonBody, Operator, Reader};
 use crate::state::App;
 
 const MOST_THRESHOLDS: usize = 10;
@@ -64,22 +64,24 @@ pub(crate) async fn set(
 /// Forecasts the cost of tonight and the following nights, by project, job and class of nodes.
 ///
 /// Also: budgets at risk, jobs that will not be ready, changes since the night before. A repeated request
-/// replaces the forecast.
+/// replaces the forecast. Who reaches some projects only, gets the cost of these; that is not kept, and is not
+/// compared with the nights before.
 #[utoipa::path(post, path = "/v1/budget-forecasts", operation_id = "budget_forecast",
     tag = "farm", request_body = BudgetForecastRequest,
     responses((status = 200, description = "The forecast", body = BudgetForecast), Problems))]
 pub(crate) async fn forecast(
     State(app): State<App>,
-    _: FarmReader,
+    Reader(caller): Reader,
     headers: HeaderMap,
     JsonBody { value: request, hash, .. }: JsonBody<BudgetForecastRequest>,
 ) -> ApiResult<Response> {
     let now = app.now();
     // It is kept as what was said of the night, so it is computed for each instant that it is asked for.
-    let key = key(&("nights", hash, now));
+    let projects = caller.project_names();
+    let key = key(&("nights", hash, &projects, now));
     let costly = app.costly.clone();
     let make = async move {
-        let made = budget_forecast(&app.store, &request, now).await;
+        let made = budget_forecast(&app.store, &request, projects, now).await;
         Document::json(&made.map_err(refused)?)
     };
     Ok(costly.answer(key, make).await?.respond(&headers))

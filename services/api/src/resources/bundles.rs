@@ -6,7 +6,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Bundle, BundleId, ProblemKind, SceneDigest};
-use forelight_store::{NewBundle, StoreError};
+use forelight_store::{NewBundle, QuotaOf, StoreError};
 
 use super::responses::{created, repeated};
 use crate::bundle_inspection;
@@ -53,6 +53,7 @@ pub(crate) async fn upload(
     let body = within_announced_length(&headers, body, most).await?;
     let announced = announced_length(&headers).unwrap_or(most);
     let _quota = app.quotas.upload(&principal, announced, app.limits.uploads.bytes_per_token)?;
+    app.store.check_storage(QuotaOf::Token(&principal.name), announced_length(&headers).unwrap_or(0)).await?;
     let leave = app.limits.least_disk_space.saturating_mul(LEFT_FREE);
     let room = app.reserved.begin(&app.store, &headers, most, leave)?;
     let staged = app.store.artifacts().stage(room.fill(body.into_data_stream()), most).await?;

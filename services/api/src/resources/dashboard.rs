@@ -14,8 +14,8 @@ use crate::state::App;
 /// The farm at one instant: counts, open jobs by risk, money, nodes, next bookings, newest events.
 ///
 /// It is short on farms of any size. `/v1/jobs`, `/v1/nodes`, `/v1/timeline` and `/v1/events` have the rest.
-/// Who reaches some projects only, sees the jobs, bookings, events and money of these; counts are of the
-/// whole farm.
+/// Who reaches some projects only, sees the jobs, bookings, events, money and counts of these. Nodes are
+/// counted for the whole farm.
 #[utoipa::path(get, path = "/v1/dashboard", operation_id = "dashboard_get", tag = "farm",
     responses((status = 200, description = "The farm", body = Dashboard),
               (status = 304, description = "It is still that of `If-None-Match`, but for the time"), Problems))]

@@ -21,6 +21,7 @@ use utoipa::{IntoParams, ToSchema};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, SeenJob};
 use crate::feed::{Batch, Feed, Told};
+use crate::schema::LastEventIdHeader;
 use crate::state::App;
 
 /// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
@@ -50,7 +51,7 @@ pub(crate) struct EventMessage {
 
 /// All events of the farm after `Last-Event-ID`. Without it, from now on.
 #[utoipa::path(get, path = "/v1/events", operation_id = "event_list",
-    tag = "farm", params(FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
+    tag = "farm", params(FromEvent, LastEventIdHeader),
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
 pub(crate) async fn of_farm(
     State(app): State<App>,
@@ -69,7 +70,7 @@ pub(crate) async fn of_farm(
 ///
 /// The stream ends when the job is over. A request after that gets 204, which tells a browser to stop asking.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "job_events", tag = "jobs",
-    params(("id" = JobId, Path), FromEvent, ("Last-Event-ID" = Option<i64>, Header)),
+    params(("id" = JobId, Path), FromEvent, LastEventIdHeader),
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"),
               (status = 204, description = "The job is over and all its events were seen"), Problems))]
 pub(crate) async fn of_job(

@@ -19,7 +19,7 @@ use crate::conductor::job_profile::JobProfile;
 use crate::costly::key;
 use crate::document::Document;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{FarmReader, QueryParameters, Reader, SeenJob, number_if_any};
+use crate::extract::{QueryParameters, Reader, SeenJob, number_if_any};
 use crate::page::{PageQuery, cut};
 use crate::plot;
 use crate::resources::responses;
@@ -168,23 +168,25 @@ pub(super) fn svg(drawn: Result<String, PlotError>) -> ApiResult<Document> {
     Document::svg(svg)
 }
 
-/// Forecasts against actual costs of all finished frames, also by kind of quote. Newest frames first.
+/// Forecasts against actual costs of all finished frames that the caller sees, also by kind of quote. Newest
+/// frames first.
 #[utoipa::path(get, path = "/v1/forecasts/track-record", operation_id = "track_record_get",
     tag = "farm", params(PageQuery),
     responses((status = 200, description = "The record", body = TrackRecord),
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn track_record(
     State(app): State<App>,
-    _: FarmReader,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let size = query.size();
     let before: Option<(Timestamp, JobId, u32)> = query.key("track-record")?;
-    let key = key(&("track record", before, size, app.store.last_event_id().await?));
+    let projects = caller.project_names();
+    let key = key(&("track record", before, size, &projects, app.store.last_event_id().await?));
     let costly = app.costly.clone();
     let make = async move {
-        let mut record = app.store.track_record(before, size + 1).await?;
+        let mut record = app.store.track_record(before, size + 1, projects.as_deref()).await?;
         record.next_page_token =
             cut(&mut record.items, size, "track-record", |row| (row.finished, row.job_id, row.frame));
         Document::json(&record)
@@ -201,14 +203,15 @@ const SHOWN_JOBS: u32 = 500;
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn track_record_svg(
     State(app): State<App>,
-    _: FarmReader,
+    Reader(caller): Reader,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let key = key(&("picture of the track record", app.store.last_event_id().await?));
+    let projects = caller.project_names();
+    let key = key(&("picture of the track record", &projects, app.store.last_event_id().await?));
     let costly = app.costly.clone();
     let make = async move {
-        let record = app.store.track_record(None, 0).await?;
-        let jobs = app.store.finished_jobs(SHOWN_JOBS).await?;
+        let record = app.store.track_record(None, 0, projects.as_deref()).await?;
+        let jobs = app.store.finished_jobs(SHOWN_JOBS, projects.as_deref()).await?;
         svg(plot::track_record(&record, &jobs))
     };
     Ok(costly.answer(key, make).await?.respond(&headers))

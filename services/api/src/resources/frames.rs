@@ -47,8 +47,8 @@ macro_rules! picture {
     ($(#[doc = $doc:literal])* $name:ident, $path:literal, $media:literal, $choose:expr) => {
         $(#[doc = $doc])*
         #[utoipa::path(get, path = $path, operation_id = concat!("frame_", stringify!($name)), tag = "jobs",
-            params(("id" = JobId, Path), ("frame" = u32, Path), ("Range" = Option<String>, Header, description = "One range of bytes")),
-            responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 206, description = "The range of it", body = inline(FileContent), content_type = $media), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
+            params(("id" = JobId, Path), ("frame" = u32, Path), ("Range" = Option<String>, Header, description = "Ranges of bytes, at most 16"), ("If-Match" = Option<String>, Header, description = "Tags of which the file must have one")),
+            responses((status = 200, description = "The picture", body = inline(FileContent), content_type = $media), (status = 206, description = "The ranges of it; of several, each with its place", content((inline(FileContent) = $media), (inline(FileContent) = "multipart/byteranges"))), (status = 304, description = "The picture is still that of `If-None-Match`"), Problems))]
         pub(crate) async fn $name(
             State(app): State<App>,
             SeenFrame(job, frame): SeenFrame,

@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 use forelight_protocol::ProblemKind;
 
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::FarmReader;
+use crate::extract::Reader;
 use crate::state::App;
 
 /// The process is running.
@@ -29,10 +29,12 @@ pub(crate) async fn readyz(State(app): State<App>) -> ApiResult<&'static str> {
     Ok("ready\n")
 }
 
-/// Metrics in Prometheus text format.
+/// Metrics in Prometheus text format. Who reaches some projects only, gets the numbers of jobs and tasks of
+/// these; all others are about the service and its nodes.
 #[utoipa::path(get, path = "/metrics", tag = "service", responses((status = 200, description = "The metrics", body = String, content_type = "text/plain"), Problems))]
-pub(crate) async fn metrics(State(app): State<App>, _: FarmReader) -> ApiResult<Response> {
-    let counts = app.store.counts(app.lease_ttl, app.now()).await?;
+pub(crate) async fn metrics(State(app): State<App>, Reader(caller): Reader) -> ApiResult<Response> {
+    let projects = caller.project_names();
+    let counts = app.store.counts(projects.as_deref(), app.lease_ttl, app.now()).await?;
     let text = app.metrics.render(&counts, app.store.free_disk_space()?);
     Ok(([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response())
 }

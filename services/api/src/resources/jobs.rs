@@ -14,6 +14,7 @@ use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::checks::check_search;
+use super::quotas::check_files;
 use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
@@ -21,7 +22,7 @@ use crate::extract::{
 };
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::IdempotencyKeyHeader;
-use crate::seen::mentioned;
+use crate::seen::mentioned_by;
 use crate::state::App;
 
 /// Submits a job. The farm then previews, forecasts, books and renders it.
@@ -43,6 +44,7 @@ pub(crate) async fn submit(
     }
     check_may_change(&principal, &request.project)?;
     let new = request_checks::checked(&app, &principal, request).await?;
+    check_files(&app, &principal, &new.request, &new.settings).await?;
     Ok(created(
         StatusCode::CREATED,
         app.by(&principal).create_job(&new, key.as_ref(), app.now()).await.map_err(at_project)?,
@@ -67,6 +69,7 @@ pub(crate) async fn check(
 ) -> ApiResult<Json<JobCheck>> {
     check_may_change(&caller, &request.project)?;
     let new = request_checks::checked(&app, &caller, request).await?;
+    check_files(&app, &caller, &new.request, &new.settings).await?;
     let frames_total = u32::try_from(new.request.frames.count()).unwrap_or(u32::MAX);
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }
@@ -195,8 +198,7 @@ async fn expect(app: &App, caller: &Principal, jobs: &mut [Job]) -> ApiResult<()
     }
     // The expected end depends on the plan's reason to wait.
     app.tell_disk_full(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
-    let mentioned = jobs.iter().flat_map(|job| mentioned(&job.waits, &job.promise));
-    let seen = app.seen(caller, mentioned).await?;
-    jobs.iter_mut().for_each(|job| seen.show(&mut job.waits, &mut job.promise));
+    let seen = app.seen(caller, jobs.iter().flat_map(mentioned_by)).await?;
+    jobs.iter_mut().for_each(|job| seen.show_job(job));
     Ok(())
 }

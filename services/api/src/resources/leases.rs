@@ -19,8 +19,8 @@ use self::claim::Claimed;
 use super::responses::created;
 use crate::config::Evidence;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken};
-use crate::schema::IdempotencyKeyHeader;
+use crate::extract::{JsonBody, KeyHeader, Large, Segment, WorkerToken, WorkerVersion};
+use crate::schema::{IdempotencyKeyHeader, WorkerVersionHeader};
 use crate::state::App;
 
 const LONGEST_WAIT: u32 = 60_000;
@@ -30,11 +30,12 @@ const LONGEST_WAIT: u32 = 60_000;
 /// A node that is asleep by its calendar gets 204 at once, with `Retry-After` until it wakes up.
 #[utoipa::path(post, path = "/v1/leases", operation_id = "lease_claim",
     tag = "work", request_body = ClaimRequest,
-    params(IdempotencyKeyHeader),
+    params(IdempotencyKeyHeader, WorkerVersionHeader),
     responses((status = 200, description = "A task", body = Lease), (status = 204, description = "No task; with `Retry-After`, do not ask again before that"), Problems))]
 pub(crate) async fn claim(
     State(app): State<App>,
     worker: WorkerToken,
+    _: WorkerVersion,
     key: KeyHeader,
     JsonBody { value: request, hash, .. }: JsonBody<ClaimRequest>,
 ) -> ApiResult<Response> {

@@ -20,10 +20,10 @@ use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
     Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, Peer, QueryParameters, Segment, WorkerToken,
-    number_if_any,
+    WorkerVersion, number_if_any,
 };
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
-use crate::schema::IdempotencyKeyHeader;
+use crate::schema::{IdempotencyKeyHeader, WorkerVersionHeader};
 use crate::seen::shown_node;
 use crate::state::App;
 
@@ -32,11 +32,12 @@ use crate::state::App;
 /// A worker's word about the price counts for a new node. Later, only an operator changes it.
 #[utoipa::path(post, path = "/v1/nodes", operation_id = "node_register",
     tag = "work", request_body = NodeRegistration,
-    params(IdempotencyKeyHeader),
+    params(IdempotencyKeyHeader, WorkerVersionHeader),
     responses((status = 201, description = "The node", body = Node), Problems))]
 pub(crate) async fn register(
     State(app): State<App>,
     worker: WorkerToken,
+    _: WorkerVersion,
     key: KeyHeader,
     JsonBody { value: registration, hash, .. }: JsonBody<NodeRegistration>,
 ) -> ApiResult<Response> {
@@ -66,11 +67,12 @@ pub(crate) async fn register(
 /// The request holds the hash of the machine's own token, which speaks for this node alone. Repeated with the
 /// same hash, the answer is the same; another hash gives 409.
 #[utoipa::path(post, path = "/v1/nodes/join", operation_id = "node_join",
-    tag = "work", request_body = JoinRequest,
+    tag = "work", request_body = JoinRequest, params(WorkerVersionHeader),
     responses((status = 201, description = "The node", body = Node), Problems))]
 pub(crate) async fn join(
     State(app): State<App>,
     OneTimeToken(token): OneTimeToken,
+    _: WorkerVersion,
     Peer(from): Peer,
     JsonBody { value: request, .. }: JsonBody<JoinRequest>,
 ) -> ApiResult<(StatusCode, Json<Node>)> {

@@ -3,23 +3,32 @@
 use axum::Json;
 use axum::extract::State;
 use forelight_protocol::{BookingPage, Plan, PlanDifference, PlanId, PlanPage};
+use forelight_store::StoreError;
+use forelight_store::tokens::Principal;
 
 use crate::error::{ApiResult, Problems};
-use crate::extract::{FarmReader, QueryParameters, Reader, Segment};
+use crate::extract::{QueryParameters, Reader, Segment};
 use crate::page::{PageQuery, cut};
 use crate::plan_difference::difference;
+use crate::seen::mentioned_in;
 use crate::state::App;
 
-/// The plans, newest first. Each holds the jobs that it books; all other bookings come from earlier plans.
+/// The plans, newest first. Each holds the jobs that it books; all other bookings come from earlier plans. Who
+/// reaches some projects only, sees the plans that book their jobs, and of these what is about such jobs.
 #[utoipa::path(get, path = "/v1/plans", operation_id = "plan_list", tag = "farm", params(PageQuery),
     responses((status = 200, description = "A page of plans", body = PlanPage), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
-    _: FarmReader,
+    Reader(caller): Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
 ) -> ApiResult<Json<PlanPage>> {
     let size = query.size();
-    let mut items = app.store.plans(query.key("plans")?, size + 1).await?;
+    let projects = caller.project_names();
+    let mut items = app.store.plans(query.key("plans")?, size + 1, projects.as_deref()).await?;
+    if projects.is_some() {
+        // They may name anything.
+        items.iter_mut().for_each(|plan| plan.causes.clear());
+    }
     let next_page_token = cut(&mut items, size, "plans", |plan| plan.id);
     Ok(Json(PlanPage { items, next_page_token }))
 }
@@ -30,10 +39,17 @@ pub(crate) async fn list(
     responses((status = 200, description = "The plan", body = Plan), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
-    _: FarmReader,
+    Reader(caller): Reader,
     Segment(plan): Segment<PlanId>,
 ) -> ApiResult<Json<Plan>> {
-    Ok(Json(app.store.plan(plan).await?))
+    Ok(Json(seen_plan(&app, &caller, plan).await?))
+}
+
+/// The plan as the caller sees it.
+async fn seen_plan(app: &App, caller: &Principal, plan: PlanId) -> ApiResult<Plan> {
+    let plan = app.store.plan(plan).await?;
+    let seen = app.seen(caller, mentioned_in(&plan)).await?;
+    Ok(seen.show_plan(plan).ok_or(StoreError::NotFound("plan"))?)
 }
 
 /// Changes of a plan to the bookings before it: in words, by job, and by frame.
@@ -42,9 +58,10 @@ pub(crate) async fn get(
     responses((status = 200, description = "The difference", body = PlanDifference), Problems))]
 pub(crate) async fn changed(
     State(app): State<App>,
-    _: FarmReader,
+    Reader(caller): Reader,
     Segment(plan): Segment<PlanId>,
 ) -> ApiResult<Json<PlanDifference>> {
+    let plan = seen_plan(&app, &caller, plan).await?;
     Ok(Json(difference(&app.store, plan).await?))
 }
 

@@ -199,7 +199,7 @@ async fn finished_frames_are_rendered_again_and_the_job_is_done_again() {
     farm.report(&lease, late).await.problem(ProblemKind::LeaseLost).await;
     let done = farm.work_off(&node, &job).await;
     assert_eq!((done.state, done.frames_done, done.progress), (JobState::Done, 4, 1.0));
-    for (frames, kind) in [("0-4", ProblemKind::Invalid), ("x", ProblemKind::Invalid)] {
+    for (frames, kind) in [("0-4", ProblemKind::NotFound), ("x", ProblemKind::Invalid)] {
         post(&farm, &job, "frames/retry", json!({"frames": frames})).await.problem(kind).await;
     }
     let new = submit(&farm, "0", json!({"hold": true})).await;

@@ -47,6 +47,40 @@ async fn a_file_is_had_in_ranges_and_only_if_it_is_another() {
         assert_eq!(answer.headers()["etag"], tag.as_str());
     }
     assert_eq!(with(&farm, &path, &[("if-none-match", "\"other\"")]).await.status(), StatusCode::OK);
+    for (wanted, status) in [
+        (tag.as_str(), StatusCode::OK),
+        ("*", StatusCode::OK),
+        (&format!("\"other\", {tag}"), StatusCode::OK),
+        ("\"other\"", StatusCode::PRECONDITION_FAILED),
+        // A weak tag does not promise the same bytes.
+        (&format!("W/{tag}"), StatusCode::PRECONDITION_FAILED),
+    ] {
+        assert_eq!(with(&farm, &path, &[("if-match", wanted)]).await.status(), status, "{wanted}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn several_ranges_come_in_one_answer_each_with_its_place() {
+    let farm = Farm::new().await;
+    let content: Vec<u8> = (0..200_000u32).map(|n| (n % 251) as u8).collect();
+    let path = format!("/v1/artifacts/{}", farm.artifact(&content).await);
+    let answer = with(&farm, &path, &[("range", "bytes=150000-199999,0-9")]).await;
+    assert_eq!(answer.status(), StatusCode::PARTIAL_CONTENT);
+    let kind = answer.headers()["content-type"].to_str().unwrap().to_owned();
+    let boundary = kind.strip_prefix("multipart/byteranges; boundary=").unwrap();
+    let length: usize = answer.headers()["content-length"].to_str().unwrap().parse().unwrap();
+    let body = answer.bytes().await.unwrap();
+    assert_eq!(body.len(), length);
+    let mut expected = Vec::new();
+    for (place, range) in [("150000-199999", 150_000..200_000), ("0-9", 0..10)] {
+        let head = format!(
+            "\r\n--{boundary}\r\nContent-Type: application/octet-stream\r\nContent-Range: bytes {place}/200000\r\n\r\n"
+        );
+        expected.extend(head.into_bytes());
+        expected.extend(&content[range]);
+    }
+    expected.extend(format!("\r\n--{boundary}--\r\n").into_bytes());
+    assert_eq!(body, expected);
 }
 
 #[tokio::test(flavor = "multi_thread")]

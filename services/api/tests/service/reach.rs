@@ -1,12 +1,13 @@
 //! Tokens that reach some projects only.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use crate::support::events::Events;
 use crate::support::{Answer, Farm, Http};
 use forelight_protocol::{
-    BookingPage, BudgetList, Dashboard, EventKind, Job, JobPage, JobState, NewToken, NodePage, ProblemKind,
-    ProjectList, Role, Session, TimelinePage, Token,
+    BookingPage, BudgetForecast, BudgetList, Dashboard, EventKind, Job, JobPage, JobState, NewToken,
+    NodePage, PlanPage, ProblemKind, ProjectList, Role, Session, TimelinePage, Token, TrackRecord,
 };
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
@@ -130,15 +131,76 @@ async fn documents_about_the_farm_show_no_other_projects_jobs() {
     assert_eq!(anna.json::<BudgetList>("/v1/budgets").await.items.len(), 1);
     assert_eq!(anna.json::<ProjectList>("/v1/projects").await.items.len(), 1);
     assert_eq!(anna.json::<NodePage>("/v1/nodes").await.items.len(), 1);
-    for path in ["/v1/plans", "/v1/forecasts/track-record", "/v1/forecasts/track-record.svg", "/metrics"] {
-        anna.get(path).await.problem(ProblemKind::Forbidden).await;
-    }
-    anna.post("/v1/budget-forecasts", &json!({})).await.problem(ProblemKind::Forbidden).await;
+    assert_eq!((dashboard.counts.jobs_active, dashboard.jobs_open_total), (1, 1));
+    let whole: Dashboard = farm.viewer.json("/v1/dashboard").await;
+    assert_eq!((whole.counts.jobs_active, whole.counts.nodes), (2, dashboard.counts.nodes));
+    // What a change does to all others is asked by those who see them.
+    let question = json!({"job_id": film.id, "change": {"more_nodes": {"node_id": node.id, "count": 1}}});
+    anna.post("/v1/plans/what-if", &question).await.problem(ProblemKind::Forbidden).await;
     let log = format!("/v1/tasks/{}/log", lease.task_id);
     let is_own = lease.job_id == film.id;
     assert_eq!(anna.get(&log).await.status().is_success(), is_own);
     let whom = if is_own { &ads } else { &film };
     assert_ne!(whom.id, lease.job_id);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn plans_records_nights_and_metrics_are_those_of_ones_own_projects() {
+    let Two { farm, anna, film, ads, .. } = Two::new().await;
+    let node = farm.node("a").await;
+    for job in [&film, &ads] {
+        let job = farm.until_booked(&node, job).await;
+        farm.work_off(&node, &job).await;
+    }
+    // What is planned while nothing of `film` is open is about others alone.
+    let other = submit(&farm, &farm.submitter, "ads").await;
+    farm.until_booked(&node, &other).await;
+    let own = submit(&farm, &anna, "film").await;
+    farm.until_booked(&node, &own).await;
+    let whole: PlanPage = farm.viewer.json("/v1/plans").await;
+    let seen: PlanPage = anna.json("/v1/plans").await;
+    assert!(!seen.items.is_empty() && seen.items.len() < whole.items.len());
+    let mut hidden = 0;
+    for plan in &whole.items {
+        let is_own = seen.items.iter().any(|item| item.id == plan.id);
+        for path in [format!("/v1/plans/{}", plan.id), format!("/v1/plans/{}/difference", plan.id)] {
+            let answer = anna.get(&path).await;
+            if !is_own {
+                answer.problem(ProblemKind::NotFound).await;
+                hidden += 1;
+                continue;
+            }
+            let text = answer.text().await.unwrap();
+            for hidden in [ads.id.to_string(), other.id.to_string(), "shot of ads".to_owned()] {
+                assert!(!text.contains(&hidden), "{path} shows {hidden}: {text}");
+            }
+        }
+    }
+    assert!(hidden > 0);
+    let record: TrackRecord = anna.json("/v1/forecasts/track-record").await;
+    assert!(record.items.iter().all(|row| row.job_id == film.id));
+    let both: TrackRecord = farm.viewer.json("/v1/forecasts/track-record").await;
+    assert_eq!((record.frames, both.frames), (4, 8));
+    assert_eq!(record.kinds.iter().map(|kind| kind.jobs.count).sum::<u64>(), 1);
+    let [one, all] = [&anna, &farm.viewer].map(|http| http.get("/v1/forecasts/track-record.svg"));
+    assert_ne!(one.await.text().await.unwrap(), all.await.text().await.unwrap());
+    let nights = async |http: &Http| -> BudgetForecast {
+        http.post("/v1/budget-forecasts", &json!({})).await.parsed(StatusCode::OK).await
+    };
+    let (own, all) = (nights(&anna).await, nights(&farm.viewer).await);
+    let projects = |forecast: &BudgetForecast| -> BTreeSet<String> {
+        forecast.nights.iter().flat_map(|night| &night.projects).map(|line| line.name.clone()).collect()
+    };
+    assert_eq!(projects(&own), BTreeSet::from(["film".to_owned()]));
+    assert_eq!(projects(&all), BTreeSet::from(["ads".to_owned(), "film".to_owned()]));
+    let [own, sum] = [&own, &all].map(|forecast| forecast.nights[0].cost.p50.0);
+    assert!(0 < own && own < sum, "{own} of {sum}");
+    let jobs = async |http: &Http| {
+        let text = http.get("/metrics").await.text().await.unwrap();
+        let line = text.lines().find(|line| line.starts_with("forelight_jobs{state=\"done\"}"));
+        line.unwrap().rsplit_once(' ').unwrap().1.parse::<u64>().unwrap()
+    };
+    assert_eq!((jobs(&anna).await, jobs(&farm.viewer).await), (1, 2));
 }
 
 #[tokio::test(flavor = "multi_thread")]

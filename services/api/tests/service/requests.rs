@@ -8,6 +8,33 @@ use reqwest::header::CONTENT_TYPE;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_whole_number_may_be_written_with_a_point_and_any_other_fraction_may_not() {
+    let farm = Farm::new().await;
+    let text = |samples: &str| {
+        let mut request = farm.job_request("0");
+        request["samples"] = json!("here");
+        request.to_string().replace("\"here\"", samples)
+    };
+    for (samples, status) in [
+        ("64.0", StatusCode::CREATED),
+        ("6.4e1", StatusCode::CREATED),
+        ("64.5", StatusCode::UNPROCESSABLE_ENTITY),
+        ("1e300", StatusCode::UNPROCESSABLE_ENTITY),
+        ("-64.0", StatusCode::UNPROCESSABLE_ENTITY),
+    ] {
+        let request =
+            farm.submitter.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json");
+        let answer = request.body(text(samples)).send().await.unwrap();
+        assert_eq!(answer.status(), status, "{samples}");
+        if status == StatusCode::UNPROCESSABLE_ENTITY {
+            assert_eq!(answer.problem(ProblemKind::Invalid).await.pointer.as_deref(), Some("/samples"));
+        } else {
+            assert_eq!(answer.parsed::<Job>(status).await.samples, 64);
+        }
+    }
+}
+
 /// Variants of a good job request, with the wrong field and a part of the error. An empty text means that the
 /// variant is good.
 fn job_requests(good: &Value) -> Vec<(Value, &'static str, &'static str)> {

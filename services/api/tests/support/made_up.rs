@@ -93,6 +93,7 @@ impl Farm {
             left_out: Vec::new(),
             renderer: Some("made up 1".to_owned()),
             fixed: FixedCosts { load: Spent { work: 5, cpu_nanos: 5_000_000 }, ..FixedCosts::default() },
+            file_bytes: Some(5000),
             once: None,
             ladders: spec.ladders.then(|| Box::new(made_up_ladders(spec))),
             spent: Spent { work: 1000, cpu_nanos: 1_000_000 },

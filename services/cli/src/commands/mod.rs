@@ -25,6 +25,7 @@ mod plan;
 mod plans;
 mod preview;
 mod project;
+mod quota;
 mod render;
 mod renderers;
 mod retention;
@@ -90,6 +91,7 @@ enum Command {
     Plans(plans::Args),
     #[command(visible_alias = "share")]
     Project(project::Args),
+    Quota(quota::Args),
     Simulate(simulate::Args),
     Budget(Box<budget::Args>),
     Token(token::Args),
@@ -131,6 +133,7 @@ impl Cli {
             Command::Ask(args) => ask::run(args).await,
             Command::Plans(args) => plans::run(args).await,
             Command::Project(args) => project::run(args).await,
+            Command::Quota(args) => quota::run(args).await,
             Command::Audit(args) => audit::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Retention(args) => retention::run(args).await,

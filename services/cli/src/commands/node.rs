@@ -210,6 +210,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         ("state", Align::Left),
         ("cores", Align::Right),
         ("speed", Align::Right),
+        ("version", Align::Left),
         ("memory", Align::Right),
         ("previews on", Align::Left),
         ("last seen", Align::Left),
@@ -222,6 +223,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
             node.state.name().replace('_', " "),
             node.cores.to_string(),
             format!("{:.2}", node.speed),
+            version(node),
             has.memory_bytes
                 .map_or("-".into(), |bytes| format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))),
             has.vulkan_adapter.clone().unwrap_or_else(|| "CPU".into()),
@@ -240,6 +242,13 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         }
     }
     text
+}
+
+/// Version of the worker, and of our own renderer: `0.1.0 tracer-13`.
+fn version(node: &Node) -> String {
+    let stated = node.capabilities.version.as_deref().into_iter().chain(node.own_version());
+    let stated: Vec<&str> = stated.collect();
+    if stated.is_empty() { "-".to_owned() } else { stated.join(" ") }
 }
 
 /// `awake`, or `asleep until 20:00:00`.

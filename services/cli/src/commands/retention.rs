@@ -18,6 +18,7 @@ Examples:
   forelight retention --data farm-data
   forelight retention set images 30 --data farm-data
   forelight retention set images forever --project hero-film --data farm-data
+  forelight retention set audit forever --data farm-data
 
 The farm deletes every night what is past its time. `forelight prune --dry-run` says what that is.")]
 pub struct Args {

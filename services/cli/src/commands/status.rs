@@ -127,6 +127,10 @@ fn report(job: &Job, now: Timestamp) -> String {
         let until = waits.until.map_or(String::new(), |at| format!("; {what} at {}", clock(at, now)));
         line("waits", format!("{}{until}", waits.because.trim_start_matches("waits ")));
     }
+    if let Some(by) = &job.rendered_by {
+        let mixed = by.mixed.as_ref().map_or(String::new(), |words| format!(": {words}"));
+        line("renderer", format!("forelight {}{mixed}", by.version));
+    }
     if let Some(live) = &job.live {
         let cpu = &live.cpu_seconds;
         let (quote, whole) = (&cpu.quote, &cpu.whole);

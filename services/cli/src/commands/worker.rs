@@ -150,7 +150,8 @@ pub fn equipment(
         renderer.adapter().context("cannot render previews with the device that --preview names")?;
     let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(commands)?);
     let capabilities = Capabilities {
-        renderers: renderers.ids(),
+        version: Some(env!("CARGO_PKG_VERSION").to_owned()),
+        renderers: [OwnRenderer::id()].into_iter().chain(renderers.ids()).collect(),
         gpu: adapter.as_ref().is_some_and(|adapter| adapter.is_hardware),
         vulkan_adapter: adapter.and_then(|adapter| Capabilities::name(&adapter.name)),
         ..machine()

@@ -40,7 +40,8 @@ impl Client {
     /// unused until it expires.
     pub async fn claim(&self, claim: &ClaimRequest, key: Uuid) -> Result<Claimed, ClientError> {
         let patience = Duration::from_millis(u64::from(claim.wait_ms)) + Duration::from_secs(15);
-        let request = Request::json(Method::POST, "/v1/leases", claim).timeout(Some(patience)).with_key(key);
+        let request = Request::json(Method::POST, "/v1/leases", claim).of_worker();
+        let request = request.timeout(Some(patience)).with_key(key);
         let response = self.transport.send(&request).await?;
         let status = response.status();
         if status == StatusCode::NO_CONTENT {

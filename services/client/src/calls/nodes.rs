@@ -13,12 +13,13 @@ use uuid::Uuid;
 impl Client {
     /// Registers a node. A node with this name is updated, and keeps its id.
     pub async fn register(&self, node: &NodeRegistration, key: Uuid) -> Result<Node, ClientError> {
-        self.transport.json(&Request::json(Method::POST, "/v1/nodes", node).with_key(key)).await
+        let request = Request::json(Method::POST, "/v1/nodes", node).of_worker();
+        self.transport.json(&request.with_key(key)).await
     }
 
     /// Joins the farm with this client's one-time token. It may be repeated with the same hash.
     pub async fn join(&self, request: &JoinRequest) -> Result<Node, ClientError> {
-        self.transport.json(&Request::json(Method::POST, "/v1/nodes/join", request)).await
+        self.transport.json(&Request::json(Method::POST, "/v1/nodes/join", request).of_worker()).await
     }
 
     /// A one-time token, with which one machine can join the farm. Repeated, it makes another one.

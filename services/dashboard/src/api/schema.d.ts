@@ -28,7 +28,8 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Metrics in Prometheus text format. */
+        /** Metrics in Prometheus text format. Who reaches some projects only, gets the numbers of jobs and tasks of
+         *     these; all others are about the service and its nodes. */
         get: operations["metrics"];
         put?: never;
         post?: never;
@@ -154,7 +155,8 @@ export interface paths {
         /**
          * Forecasts the cost of tonight and the following nights, by project, job and class of nodes.
          * @description Also: budgets at risk, jobs that will not be ready, changes since the night before. A repeated request
-         *     replaces the forecast.
+         *     replaces the forecast. Who reaches some projects only, gets the cost of these; that is not kept, and is not
+         *     compared with the nights before.
          */
         post: operations["budget_forecast"];
         delete?: never;
@@ -228,8 +230,8 @@ export interface paths {
         /**
          * The farm at one instant: counts, open jobs by risk, money, nodes, next bookings, newest events.
          * @description It is short on farms of any size. `/v1/jobs`, `/v1/nodes`, `/v1/timeline` and `/v1/events` have the rest.
-         *     Who reaches some projects only, sees the jobs, bookings, events and money of these; counts are of the
-         *     whole farm.
+         *     Who reaches some projects only, sees the jobs, bookings, events, money and counts of these. Nodes are
+         *     counted for the whole farm.
          */
         get: operations["dashboard_get"];
         put?: never;
@@ -282,7 +284,8 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Forecasts against actual costs of all finished frames, also by kind of quote. Newest frames first. */
+        /** Forecasts against actual costs of all finished frames that the caller sees, also by kind of quote. Newest
+         *     frames first. */
         get: operations["track_record_get"];
         put?: never;
         post?: never;
@@ -947,7 +950,8 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The plans, newest first. Each holds the jobs that it books; all other bookings come from earlier plans. */
+        /** The plans, newest first. Each holds the jobs that it books; all other bookings come from earlier plans. Who
+         *     reaches some projects only, sees the plans that book their jobs, and of these what is about such jobs. */
         get: operations["plan_list"];
         put?: never;
         post?: never;
@@ -1043,6 +1047,26 @@ export interface paths {
         put?: never;
         /** Deletes now what is past its time, or only says what that is. The farm does this by itself every night. */
         post: operations["prune"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/quotas": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The quotas of projects and tokens, and how much of each is used. Who reaches some projects only, sees the
+         *     quotas of these, and that of the own token. */
+        get: operations["quota_list"];
+        put?: never;
+        /** Sets how much a project or a token may take, or removes the quota. What is too much already stays, but
+         *     nothing is added to it. Setting it again replaces it, so repeating is harmless. */
+        post: operations["quota_set"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1500,7 +1524,7 @@ export interface components {
          * @description What somebody did.
          * @enum {string}
          */
-        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "job_deleted" | "job_left_out" | "job_counted" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "retention_set" | "budget_set" | "webhook_added" | "webhook_removed";
+        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "job_deleted" | "job_left_out" | "job_counted" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "retention_set" | "audit_pruned" | "quota_set" | "budget_set" | "webhook_added" | "webhook_removed";
         /** @description One entry: who did what, when, and from where. Entries never change. */
         AuditEntry: {
             /** @description What was done. */
@@ -1736,8 +1760,11 @@ export interface components {
         BudgetPeriod: "night" | "month" | "total";
         /** @description Sets a budget. A project has one budget per period; a new one replaces it. */
         BudgetRequest: {
-            /** @description The amount, in micro-units. */
-            amount: components["schemas"]["Money"];
+            /**
+             * Format: int64
+             * @description The amount, in micro-units: 0 to 10¹⁸.
+             */
+            amount: number;
             /** @description The period. */
             period: components["schemas"]["BudgetPeriod"];
             /** @description The project: 1 to 200 characters. */
@@ -2127,8 +2154,11 @@ export interface components {
             memory_bytes?: number | null;
             /** @description Name of the processor: 1 to 200 characters. */
             processor?: string | null;
-            /** @description Renderers besides forelight's own, at most 50. Tasks of their jobs go only to nodes that have them. */
+            /** @description Renderers, at most 50. Tasks of their jobs go only to nodes that have them. A worker lists forelight's own
+             *     as `forelight`, with its version. */
             renderers?: components["schemas"]["RendererId"][];
+            /** @description Version of the worker's program: 1 to 50 characters. */
+            version?: string | null;
             /** @description Name, kind and driver of the Vulkan adapter for previews: 1 to 200 characters. Absent without one. */
             vulkan_adapter?: string | null;
         };
@@ -2609,6 +2639,7 @@ export interface components {
             profiled: components["schemas"]["Profiled"];
             /** @description Cost of making the quote. */
             spent: components["schemas"]["SpentOnForecast"];
+            storage?: components["schemas"]["StorageForecast"] | null;
             /** @description Forecast of all frames together. */
             total: components["schemas"]["ForecastTotals"];
             work_by_class?: components["schemas"]["ByClass"] | null;
@@ -3012,6 +3043,7 @@ export interface components {
             /** @description Project that is charged for it. */
             project: string;
             promise?: components["schemas"]["Promise"] | null;
+            rendered_by?: components["schemas"]["RenderedBy"] | null;
             renderer?: components["schemas"]["RendererRequest"] | null;
             /**
              * Format: int32
@@ -3360,7 +3392,7 @@ export interface components {
              * @description Number of the line in the attempt, 0 to 399. A line that was sent before is ignored.
              */
             number: number;
-            /** @description The text. It is cut after 500 characters. */
+            /** @description The text, 1 character or more. It is cut after 500 characters. */
             text: string;
         };
         /**
@@ -4282,6 +4314,12 @@ export interface components {
             cache_samples?: components["schemas"]["CacheSample"][];
             /** @description Names of the effects that the frame needs, sorted. */
             effects?: string[];
+            /**
+             * Format: int64
+             * @description Bytes of a frame's files, measured on an image of its size that is made of the profiled pixels. Absent if
+             *     they were not measured. At most 2⁴⁰.
+             */
+            file_bytes?: number | null;
             /** @description Costs that do not depend on the pixels. */
             fixed: components["schemas"]["FixedCosts"];
             /**
@@ -4532,6 +4570,44 @@ export interface components {
              * @description 95 % quantile.
              */
             p95: number;
+        };
+        /** @description A quota, and how much of it is used. */
+        Quota: {
+            /** @description What is allowed, and to whom. */
+            quota: components["schemas"]["QuotaRequest"];
+            /**
+             * Format: int32
+             * @description Jobs that are not over.
+             */
+            used_open_jobs: number;
+            /**
+             * Format: int64
+             * @description Bytes of files that are used: of the project's jobs, or of the token's jobs and uploads.
+             */
+            used_storage_bytes: number;
+        };
+        /** @description All quotas: those of projects, then those of tokens. */
+        QuotaList: {
+            /** @description The quotas. */
+            items: components["schemas"]["Quota"][];
+        };
+        /** @description Sets how much a project, or a token, may take. Exactly one of `project` and `token` must be given. An absent
+         *     limit is none; without any, the quota is removed. */
+        QuotaRequest: {
+            /**
+             * Format: int32
+             * @description Most jobs that are not over, 0 to 1,000,000.
+             */
+            open_jobs?: number | null;
+            /** @description Name of the project. */
+            project?: string | null;
+            /**
+             * Format: int64
+             * @description Most bytes of files: scenes, images, profiles and caches. At most 2⁶⁰.
+             */
+            storage_bytes?: number | null;
+            /** @description Name of the token. Several tokens of one name share the quota. */
+            token?: string | null;
         };
         /** @description The scene and settings of a quote. */
         QuotedShot: {
@@ -4922,6 +4998,13 @@ export interface components {
             work_by_class?: components["schemas"]["ByClass"] | null;
             work_by_ray?: components["schemas"]["Rays"] | null;
         };
+        /** @description The version of forelight's own renderer that renders a job. Images and costs of other versions may differ. */
+        RenderedBy: {
+            /** @description Why frames of the job come from more than one version. Absent if they do not. */
+            mixed?: string | null;
+            /** @description The version, such as `tracer-13`. Only nodes with it get tasks of the job. */
+            version: string;
+        };
         /** @description Name and version of a renderer. Costs and forecasts hold for one of these. */
         RendererId: {
             /** @description Name, such as `cycles`: 1 to 50 lower-case letters, digits, `-` and `_`. */
@@ -4994,7 +5077,7 @@ export interface components {
          * @description What is deleted with time.
          * @enum {string}
          */
-        RetentionKind: "images" | "profiles" | "scenes" | "logs" | "events" | "plans" | "jobs";
+        RetentionKind: "images" | "profiles" | "scenes" | "logs" | "events" | "plans" | "jobs" | "audit";
         /** @description Sets how long something is kept. */
         RetentionRule: {
             /**
@@ -5296,6 +5379,20 @@ export interface components {
              * @description Deterministic count of operations.
              */
             work: number;
+        };
+        /** @description What a job takes of the farm's storage until it is deleted. See `GET /v1/retention`. */
+        StorageForecast: {
+            /**
+             * Format: int64
+             * @description Bytes of rows in the database, for all frames.
+             */
+            database_bytes: number;
+            /**
+             * Format: int64
+             * @description Bytes of images, cost maps and previews of all frames: measured on the profiled frames. An image that is
+             *     written elsewhere takes its bytes there once more.
+             */
+            file_bytes: number;
         };
         /** @description A stratum, identified by `object` and `material`. Names are for display and may repeat. All tasks of a job
          *     number objects and materials alike. */
@@ -6074,8 +6171,10 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description One range of bytes */
+                /** @description Ranges of bytes, at most 16 */
                 Range?: string | null;
+                /** @description Tags of which the file must have one */
+                "If-Match"?: string | null;
             };
             path: {
                 blake3: components["schemas"]["ArtifactHash"];
@@ -6093,13 +6192,14 @@ export interface operations {
                     "application/octet-stream": string;
                 };
             };
-            /** @description The range of them */
+            /** @description The ranges of them; of several, each with its place */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "application/octet-stream": string;
+                    "multipart/byteranges": string;
                 };
             };
             /** @description The client has them */
@@ -6633,6 +6733,7 @@ export interface operations {
                 last_event_id?: components["schemas"]["i64"];
             };
             header?: {
+                /** @description The last event seen */
                 "Last-Event-ID"?: number | null;
             };
             path?: never;
@@ -7270,6 +7371,7 @@ export interface operations {
                 last_event_id?: components["schemas"]["i64"];
             };
             header?: {
+                /** @description The last event seen */
                 "Last-Event-ID"?: number | null;
             };
             path: {
@@ -7691,8 +7793,10 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description One range of bytes */
+                /** @description Ranges of bytes, at most 16 */
                 Range?: string | null;
+                /** @description Tags of which the file must have one */
+                "If-Match"?: string | null;
             };
             path: {
                 id: components["schemas"]["JobId"];
@@ -7711,13 +7815,14 @@ export interface operations {
                     "image/png": string;
                 };
             };
-            /** @description The range of it */
+            /** @description The ranges of it; of several, each with its place */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "image/png": string;
+                    "multipart/byteranges": string;
                 };
             };
             /** @description The picture is still that of `If-None-Match` */
@@ -7751,8 +7856,10 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description One range of bytes */
+                /** @description Ranges of bytes, at most 16 */
                 Range?: string | null;
+                /** @description Tags of which the file must have one */
+                "If-Match"?: string | null;
             };
             path: {
                 id: components["schemas"]["JobId"];
@@ -7771,13 +7878,14 @@ export interface operations {
                     "image/x-exr": string;
                 };
             };
-            /** @description The range of it */
+            /** @description The ranges of it; of several, each with its place */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "image/x-exr": string;
+                    "multipart/byteranges": string;
                 };
             };
             /** @description The picture is still that of `If-None-Match` */
@@ -7811,8 +7919,10 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description One range of bytes */
+                /** @description Ranges of bytes, at most 16 */
                 Range?: string | null;
+                /** @description Tags of which the file must have one */
+                "If-Match"?: string | null;
             };
             path: {
                 id: components["schemas"]["JobId"];
@@ -7831,13 +7941,14 @@ export interface operations {
                     "image/png": string;
                 };
             };
-            /** @description The range of it */
+            /** @description The ranges of it; of several, each with its place */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "image/png": string;
+                    "multipart/byteranges": string;
                 };
             };
             /** @description The picture is still that of `If-None-Match` */
@@ -7871,8 +7982,10 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description One range of bytes */
+                /** @description Ranges of bytes, at most 16 */
                 Range?: string | null;
+                /** @description Tags of which the file must have one */
+                "If-Match"?: string | null;
             };
             path: {
                 id: components["schemas"]["JobId"];
@@ -7891,13 +8004,14 @@ export interface operations {
                     "image/png": string;
                 };
             };
-            /** @description The range of it */
+            /** @description The ranges of it; of several, each with its place */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content: {
                     "image/png": string;
+                    "multipart/byteranges": string;
                 };
             };
             /** @description The picture is still that of `If-None-Match` */
@@ -8208,6 +8322,9 @@ export interface operations {
             header?: {
                 /** @description Makes repeating the request harmless */
                 "Idempotency-Key"?: string | null;
+                /** @description Version of the worker protocol that the worker speaks; 1 if absent. `worker-too-old` and `worker-too-new`
+                 *     say that the service does not understand it */
+                "Forelight-Worker-Protocol"?: number | null;
             };
             path?: never;
             cookie?: never;
@@ -8532,6 +8649,9 @@ export interface operations {
             header?: {
                 /** @description Makes repeating the request harmless */
                 "Idempotency-Key"?: string | null;
+                /** @description Version of the worker protocol that the worker speaks; 1 if absent. `worker-too-old` and `worker-too-new`
+                 *     say that the service does not understand it */
+                "Forelight-Worker-Protocol"?: number | null;
             };
             path?: never;
             cookie?: never;
@@ -8574,7 +8694,11 @@ export interface operations {
     node_join: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description Version of the worker protocol that the worker speaks; 1 if absent. `worker-too-old` and `worker-too-new`
+                 *     say that the service does not understand it */
+                "Forelight-Worker-Protocol"?: number | null;
+            };
             path?: never;
             cookie?: never;
         };
@@ -9003,6 +9127,86 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Pruned"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    quota_list: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The quotas */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["QuotaList"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    quota_set: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["QuotaRequest"];
+            };
+        };
+        responses: {
+            /** @description All quotas */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["QuotaList"];
                 };
             };
             /** @description The request is refused; `type` says why */

@@ -1,7 +1,8 @@
 //! Groups tasks into Slurm arrays.
 //!
 //! All elements of a Slurm array share its options. So an array holds tasks of one job and one kind, in the
-//! order of their bookings. Lost tasks go into an array of their own.
+//! order of their bookings. Lost tasks go into an array of their own, and so do second attempts beside a node
+//! that makes no progress.
 //!
 //! * **Begin**: the start of the first booking. Within an array, Slurm starts elements in order as nodes
 //!   become free.
@@ -55,6 +56,8 @@ pub struct Batch {
     pub job_name: String,
     /// Nodes to reserve, with start and end.
     pub keep_free: Option<(Vec<String>, Timestamp, Timestamp)>,
+    /// The node that makes no progress with these tasks.
+    pub avoid: Option<String>,
 }
 
 /// What to do with the waiting tasks.
@@ -65,10 +68,14 @@ pub struct Due {
     pub hopeless: Vec<(Waiting, String)>,
 }
 
+/// What the tasks of an array have in common: the place of their job, the job, the kind, whether they were lost
+/// before, and the node that makes no progress with them.
+type Group<'a> = (usize, JobId, TaskKind, bool, Option<&'a str>);
+
 /// Groups waiting tasks into arrays. Recently lost tasks keep waiting.
 pub fn due(waiting: &[Waiting], pricing: Pricing, now: Timestamp) -> Due {
     let mut due = Due::default();
-    let mut groups: BTreeMap<(usize, JobId, TaskKind, bool), Vec<&Waiting>> = BTreeMap::new();
+    let mut groups: BTreeMap<Group<'_>, Vec<&Waiting>> = BTreeMap::new();
     let mut order: BTreeMap<JobId, usize> = BTreeMap::new();
     for task in waiting {
         if task.lost.len() >= MAX_LOST {
@@ -86,9 +93,10 @@ pub fn due(waiting: &[Waiting], pricing: Pricing, now: Timestamp) -> Due {
         // Jobs keep the store's order: deadline, then priority.
         let next = order.len();
         let place = *order.entry(task.job).or_insert(next);
-        groups.entry((place, task.job, task.kind, !task.lost.is_empty())).or_default().push(task);
+        let group = (place, task.job, task.kind, !task.lost.is_empty(), task.beside.as_deref());
+        groups.entry(group).or_default().push(task);
     }
-    for ((_, job, kind, again), mut tasks) in groups {
+    for ((_, job, kind, again, _), mut tasks) in groups {
         tasks.sort_by_key(|task| (task.booked.as_ref().map(|booked| booked.start), task.frame));
         for tasks in tasks.chunks(MOST_ELEMENTS) {
             due.batches.push(batch(job, kind, again, tasks, pricing, now));
@@ -133,6 +141,7 @@ fn batch(
         kind,
         job_name: tasks.first().map_or(String::new(), |task| task.job_name.clone()),
         keep_free,
+        avoid: tasks.first().and_then(|task| task.beside.clone()),
     }
 }
 
@@ -179,6 +188,7 @@ mod tests {
             deadline: Some(at(7200)),
             lost: Vec::new(),
             lost_at: None,
+            beside: None,
         }
     }
 
@@ -235,6 +245,23 @@ mod tests {
         // Not in one array with those that go for the first time.
         let both = due(&[frame(0), lost(3, &["CANCELLED"], 0)], PRICING, at(10));
         assert_eq!(both.batches.iter().map(|batch| batch.array.tasks.len()).collect::<Vec<_>>(), [1, 1]);
+    }
+
+    #[test]
+    fn second_attempts_avoid_the_node_of_the_first_and_begin_at_once() {
+        let beside = |number, node: &str| Waiting {
+            beside: Some(node.to_owned()),
+            booked: None,
+            deadline: None,
+            ..frame(number)
+        };
+        let due = due(&[beside(0, "n0"), beside(1, "n1"), beside(2, "n0"), frame(3)], PRICING, at(0));
+        let arrays: Vec<_> = due
+            .batches
+            .iter()
+            .map(|batch| (batch.avoid.as_deref(), batch.array.tasks.len(), batch.array.begin))
+            .collect();
+        assert_eq!(arrays, [(None, 1, Some(at(660))), (Some("n0"), 2, None), (Some("n1"), 1, None)]);
     }
 
     #[test]

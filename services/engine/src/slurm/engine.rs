@@ -292,13 +292,14 @@ impl<C: Cluster> Engine<C> {
     }
 
     async fn submit(&mut self, batch: Batch, closed: &[String], now: Timestamp) -> Result<(), RoundError> {
-        let Batch { mut array, kind, job_name, keep_free } = batch;
+        let Batch { mut array, kind, job_name, keep_free, avoid } = batch;
         if let Some((nodes, start, end)) = keep_free {
             let end = end.plus_micros(i64::from(array.limit_minutes) * 60_000_000 + LEAVE_AHEAD);
             array.reservation = self.reserve(nodes, start, end, now).await?.map(|name| (name, end));
         }
         let id = self.store.announce_slurm_array(&array, now).await?;
-        let arguments = command::sbatch(&self.submitting, id, &array, &job_name, kind, closed);
+        let closed: Vec<String> = closed.iter().cloned().chain(avoid).collect();
+        let arguments = command::sbatch(&self.submitting, id, &array, &job_name, kind, &closed);
         let script = command::script(&self.submitting, &array.tasks);
         match self.cluster.submit(arguments, script).await {
             Ok(number) => {

@@ -78,6 +78,7 @@ pub fn profile_pixels(
         renderer: Some(renderer.to_string()),
         work_by_class: None,
         fixed: FixedCosts { build: as_spent(fixed.values().sum()), ..FixedCosts::default() },
+        file_bytes: None,
         once: None,
         ladders: None,
         spent: as_spent(cost.cpu_nanos),

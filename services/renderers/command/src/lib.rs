@@ -86,3 +86,11 @@ mod shot;
 mod template;
 
 pub use installation::{CommandRenderer, EXTENSION, open_command};
+
+/// Reads and checks a file, and starts nothing.
+///
+/// # Errors
+/// What is wrong with it, and where.
+pub fn check_file(path: &std::path::Path) -> Result<(), forelight_renderer::door::RendererError> {
+    file::CommandFile::read(path).map(drop)
+}

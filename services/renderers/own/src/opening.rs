@@ -5,7 +5,9 @@ use crate::previewer::SharedPreviewer;
 use crate::shot::OwnShot;
 use forelight_kept::Folder;
 use forelight_preview::{Choice, PreviewError};
+use forelight_protocol::RendererId;
 use forelight_scene::Limits;
+use forelight_tracer::tracer_version;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -30,6 +32,11 @@ impl OwnRenderer {
     /// A renderer that makes previews as `choice` says.
     pub fn new(choice: Choice) -> Self {
         Self { previewer: Arc::new(SharedPreviewer::new(choice)), limits: Limits::default(), kept: None }
+    }
+
+    /// Its name and version.
+    pub fn id() -> RendererId {
+        RendererId::own(tracer_version())
     }
 
     /// Keeps loaded scenes and trees in a folder, and takes them from there.

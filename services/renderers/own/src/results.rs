@@ -84,6 +84,7 @@ pub fn profile_result(
         work_by_class: profiled.work_by_class,
         fixed: profiled.fixed,
         once: Some(profiled.once),
+        file_bytes: None,
         ladders: None,
         spent: profiled.spent(),
         strata: shown.list,

@@ -48,6 +48,7 @@ mod opened;
 mod pictures;
 mod profile;
 mod rays;
+pub mod reading;
 mod renderer;
 mod rif;
 mod scene;

@@ -14,6 +14,7 @@ use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::jobs::read;
 use crate::projects;
+use crate::quotas::{QuotaOf, check_open_jobs};
 use crate::tasks::Common;
 use crate::writing::run;
 
@@ -48,13 +49,18 @@ impl Store {
             projects::make(&mut write, &request.project, now).await?;
         }
         projects::check_exists(write.connection().await?, &request.project).await?;
+        let submitter = write.actor().map(|actor| actor.name.clone());
+        check_open_jobs(&mut write, QuotaOf::Project(&request.project)).await?;
+        if let Some(name) = &submitter {
+            check_open_jobs(&mut write, QuotaOf::Token(name)).await?;
+        }
         let job_id = JobId::new();
         run!(
             write,
             "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
              frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
-             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output) \
-             VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output, \
+             submitted_by) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             job_id.0,
             request.name,
             request.project,
@@ -81,7 +87,8 @@ impl Store {
             request.renderer.as_ref().map(Json),
             request.hold,
             Json(&request.division),
-            request.output.as_ref().map(ToString::to_string)
+            request.output.as_ref().map(ToString::to_string),
+            submitter
         );
         for frame in request.frames.iter() {
             run!(write, "INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame);
@@ -92,6 +99,7 @@ impl Store {
             digest: scene.digest,
             settings: settings.clone(),
             renderer: request.renderer.clone(),
+            own: None,
             deadline: request.deadline,
             priority: request.priority,
             limits: request.limits,

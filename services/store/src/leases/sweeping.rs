@@ -9,6 +9,7 @@ use crate::error::Result;
 use crate::events::{append, forget_old_progress};
 use crate::idempotency::forget_old;
 use crate::jobs::ending::fail_task_and_job;
+use crate::jobs::versions::replace_lost;
 use crate::leases::overdue::look_at_running;
 use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
 use crate::living;
@@ -31,13 +32,14 @@ pub struct Swept {
 
 impl Store {
     /// Takes back the tasks of expired leases, looks at those that take too long, updates overdue estimates,
-    /// and deletes records past their time.
+    /// replaces versions of our renderer that no node has any more, and deletes records past their time.
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
         look_at_running(&mut write, now).await?;
         stop_after_windows(&mut write, now).await?;
         living::catch_up(&mut write, now).await?;
+        replace_lost(&mut write, self.up_since(), now).await?;
         forget_old(&mut write, now).await?;
         forget_old_progress(&mut write, now).await?;
         forget_ended_sessions(&mut write, now).await?;

@@ -48,7 +48,7 @@ pub(crate) async fn unattended(
     now: Timestamp,
 ) -> Result<Unattended> {
     let jobs = sqlx::query!(
-        "SELECT j.id, j.renderer FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
+        "SELECT j.id, j.renderer, j.rendered_by FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
          AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"
     )
     .fetch_all(&mut *connection)
@@ -61,7 +61,8 @@ pub(crate) async fn unattended(
     let nodes: Vec<Node> = nodes.into_iter().map(|node| as_it_is(node, ttl, now)).collect();
     let why = |job: &Option<RendererRequest>| why_nobody_works(&nodes, job.as_ref());
     let jobs = jobs.into_iter().filter_map(|job| {
-        let renderer = job.renderer.map(|it| it.0);
+        let own = || job.rendered_by.map(|it| RendererRequest::own(&it.0.version));
+        let renderer = job.renderer.map(|it| it.0).or_else(own);
         Some((JobId::from(job.id), why(&renderer)?))
     });
     Ok(Unattended { jobs: jobs.collect() })

@@ -3,21 +3,32 @@
 use forelight_protocol::{Booking, JobId, JobVerdict, Plan, PlanId, PlanSummary};
 use sqlx::SqliteConnection;
 
-use crate::columns::{Id, corrupt};
+use crate::columns::{Id, Json, corrupt};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::shared_cache::parts;
 
 impl Store {
-    /// The plans, newest first, after the one that `before` names, at most `limit`.
-    pub async fn plans(&self, before: Option<PlanId>, limit: u32) -> Result<Vec<PlanSummary>> {
+    /// The plans, newest first, after the one that `before` names, at most `limit`. If `projects` are given: the
+    /// plans that book a job of these, with the number of such bookings.
+    pub async fn plans(
+        &self,
+        before: Option<PlanId>,
+        limit: u32,
+        projects: Option<&[String]>,
+    ) -> Result<Vec<PlanSummary>> {
         let rows = sqlx::query!(
             r#"SELECT p.id, p.parent_id, p.reason, p.causes, p.created_at,
-                      (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id) AS "bookings!: u64" FROM plans p
+                      (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id AND (?3 IS NULL OR b.job_id IN
+                       (SELECT id FROM jobs WHERE project IN (SELECT value FROM json_each(?3))))) AS "bookings!: u64"
+               FROM plans p
                WHERE p.rowid < coalesce((SELECT rowid FROM plans WHERE id = ?1), 9223372036854775807)
+               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM bookings b JOIN jobs j ON j.id = b.job_id
+                    WHERE b.plan_id = p.id AND j.project IN (SELECT value FROM json_each(?3))))
                ORDER BY p.rowid DESC LIMIT ?2"#,
             before.map(|plan| plan.0),
-            limit
+            limit,
+            projects.map(Json)
         )
         .fetch_all(self.readers())
         .await?;

@@ -5,6 +5,7 @@ use forelight_protocol::{AuditAction, JobId, LeftOutJob, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::audit::{Deed, note, note_only};
+use crate::columns::Json;
 use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::jobs;
@@ -49,11 +50,16 @@ impl Store {
     }
 }
 
-/// The jobs that are out of the record, the newest first.
-pub(crate) async fn list(connection: &mut SqliteConnection) -> Result<Vec<LeftOutJob>> {
+/// The jobs that are out of the record, the newest first; those of `projects`, if they are given.
+pub(crate) async fn list(
+    connection: &mut SqliteConnection,
+    projects: Option<&[String]>,
+) -> Result<Vec<LeftOutJob>> {
     let rows = sqlx::query!(
         "SELECT o.job_id, j.name, o.reason, o.at FROM left_out_jobs o JOIN jobs j ON j.id = o.job_id \
-         ORDER BY o.at DESC, o.job_id DESC LIMIT ?",
+         WHERE ?1 IS NULL OR j.project IN (SELECT value FROM json_each(?1)) \
+         ORDER BY o.at DESC, o.job_id DESC LIMIT ?2",
+        projects.map(Json),
         SHOWN
     )
     .fetch_all(connection)

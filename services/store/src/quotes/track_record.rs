@@ -7,7 +7,7 @@ use forelight_protocol::{
 };
 use sqlx::{SqliteConnection, query, query_as};
 
-use crate::columns::Time;
+use crate::columns::{Json, Time};
 use crate::database::Store;
 use crate::error::Result;
 use crate::quotes::left_out;
@@ -80,8 +80,9 @@ pub struct FinishedJob {
 }
 
 impl Store {
-    /// The newest finished jobs, at most `limit`, the oldest of them first.
-    pub async fn finished_jobs(&self, limit: u32) -> Result<Vec<FinishedJob>> {
+    /// The newest finished jobs, at most `limit`, the oldest of them first; those of `projects`, if they are
+    /// given.
+    pub async fn finished_jobs(&self, limit: u32, projects: Option<&[String]>) -> Result<Vec<FinishedJob>> {
         Ok(of_finished_jobs!(
             query_as!(
                 FinishedJob,
@@ -89,7 +90,9 @@ impl Store {
                  work_mean / nullif(actual_work, 0) - 1 AS \"work_error?: f64\", \
                  cpu_mean / nullif(actual_cpu, 0) - 1 AS \"cpu_error?: f64\" FROM (" +
             ),
-            "ORDER BY j.finished_at DESC, j.id DESC LIMIT ?) ORDER BY finished_at, job_id",
+            "AND (?1 IS NULL OR j.project IN (SELECT value FROM json_each(?1))) \
+             ORDER BY j.finished_at DESC, j.id DESC LIMIT ?2) ORDER BY finished_at, job_id",
+            projects.map(Json),
             limit
         )
         .fetch_all(self.readers())
@@ -97,14 +100,15 @@ impl Store {
     }
 
     /// The record over all finished frames, and the frames that finished before `before` (a place in the
-    /// order of time, job and frame), newest first, at most `limit`.
+    /// order of time, job and frame), newest first, at most `limit`. Only of `projects`, if they are given.
     pub async fn track_record(
         &self,
         before: Option<(Timestamp, JobId, u32)>,
         limit: u32,
+        projects: Option<&[String]>,
     ) -> Result<TrackRecord> {
         let mut transaction = self.read().await?;
-        let mut record = totals(&mut transaction).await?;
+        let mut record = totals(&mut transaction, projects).await?;
         let (at, job, frame) = before.map_or((i64::MAX, uuid::Uuid::max(), i64::MAX), |(at, job, frame)| {
             (at.micros(), job.0, i64::from(frame))
         });
@@ -114,8 +118,10 @@ impl Store {
                       cpu_mean AS "cpu_mean!", cpu_p50 AS "cpu_p50!", cpu_p80 AS "cpu_p80!",
                       cpu_p95 AS "cpu_p95!", actual_work AS "actual_work!", actual_cpu AS "actual_cpu!"
                FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL
-                    AND job_id NOT IN (SELECT job_id FROM left_out_jobs) AND (finished_at, job_id, frame) < (?, ?, ?)
-               ORDER BY finished_at DESC, job_id DESC, frame DESC LIMIT ?"#,
+                    AND job_id NOT IN (SELECT job_id FROM left_out_jobs) AND (finished_at, job_id, frame) < (?2, ?3, ?4)
+                    AND (?1 IS NULL OR job_id IN (SELECT id FROM jobs WHERE project IN (SELECT value FROM json_each(?1))))
+               ORDER BY finished_at DESC, job_id DESC, frame DESC LIMIT ?5"#,
+            projects.map(Json),
             at,
             job,
             frame,
@@ -123,8 +129,8 @@ impl Store {
         )
         .fetch_all(&mut *transaction)
         .await?;
-        record.kinds = kinds(&mut transaction).await?;
-        record.left_out = left_out::list(&mut transaction).await?;
+        record.kinds = kinds(&mut transaction, projects).await?;
+        record.left_out = left_out::list(&mut transaction, projects).await?;
         record.items = rows
             .into_iter()
             .map(|row| TrackRecordRow {
@@ -146,12 +152,16 @@ fn quantiles([mean, p50, p80, p95]: [f64; 4]) -> Quantiles {
 }
 
 /// The record over all finished frames, without any of them.
-pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRecord> {
+pub(crate) async fn totals(
+    connection: &mut SqliteConnection,
+    projects: Option<&[String]>,
+) -> Result<TrackRecord> {
     let row = coverage_rows!(
         "sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
          sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
         "FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL \
-         AND job_id NOT IN (SELECT job_id FROM left_out_jobs)"
+         AND job_id NOT IN (SELECT job_id FROM left_out_jobs) AND (?1 IS NULL OR job_id IN (SELECT id FROM jobs WHERE project IN (SELECT value FROM json_each(?1))))",
+        projects.map(Json)
     )
     .fetch_one(connection)
     .await?;
@@ -172,13 +182,18 @@ pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRec
     })
 }
 
-async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>> {
+async fn kinds(
+    connection: &mut SqliteConnection,
+    projects: Option<&[String]>,
+) -> Result<Vec<TrackRecordKind>> {
     let of_frames = coverage_rows!(
         "q.renderer AS \"renderer?\", q.feature_class AS \"feature_class?\", \
          coalesce(json_extract(j.forecast, '$.calibrated'), 0) AS \"calibrated!: bool\"",
         "FROM frames f JOIN jobs j ON j.id = f.job_id LEFT JOIN quotes q ON q.job_id = f.job_id \
          WHERE f.finished_at IS NOT NULL AND f.forecast IS NOT NULL \
-         AND f.job_id NOT IN (SELECT job_id FROM left_out_jobs) GROUP BY 1, 2, 3"
+         AND f.job_id NOT IN (SELECT job_id FROM left_out_jobs) \
+         AND (?1 IS NULL OR j.project IN (SELECT value FROM json_each(?1))) GROUP BY 1, 2, 3",
+        projects.map(Json)
     )
     .fetch_all(&mut *connection)
     .await?;
@@ -188,7 +203,9 @@ async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>
              coalesce(d.calibrated, 0) AS \"calibrated!: bool\"",
             "FROM (" +
         ),
-        ") d LEFT JOIN quotes q ON q.job_id = d.job_id GROUP BY 1, 2, 3"
+        "AND (?1 IS NULL OR j.project IN (SELECT value FROM json_each(?1)))) d \
+         LEFT JOIN quotes q ON q.job_id = d.job_id GROUP BY 1, 2, 3",
+        projects.map(Json)
     )
     .fetch_all(connection)
     .await?;

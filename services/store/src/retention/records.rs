@@ -1,7 +1,8 @@
-//! Deletes lines of logs, events, plans and scenes that are past their time.
+//! Deletes lines of logs, events, plans, scenes and entries of the audit that are past their time.
 
-use forelight_protocol::{RetentionKind, Timestamp};
+use forelight_protocol::{AuditAction, RetentionKind, Timestamp};
 
+use crate::audit::{Deed, note};
 use crate::database::Store;
 use crate::error::Result;
 use crate::policy::retention::Rules;
@@ -28,7 +29,7 @@ macro_rules! delete_in_slices {
 }
 
 impl Store {
-    /// Deletes logs, events or plans. Returns how many.
+    /// Deletes logs, events, plans or entries of the audit. Returns how many.
     pub(super) async fn prune_records(
         &self,
         kind: RetentionKind,
@@ -42,6 +43,8 @@ impl Store {
             (RetentionKind::Logs, false) => self.prune_logs(cut).await,
             (RetentionKind::Events, true) => self.count_events(cut).await,
             (RetentionKind::Events, false) => self.prune_events(cut).await,
+            (RetentionKind::Audit, true) => self.count_audit(cut).await,
+            (RetentionKind::Audit, false) => self.prune_audit(cut, now).await,
             (_, true) => Ok(self.past_plans(cut).await?.len() as u64),
             (_, false) => self.prune_plans(cut).await,
         }
@@ -62,6 +65,29 @@ impl Store {
              (SELECT task_id, fence, number FROM task_logs WHERE at < ? ORDER BY at LIMIT ?)",
             cut.micros()
         )
+    }
+
+    async fn count_audit(&self, cut: Timestamp) -> Result<u64> {
+        let number =
+            sqlx::query_scalar!(r#"SELECT count(*) AS "number!: u64" FROM audit WHERE at < ?"#, cut.micros());
+        Ok(number.fetch_one(self.readers()).await?)
+    }
+
+    /// Deletes old entries of the audit. An entry says that, so that a gap is never silent.
+    async fn prune_audit(&self, cut: Timestamp, now: Timestamp) -> Result<u64> {
+        let deleted: Result<u64> = delete_in_slices!(
+            self,
+            "DELETE FROM audit WHERE id IN (SELECT id FROM audit WHERE at < ? ORDER BY at LIMIT ?)",
+            cut.micros()
+        );
+        let deleted = deleted?;
+        if deleted > 0 {
+            let mut write = self.write().await?;
+            let detail = serde_json::json!({"entries": deleted, "before": cut});
+            note(&mut write, Deed::new(AuditAction::AuditPruned, "audit"), Some(&detail), now);
+            self.commit(write).await?;
+        }
+        Ok(deleted)
     }
 
     /// The first event that stays, if any is older. Events are numbered in the order of time.

@@ -105,7 +105,7 @@ async fn the_track_record_holds_kinds_apart_and_counts_whole_jobs_too() {
     farm.booked_job(request("5"), node.id, at(10)).await;
     let lease = farm.claim(node.id, at(30)).await.unwrap();
     farm.commit(&lease, at(31)).await;
-    let kinds = farm.store.track_record(None, 1).await.unwrap().kinds;
+    let kinds = farm.store.track_record(None, 1, None).await.unwrap().kinds;
     let [unknown, known] = &kinds[..] else { panic!("{kinds:?}") };
     assert_eq!((&unknown.renderer, unknown.frames.count, unknown.jobs.count), (&None, 1, 1));
     assert_eq!(
@@ -117,9 +117,9 @@ async fn the_track_record_holds_kinds_apart_and_counts_whole_jobs_too() {
     let hits = |p80, p95| forelight_protocol::QuantileHits { p50: 0, p80, p95 };
     assert_eq!((known.frames.count, known.frames.work_hits), (4, hits(2, 4)));
     assert_eq!((known.jobs.count, known.jobs.work_hits), (2, hits(0, 2)));
-    let errors = farm.store.finished_jobs(10).await.unwrap();
+    let errors = farm.store.finished_jobs(10, None).await.unwrap();
     assert_eq!(errors.len(), 3);
     assert!(errors.iter().all(|job| !job.calibrated));
     assert!((errors[0].work_error.unwrap() + 0.1).abs() < 1e-12, "{errors:?}");
-    assert_eq!(farm.store.finished_jobs(1).await.unwrap(), errors[2..]);
+    assert_eq!(farm.store.finished_jobs(1, None).await.unwrap(), errors[2..]);
 }

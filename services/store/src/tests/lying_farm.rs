@@ -160,7 +160,7 @@ async fn with_one_node_in_four_lying_at_random_every_frame_is_there_once_and_rig
             // A lie that nobody but itself put right is not known.
             assert!(lies <= FAULTS as usize + 1 || aside.contains(node), "{seed}: {lies} lies");
         }
-        assert_eq!(farm.store.track_record(None, 1).await.unwrap().frames, u64::from(FRAMES));
+        assert_eq!(farm.store.track_record(None, 1, None).await.unwrap().frames, u64::from(FRAMES));
         caught += aside.len();
     }
     assert!(caught >= 5, "{caught} of 9 liars were set aside");

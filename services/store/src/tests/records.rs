@@ -34,7 +34,7 @@ async fn the_track_record_counts_hits_of_each_quantile() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let job = farm.booked_job(request("0-2"), node.id, at(10)).await;
-    assert_eq!(farm.store.track_record(None, 10).await.unwrap().work_mean_absolute_error, None);
+    assert_eq!(farm.store.track_record(None, 10, None).await.unwrap().work_mean_absolute_error, None);
     for work in [900, 1000, 1200] {
         let lease = farm.claim(node.id, at(12)).await.unwrap();
         let TaskResult::Render(mut render) = farm.result_for(&lease).await else { panic!() };
@@ -45,7 +45,7 @@ async fn the_track_record_counts_hits_of_each_quantile() {
             .await
             .unwrap();
     }
-    let record = farm.store.track_record(None, 2).await.unwrap();
+    let record = farm.store.track_record(None, 2, None).await.unwrap();
     assert_eq!((record.frames, record.work_hits), (3, QuantileHits { p50: 1, p80: 2, p95: 2 }));
     assert_eq!(record.cpu_hits, QuantileHits { p50: 0, p80: 0, p95: 3 });
     let error = record.work_mean_absolute_error.unwrap();
@@ -53,7 +53,7 @@ async fn the_track_record_counts_hits_of_each_quantile() {
     assert!((record.work_bias.unwrap() - (2700.0 / 3100.0 - 1.0)).abs() < 1e-12);
     assert_eq!(record.items.iter().map(|row| row.frame).collect::<Vec<_>>(), [2, 1]);
     let last = &record.items[1];
-    let next = farm.store.track_record(Some((last.finished, job, last.frame)), 2).await.unwrap();
+    let next = farm.store.track_record(Some((last.finished, job, last.frame)), 2, None).await.unwrap();
     assert_eq!(next.items.iter().map(|row| row.frame).collect::<Vec<_>>(), [0]);
 }
 

@@ -1,9 +1,11 @@
 //! What is deleted with time, and what stays.
 
-use forelight_protocol::{Money, PrunedKind, RetentionKind, RetentionRule};
+use forelight_protocol::{
+    AuditAction, Money, ProjectRequest, Pruned, PrunedKind, RetentionKind, RetentionRule,
+};
 
 use super::*;
-use crate::StoreError;
+use crate::{AuditFilter, StoreError};
 
 const DAY: i64 = 86_400;
 
@@ -193,4 +195,27 @@ async fn old_plans_go_and_the_newest_and_those_of_jobs_stay() {
     assert!(matches!(farm.store.plan(first).await, Err(StoreError::NotFound(_))));
     assert_eq!(farm.store.plan(second).await.unwrap().parent_id, None);
     assert!(pruned.items.contains(&PrunedKind { kind: RetentionKind::Scenes, number: 0, bytes: 0 }));
+}
+
+#[tokio::test]
+async fn old_entries_of_the_audit_go_and_an_entry_says_so() {
+    let farm = Farm::new().await;
+    farm.store.set_share(&ProjectRequest { project: "film".to_owned(), share: 2 }, at(0)).await.unwrap();
+    farm.store
+        .set_share(&ProjectRequest { project: "film".to_owned(), share: 3 }, at(20 * DAY))
+        .await
+        .unwrap();
+    let rule = RetentionRule { project: None, kind: RetentionKind::Audit, days: Some(10) };
+    farm.store.set_retention(&rule, at(20 * DAY)).await.unwrap();
+    let number =
+        |pruned: Pruned| pruned.items.iter().find(|item| item.kind == RetentionKind::Audit).unwrap().number;
+    assert_eq!(number(farm.store.prune(true, at(25 * DAY)).await.unwrap()), 1);
+    assert_eq!(number(farm.store.prune(false, at(25 * DAY)).await.unwrap()), 1);
+    let entries = farm.store.audit(&AuditFilter::default(), None, 10).await.unwrap();
+    let actions: Vec<AuditAction> = entries.iter().map(|entry| entry.action).collect();
+    assert_eq!(actions, [AuditAction::AuditPruned, AuditAction::RetentionSet, AuditAction::ProjectSet]);
+    assert_eq!(entries[0].detail.as_ref().unwrap()["entries"], 1);
+    // A round without anything to delete says nothing.
+    farm.store.prune(false, at(26 * DAY)).await.unwrap();
+    assert_eq!(farm.store.audit(&AuditFilter::default(), None, 10).await.unwrap().len(), 3);
 }

@@ -236,7 +236,7 @@ async fn a_forged_result_is_refused_held_against_its_node_and_the_task_is_done_e
         }
     }
     assert!(!farm.is_set_aside(honest.id).await);
-    assert_eq!(farm.store.track_record(None, 10).await.unwrap().frames, 5);
+    assert_eq!(farm.store.track_record(None, 10, None).await.unwrap().frames, 5);
 }
 
 #[tokio::test]
@@ -299,13 +299,13 @@ async fn a_job_that_an_operator_leaves_out_is_in_no_number_of_the_record_until_i
         let lease = farm.claim(node.id, at(second)).await.unwrap();
         farm.commit(&lease, at(second)).await;
     }
-    let record = async || farm.store.track_record(None, 10).await.unwrap();
+    let record = async || farm.store.track_record(None, 10, None).await.unwrap();
     assert_eq!(record().await.frames, 2);
     farm.store.leave_out(job, "the node lied", at(5)).await.unwrap();
     let without = record().await;
     assert_eq!((without.frames, without.items.len(), without.kinds.len()), (0, 0, 0));
     assert_eq!(without.left_out[0].reason, "the node lied");
-    assert!(farm.store.finished_jobs(10).await.unwrap().is_empty());
+    assert!(farm.store.finished_jobs(10, None).await.unwrap().is_empty());
     farm.store.leave_out(job, "the node lied about its times", at(6)).await.unwrap();
     assert_eq!(record().await.left_out[0].reason, "the node lied about its times");
     farm.store.put_back(job, at(7)).await.unwrap();

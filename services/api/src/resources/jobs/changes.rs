@@ -2,7 +2,7 @@
 
 use axum::Json;
 use axum::extract::State;
-use forelight_protocol::{AcceptRequest, FrameSet, FramesRequest, Job, JobChange, JobId};
+use forelight_protocol::{AcceptRequest, FrameSet, FramesRequest, Job, JobChange, JobId, ProblemKind};
 
 use super::request_checks::check_terms;
 use crate::error::{ApiError, ApiResult, Problems};
@@ -79,7 +79,10 @@ async fn check_frames(app: &App, job: JobId, frames: &FrameSet) -> ApiResult<()>
         return Err(ApiError::invalid("/frames", reason));
     }
     match frames.iter().find(|&frame| !known.contains(frame)) {
-        Some(frame) => Err(ApiError::invalid("/frames", format!("the job has no frame {frame}"))),
+        Some(frame) => {
+            let reason = format!("the job has no frame {frame}");
+            Err(ApiError::new(ProblemKind::NotFound, reason).at("/frames"))
+        }
         None => Ok(()),
     }
 }

@@ -2,7 +2,8 @@
 
 use forelight_protocol::{
     BadSetting, BundleSource, CacheMode, CacheSharing, Division, JobRequest, JobSettings, Ladders,
-    MOST_PARTS, Money, PartCount, RenderSettings, RenderSettingsRequest, SceneSummary, Timestamp,
+    MOST_PARTS, Money, OWN_RENDERER, PartCount, RenderSettings, RenderSettingsRequest, SceneSummary,
+    Timestamp,
 };
 use forelight_store::tokens::Principal;
 use forelight_store::{NewJob, StoreError};
@@ -51,6 +52,10 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
         renderer
             .check()
             .map_err(|(field, reason)| ApiError::invalid(format!("/renderer/{field}"), reason))?;
+        if renderer.name == OWN_RENDERER {
+            let reason = "forelight's own renderer is used where none is named: leave out `renderer`";
+            return Err(ApiError::invalid("/renderer/name", reason));
+        }
         return other_renderer(app, caller, request).await;
     }
     check_settings(&request.settings)?;

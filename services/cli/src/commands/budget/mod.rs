@@ -152,7 +152,7 @@ async fn forecast(args: Args) -> Result<()> {
     let found = match &args.place.database {
         Some(folder) => {
             let store = open(folder).await?;
-            let found = forelight_api::budget_forecast(&store, &request, Timestamp::now()).await;
+            let found = forelight_api::budget_forecast(&store, &request, None, Timestamp::now()).await;
             store.close().await;
             found.map_err(|error| match error {
                 forelight_api::BudgetForecastError::Invalid { .. } => {

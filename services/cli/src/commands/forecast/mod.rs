@@ -6,6 +6,7 @@ mod sharing;
 use super::{calibrate, explain, foreign};
 use crate::caches;
 use crate::job_options::png_file;
+use crate::storage::stored;
 use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
@@ -328,6 +329,7 @@ fn report(quote: &ForecastDoc) -> String {
             .as_ref()
             .and_then(|cache| cache.shared_cache.as_ref())
             .map_or_else(String::new, |shared| caches::shared(shared) + "\n")
+        + &quote.storage.as_ref().map_or_else(String::new, stored)
         + &on_others(&quote.cpu_seconds_on)
 }
 

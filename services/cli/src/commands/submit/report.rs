@@ -1,6 +1,7 @@
 //! Forecasts beside what was measured, frame by frame.
 
 use crate::caches;
+use crate::storage::stored;
 use forelight_protocol::{
     AllottedStats, AnswersDoc, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut,
     Timestamp, Verdict,
@@ -166,6 +167,9 @@ fn quote(job: &Job, quote: &ForecastDoc) -> String {
         text += &format!("; costs {} (P50), {} (P80)", money(cost.p50.0), money(cost.p80.0));
     }
     text += "\n";
+    if let Some(storage) = &quote.storage {
+        text += &stored(storage);
+    }
     if let Some(cache) = &quote.cache {
         text += &made_caches(cache, job);
     }

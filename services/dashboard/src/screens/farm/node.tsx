@@ -100,8 +100,9 @@ function NodeFacts(props: { node: Node }) {
         )}
         {what?.processor && <Fact name="Processor">{clean(what.processor)}</Fact>}
         {what?.vulkan_adapter && <Fact name="Previews by">{clean(what.vulkan_adapter)}</Fact>}
+        {what?.version && <Fact name="Version of its worker">{clean(what.version)}</Fact>}
         {(what?.renderers?.length ?? 0) > 0 && (
-          <Fact name="Other renderers">
+          <Fact name="Renderers">
             {what!.renderers!.map((one) => `${one.name} ${one.version}`).join(", ")}
           </Fact>
         )}

@@ -7,7 +7,7 @@ import type { AnswersDoc, Explanation, ForecastDoc, Job } from "../../api/types"
 import { onEvent } from "../../state/live";
 import { go, href, param } from "../../state/route";
 import { AxisHead, axisFor, Fan, slackWords, spreadWords } from "../../ui/fan";
-import { clean, counted, cpuTime, instant, maybeInstant, percent, words, work } from "../../ui/format";
+import { bytes, clean, counted, cpuTime, instant, maybeInstant, percent, words, work } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Money, Prose, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
@@ -248,6 +248,8 @@ function Numbers(props: { quote: ForecastDoc }) {
         {quote.calibrated
           ? "The quantiles are calibrated on past jobs."
           : "The quantiles rest on sampling alone: too few jobs are finished to calibrate them."}
+        {quote.storage &&
+          ` Until it is deleted, it takes ${bytes(quote.storage.file_bytes)} of files and ${bytes(quote.storage.database_bytes)} of the database.`}
         {(quote.effects?.length ?? 0) > 0 && ` Effects: ${quote.effects!.map(words).join(", ")}.`}
       </p>
     </Section>

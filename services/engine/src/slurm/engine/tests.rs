@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use forelight_protocol::{
     BundleSource, EventKind, Job, JobId, JobRequest, JobState, Money, NodeChange, NodeId, NodeRegistration,
-    SceneDigest, SceneSummary, TaskId,
+    RenewRequest, SceneDigest, SceneSummary, TaskId,
 };
 use forelight_store::{Answered, NewJob};
 
@@ -403,4 +403,32 @@ async fn what_waits_for_a_reason_that_will_not_pass_by_itself_is_told_once() {
     farm.round(5).await;
     farm.round(10).await;
     assert_eq!(farm.told(EventKind::EngineState).await, ["Slurm keeps job 100 waiting: PartitionTimeLimit"]);
+}
+
+#[tokio::test]
+async fn a_task_that_makes_no_progress_is_submitted_again_for_another_node_beside_the_first() {
+    let mut farm = Farm::new().await;
+    farm.job().await;
+    farm.round(0).await;
+    let task = farm.only_task().await;
+    let [hangs, helps] = [farm.node("n1").await, farm.node("n2").await];
+    let ttl = Duration::from_secs(30);
+    let claimed = farm.store.claim_task(hangs, task, ttl, None, at(10)).await.unwrap();
+    let Some(Answered::Fresh(lease)) = claimed else { panic!("the task is ready") };
+    farm.slurm.all("RUNNING");
+    // It renews its lease, and does nothing for twenty minutes.
+    for step in 1..=64 {
+        let now = at(10 + 20 * step);
+        let renewal = RenewRequest { fence: lease.fence, ..RenewRequest::default() };
+        farm.store.renew(lease.lease_id, &renewal, ttl, now).await.unwrap();
+        farm.store.sweep(now).await.unwrap();
+        farm.round(10 + 20 * step).await;
+    }
+    let submitted = farm.slurm.said("sbatch");
+    assert_eq!(submitted.len(), 2, "once for each attempt: {submitted:?}");
+    assert!(submitted[1].iter().any(|word| word == "--exclude=n1"), "{:?}", submitted[1]);
+    assert!(!farm.lease(task, hangs, 1300).await, "it has the task already");
+    assert!(farm.lease(task, helps, 1300).await);
+    farm.round(1310).await;
+    assert_eq!(farm.slurm.said("sbatch").len(), 2);
 }

@@ -19,7 +19,7 @@ use crate::error::{RenderError, ShotError};
 use crate::opening::OwnRenderer;
 use crate::profile::{count_frames, profile_frame};
 use crate::quote_options::QuoteOptions;
-use crate::render::pictures::{encoding_nanos, png, write_cost};
+use crate::render::pictures::{encoding_cost, png, write_cost};
 use crate::results::{preview_result, profile_result};
 use crate::shared_cache::profile_shared;
 use crate::shot::OwnShot;
@@ -99,7 +99,7 @@ fn profile(
     let share = if spec.ladders { WITHOUT_LADDERS } else { 1.0 };
     let reporting = Reporting { control, from: 0.0, to: share };
     let mut profiled = profile_frame(shot, spec.frame, settings, &options, &reporting)?;
-    let encoding = encoding_nanos(&profiled)?;
+    let (encoding, file_bytes) = encoding_cost(&profiled)?;
     profiled.fixed.write = write_cost(encoding, profiled.preview);
     let mut files = Files::default();
     let artifacts = ProfileArtifacts {
@@ -108,6 +108,7 @@ fn profile(
     };
     let mut result = profile_result(shot.info(), settings, &profiled, artifacts);
     result.spent.cpu_nanos += encoding;
+    result.file_bytes = file_bytes;
     if spec.cache.is_some() {
         let cache = given::only_cache(assignment)?;
         profile_shared(shot, &profiled, settings, &options, cache)

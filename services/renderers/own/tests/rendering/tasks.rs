@@ -80,6 +80,21 @@ fn a_profiled_pixel_is_a_finished_pixel() {
 }
 
 #[test]
+fn a_profile_says_how_many_bytes_the_files_of_its_frame_will_have() {
+    let mut rig = Rig::new();
+    (rig.settings.width, rig.settings.height) = (160, 120);
+    let profiled = rig.run(rig.profile_spec(1), None).unwrap();
+    let TaskResult::Profile(profile) = &profiled.result else { panic!() };
+    let rendered = rig.run(rig.render_spec(1), None).unwrap();
+    // The preview is a file of the profile.
+    let preview = profiled.artifacts.last().unwrap().len();
+    let files = rendered.artifacts.iter().map(bytes::Bytes::len).sum::<usize>() + preview;
+    let error = profile.file_bytes.unwrap() as f64 / files as f64 - 1.0;
+    println!("{:?} bytes forecast, {files} made: {:+.1} %", profile.file_bytes, 100.0 * error);
+    assert!(error.abs() < 0.25, "{error}");
+}
+
+#[test]
 fn a_profile_that_is_asked_for_ladders_lays_them_out_beside_the_same_pixels() {
     // Each by a worker that has not seen the scene before.
     let profile = |ladders| {

@@ -24,6 +24,9 @@ pub(super) fn check(spec: &ProfileSpec, settings: &RenderSettings, result: &Prof
     if result.renderer.as_ref().is_some_and(|name| !(1..=200).contains(&name.chars().count())) {
         return wrong(format!("{AT}/renderer"), "a renderer's name has 1 to 200 characters");
     }
+    if result.file_bytes.is_some_and(|bytes| bytes > 1 << 40) {
+        return wrong(format!("{AT}/file_bytes"), "the files of a frame have at most 2⁴⁰ bytes");
+    }
     let fixed = &result.fixed;
     for (name, cost) in
         [("load", fixed.load), ("build", fixed.build), ("plan", fixed.plan), ("write", fixed.write)]

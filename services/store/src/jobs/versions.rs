@@ -1,0 +1,105 @@
+//! Keeps a job with one version of our own renderer: see [`crate::policy::versions`].
+
+use forelight_protocol::{Event, EventKind, JobId, Node, RenderedBy, RendererRequest, Timestamp};
+
+use crate::columns::Json;
+use crate::database::Write;
+use crate::error::Result;
+use crate::events::{append, event};
+use crate::nodes;
+use crate::plans::replans;
+use crate::policy::versions::{is_left, version_to_use, words};
+use crate::writing::run;
+
+/// Chooses the version that renders a job of our own renderer, when it is previewed.
+pub(crate) async fn choose(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    let nodes = nodes::list(write.connection().await?, None, u32::MAX).await?;
+    let Some(version) = version_to_use(&nodes, now) else { return Ok(()) };
+    run!(
+        write,
+        "UPDATE jobs SET rendered_by = ? WHERE id = ?",
+        Json(&RenderedBy { version, mixed: None }),
+        job.0
+    );
+    Ok(())
+}
+
+/// Gives jobs another version if no node has theirs any more. Silence counts from the start of the service.
+pub(crate) async fn replace_lost(write: &mut Write, up_since: Timestamp, now: Timestamp) -> Result<()> {
+    // Jobs are read only if a version has no node that was heard of lately, which is rare.
+    let suspects = sqlx::query_scalar!(
+        r#"SELECT EXISTS (SELECT 1 FROM jobs j
+               WHERE j.state IN ('previewing', 'profiling', 'quoted', 'booked', 'rendering') AND j.rendered_by IS NOT NULL
+               AND NOT EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) r
+                   WHERE r.value = 'forelight ' || (j.rendered_by ->> 'version') AND n.removed_at IS NULL
+                   AND NOT n.drain AND n.set_aside IS NULL AND n.last_seen_at >= ?)) AS "some!: bool""#,
+        now.plus_micros(-nodes::LOST).micros()
+    )
+    .fetch_one(write.connection().await?)
+    .await?;
+    if !suspects {
+        return Ok(());
+    }
+    let nodes = nodes::list(write.connection().await?, None, u32::MAX).await?;
+    let heard = |node: Node| Node { last_seen_at: node.last_seen_at.max(up_since), ..node };
+    let nodes: Vec<Node> = nodes.into_iter().map(heard).collect();
+    let Some(version) = version_to_use(&nodes, now) else { return Ok(()) };
+    let jobs = sqlx::query!(
+        r#"SELECT j.id, j.name, j.rendered_by AS "rendered_by!", EXISTS (SELECT 1 FROM tasks t
+                  WHERE t.job_id = j.id AND t.state = 'done' AND t.kind <> 'preview') AS "has_begun!: bool"
+           FROM jobs j WHERE j.state IN ('previewing', 'profiling', 'quoted', 'booked', 'rendering')
+           AND j.rendered_by IS NOT NULL ORDER BY j.id"#
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    for row in jobs {
+        let before = row.rendered_by.0;
+        if is_left(&nodes, &before.version, now) {
+            continue;
+        }
+        let job = (JobId::from(row.id), row.name.as_str());
+        let why = format!("no node has {} any more", RendererRequest::own(&before.version));
+        replace(write, job, (before, row.has_begun), (&version, &why), now).await?;
+    }
+    Ok(())
+}
+
+/// A process that was started for exactly one task does it with the version that its node has. So it is under Slurm,
+/// where machines usually share one program. The job goes on with that version, and says so, once.
+pub(crate) async fn note_other(write: &mut Write, job: JobId, node: &Node, now: Timestamp) -> Result<()> {
+    let Some(version) = node.own_version() else { return Ok(()) };
+    let row = sqlx::query!(
+        r#"SELECT j.name, j.rendered_by AS "rendered_by!", EXISTS (SELECT 1 FROM tasks t
+                  WHERE t.job_id = j.id AND t.state = 'done' AND t.kind <> 'preview') AS "has_begun!: bool"
+           FROM jobs j WHERE j.id = ? AND j.rendered_by ->> 'version' <> ? AND j.rendered_by ->> 'mixed' IS NULL"#,
+        job.0,
+        version
+    )
+    .fetch_optional(write.connection().await?)
+    .await?;
+    let Some(row) = row else { return Ok(()) };
+    let new = RendererRequest::own(version);
+    let why = format!("a process was started for one of its tasks on {}, which has {new}", node.name);
+    replace(write, (job, &row.name), (row.rendered_by.0, row.has_begun), (version, &why), now).await
+}
+
+/// Has a job rendered by another version from now on, and says so.
+async fn replace(
+    write: &mut Write,
+    (job, name): (JobId, &str),
+    (before, has_begun): (RenderedBy, bool),
+    (version, why): (&str, &str),
+    now: Timestamp,
+) -> Result<()> {
+    let [old, new] = [&before.version, version].map(|version| RendererRequest::own(version).to_string());
+    let mixed = if has_begun { Some(words(&old, &new, why, now)) } else { before.mixed };
+    let after = RenderedBy { version: version.to_owned(), mixed };
+    run!(write, "UPDATE jobs SET rendered_by = ? WHERE id = ?", Json(&after), job.0);
+    run!(write, "UPDATE tasks SET renderer = ? WHERE job_id = ? AND renderer = ?", new, job.0, old);
+    let message = after.mixed.unwrap_or_else(|| format!("{why}; {new} renders it"));
+    let changed = Event { job_id: Some(job), ..event(EventKind::JobChanged, now) };
+    append(write, Event { message: Some(message), ..changed });
+    replans::want(write, &format!("job {name} is rendered by {new}")).await?;
+    write.made_work = true;
+    Ok(())
+}

@@ -1,0 +1,189 @@
+//! How much projects and tokens may take: bytes of files, and open jobs.
+//!
+//! Open jobs are counted in the write that adds one. Bytes are those that exist when something is asked for: a job
+//! that has begun is never broken off for a quota.
+
+use forelight_protocol::{AuditAction, Quota, QuotaRequest, Timestamp};
+
+use crate::audit::{Deed, note};
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
+use crate::writing::run;
+
+/// Whose quota it is.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum QuotaOf<'a> {
+    /// A project's.
+    Project(&'a str),
+    /// That of everybody who has a token of this name.
+    Token(&'a str),
+}
+
+impl QuotaOf<'_> {
+    fn kind(self) -> &'static str {
+        match self {
+            QuotaOf::Project(_) => "project",
+            QuotaOf::Token(_) => "token",
+        }
+    }
+
+    fn name(&self) -> &str {
+        match self {
+            QuotaOf::Project(name) | QuotaOf::Token(name) => name,
+        }
+    }
+
+    /// The error of a quota that is used up.
+    fn exceeded(self, what: String, way_out: &str) -> StoreError {
+        let (kind, name) = (self.kind(), self.name());
+        let flag = match self {
+            QuotaOf::Project(_) => "project",
+            QuotaOf::Token(_) => "who",
+        };
+        StoreError::QuotaExceeded(format!(
+            "the {kind} {name} {what}: {way_out}, or ask an operator for more (`forelight quota --{flag} {name}`)"
+        ))
+    }
+}
+
+/// The number of open jobs that meet a condition.
+macro_rules! open_jobs {
+    ($connection:expr, $which:literal, $name:expr) => {
+        sqlx::query_scalar!(
+            "SELECT count(*) AS \"number!: u32\" FROM jobs \
+             WHERE state IN ('previewing', 'profiling', 'quoted', 'booked', 'rendering') AND "
+                + $which,
+            $name
+        )
+        .fetch_one($connection)
+        .await?
+    };
+}
+
+/// The bytes of the files of jobs and bundles that meet conditions. A file counts once.
+macro_rules! stored_bytes {
+    ($store:expr, $jobs:literal, $bundles:literal, $name:expr) => {
+        sqlx::query_scalar!(
+            "SELECT coalesce(sum(size), 0) AS \"bytes!: u64\" FROM artifacts WHERE hash IN \
+             (SELECT a.hash FROM jobs j JOIN tasks t ON t.job_id = j.id JOIN result_artifacts a ON a.task_id = t.id WHERE "
+                + $jobs
+                + " UNION SELECT b.hash FROM bundles b WHERE b.hash IS NOT NULL AND "
+                + $bundles
+                + ")",
+            $name
+        )
+        .fetch_one($store.readers())
+        .await?
+    };
+}
+
+impl Store {
+    /// Sets a quota, or removes it if it limits nothing.
+    pub async fn set_quota(&self, of: QuotaOf<'_>, quota: &QuotaRequest, now: Timestamp) -> Result<()> {
+        let mut write = self.write().await?;
+        run!(write, "DELETE FROM quotas WHERE kind = ? AND name = ?", of.kind(), of.name());
+        if quota.storage_bytes.is_some() || quota.open_jobs.is_some() {
+            run!(
+                write,
+                "INSERT INTO quotas (kind, name, storage_bytes, open_jobs, updated_at) VALUES (?, ?, ?, ?, ?)",
+                of.kind(),
+                of.name(),
+                quota.storage_bytes.map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)),
+                quota.open_jobs,
+                now.micros()
+            );
+        }
+        let deed = Deed::new(AuditAction::QuotaSet, of.name());
+        let deed = match of {
+            QuotaOf::Project(project) => deed.of_project(project),
+            QuotaOf::Token(_) => deed,
+        };
+        note(&mut write, deed, Some(quota), now);
+        self.commit(write).await
+    }
+
+    /// All quotas, and how much of each is used.
+    pub async fn quotas(&self) -> Result<Vec<Quota>> {
+        let rows = sqlx::query!(
+            r#"SELECT kind, name, storage_bytes AS "storage_bytes?: u64", open_jobs AS "open_jobs?: u32"
+               FROM quotas ORDER BY kind, name"#
+        )
+        .fetch_all(self.readers())
+        .await?;
+        let mut quotas = Vec::with_capacity(rows.len());
+        for row in rows {
+            let is_project = row.kind == "project";
+            let of = if is_project { QuotaOf::Project(&row.name) } else { QuotaOf::Token(&row.name) };
+            let (used_storage_bytes, used_open_jobs) =
+                (self.stored_bytes(of).await?, self.open_jobs_of(of).await?);
+            let limits = QuotaRequest {
+                storage_bytes: row.storage_bytes,
+                open_jobs: row.open_jobs,
+                ..QuotaRequest::default()
+            };
+            let quota = match is_project {
+                true => QuotaRequest { project: Some(row.name), ..limits },
+                false => QuotaRequest { token: Some(row.name), ..limits },
+            };
+            quotas.push(Quota { quota, used_storage_bytes, used_open_jobs });
+        }
+        Ok(quotas)
+    }
+
+    /// Refuses so many bytes more if a quota has no room for them.
+    pub async fn check_storage(&self, of: QuotaOf<'_>, more: u64) -> Result<()> {
+        let most = sqlx::query_scalar!(
+            r#"SELECT storage_bytes AS "most!: u64" FROM quotas
+               WHERE kind = ? AND name = ? AND storage_bytes IS NOT NULL"#,
+            of.kind(),
+            of.name()
+        );
+        let Some(most) = most.fetch_optional(self.readers()).await? else { return Ok(()) };
+        let used = self.stored_bytes(of).await?;
+        if used.saturating_add(more) <= most {
+            return Ok(());
+        }
+        let what = format!("may store {most} bytes and has {used}; this needs about {more} more");
+        Err(of.exceeded(what, "delete jobs with `forelight delete`, keep less with `forelight retention`"))
+    }
+
+    async fn stored_bytes(&self, of: QuotaOf<'_>) -> Result<u64> {
+        Ok(match of {
+            QuotaOf::Project(name) => stored_bytes!(
+                self,
+                "j.project = ?1",
+                "b.id IN (SELECT bundle_id FROM jobs WHERE project = ?1)",
+                name
+            ),
+            QuotaOf::Token(name) => stored_bytes!(self, "j.submitted_by = ?1", "b.uploaded_by = ?1", name),
+        })
+    }
+
+    async fn open_jobs_of(&self, of: QuotaOf<'_>) -> Result<u32> {
+        let mut connection = self.readers().acquire().await?;
+        Ok(match of {
+            QuotaOf::Project(name) => open_jobs!(&mut *connection, "project = ?", name),
+            QuotaOf::Token(name) => open_jobs!(&mut *connection, "submitted_by = ?", name),
+        })
+    }
+}
+
+/// Refuses one open job more if a quota has no room for it.
+pub(crate) async fn check_open_jobs(write: &mut Write, of: QuotaOf<'_>) -> Result<()> {
+    let connection = write.connection().await?;
+    let most = sqlx::query_scalar!(
+        r#"SELECT open_jobs AS "most!: u32" FROM quotas WHERE kind = ? AND name = ? AND open_jobs IS NOT NULL"#,
+        of.kind(),
+        of.name()
+    );
+    let Some(most) = most.fetch_optional(&mut *connection).await? else { return Ok(()) };
+    let open = match of {
+        QuotaOf::Project(name) => open_jobs!(&mut *connection, "project = ?", name),
+        QuotaOf::Token(name) => open_jobs!(&mut *connection, "submitted_by = ?", name),
+    };
+    if open < most {
+        return Ok(());
+    }
+    Err(of
+        .exceeded(format!("may have {most} open jobs and has {open}"), "wait for some of them, cancel some"))
+}

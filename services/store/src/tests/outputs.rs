@@ -1,0 +1,32 @@
+//! Images that are still to be written elsewhere.
+
+use super::*;
+
+#[tokio::test]
+async fn a_hundred_images_that_cannot_be_written_stand_in_nobodys_way() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let with_output =
+        |frames: &str| JobRequest { output: Some("{job}/{frame}.exr".parse().unwrap()), ..request(frames) };
+    let stuck = farm.booked_job(with_output("0-99"), node, at(0)).await;
+    while let Some(lease) = farm.claim(node, at(1)).await {
+        farm.commit(&lease, at(1)).await;
+    }
+    let due = farm.store.due_outputs(100).await.unwrap();
+    assert_eq!(due.len(), 100);
+    for (frame, output) in due.iter().enumerate() {
+        farm.store.note_output(output, Some("the folder is full"), at(2 + frame as i64)).await.unwrap();
+    }
+    let later = farm.booked_job(with_output("0-1"), node, at(200)).await;
+    while let Some(lease) = farm.claim(node, at(200)).await {
+        farm.commit(&lease, at(200)).await;
+    }
+    let due = farm.store.due_outputs(100).await.unwrap();
+    assert_eq!(due.iter().map(|due| due.job).take(3).collect::<Vec<_>>(), [later, later, stuck]);
+    assert_eq!(due[2].frame, 0, "the one that waited longest");
+    farm.store.note_output(&due[0], None, at(300)).await.unwrap();
+    farm.store.note_output(&due[2], Some("the folder is full"), at(300)).await.unwrap();
+    let due = farm.store.due_outputs(200).await.unwrap();
+    assert_eq!(due.len(), 101);
+    assert_eq!((due[0].job, due[1].frame, due[100].frame), (later, 1, 0), "each has its turn");
+}
