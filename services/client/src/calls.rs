@@ -9,6 +9,7 @@ mod leases;
 mod nodes;
 mod sessions;
 mod tokens;
+mod webhooks;
 
 pub use events::EventStream;
 pub use jobs::FramePicture;

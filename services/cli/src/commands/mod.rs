@@ -36,6 +36,7 @@ mod slurm;
 mod status;
 mod submit;
 mod token;
+mod webhook;
 mod worker;
 
 use anyhow::Result;
@@ -96,6 +97,8 @@ enum Command {
     #[command(visible_alias = "nodes")]
     Node(Box<node::Args>),
     Audit(audit::Args),
+    #[command(visible_alias = "webhooks")]
+    Webhook(webhook::Args),
     Log(log::Args),
     Retention(retention::Args),
     Prune(retention::PruneArgs),
@@ -132,6 +135,7 @@ impl Cli {
             Command::Plans(args) => plans::run(args).await,
             Command::Project(args) => project::run(args).await,
             Command::Audit(args) => audit::run(args).await,
+            Command::Webhook(args) => webhook::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Retention(args) => retention::run(args).await,
             Command::Prune(args) => retention::prune(args).await,
