@@ -158,7 +158,7 @@ pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, T
 pub use token::{NewToken, RotateRequest, Token, TokenChange, TokenKind, TokenPage, TokenRequest};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, LeaveOutRequest, LeftOutJob,
-    QuantileHits, TrackRecord, TrackRecordKind, TrackRecordRow,
+    QuantileHits, TrackRecord, TrackRecordDay, TrackRecordKind, TrackRecordProject, TrackRecordRow,
 };
 pub use webhook::{
     Delivery, DeliveryPage, DeliveryState, Webhook, WebhookData, WebhookKind, WebhookList, WebhookMessage,

@@ -5,8 +5,8 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::{
-    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken, RendererId,
-    RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
+    ArtifactHash, ByClass, Money, NodeActivity, NodeCalendar, NodeCalibration, NodeId, NodePower, PageToken,
+    RendererId, RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
 };
 
 /// Registers a node. A node with the same name is updated; it keeps its id and what an operator set.
@@ -311,6 +311,9 @@ pub struct Node {
     pub idle_reason: Option<String>,
     /// The task that it holds. Absent if it has none.
     pub task_id: Option<TaskId>,
+    /// What that task is, for those who see its job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub activity: Option<NodeActivity>,
     /// When it was first registered.
     pub created_at: Timestamp,
     /// When it last sent a request.

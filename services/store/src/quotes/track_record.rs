@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use forelight_protocol::{
-    Coverage, JobId, QuantileHits, Quantiles, Timestamp, TrackRecord, TrackRecordKind, TrackRecordRow,
+    Coverage, JobId, QuantileHits, Quantiles, Timestamp, TrackRecord, TrackRecordDay, TrackRecordKind,
+    TrackRecordProject, TrackRecordRow,
 };
 use sqlx::{SqliteConnection, query, query_as};
 
@@ -79,7 +80,18 @@ pub struct FinishedJob {
     pub cpu_error: Option<f64>,
 }
 
+/// Days of which the record tells.
+const DAYS: i64 = 366;
+
+/// A day in microseconds.
+const DAY: i64 = 86_400_000_000;
+
 impl Store {
+    /// The record over all finished frames, without any of them.
+    pub async fn track_record_totals(&self) -> Result<TrackRecord> {
+        totals(&mut *self.readers().acquire().await?).await
+    }
+
     /// The newest finished jobs, at most `limit`, the oldest of them first.
     pub async fn finished_jobs(&self, limit: u32) -> Result<Vec<FinishedJob>> {
         Ok(of_finished_jobs!(
@@ -105,6 +117,10 @@ impl Store {
     ) -> Result<TrackRecord> {
         let mut transaction = self.read().await?;
         let mut record = totals(&mut transaction).await?;
+        if before.is_none() {
+            record.projects = projects(&mut transaction).await?;
+            record.days = days(&mut transaction).await?;
+        }
         let (at, job, frame) = before.map_or((i64::MAX, uuid::Uuid::max(), i64::MAX), |(at, job, frame)| {
             (at.micros(), job.0, i64::from(frame))
         });
@@ -146,7 +162,7 @@ fn quantiles([mean, p50, p80, p95]: [f64; 4]) -> Quantiles {
 }
 
 /// The record over all finished frames, without any of them.
-pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRecord> {
+async fn totals(connection: &mut SqliteConnection) -> Result<TrackRecord> {
     let row = coverage_rows!(
         "sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
          sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
@@ -166,10 +182,47 @@ pub(crate) async fn totals(connection: &mut SqliteConnection) -> Result<TrackRec
         work_bias: row.work_bias,
         cpu_bias: row.cpu_bias,
         kinds: Vec::new(),
+        projects: Vec::new(),
+        days: Vec::new(),
         left_out: Vec::new(),
         items: Vec::new(),
         next_page_token: None,
     })
+}
+
+async fn projects(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordProject>> {
+    let rows = coverage_rows!(
+        "j.project AS \"project!\", \
+         sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
+         sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
+        "FROM frames f JOIN jobs j ON j.id = f.job_id \
+         WHERE f.finished_at IS NOT NULL AND f.forecast IS NOT NULL \
+         AND f.job_id NOT IN (SELECT job_id FROM left_out_jobs) GROUP BY 1 ORDER BY 1"
+    )
+    .fetch_all(connection)
+    .await?;
+    let project = rows.into_iter().map(|row| TrackRecordProject {
+        frames: coverage!(row),
+        project: row.project,
+        work_bias: row.work_bias,
+        cpu_bias: row.cpu_bias,
+    });
+    Ok(project.collect())
+}
+
+async fn days(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordDay>> {
+    let rows = coverage_rows!(
+        "finished_at / ?1 AS \"day!: i64\"",
+        "FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL \
+         AND job_id NOT IN (SELECT job_id FROM left_out_jobs) GROUP BY 1 ORDER BY 1 DESC LIMIT ?2",
+        DAY,
+        DAYS
+    )
+    .fetch_all(connection)
+    .await?;
+    let day = |number: i64| Timestamp::from_micros(number.saturating_mul(DAY));
+    let days = rows.into_iter().rev().map(|row| TrackRecordDay { day: day(row.day), frames: coverage!(row) });
+    Ok(days.collect())
 }
 
 async fn kinds(connection: &mut SqliteConnection) -> Result<Vec<TrackRecordKind>> {
