@@ -12,13 +12,13 @@ type Rule = Schemas["RetentionRule"];
 type Pruned = Schemas["Pruned"];
 
 const ABOUT: Partial<Record<Rule["kind"], string>> = {
-  images: "images, previews and cost maps, from the end of their job",
-  profiles: "profiles and irradiance caches, from the end of their job",
-  scenes: "uploaded scenes, from the end of the last job that used them",
-  logs: "lines of logs",
-  events: "events",
-  plans: "plans; the newest one stays",
-  jobs: "all that is left of a job, from its end; its cost stays in the books",
+  images: "and previews and cost maps, from the end of their job",
+  profiles: "and irradiance caches, from the end of their job",
+  scenes: "that were uploaded, from the end of the last job that used them",
+  logs: "from when their lines were written",
+  events: "from when they happened",
+  plans: "from when they were made; the newest one stays",
+  jobs: "with all that is left of them, from their end; their cost stays in the books",
 };
 
 const OF_PROJECTS: Rule["kind"][] = ["images", "profiles", "jobs"];
