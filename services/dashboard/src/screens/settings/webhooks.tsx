@@ -97,20 +97,20 @@ function One(props: { webhook: Webhook; drop: () => void }) {
     [webhook.id],
   );
   const [error, setError] = useState<Error | null>(null);
-  const [looking, setLooking] = useState(0);
-  // A test is answered within some seconds: look until it is.
+  const items = told.data?.items ?? [];
+  // What is to be sent is sent soon, or tried again: look until it is over.
+  const waits = items.some((one) => one.state === "pending");
   useEffect(() => {
-    if (looking === 0) return undefined;
-    const timer = setTimeout(() => (told.reload(), setLooking(looking - 1)), 700);
+    if (!waits || told.loading) return undefined;
+    const timer = setTimeout(told.reload, 1_000);
     return () => clearTimeout(timer);
-  }, [looking]);
+  }, [waits, told.loading, told.reload]);
   const test = () =>
     post("/v1/webhooks/{id}/test", { path }).then(
-      () => (setError(null), setLooking(8)),
+      () => (setError(null), told.reload()),
       (failure: Error) => setError(failure),
     );
   const all = webhook.kinds.length >= KINDS.length;
-  const items = told.data?.items ?? [];
   return (
     <article class="webhook">
       <h3 class="name">{clean(webhook.url)}</h3>
