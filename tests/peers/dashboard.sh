@@ -28,18 +28,6 @@ install() {
 install services/dashboard
 install tests/peers/dashboard
 
-# Types of the API come from openapi.yaml.
-mkdir -p target
-fresh=$PWD/target/dashboard-schema.d.ts
-(cd services/dashboard && npx openapi-typescript ../../openapi.yaml --output "$fresh" >/dev/null 2>&1)
-cmp --silent "$fresh" services/dashboard/src/api/schema.d.ts || {
-  echo 'failed: services/dashboard/src/api/schema.d.ts is not what openapi.yaml says; run `npm run types` there'
-  exit 1
-}
-
-npm run check --prefix services/dashboard --silent >/dev/null
-npm run build --prefix services/dashboard --silent >/dev/null
-
 if [ -z "${FORELIGHT_DASHBOARD_BIN:-}" ]; then
   cargo build --quiet -p forelight-cli --features dashboard
   FORELIGHT_DASHBOARD_BIN=$PWD/target/debug/forelight
@@ -47,4 +35,23 @@ fi
 export FORELIGHT_DASHBOARD_BIN
 # No request may leave this machine.
 export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
-node --test --test-reporter=spec tests/peers/dashboard/*.test.mjs
+rm -rf target/dashboard-screenshots
+mkdir -p target/dashboard-screenshots
+
+# A debug build reads the page while it runs.
+(cd services/dashboard && npx vite build --logLevel warn)
+# Meanwhile: types of the API are those of openapi.yaml, and the page is checked and formatted.
+{
+  cd services/dashboard
+  npx openapi-typescript ../../openapi.yaml --output ../../target/dashboard-schema.d.ts >/dev/null 2>&1
+  cmp --silent ../../target/dashboard-schema.d.ts src/api/schema.d.ts || {
+    echo 'failed: services/dashboard/src/api/schema.d.ts is not what openapi.yaml says; run `npm run types` there'
+    exit 1
+  }
+  npm run check --silent
+} &
+checks=$!
+# The files run at the same time: most of it is waiting for farms.
+node --test --test-concurrency=3 --test-reporter=spec tests/peers/dashboard/*.test.mjs || status=$?
+wait "$checks" || status=$?
+exit "${status:-0}"

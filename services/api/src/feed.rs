@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use forelight_protocol::{Event, EventId, EventKind, JobId};
+use forelight_protocol::{Event, EventId, JobId};
 use forelight_store::tokens::Principal;
 use forelight_store::{Store, StoreError};
 use tokio::sync::{Mutex, watch};
@@ -15,31 +15,31 @@ use tokio::sync::{Mutex, watch};
 use crate::seen::without_others;
 
 /// Number of events read at once, and sent before a stream looks again whether it goes on.
-const BATCH: u32 = 200;
+pub(crate) const BATCH: u32 = 200;
 
 /// Number of events kept. A stream that is further behind reads the database.
 const KEPT: usize = 4096;
 
 /// An event as streams send it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub(crate) struct Told {
     pub id: EventId,
-    pub kind: EventKind,
     pub job: Option<JobId>,
     /// Whether its job is over with it.
     pub is_last: bool,
-    pub json: Arc<str>,
+    /// The lines of the stream.
+    pub lines: String,
     /// The project that it concerns.
     pub project: Option<String>,
-    /// What those are told who reach some projects only.
-    pub without_others: Arc<str>,
+    /// The lines for those who reach some projects only.
+    pub without_others: String,
 }
 
 impl Told {
     /// What the caller is told of it; `None` if it is about another project.
-    pub fn json_for(&self, caller: &Principal) -> Option<&Arc<str>> {
+    pub fn lines_for(&self, caller: &Principal) -> Option<&String> {
         match &self.project {
-            _ if caller.reaches_all() => Some(&self.json),
+            _ if caller.reaches_all() => Some(&self.lines),
             Some(project) => caller.sees(project).then_some(&self.without_others),
             None => self.job.is_none().then_some(&self.without_others),
         }
@@ -50,24 +50,26 @@ impl From<&Event> for Told {
     fn from(event: &Event) -> Self {
         Self {
             id: event.id,
-            kind: event.kind,
             job: event.job_id,
             is_last: event.job_state.is_some_and(|state| state.is_final()),
-            json: as_json(event),
+            lines: lines(event),
             project: event.project.clone(),
-            without_others: as_json(&without_others(event)),
+            without_others: lines(&without_others(event)),
         }
     }
 }
 
-fn as_json(event: &Event) -> Arc<str> {
-    serde_json::to_string(event).unwrap_or_default().into()
+/// An event in the form of server-sent events (https://html.spec.whatwg.org/#server-sent-events). JSON has no
+/// line breaks.
+fn lines(event: &Event) -> String {
+    let json = serde_json::to_string(event).unwrap_or_default();
+    format!("id: {}\nevent: {}\ndata: {json}\n\n", event.id, event.kind.name())
 }
 
 /// Some events, oldest first.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Batch {
-    pub events: Vec<Told>,
+    pub events: Vec<Arc<Told>>,
     /// There are no others up to this one.
     pub until: EventId,
 }
@@ -107,8 +109,8 @@ impl Feed {
 
     /// Events after `after`, at most [`BATCH`], including those that nobody was told of yet.
     pub async fn stored_after(&self, job: Option<JobId>, after: EventId) -> Result<Batch, StoreError> {
-        let events: Vec<Told> =
-            self.store.events_after(job, after, BATCH).await?.iter().map(Told::from).collect();
+        let stored = self.store.events_after(job, after, BATCH).await?;
+        let events: Vec<Arc<Told>> = stored.iter().map(|event| Arc::new(Told::from(event))).collect();
         let until = events.last().map_or(after, |event| event.id);
         Ok(Batch { events, until })
     }
@@ -138,7 +140,7 @@ impl Feed {
 /// All events after one.
 struct Recent {
     after: EventId,
-    events: VecDeque<Told>,
+    events: VecDeque<Arc<Told>>,
     newest: EventId,
     /// The change of the database with which they were read.
     version: Option<u64>,
@@ -149,7 +151,7 @@ impl Recent {
         Self { after, events: VecDeque::new(), newest: after, version: None }
     }
 
-    fn push(&mut self, events: Vec<Told>) {
+    fn push(&mut self, events: Vec<Arc<Told>>) {
         self.newest = events.last().map_or(self.newest, |event| event.id);
         self.events.extend(events);
         while self.events.len() > KEPT {
@@ -175,10 +177,9 @@ impl Recent {
 mod tests {
     use super::*;
 
-    fn told(id: EventId, job: Option<JobId>) -> Told {
-        let json: Arc<str> = "{}".into();
-        let without_others = json.clone();
-        Told { id, kind: EventKind::JobState, job, is_last: false, json, project: None, without_others }
+    fn told(id: EventId, job: Option<JobId>) -> Arc<Told> {
+        let (lines, without_others) = (String::new(), String::new());
+        Arc::new(Told { id, job, is_last: false, lines, project: None, without_others })
     }
 
     fn ids(batch: &Batch) -> Vec<EventId> {

@@ -192,7 +192,7 @@ fn other_sites(allowed: &[String]) -> CorsLayer {
 const PREFLIGHT_KEPT: Duration = Duration::from_secs(3600);
 
 /// Shorter answers are sent as they are: gzip has a header of its own.
-const WORTH_COMPRESSING: u64 = 1 << 10;
+pub(crate) const WORTH_COMPRESSING: u64 = 1 << 10;
 
 /// Whether an answer is text. Images and artefacts are compressed by themselves. A compressed stream of
 /// events would be held back until there is enough of it.

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use forelight_protocol::{
     AnswersDoc, Dashboard, Event, EventKind, Job, JobId, JobVerdict, Node, Plan, PlanChange, PlanEffect,
-    Promise, TimelinePage, Waits,
+    Promise, Role, TimelinePage, Waits,
 };
 use forelight_store::tokens::Principal;
 
@@ -160,13 +160,23 @@ pub(crate) fn without_others(event: &Event) -> Event {
     Event { promise, message, task_id, ..event.clone() }
 }
 
-/// A node as the caller sees it. Why it is idle or was set aside may name any job.
-pub(crate) fn shown_node(caller: &Principal, node: Node) -> Node {
-    if caller.reaches_all() {
-        return node;
+impl App {
+    /// Nodes as the caller sees them. Why one is idle or was set aside may name any job. Workers are told of no
+    /// job.
+    pub async fn shown_nodes(&self, caller: &Principal, mut nodes: Vec<Node>) -> ApiResult<Vec<Node>> {
+        let jobs = nodes.iter().filter_map(|node| Some(node.activity.as_ref()?.job_id));
+        let seen = self.seen(caller, jobs.collect::<Vec<_>>()).await?;
+        for node in &mut nodes {
+            let is_seen = |job| caller.role != Role::Worker && seen.sees(job);
+            node.activity = node.activity.take().filter(|activity| is_seen(activity.job_id));
+            if !caller.reaches_all() {
+                node.idle_reason = None;
+                let hidden = || "its reason is for those who see all projects".to_owned();
+                node.set_aside = node.set_aside.as_ref().map(|_| hidden());
+            }
+        }
+        Ok(nodes)
     }
-    let set_aside = node.set_aside.map(|_| "its reason is for those who see all projects".to_owned());
-    Node { idle_reason: None, set_aside, ..node }
 }
 
 /// A dashboard for a caller who reaches some projects only. `jobs` are those of his that it mentions.

@@ -149,6 +149,7 @@ impl Service {
             feed: Arc::new(Feed::new(store.for_people())),
             dashboard: Arc::default(),
             projected: Arc::default(),
+            record: Arc::default(),
             last_change: Arc::new(Mutex::new(Instant::now())),
             started: clock.now(),
             openapi: openapi_yaml().into(),

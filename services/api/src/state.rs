@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use forelight_protocol::{JobId, ProblemKind, Timestamp};
+use forelight_protocol::{JobId, ProblemKind, Timestamp, TrackRecord};
 use forelight_store::tokens::Principal;
 use forelight_store::{IdempotencyKey, Projection, Store, project};
 use tokio::sync::{mpsc, watch};
@@ -68,6 +68,8 @@ pub(crate) struct App {
     pub dashboard: Arc<Shared<Document>>,
     /// Expected course of the open bookings.
     pub projected: Arc<Shared<Projection>>,
+    /// Totals of the track record, over all finished frames.
+    pub record: Arc<Shared<TrackRecord>>,
     /// When a person last changed something.
     pub last_change: Arc<Mutex<Instant>>,
     pub started: Timestamp,

@@ -1,13 +1,16 @@
 //! A large farm: 5,000 nodes, 2,000 open jobs, one of them of 10,000 frames. Its documents stay short.
 //!
-//! The database is filled by SQL, with copies of one real job and one real node.
+//! The database is filled by SQL, with copies of one real job and one real node. With `FORELIGHT_FARM_SIZE`,
+//! nothing is tested: the farm's data folder is left at that path, for measurements
+//! (`tests/farm_size.sh`).
 
 #[path = "support/mod.rs"]
 mod support;
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
-use forelight_protocol::{Dashboard, FrameStrip, JobPage, NodePage, TimelinePage};
+use forelight_protocol::{Dashboard, FrameStrip, Job, JobPage, NodePage, TimelinePage, Timestamp};
 use futures::future::join_all;
 use futures::{StreamExt, stream};
 use reqwest::{Method, StatusCode};
@@ -16,7 +19,8 @@ use serde_json::json;
 
 use support::copies::copy;
 use support::events::Events;
-use support::{Farm, start};
+use support::{Answer, Farm, Http, start};
+use tempfile::TempDir;
 
 /// Most bytes of a compressed document.
 const MOST_BYTES: usize = 60 << 10;
@@ -28,7 +32,9 @@ const FRAMES: u32 = 10_000;
 /// Pages that are open.
 const PAGES: usize = 200;
 
-/// Fills the database. It has one booked job of frames 0 to 3, one finished frame, and one node.
+/// Fills the database. It has one booked job of frames 0 to 5, one finished frame, and one node.
+///
+/// Two or three frames of each copied job are being rendered, each on its own node: nearly all nodes work.
 fn fill(database: &Connection, now: i64) {
     let run = |statement: &str| {
         database.execute_batch(statement).unwrap_or_else(|error| panic!("{statement}: {error}"));
@@ -36,6 +42,8 @@ fn fill(database: &Connection, now: i64) {
     run("PRAGMA foreign_keys = ON; BEGIN");
     run(&format!(
         "CREATE TEMP TABLE template AS SELECT id AS job, plan_id AS plan, (SELECT max(frame) FROM tasks WHERE kind = 'render' AND state = 'ready') AS last FROM jobs;
+         CREATE TEMP TABLE ranks AS SELECT frame, row_number() OVER (ORDER BY frame) - 1 AS rank FROM tasks
+         WHERE kind = 'render' AND state = 'ready';
          CREATE TEMP TABLE numbers AS WITH RECURSIVE n (n) AS (SELECT 0 UNION ALL SELECT n + 1 FROM n WHERE n < {FRAMES}) SELECT n FROM n;
          CREATE TEMP TABLE new_nodes AS SELECT n, randomblob(16) AS id FROM numbers WHERE n BETWEEN 1 AND {NODES} - 1;
          CREATE UNIQUE INDEX temp.new_nodes_by_n ON new_nodes (n);
@@ -106,8 +114,14 @@ fn fill(database: &Connection, now: i64) {
         scaled.iter().chain(&about).map(|(column, value)| (*column, value.as_str())).collect();
     let finished = format!("{of_job} AND t.actual IS NOT NULL");
     copy(database, "frames", &finished, &large, &all);
-    // A frame of each second job is being rendered, so half of the nodes that are named below work.
+    let rank = "(SELECT rank FROM ranks r WHERE r.frame = t.frame)";
+    let runs = format!("({rank} < 2 OR ({rank} = 2 AND e.n % 2))");
+    // No two of the frames that run have the same node.
+    let own_node = format!(
+        "(SELECT id FROM new_nodes WHERE n = CASE {rank} WHEN 0 THEN e.n WHEN 1 THEN 2000 + e.n ELSE 4000 + e.n / 2 END)"
+    );
     let started = now.to_string();
+    let if_it_runs = |then: &str, otherwise: &str| format!("iif({runs}, {then}, {otherwise})");
     copy(
         database,
         "tasks",
@@ -116,15 +130,12 @@ fn fill(database: &Connection, now: i64) {
         &[
             ("id", "randomblob(16)"),
             ("job_id", "e.id"),
-            ("state", "iif(t.frame = (SELECT last FROM template) AND e.n % 2, 'leased', 'ready')"),
+            ("state", &if_it_runs("'leased'", "'ready'")),
             ("fence", "1"),
-            ("progress", "iif(t.frame = (SELECT last FROM template) AND e.n % 2, e.n % 100 / 100.0, 0)"),
-            ("node_id", &format!("iif(t.frame = (SELECT last FROM template) AND e.n % 2, {a_node}, NULL)")),
-            (
-                "started_at",
-                &format!("iif(t.frame = (SELECT last FROM template) AND e.n % 2, {started}, NULL)"),
-            ),
-            ("booked_node", a_node),
+            ("progress", &if_it_runs("e.n % 50 / 100.0", "0")),
+            ("node_id", &if_it_runs(&own_node, "NULL")),
+            ("started_at", &if_it_runs(&started, "NULL")),
+            ("booked_node", &if_it_runs(&own_node, a_node)),
         ],
     );
     copy(
@@ -142,9 +153,9 @@ fn fill(database: &Connection, now: i64) {
     );
     run(&format!(
         "INSERT INTO bookings (id, plan_id, job_id, frame, node_id, start_at, end_at)
-         SELECT randomblob(16), plan, job_id, frame, booked_node, {now} + (row_number() OVER (PARTITION BY booked_node)) * 600000000,
-                {now} + (row_number() OVER (PARTITION BY booked_node) + 1) * 600000000 FROM tasks, template
-         WHERE kind = 'render' AND job_id <> job;
+         SELECT randomblob(16), plan, job_id, frame, booked_node, {now} + (place - 1) * 600000000, {now} + place * 600000000
+         FROM (SELECT *, row_number() OVER (PARTITION BY booked_node ORDER BY state = 'ready', job_id, frame) AS place
+               FROM tasks, template WHERE kind = 'render' AND state <> 'done' AND job_id <> job);
          INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at)
          SELECT randomblob(16), id, node_id, 1, 1.0, 'active', {now}, {now} + 3600000000 FROM tasks, template
          WHERE state = 'leased' AND job_id <> job;
@@ -160,15 +171,15 @@ fn fill(database: &Connection, now: i64) {
 }
 
 /// A document: its bytes compressed and plain, and how long it took.
-async fn document(farm: &Farm, path: &str) -> Vec<u8> {
+async fn document(operator: &Http, path: &str) -> Vec<u8> {
     let begun = Instant::now();
-    let request = farm.viewer.request(Method::GET, path).header("accept-encoding", "gzip");
+    let request = operator.request(Method::GET, path).header("accept-encoding", "gzip");
     let answer = request.send().await.unwrap();
     assert_eq!(answer.status(), StatusCode::OK, "{path}");
     assert_eq!(answer.headers()["content-encoding"], "gzip", "{path}");
     let short = answer.bytes().await.unwrap();
     let took = begun.elapsed();
-    let plain = farm.viewer.get(path).await.bytes().await.unwrap();
+    let plain = operator.get(path).await.bytes().await.unwrap();
     println!(
         "{path:60} {:6.1} KiB compressed, {:7.1} KiB plain, {:5} ms",
         short.len() as f64 / 1024.0,
@@ -181,10 +192,10 @@ async fn document(farm: &Farm, path: &str) -> Vec<u8> {
 
 /// Workers tell that they are done with all pixels, 16 at a time. Each makes an event. Returns how long it
 /// took for the slowest hundredth.
-async fn heartbeats(farm: &Farm, leases: &[String]) -> Duration {
+async fn heartbeats(operator: &Http, leases: &[String]) -> Duration {
     let beat = async |lease: &String| {
         let begun = Instant::now();
-        let patch = farm.worker.request(Method::PATCH, &format!("/v1/leases/{lease}"));
+        let patch = operator.request(Method::PATCH, &format!("/v1/leases/{lease}"));
         let answer = patch.json(&json!({"fence": 1, "progress": 1.0})).send().await.unwrap();
         assert_eq!(answer.status(), StatusCode::OK, "{:?}", answer.text().await);
         begun.elapsed()
@@ -195,63 +206,72 @@ async fn heartbeats(farm: &Farm, leases: &[String]) -> Duration {
 }
 
 /// Workers are answered while two hundred people look, and all of these are told everything.
-async fn pages_and_workers(farm: &Farm, leases: &[String]) {
+async fn pages_and_workers(operator: &Http, leases: &[String]) {
     let (before, during) = leases.split_at(leases.len() / 2);
-    let alone = heartbeats(farm, before).await;
-    let open = (0..PAGES).map(|_| Events::open(&farm.viewer, "/v1/events", None));
+    let alone = heartbeats(operator, before).await;
+    let open = (0..PAGES).map(|_| Events::open(operator, "/v1/events", None));
     let mut pages: Vec<Events> = join_all(open).await.into_iter().flatten().collect();
     assert_eq!(pages.len(), PAGES);
     let told = join_all(pages.iter_mut().map(|page| page.take(during.len(), Duration::from_secs(60))));
-    let (watched, told) = tokio::join!(heartbeats(farm, during), told);
+    let (watched, told) = tokio::join!(heartbeats(operator, during), told);
     println!("99 of 100 heartbeats: {alone:?} alone, {watched:?} with {PAGES} pages open");
     assert!(told.iter().all(|events| *events == told[0]));
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn documents_of_a_large_farm_are_short() {
+/// The folder of a filled farm whose service has ended, and an operator of it.
+async fn filled() -> (TempDir, Http) {
     let farm = Farm::new().await;
     let node = farm.node("rack-00-0000").await;
-    let mut request = farm.job_request("0-3");
-    request["deadline"] = json!(forelight_protocol::Timestamp::now().plus_micros(300 * 86_400_000_000));
-    let job: forelight_protocol::Job =
-        support::Answer::parsed(farm.submitter.post("/v1/jobs", &request).await, StatusCode::CREATED).await;
+    let mut request = farm.job_request("0-5");
+    request["deadline"] = json!(Timestamp::now().plus_micros(300 * 86_400_000_000));
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
     farm.until_booked(&node, &job).await;
     farm.finish(&farm.next_task(&node).await).await;
-    let Farm { folder, service, operator, submitter, worker, viewer, nobody } = farm;
+    let Farm { folder, service, operator, .. } = farm;
     service.shutdown().await;
-    let database = Connection::open(folder.path().join("data/forelight.sqlite")).unwrap();
-    fill(&database, forelight_protocol::Timestamp::now().micros());
-    let leases = "SELECT lower(hex(l.id)) FROM leases l JOIN tasks t ON t.id = l.task_id
-        WHERE l.state = 'active' AND t.state = 'leased' AND t.progress < 1";
+    fill(&database(folder.path()), Timestamp::now().micros());
+    (folder, operator)
+}
+
+fn database(folder: &Path) -> Connection {
+    Connection::open(folder.join("data/forelight.sqlite")).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn documents_of_a_large_farm_are_short() {
+    let (folder, operator) = filled().await;
+    if let Some(place) = std::env::var_os("FORELIGHT_FARM_SIZE") {
+        std::fs::rename(folder.path().join("data"), &place).unwrap();
+        return;
+    }
     let leases: Vec<String> = {
-        let mut found = database.prepare(leases).unwrap();
+        let database = database(folder.path());
+        let mut found = database
+            .prepare("SELECT lower(hex(id)) FROM leases WHERE state = 'active' ORDER BY id LIMIT 1000")
+            .unwrap();
         found.query_map([], |row| row.get(0)).unwrap().map(Result::unwrap).collect()
     };
-    drop(database);
     let service = start(&support::config(folder.path())).await;
-    let address = support::address(&service);
-    let [operator, submitter, worker, viewer, nobody] =
-        [operator, submitter, worker, viewer, nobody].map(|client| client.at(&address));
-    let farm = Farm { folder, service, operator, submitter, worker, viewer, nobody };
-
-    let dashboard: Dashboard = serde_json::from_slice(&document(&farm, "/v1/dashboard").await).unwrap();
+    let operator = operator.at(&support::address(&service));
+    let dashboard: Dashboard = serde_json::from_slice(&document(&operator, "/v1/dashboard").await).unwrap();
     assert_eq!((dashboard.counts.nodes, dashboard.jobs_open_total), (u64::from(NODES), u64::from(JOBS)));
     assert_eq!((dashboard.jobs.len(), dashboard.nodes.len(), dashboard.bookings.len()), (200, 200, 100));
     assert!(dashboard.jobs[..90].iter().all(|job| job.promise.as_ref().is_some_and(|promise| !promise.kept)));
-    let page = document(&farm, "/v1/jobs?open=true&sort=risk").await;
+    let page = document(&operator, "/v1/jobs?open=true&sort=risk").await;
     let page: JobPage = serde_json::from_slice(&page).unwrap();
-    let big = document(&farm, "/v1/jobs?open=true&search=sh0001_&sort=deadline").await;
+    let big = document(&operator, "/v1/jobs?open=true&search=sh0001_&sort=deadline").await;
     let big: JobPage = serde_json::from_slice(&big).unwrap();
     assert_eq!((page.items.len(), big.items[0].frames_total), (50, FRAMES));
-    let nodes = document(&farm, "/v1/nodes?sort=name&state=working").await;
+    let nodes = document(&operator, "/v1/nodes?sort=name&state=working").await;
     assert_eq!(serde_json::from_slice::<NodePage>(&nodes).unwrap().items.len(), 50);
-    let timeline = document(&farm, "/v1/timeline?page_size=50").await;
+    let timeline = document(&operator, "/v1/timeline?page_size=50").await;
     let timeline: TimelinePage = serde_json::from_slice(&timeline).unwrap();
     assert!(timeline.items.iter().all(|node| node.spans.len() >= 3), "{:?}", timeline.items[0]);
     for quantity in ["cpu_seconds", "work", "cost"] {
         let path = format!("/v1/jobs/{}/strip?quantity={quantity}", big.items[0].id);
-        let strip: FrameStrip = serde_json::from_slice(&document(&farm, &path).await).unwrap();
+        let strip: FrameStrip = serde_json::from_slice(&document(&operator, &path).await).unwrap();
         assert_eq!((strip.states.len(), strip.p95.len()), (FRAMES as usize, FRAMES as usize));
     }
-    pages_and_workers(&farm, &leases).await;
+    pages_and_workers(&operator, &leases).await;
+    drop(service);
 }

@@ -10,6 +10,7 @@ mod nodes;
 mod quotas;
 mod sessions;
 mod tokens;
+mod webhooks;
 
 pub use events::EventStream;
 pub use jobs::FramePicture;

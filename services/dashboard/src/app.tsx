@@ -4,7 +4,7 @@ import { useEffect, useErrorBoundary, useRef } from "preact/hooks";
 import { atRisk, farm, now, unwatch, watch } from "./state/farm";
 import { lastHeard, link } from "./state/live";
 import { href, route } from "./state/route";
-import { recall, seesAll, session, signOut } from "./state/session";
+import { mayOperate, recall, seesAll, session, signOut } from "./state/session";
 import { clock, useKeys } from "./ui/keys";
 import { clockTime, timeZone, zoneAt } from "./ui/format";
 import { lazy } from "./ui/lazy";
@@ -17,6 +17,9 @@ const Job = lazy("the job", () => import("./screens/job").then((module) => modul
 const Farm = lazy("the farm", () => import("./screens/farm").then((module) => module.FarmScreen));
 const Record = lazy("the record", () => import("./screens/record").then((module) => module.RecordScreen));
 const Submit = lazy("the form", () => import("./screens/submit").then((module) => module.SubmitScreen));
+const Settings = lazy("the settings", () =>
+  import("./screens/settings").then((module) => module.SettingsScreen),
+);
 const Keys = lazy("the keys", () => import("./screens/keys").then((module) => module.KeysScreen));
 
 const SCREENS = [
@@ -24,7 +27,12 @@ const SCREENS = [
   ["farm", "Farm"],
   ["record", "Record"],
   ["submit", "Submit"],
+  ["settings", "Settings"],
 ] as const;
+
+/** Screens of which everything would be refused to others. */
+const isOffered = (screen: string) =>
+  screen === "record" ? seesAll.value : screen === "settings" ? mayOperate.value : true;
 
 export function App() {
   const recalled = useResource(() => recall().then(() => true), []);
@@ -104,6 +112,8 @@ function Screen() {
       return <Record />;
     case "submit":
       return <Submit />;
+    case "settings":
+      return <Settings />;
     case "keys":
       return <Keys />;
     default:
@@ -127,7 +137,7 @@ function Head() {
         forelight
       </a>
       <nav aria-label="Screens">
-        {SCREENS.filter(([name]) => seesAll.value || name !== "record").map(([name, word]) => (
+        {SCREENS.filter(([name]) => isOffered(name)).map(([name, word]) => (
           <a key={name} href={href([name])} aria-current={here === name ? "page" : undefined}>
             {word}
             {name === "tonight" && risks > 0 && (

@@ -1,12 +1,13 @@
 //! Why a job waits.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
 use crate::fairness::decayed_usage;
-use crate::model::{Booking, Input, InputError, Plan};
+use crate::model::{Input, InputError, Plan};
 use crate::problem::Problem;
 
 const MOST_NAMED: usize = 3;
@@ -114,15 +115,14 @@ impl fmt::Display for Reason {
 pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputError> {
     input.check()?;
     let problem = Problem::new(input);
-    let mut by_node: BTreeMap<u64, Vec<&Booking>> = BTreeMap::new();
     let mut firsts: BTreeMap<u64, i64> = BTreeMap::new();
     for booking in &plan.bookings {
-        by_node.entry(booking.node).or_default().push(booking);
         firsts
             .entry(booking.job)
             .and_modify(|first| *first = booking.start.min(*first))
             .or_insert(booking.start);
     }
+    let taken = Taken::new(&problem, plan);
     let mut found = Vec::new();
     for (index, work) in problem.jobs.iter().enumerate() {
         let release = work.release(input.now);
@@ -131,19 +131,69 @@ pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputErro
         if is_empty || first.is_some_and(|first| first <= release) {
             continue;
         }
-        let reason = reason(&problem, index, first, &by_node);
+        let reason = reason(&problem, index, first, &taken);
         let waits = first.map_or(i64::MAX, |first| first.saturating_sub(release));
         found.push(Explanation { job: work.job.id, waits, reason });
     }
     Ok(found)
 }
 
-fn reason(
-    problem: &Problem,
-    index: usize,
-    first: Option<i64>,
-    by_node: &BTreeMap<u64, Vec<&Booking>>,
-) -> Reason {
+/// What takes the nodes' time.
+struct Taken {
+    /// The jobs that take some, sorted. Spans name them by their places here.
+    jobs: Vec<u64>,
+    /// By node: what is planned.
+    planned: Vec<Vec<Span>>,
+    /// By node: what is fixed.
+    fixed: Vec<Vec<Span>>,
+}
+
+/// A stretch of a node's time.
+struct Span {
+    start: i64,
+    end: i64,
+    /// The place of its job; `None` if it is no job's.
+    job: Option<usize>,
+}
+
+impl Taken {
+    fn new(problem: &Problem, plan: &Plan) -> Self {
+        let fixed = &problem.input.fixed;
+        let mut jobs: Vec<u64> = plan.bookings.iter().map(|booking| booking.job).collect();
+        jobs.extend(fixed.iter().filter_map(|booking| booking.job));
+        jobs.sort_unstable();
+        jobs.dedup();
+        let nodes: BTreeMap<u64, usize> =
+            problem.nodes.iter().enumerate().map(|(place, node)| (node.id, place)).collect();
+        let by_node = |spans: &mut dyn Iterator<Item = (u64, i64, i64, Option<u64>)>| {
+            let mut lists: Vec<Vec<Span>> = nodes.iter().map(|_| Vec::new()).collect();
+            for (node, start, end, job) in spans {
+                if let Some(&node) = nodes.get(&node) {
+                    let job = job.and_then(|job| jobs.binary_search(&job).ok());
+                    lists[node].push(Span { start, end, job });
+                }
+            }
+            lists
+        };
+        let planned = by_node(&mut plan.bookings.iter().map(|it| (it.node, it.start, it.end, Some(it.job))));
+        let fixed = by_node(&mut fixed.iter().map(|it| (it.node, it.start, it.end, it.job)));
+        Self { jobs, planned, fixed }
+    }
+
+    /// How much of the nodes' time each job takes between two instants, of what is planned or of what is fixed.
+    fn by_job(&self, lists: &[Vec<Span>], able: &[usize], (from, to): (i64, i64)) -> Vec<i64> {
+        let mut time = vec![0; self.jobs.len()];
+        for span in able.iter().flat_map(|&node| &lists[node]) {
+            let (start, end) = (span.start.max(from), span.end.min(to));
+            if let Some(job) = span.job.filter(|_| start < end) {
+                time[job] += end - start;
+            }
+        }
+        time
+    }
+}
+
+fn reason(problem: &Problem, index: usize, first: Option<i64>, taken: &Taken) -> Reason {
     let work = &problem.jobs[index];
     let release = work.release(problem.input.now);
     let Some(first) = first else { return Reason::NoNode };
@@ -155,50 +205,43 @@ fn reason(
         .filter(|window| window.end > release)
         .map(|window| window.start.max(release))
         .min();
-    let fixed_before = |instant: i64| {
-        let ids: Vec<u64> = able.iter().map(|&node| problem.nodes[node].id).collect();
-        let here = move |fixed: &&crate::model::FixedBooking| {
-            ids.contains(&fixed.node) && fixed.start < instant && fixed.end > release
-        };
-        problem.input.fixed.iter().filter(here)
-    };
+    let is_before = |span: &Span| span.start < first && span.end > release;
     match opens {
         None => return Reason::NoNode,
-        Some(until) if until >= first && fixed_before(first).next().is_none() => {
+        Some(until)
+            if until >= first && !able.iter().any(|&node| taken.fixed[node].iter().any(is_before)) =>
+        {
             return Reason::Calendar { until };
         }
         Some(_) => {}
     }
-    // How much of the nodes' time each job holds between release and start.
-    let mut holders: BTreeMap<u64, i64> = BTreeMap::new();
-    let mut some_node_is_free = false;
-    for &node in &able {
-        let mut is_taken =
-            !problem.windows[node].iter().any(|window| window.start <= release && release < window.end);
-        for booking in by_node.get(&problem.nodes[node].id).into_iter().flatten() {
-            let (start, end) = (booking.start.max(release), booking.end.min(first));
-            if start < end {
-                *holders.entry(booking.job).or_default() += end - start;
-                is_taken |= booking.start <= release;
-            }
-        }
-        some_node_is_free |= !is_taken;
-    }
-    holders.remove(&work.job.id);
-    let mut fixed: BTreeMap<u64, i64> = BTreeMap::new();
-    for booking in fixed_before(first) {
-        if let Some(job) = booking.job {
-            *fixed.entry(job).or_default() += booking.end.min(first) - booking.start.max(release);
-        }
-    }
-    if some_node_is_free || (holders.is_empty() && fixed.is_empty()) {
+    let is_free = |node: &usize| {
+        let is_open =
+            problem.windows[*node].iter().any(|window| window.start <= release && release < window.end);
+        let is_booked = |span: &Span| span.start <= release && span.end > release && release < first;
+        is_open && !taken.planned[*node].iter().any(is_booked)
+    };
+    if able.iter().any(is_free) {
         return Reason::Cheaper;
     }
-    let mut jobs: Vec<(i64, u64, Precedence)> =
-        holders.into_iter().map(|(job, time)| (time, job, precedence(problem, index, job))).collect();
-    jobs.extend(fixed.into_iter().map(|(job, time)| (time, job, Precedence::Fixed)));
-    jobs.sort_unstable_by_key(|&(time, job, _)| (std::cmp::Reverse(time), job));
-    Reason::Behind { jobs: jobs.into_iter().take(MOST_NAMED).map(|(_, job, why)| (job, why)).collect() }
+    let holders = taken.by_job(&taken.planned, &able, (release, first));
+    let fixed = taken.by_job(&taken.fixed, &able, (release, first));
+    let held = |time: Vec<i64>, is_fixed: bool| {
+        let jobs = time.into_iter().enumerate().filter(|(_, time)| *time > 0);
+        jobs.map(move |(job, time)| (Reverse(time), taken.jobs[job], is_fixed))
+    };
+    let mut jobs: Vec<(Reverse<i64>, u64, bool)> =
+        held(holders, false).filter(|(_, job, _)| *job != work.job.id).chain(held(fixed, true)).collect();
+    if jobs.is_empty() {
+        return Reason::Cheaper;
+    }
+    if jobs.len() > MOST_NAMED {
+        jobs.select_nth_unstable(MOST_NAMED);
+        jobs.truncate(MOST_NAMED);
+    }
+    jobs.sort_unstable();
+    let why = |job, is_fixed| if is_fixed { Precedence::Fixed } else { precedence(problem, index, job) };
+    Reason::Behind { jobs: jobs.into_iter().map(|(_, job, is_fixed)| (job, why(job, is_fixed))).collect() }
 }
 
 fn precedence(problem: &Problem, waiting: usize, other: u64) -> Precedence {

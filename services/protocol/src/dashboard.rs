@@ -203,6 +203,9 @@ pub struct NodeActivity {
     pub kind: TaskKind,
     /// Its job.
     pub job_id: JobId,
+    /// Name of the job.
+    #[serde(default)]
+    pub job: String,
     /// Its frame. Absent for tasks about all frames.
     pub frame: Option<u32>,
     /// Progress, 0 to 1.

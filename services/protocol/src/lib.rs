@@ -161,7 +161,7 @@ pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, T
 pub use token::{NewToken, RotateRequest, Token, TokenChange, TokenKind, TokenPage, TokenRequest};
 pub use track_record::{
     CalibratedQuantiles, CalibrationDoc, CalibrationKind, Corrections, Coverage, LeaveOutRequest, LeftOutJob,
-    QuantileHits, TrackRecord, TrackRecordKind, TrackRecordRow,
+    QuantileHits, TrackRecord, TrackRecordDay, TrackRecordKind, TrackRecordProject, TrackRecordRow,
 };
 pub use version::{OLDEST_WORKER_PROTOCOL, WORKER_PROTOCOL, WORKER_PROTOCOL_HEADER};
 pub use webhook::{

@@ -5,7 +5,8 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::{
-    ArtifactHash, ByClass, Money, NodeCalendar, NodeCalibration, NodeId, NodePower, OWN_RENDERER, PageToken,
+    ArtifactHash, ByClass, Money, NodeActivity, NodeCalendar, NodeCalibration, NodeId, NodePower, OWN_RENDERER,
+    PageToken,
     RendererId, RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
 };
 
@@ -322,6 +323,9 @@ pub struct Node {
     pub idle_reason: Option<String>,
     /// The task that it holds. Absent if it has none.
     pub task_id: Option<TaskId>,
+    /// What that task is, for those who see its job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub activity: Option<NodeActivity>,
     /// When it was first registered.
     pub created_at: Timestamp,
     /// When it last sent a request.

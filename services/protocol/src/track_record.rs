@@ -46,6 +46,30 @@ pub struct TrackRecordKind {
     pub jobs: Coverage,
 }
 
+/// Accuracy for the frames of a project.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct TrackRecordProject {
+    /// The project.
+    pub project: String,
+    /// Accuracy for its finished frames.
+    pub frames: Coverage,
+    /// Sum of forecast means / sum of actual values − 1, of the work.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub work_bias: Option<f64>,
+    /// Sum of forecast means / sum of actual values − 1, of the CPU time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cpu_bias: Option<f64>,
+}
+
+/// Accuracy for the frames that were finished on a day.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct TrackRecordDay {
+    /// When the day began, in UTC.
+    pub day: Timestamp,
+    /// Accuracy for its frames.
+    pub frames: Coverage,
+}
+
 /// Forecast and actual cost of a finished frame.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct TrackRecordRow {
@@ -157,6 +181,12 @@ pub struct TrackRecord {
     /// The same by kind and calibration. Sorted by renderer, feature class and calibration.
     #[serde(default)]
     pub kinds: Vec<TrackRecordKind>,
+    /// The same by project, sorted by name. Only on the first page.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub projects: Vec<TrackRecordProject>,
+    /// The same by day, the newest 366 days with finished frames, oldest first. Only on the first page.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub days: Vec<TrackRecordDay>,
     /// Jobs that an operator took out of the record: none of the numbers counts them. The newest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOutJob>,

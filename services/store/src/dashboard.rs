@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use forelight_protocol::{
     Booking, Budget, Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobState, Money,
-    MoneyQuantiles, Night, Node, NodeActivity, NodeCounts, NodeId, NodeState, PowerState, ProjectSpending,
-    TaskCounts, Timestamp,
+    MoneyQuantiles, Night, Node, NodeCounts, NodeState, PowerState, ProjectSpending, TaskCounts, Timestamp,
+    TrackRecord,
 };
 use sqlx::SqliteConnection;
 
@@ -18,11 +18,10 @@ use crate::error::Result;
 use crate::events;
 use crate::jobs::listing::{self, JobFilter, JobOrder};
 use crate::jobs::{self, JobRow, outlooks, progress};
-use crate::nodes::listing::without_capabilities;
+use crate::nodes::listing::{activity, without_capabilities};
 use crate::nodes::unattended::{Unattended, unattended};
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::projection::{JobEnds, Projected, Projection, rounded_up};
-use crate::quotes::track_record;
 
 /// Most rows of each kind that the dashboard shows.
 const JOBS: u32 = 200;
@@ -32,11 +31,11 @@ const EVENTS: u32 = 20;
 
 impl Store {
     /// Everything that a dashboard shows first, read in one transaction. A node is alive if it was heard of
-    /// within the last three lease times. `projection` is the expected course of the open bookings. The jobs
-    /// and their counts are those of `projects`, if they are given.
+    /// within the last three lease times. `projection` is the expected course of the open bookings, `record` the
+    /// totals of the track record. The jobs and their counts are those of `projects`, if they are given.
     pub async fn dashboard(
         &self,
-        projection: &Projection,
+        (projection, record): (&Projection, &TrackRecord),
         projects: Option<Vec<String>>,
         ttl: Duration,
         now: Timestamp,
@@ -45,9 +44,8 @@ impl Store {
         let connection = &mut *transaction;
         let ends = projection.ends();
         let unattended = unattended(connection, ttl, now).await?;
-        let seen = projects.as_deref();
-        let record = track_record::totals(connection, seen).await?;
-        let counts = counts(connection, seen, now.plus_micros(-silent_after(ttl))).await?;
+        let silent_since = now.plus_micros(-silent_after(ttl));
+        let counts = counts(connection, projects.as_deref(), silent_since).await?;
         let (nodes, node_counts) = dashboard_nodes(connection, ttl, now).await?;
         let spread = outlooks::of_farm(connection).await?;
         Ok(Dashboard {
@@ -250,26 +248,11 @@ async fn dashboard_nodes(
     nodes.truncate(NODES);
     let mut list = Vec::with_capacity(nodes.len());
     for node in nodes {
-        let activity = match node.task_id {
-            Some(_) => activity(connection, node.id).await?,
-            None => None,
-        };
+        let activity = activity(connection, &node).await?;
         let alive = node.last_seen_at >= now.plus_micros(-silent_after(ttl));
         list.push(DashboardNode { id: node.id, name: node.name, state: node.state, alive, activity });
     }
     Ok((list, counts))
-}
-
-async fn activity(connection: &mut SqliteConnection, node: NodeId) -> Result<Option<NodeActivity>> {
-    let activity = sqlx::query_as!(
-        NodeActivity,
-        r#"SELECT id AS task_id, kind, job_id, frame, progress, started_at AS "started!" FROM tasks
-           WHERE node_id = ? AND state = 'leased' ORDER BY started_at DESC, id LIMIT 1"#,
-        node.0
-    )
-    .fetch_optional(connection)
-    .await?;
-    Ok(activity.map(|it| NodeActivity { progress: rounded(it.progress), ..it }))
 }
 
 /// What projects with a budget, and those that spent something tonight, spend.

@@ -80,7 +80,9 @@ impl Store {
 
     /// A node.
     pub async fn node(&self, node: NodeId) -> Result<Node> {
-        read(&mut *self.readers().acquire().await?, node).await
+        let mut connection = self.readers().acquire().await?;
+        let node = read(&mut connection, node).await?;
+        Ok(Node { activity: listing::activity(&mut connection, &node).await?, ..node })
     }
 
     /// The nodes after `after`, oldest first, at most `limit`.
@@ -204,6 +206,7 @@ impl From<NodeRow> for Node {
             set_aside: row.set_aside,
             idle_reason: row.idle_reason,
             task_id,
+            activity: None,
             created_at: row.created_at.into(),
             last_seen_at: row.last_seen_at.into(),
         }

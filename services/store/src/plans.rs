@@ -121,7 +121,11 @@ impl Store {
         }
         living::update(&mut write, job, Occasion::Booked, now).await?;
         job_state(&mut write, job, JobState::Booked, None, now);
+        // A booked job has its promise, whatever happens to the outlooks of the others.
+        let own: Vec<_> = plan.outlooks.iter().filter(|(of, _)| *of == job).cloned().collect();
+        outlooks::keep(&mut write, &own, now).await?;
         self.commit(write).await?;
+        self.tell_outlooks(plan, Some(plan_id), now).await?;
         Ok(plan_id)
     }
 
@@ -131,21 +135,43 @@ impl Store {
         let mut write = self.write().await?;
         let plan_id = keep(&mut write, plan, None, now).await?;
         self.commit(write).await?;
+        self.tell_outlooks(plan, Some(plan_id), now).await?;
         Ok(plan_id)
     }
 
     /// Stores only new outlooks, for a plan that changes no booking.
     pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<()> {
-        let mut write = self.write().await?;
-        if newest(write.connection().await?).await? != plan.parent {
-            return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
+        self.tell_outlooks(plan, plan.parent, now).await
+    }
+
+    /// Stores the outlooks of a plan, and that it was made, while `newest_plan` is the newest.
+    ///
+    /// A farm has thousands of jobs, and workers wait while somebody writes. So this is done in several writes.
+    /// If they end half-way, the causes stay due, and the next plan stores the rest.
+    async fn tell_outlooks(&self, plan: &NewPlan, newest_plan: Option<PlanId>, now: Timestamp) -> Result<()> {
+        let mut parts = plan.outlooks.chunks(OUTLOOKS_AT_ONCE).peekable();
+        loop {
+            let part = parts.next().unwrap_or_default();
+            let is_last = parts.peek().is_none();
+            let mut write = self.write().await?;
+            if newest(write.connection().await?).await? != newest_plan {
+                return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
+            }
+            outlooks::keep(&mut write, part, now).await?;
+            if is_last {
+                outlooks::keep_of_farm(&mut write, plan.finish).await?;
+                replans::planned(&mut write, &plan.wanted).await?;
+            }
+            self.commit(write).await?;
+            if is_last {
+                return Ok(());
+            }
         }
-        outlooks::keep(&mut write, &plan.outlooks, now).await?;
-        outlooks::keep_of_farm(&mut write, plan.finish).await?;
-        replans::planned(&mut write, &plan.wanted).await?;
-        self.commit(write).await
     }
 }
+
+/// Outlooks that are stored in one write.
+const OUTLOOKS_AT_ONCE: usize = 100;
 
 /// Stores a plan inside a write: its jobs and their tasks get its bookings. `fresh` is a job without a plan.
 async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Timestamp) -> Result<PlanId> {
@@ -181,9 +207,6 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));
         append(write, Event { message, ..told });
     }
-    outlooks::keep(write, &plan.outlooks, now).await?;
-    outlooks::keep_of_farm(write, plan.finish).await?;
-    replans::planned(write, &plan.wanted).await?;
     Ok(plan_id)
 }
 

@@ -9,12 +9,7 @@ import { root } from "./farm.mjs";
 
 const axe = fs.readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const shots = path.join(root, "target/dashboard-screenshots");
-
-/** Removes the screenshots of the last run. */
-export function clearScreenshots() {
-  fs.rmSync(shots, { recursive: true, force: true });
-  fs.mkdirSync(shots, { recursive: true });
-}
+fs.mkdirSync(shots, { recursive: true });
 
 export function launch() {
   return chromium.launch({ executablePath: process.env.CHROMIUM, args: ["--no-sandbox", "--disable-gpu"] });
@@ -27,13 +22,21 @@ export async function visitor(browser) {
     timezoneId: "Europe/Berlin",
     locale: "en-GB",
   });
-  const page = await context.newPage();
+  return await watched(await context.newPage(), []);
+}
+
+/** Another tab of the same profile. */
+export async function sibling(page) {
+  return watched(await page.context().newPage(), page.faults);
+}
+
+function watched(page, faults) {
   page.setDefaultTimeout(30_000);
-  page.faults = [];
-  page.on("pageerror", (error) => page.faults.push(error.stack ?? String(error)));
+  page.faults = faults;
+  page.on("pageerror", (error) => faults.push(error.stack ?? String(error)));
   page.on(
     "console",
-    (message) => /Content Security Policy/.test(message.text()) && page.faults.push(message.text()),
+    (message) => /Content Security Policy/.test(message.text()) && faults.push(message.text()),
   );
   return page;
 }
@@ -50,6 +53,10 @@ export function screens(job) {
     nodes: ["#/farm?view=list", ".node-table, .farm code"],
     record: ["#/record", ".record .nights"],
     submit: ["#/submit", ".drop"],
+    tokens: ["#/settings", ".tokens .set-row:not(.set-head)"],
+    webhooks: ["#/settings?part=webhooks", ".settings .primary"],
+    kept: ["#/settings?part=kept", ".rules tbody tr"],
+    audit: ["#/settings?part=audit", ".settings .filters"],
     ...(job && {
       job: [`#/jobs/${job}`, ".strip"],
       "job-why": [`#/jobs/${job}?tab=why`, ".sentences"],
@@ -69,13 +76,18 @@ export async function show(page, address, [hash, content]) {
     .catch(() => undefined);
 }
 
+/** Waits until what changed is on screen, also what is drawn after a change of size is seen. */
+async function drawnTwice(page) {
+  await page.evaluate(
+    () => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done)))),
+  );
+}
+
 /** Checks the present view with axe in both themes, and keeps what it looks like. */
 export async function inspect(page, name, { phone = false } = {}) {
   for (const theme of ["light", "dark"]) {
     await page.emulateMedia({ colorScheme: theme });
-    await page.evaluate(
-      () => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))),
-    );
+    await drawnTwice(page);
     if (!(await page.evaluate(() => "axe" in window))) await page.evaluate(axe);
     const { violations } = await page.evaluate(() => window.axe.run({ resultTypes: ["violations"] }));
     const told = violations.map(
@@ -85,7 +97,7 @@ export async function inspect(page, name, { phone = false } = {}) {
     await page.screenshot({ path: path.join(shots, `${name}-${theme}.png`), fullPage: true });
     if (phone) {
       await page.setViewportSize({ width: 390, height: 844 });
-      await page.waitForTimeout(150);
+      await drawnTwice(page);
       const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
       assert.ok(over <= 0, `${name} is ${over} pixels wider than a phone`);
       await page.screenshot({ path: path.join(shots, `${name}-${theme}-phone.png`), fullPage: true });
@@ -95,10 +107,20 @@ export async function inspect(page, name, { phone = false } = {}) {
   await page.emulateMedia({ colorScheme: "light" });
 }
 
-/** Shows and inspects screens by name. Those that a phone is for are also seen on one. */
+/** Tabs in which screens are inspected at the same time. */
+const TABS = 3;
+
+/** Shows and inspects screens by name, in tabs of the page's session. Those that a phone is for are also seen on one. */
 export async function inspectAll(page, address, list, state) {
-  for (const [name, screen] of Object.entries(list)) {
-    await show(page, address, screen);
-    await inspect(page, `${state}-${name}`, { phone: !name.includes("-") });
-  }
+  const left = Object.entries(list);
+  const inTab = async () => {
+    const tab = await sibling(page);
+    for (let next = left.shift(); next; next = left.shift()) {
+      const [name, screen] = next;
+      await show(tab, address, screen);
+      await inspect(tab, `${state}-${name}`, { phone: !name.includes("-") });
+    }
+    await tab.close();
+  };
+  await Promise.all(Array.from({ length: TABS }, inTab));
 }

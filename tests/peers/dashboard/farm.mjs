@@ -11,6 +11,21 @@ export const root = path.resolve(
 );
 const program = process.env.FORELIGHT_DASHBOARD_BIN;
 
+/** Two workers beside the service. */
+export const WORKERS = ["--workers", "2", "--threads", "1", "--preview", "cpu", "--price", "0.40"];
+
+/** Steps of a test: each goes on where the one before it ended. */
+export function steps(t) {
+  let broken = false;
+  return (name, run) =>
+    t.test(name, async (inner) => {
+      if (broken) return inner.skip("a step before it failed");
+      broken = true;
+      await run();
+      broken = false;
+    });
+}
+
 export class Farm {
   /** Starts `forelight COMMAND` on a data folder. A later start of the same farm keeps its address. */
   constructor(data) {
@@ -26,7 +41,9 @@ export class Farm {
     });
     let printed = "";
     this.process.stdout.on("data", (chunk) => (printed += chunk));
-    await until("the farm prints its address", () => /listening on (\S+)/.test(printed) || this.failed());
+    // Beside other tests, the workers' calibration takes its time.
+    const isUp = () => /listening on (\S+)/.test(printed) || this.failed();
+    await until("the farm prints its address", isUp, 180);
     this.address = /listening on (\S+)/.exec(printed)[1];
     this.port = new URL(this.address).port;
     await until("the farm is ready", () =>
@@ -108,6 +125,6 @@ export async function until(what, happens, seconds = 60) {
     const answer = await happens();
     if (answer) return answer;
     if (Date.now() > end) throw new Error(`waited ${seconds} s: ${what}`);
-    await new Promise((done) => setTimeout(done, 150));
+    await new Promise((done) => setTimeout(done, 50));
   }
 }

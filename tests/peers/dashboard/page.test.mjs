@@ -2,27 +2,16 @@
 
 import assert from "node:assert/strict";
 import fs from "node:fs";
+import http from "node:http";
 import os from "node:os";
 import path from "node:path";
 import test from "node:test";
-import {
-  clearScreenshots,
-  inspect,
-  inspectAll,
-  launch,
-  noFaults,
-  screens,
-  show,
-  visitor,
-} from "./browser.mjs";
-import { Farm, root, until } from "./farm.mjs";
+import { inspect, inspectAll, launch, noFaults, screens, show, sibling, visitor } from "./browser.mjs";
+import { Farm, root, steps, until, WORKERS } from "./farm.mjs";
 
-const WORKERS = ["--workers", "2", "--threads", "1", "--preview", "cpu", "--price", "0.40"];
-
-test("the page", { timeout: 240_000 }, async (t) => {
+test("a working farm", { timeout: 240_000 }, async (t) => {
   const folder = fs.mkdtempSync(path.join(os.tmpdir(), "forelight-dashboard-"));
   const farm = new Farm(path.join(folder, "farm"));
-  clearScreenshots();
   const browser = await launch();
   t.after(async () => {
     await browser.close();
@@ -31,48 +20,15 @@ test("the page", { timeout: 240_000 }, async (t) => {
   });
   const page = await visitor(browser);
   let job;
+  let held;
   let long;
 
-  // Each step goes on where the one before it ended.
-  let broken = false;
-  const step = (name, run) =>
-    t.test(name, async (inner) => {
-      if (broken) return inner.skip("a step before it failed");
-      broken = true;
-      await run();
-      broken = false;
-    });
+  const step = steps(t);
 
-  await step("refuses a wrong token in words, and signs in with a link that works once", async () => {
-    await farm.start("serve");
-    await page.goto(farm.address);
-    await page.getByLabel("Token or link").fill("forelight_0000");
-    await page.getByRole("button", { name: "Sign in" }).click();
-    await page.getByText("The farm does not know this token").waitFor();
-    await inspect(page, "sign-in", { phone: true });
-    const link = await farm.link();
-    await page.goto(link);
-    await page.locator(".tonight").waitFor();
-    assert.ok(!page.url().includes("code="), "the code leaves the address");
-    const other = await visitor(browser);
-    await other.goto(link);
-    await other.getByText("This code was used already").waitFor();
-    await other.context().close();
-  });
-
-  await step("explains an empty farm on every screen", async () => {
-    await page.getByText("Three things to do first").waitFor();
-    await inspectAll(page, farm.address, screens(null), "empty");
-    noFaults(page);
-  });
-
-  await step("goes on by itself when the service was killed and came back", async () => {
-    await show(page, farm.address, screens(null).tonight);
-    await farm.kill();
-    await page.locator(".connection.lost").waitFor();
+  await step("signs in", async () => {
     await farm.start("farm", ...WORKERS);
-    await page.locator(".connection.live").waitFor();
-    await page.getByText("done: 2").waitFor();
+    await page.goto(await farm.link());
+    await page.locator(".tonight").waitFor();
   });
 
   await step("shows a quote of the kitchen before anything is booked, then books it", async () => {
@@ -102,10 +58,28 @@ test("the page", { timeout: 240_000 }, async (t) => {
     await page.locator(".job-top").waitFor();
   });
 
+  await step("asks for the renderer of a Blender file, and says what its quote waits for", async () => {
+    const scene = path.join(folder, "shot.blend");
+    fs.writeFileSync(scene, "BLENDER-v500 and no more");
+    const other = await sibling(page);
+    await show(other, farm.address, screens(null).submit);
+    await other.locator("input[accept]").setInputFiles(scene);
+    await other.getByLabel("Renderer").waitFor();
+    assert.equal(await other.getByLabel("Renderer").inputValue(), "cycles");
+    await other.getByLabel("Renderer").fill("cycles 5.0");
+    await other.getByRole("button", { name: "Get a quote" }).click();
+    await other.getByText(/no node .* cycles 5\.0/).waitFor();
+    await other.getByRole("button", { name: "Drop it" }).click();
+    await other.getByText("It was dropped").waitFor();
+    await other.close();
+  });
+
   await step("follows the job to its end without being loaded anew", async () => {
     await page.locator(".job-title .mark", { hasText: "done" }).waitFor({ timeout: 60_000 });
     await page.getByText("6 of 6", { exact: true }).waitFor();
     await page.locator(".readout").getByText("6 done").waitFor();
+    // Its quote is made during the next steps.
+    held = hold(farm);
     const picture = page.locator(".compare img").last();
     await picture.waitFor();
     assert.ok((await picture.evaluate((image) => image.decode().then(() => image.naturalWidth))) === 48);
@@ -137,7 +111,7 @@ test("the page", { timeout: 240_000 }, async (t) => {
   });
 
   await step("drains a node; a promise is at risk then, and the page takes the rescue", async () => {
-    long = await risky(farm);
+    long = await risky(farm, await held);
     await show(page, farm.address, screens(null).nodes);
     await page.getByRole("button", { name: "Drain: node-2" }).click();
     await page.locator(".node-row", { hasText: "node-2" }).getByText(/drain/i).first().waitFor();
@@ -160,6 +134,53 @@ test("the page", { timeout: 240_000 }, async (t) => {
     const budget = { project: "film", amount: 20_000, period: "night", zone: "Europe/Berlin" };
     await farm.ask("POST", "/v1/budgets", budget);
     await inspectAll(page, farm.address, screens(job), "working");
+    noFaults(page);
+  });
+
+  await step("makes and revokes a token, and tells a webhook", async () => {
+    const told = [];
+    const receiver = http.createServer((request, response) => {
+      let body = "";
+      request.on("data", (part) => (body += part));
+      request.on("end", () => (told.push(JSON.parse(body)), response.writeHead(204).end()));
+    });
+    await new Promise((done) => receiver.listen(0, "127.0.0.1", done));
+    t.after(() => receiver.close());
+    await show(page, farm.address, screens(null).tokens);
+    await page.getByRole("button", { name: "Make a token" }).click();
+    await page.getByLabel("Name of the person or program").fill("anna");
+    await page.getByRole("button", { name: "Make it" }).click();
+    const token = (await page.locator(".secret").textContent()).trim();
+    const asAnna = () =>
+      fetch(`${farm.address}/v1/dashboard`, { headers: { Authorization: `Bearer ${token}` } });
+    assert.equal((await asAnna()).status, 200);
+    await page.getByRole("button", { name: "I have kept it" }).click();
+    await page.getByRole("button", { name: "Revoke: anna" }).click();
+    await inspect(page, "revoke-question");
+    await page.getByRole("button", { name: "Revoke it" }).click();
+    await page.getByRole("button", { name: "Revoke: anna" }).waitFor({ state: "detached" });
+    assert.equal((await asAnna()).status, 401);
+
+    await show(page, farm.address, screens(null).webhooks);
+    await page.getByRole("button", { name: "Add a webhook" }).click();
+    await page.getByLabel("Address of the receiver").fill(`http://127.0.0.1:${receiver.address().port}/`);
+    await page.getByRole("button", { name: "Add it" }).click();
+    await page.getByRole("button", { name: "I have kept it" }).click();
+    await page.getByRole("button", { name: "Send a test" }).click();
+    await page.getByText("delivered").waitFor();
+    assert.deepEqual(told, [{ text: "a test: this webhook of forelight works" }]);
+
+    await show(page, farm.address, screens(null).kept);
+    await page.getByRole("button", { name: "Change: logs", exact: true }).click();
+    await page.getByLabel("Days").fill("12");
+    await page.getByRole("button", { name: "Set it" }).click();
+    await page.getByRole("cell", { name: "12 days" }).waitFor();
+    await page.getByRole("button", { name: "What would be deleted now?" }).click();
+    await page.getByText(/Now it would delete/).waitFor();
+
+    await show(page, farm.address, screens(null).audit);
+    await page.getByRole("cell", { name: "token revoked" }).first().waitFor();
+    await page.getByRole("cell", { name: "retention set" }).first().waitFor();
     noFaults(page);
   });
 
@@ -210,8 +231,12 @@ test("the page", { timeout: 240_000 }, async (t) => {
     assert.equal(await viewer.getByRole("button", { name: /Cancel|Change|Retry/ }).count(), 0);
     await show(viewer, farm.address, screens(job).nodes);
     assert.equal(await viewer.getByRole("button", { name: /Drain|Pause|Add a node/ }).count(), 0);
-    await viewer.goto(`${farm.address}/#/submit`);
-    await viewer.getByText("Your role is viewer").waitFor();
+    assert.equal(await viewer.getByRole("link", { name: "Settings" }).count(), 0);
+    for (const screen of ["submit", "settings"]) {
+      await viewer.goto(`${farm.address}/#/${screen}`);
+      await viewer.getByRole("heading", { name: new RegExp(screen, "i") }).waitFor();
+      await viewer.getByText("Your role is viewer").waitFor();
+    }
     noFaults(viewer);
     await viewer.context().close();
   });
@@ -231,8 +256,8 @@ test("the page", { timeout: 240_000 }, async (t) => {
   });
 });
 
-/** A job that two nodes finish well before its deadline, and one does not. Returns its id. */
-async function risky(farm) {
+/** A long job on hold, once it is quoted. Returns its id. */
+async function hold(farm) {
   const id = await farm.submit(
     "kitchen",
     "--name",
@@ -250,6 +275,11 @@ async function risky(farm) {
     "film",
   );
   await until("the long job is quoted", async () => (await farm.get(`/v1/jobs/${id}`)).state === "quoted");
+  return id;
+}
+
+/** Accepts a job that two nodes finish well before its deadline, and one does not. Returns its id. */
+async function risky(farm, id) {
   const { outlook, at } = await farm.get(`/v1/jobs/${id}/answers`);
   const finish = Date.parse(outlook.find((line) => line.confidence === "p95").finish);
   const length = finish - Date.parse(at);

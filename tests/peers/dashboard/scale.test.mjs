@@ -8,6 +8,7 @@ import path from "node:path";
 import test from "node:test";
 import { launch, noFaults, visitor } from "./browser.mjs";
 import { root, until } from "./farm.mjs";
+import { drawn, frames, memory, scrollChart, scrollTonight, zoomChart } from "./measure.mjs";
 
 const NODES = 5_000;
 const JOBS = 2_000;
@@ -201,23 +202,6 @@ async function serve() {
   return server;
 }
 
-/** Runs something, and returns the times between the frames that the browser drew meanwhile, sorted. */
-async function drawn(view, run) {
-  await view.evaluate(() => {
-    window.times = [];
-    let before = performance.now();
-    const tick = (at) => {
-      window.times.push(at - before);
-      before = at;
-      window.ticking = requestAnimationFrame(tick);
-    };
-    window.ticking = requestAnimationFrame(tick);
-  });
-  await run();
-  const times = await view.evaluate(() => (cancelAnimationFrame(window.ticking), window.times.slice(1)));
-  return times.sort((a, b) => a - b);
-}
-
 test("a large farm is shown by few elements, in little memory", { timeout: 120_000 }, async (t) => {
   const server = await serve();
   const browser = await launch();
@@ -227,10 +211,7 @@ test("a large farm is shown by few elements, in little memory", { timeout: 120_0
   });
   const address = `http://127.0.0.1:${server.address().port}`;
   const view = await visitor(browser);
-  const tell = (what, times) => {
-    const at = (share) => times[Math.floor((times.length - 1) * share)].toFixed(0);
-    t.diagnostic(`${what}: ${times.length} frames, median ${at(0.5)} ms, slowest ${at(1)} ms`);
-  };
+  const tell = (what, times) => t.diagnostic(`${what}: ${frames(times)}`);
   const elements = (selector) => view.locator(selector).count();
 
   await view.goto(`${address}/#/tonight`);
@@ -239,14 +220,7 @@ test("a large farm is shown by few elements, in little memory", { timeout: 120_0
     () => performance.getEntriesByName("first-contentful-paint")[0].startTime,
   );
   t.diagnostic(`first paint of content after ${begun.toFixed(0)} ms`);
-  await view.mouse.move(600, 600);
-  tell(
-    "scrolling Tonight",
-    await drawn(view, async () => {
-      for (let turn = 0; turn < 40; turn++) await view.mouse.wheel(0, 400);
-      await view.waitForTimeout(300);
-    }),
-  );
+  tell("scrolling Tonight", await scrollTonight(view));
   assert.ok((await elements(".job-row")) < 80, "rows out of view are not in the document");
   await until("the last job is reached by scrolling", async () => {
     await view.evaluate(() => scrollTo(0, document.documentElement.scrollHeight));
@@ -256,24 +230,9 @@ test("a large farm is shown by few elements, in little memory", { timeout: 120_0
 
   await view.goto(`${address}/#/farm`);
   await view.locator(".gantt-name").first().waitFor();
-  await view.mouse.move(800, 600);
-  tell(
-    "scrolling the chart",
-    await drawn(view, async () => {
-      for (let turn = 0; turn < 60; turn++) await view.mouse.wheel(0, 300);
-      await view.waitForTimeout(300);
-    }),
-  );
+  tell("scrolling the chart", await scrollChart(view));
   assert.ok((await elements(".gantt-name")) < 80, "nodes out of view are not in the document");
-  tell(
-    "zooming the chart",
-    await drawn(view, async () => {
-      await view.keyboard.down("Control");
-      for (let turn = 0; turn < 30; turn++) await view.mouse.wheel(0, turn < 15 ? -80 : 80);
-      await view.keyboard.up("Control");
-      await view.waitForTimeout(300);
-    }),
-  );
+  tell("zooming the chart", await zoomChart(view));
 
   await view.goto(`${address}/#/jobs/${id(0)}`);
   const cells = view.locator(".strip");
@@ -291,10 +250,8 @@ test("a large farm is shown by few elements, in little memory", { timeout: 120_0
   );
   assert.match(new URL(view.url().replace("#/", "")).searchParams.get("sel"), /^\d+-\d+$/);
 
-  const session = await view.context().newCDPSession(view);
-  await session.send("HeapProfiler.collectGarbage");
-  const { usedSize } = await session.send("Runtime.getHeapUsage");
-  t.diagnostic(`memory of scripts: ${(usedSize / 1e6).toFixed(0)} MB`);
-  assert.ok(usedSize < 150e6, `${usedSize} bytes`);
+  const kept = await memory(view);
+  t.diagnostic(`memory of the tab: ${(kept / 1e6).toFixed(0)} MB`);
+  assert.ok(kept < 150e6, `${kept} bytes`);
   noFaults(view);
 });

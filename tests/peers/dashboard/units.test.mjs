@@ -82,7 +82,7 @@ test("every frame has a cell of its own, within the strip, and is found again un
 });
 
 test("coverage counts what was at or below each quantile", async () => {
-  const { batches, groups, wilson } = await load("screens/record/statistics.ts");
+  const { batches, course, projectGroups, wilson } = await load("screens/record/statistics.ts");
   const quantiles = { mean: 10, p50: 10, p80: 12, p95: 14 };
   const rows = [9, 11, 13, 15].map((actual, at) => ({
     cpu_actual: actual,
@@ -94,8 +94,30 @@ test("coverage counts what was at or below each quantile", async () => {
     job_id: "a",
   }));
   assert.deepEqual(batches(rows, "cpu", 4)[0].shares, [0.25, 0.5, 0.75]);
-  const [group] = groups(rows, "work", () => "film");
-  assert.deepEqual([group.frames, group.shares, group.bias], [4, [1, 1, 1], 1]);
+  const coverage = (count, p50) => ({
+    count,
+    cpu_hits: { p50, p80: count, p95: count },
+    work_hits: { p50: count, p80: count, p95: count },
+    cpu_mean_absolute_error: 0.1,
+    work_mean_absolute_error: 0.2,
+  });
+  const projects = [
+    { project: "ads", frames: coverage(3, 1), cpu_bias: 0.5 },
+    { project: "film", frames: coverage(8, 2), cpu_bias: -0.5 },
+  ];
+  const [most] = projectGroups(projects, "cpu");
+  assert.deepEqual(
+    [most.name, most.frames, most.shares, most.error, most.bias],
+    ["film", 8, [0.25, 1, 1], 0.1, -0.5],
+  );
+  // A short record is shown by its frames, a long one by its days, some of them together.
+  assert.equal(course({ frames: 4, items: rows, days: [] }, "cpu")[0].count, 4);
+  const days = Array.from({ length: 120 }, (_, at) => ({
+    day: `2026-01-01T00:00:00.${String(at).padStart(3, "0")}Z`,
+    frames: at % 2 ? coverage(10, 0) : coverage(30, 30),
+  }));
+  const long = course({ frames: 9_999, items: rows, days }, "cpu");
+  assert.deepEqual([long.length, long[0].count, long[0].shares], [60, 40, [0.75, 1, 1]]);
   const [low, high] = wilson(8, 10);
   // Wilson's interval of 8 in 10, to three digits.
   assert.deepEqual([low.toFixed(3), high.toFixed(3)], ["0.490", "0.943"]);

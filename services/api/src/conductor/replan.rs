@@ -51,10 +51,10 @@ impl Conductor {
         let reason = PlanReason::Events;
         let new = NewPlan { parent, reason, wanted, jobs, outlooks, finish, shared_cache: None };
         if rebooked == 0 {
-            self.store.keep_outlooks(&new, now).await?;
+            self.store.keep_outlooks(&new, self.clock.now()).await?;
             tracing::debug!(causes, "the plan is still good");
         } else {
-            let plan = self.store.replan(&new, now).await?;
+            let plan = self.store.replan(&new, self.clock.now()).await?;
             self.metrics.plans_stored.add(1);
             tracing::info!(%plan, rebooked, causes, "planned anew");
         }

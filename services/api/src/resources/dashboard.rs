@@ -45,7 +45,13 @@ fn written(farm: &Dashboard) -> ApiResult<Document> {
 /// The dashboard with the open jobs of these projects, or of all.
 async fn of_projects(app: &App, projects: Option<Vec<String>>) -> ApiResult<Dashboard> {
     let projection = app.projection().await?;
-    let mut farm = app.store.dashboard(&projection, projects, app.lease_ttl, app.now()).await?;
+    let totals = async { Ok(app.store.track_record_totals(projects.as_deref()).await?) };
+    let record = match &projects {
+        None => app.record.get(app.changed(), totals).await?,
+        Some(_) => totals.await?.into(),
+    };
+    let known = (&*projection, &*record);
+    let mut farm = app.store.dashboard(known, projects, app.lease_ttl, app.now()).await?;
     app.tell_disk_full(farm.jobs.iter_mut().map(|job| (job.state, &mut job.waits)));
     Ok(farm)
 }

@@ -5,27 +5,34 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::body::Body;
 use axum::extract::State;
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
-use axum::response::sse::{Event as ServerEvent, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
 use forelight_protocol::{EventId, EventKind, JobId, ProblemKind};
 use forelight_store::StoreError;
 use forelight_store::tokens::Principal;
-use futures::{Stream, stream};
+use futures::stream;
 use serde::Deserialize;
 use tokio::sync::watch;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, SeenJob};
-use crate::feed::{Batch, Feed, Told};
+use crate::feed::{BATCH, Batch, Feed};
 use crate::schema::LastEventIdHeader;
 use crate::state::App;
 
 /// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
+
+/// Events that come within this time of others are sent together. A farm of thousands of workers writes hundreds
+/// a second, and hundreds of pages are told of them.
+const TOGETHER: Duration = Duration::from_millis(100);
 
 /// Where to start.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -38,7 +45,7 @@ pub(crate) struct FromEvent {
 
 /// Fields of each event on the stream.
 #[derive(ToSchema)]
-#[allow(dead_code, reason = "describes the lines that `axum` writes")]
+#[allow(dead_code, reason = "describes the lines of a stream")]
 pub(crate) struct EventMessage {
     /// The event's id. Send it back as `Last-Event-ID`.
     id: String,
@@ -63,7 +70,7 @@ pub(crate) async fn of_farm(
         Some(after) => after,
         None => app.store.last_event_id().await?,
     };
-    Ok(respond(follow(&app, caller, None, (after, false))))
+    Ok(respond(Cursor::new(&app, caller, None, (after, false))))
 }
 
 /// All events of a job after `Last-Event-ID`. Without it, from its beginning.
@@ -85,7 +92,7 @@ pub(crate) async fn of_job(
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    Ok(respond(follow(&app, caller, Some(job), (after, state.is_final()))))
+    Ok(respond(Cursor::new(&app, caller, Some(job), (after, state.is_final()))))
 }
 
 fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
@@ -97,8 +104,14 @@ fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
     })
 }
 
-fn respond(events: impl Stream<Item = Result<ServerEvent, Infallible>> + Send + 'static) -> Response {
-    Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
+/// The stream of events after the cursor's place.
+fn respond(cursor: Cursor) -> Response {
+    let body = Body::from_stream(stream::unfold(cursor, |mut cursor| async move {
+        let text = cursor.next().await?;
+        Some((Ok::<_, Infallible>(text), cursor))
+    }));
+    let headers = [(CONTENT_TYPE, "text/event-stream"), (CACHE_CONTROL, "no-cache")];
+    (headers, body).into_response()
 }
 
 struct Cursor {
@@ -108,61 +121,58 @@ struct Cursor {
     job: Option<JobId>,
     /// The last event that was read.
     after: EventId,
-    batch: std::vec::IntoIter<Told>,
     changes: watch::Receiver<u64>,
     stopping: CancellationToken,
     /// Whether the job is over. Existing later events, such as refusals of late workers, are still sent; none
     /// are waited for.
     over: bool,
-}
-
-fn follow(
-    app: &App,
-    caller: Principal,
-    job: Option<JobId>,
-    (after, over): (EventId, bool),
-) -> impl Stream<Item = Result<ServerEvent, Infallible>> + use<> {
-    let cursor = Cursor {
-        caller,
-        feed: app.feed.clone(),
-        job,
-        after,
-        batch: Vec::new().into_iter(),
-        changes: app.store.watch_events(),
-        stopping: app.stopping.clone(),
-        over,
-    };
-    stream::unfold(cursor, |mut cursor| async move {
-        loop {
-            let event = cursor.next().await?;
-            if let Some(json) = event.json_for(&cursor.caller) {
-                return Some((Ok(to_server_event(&event, json)), cursor));
-            }
-        }
-    })
+    /// When it last sent all that there was.
+    caught_up: Option<Instant>,
 }
 
 impl Cursor {
-    /// The next event. `None` when the job is over, the service stops, or the database fails.
-    async fn next(&mut self) -> Option<Told> {
+    fn new(app: &App, caller: Principal, job: Option<JobId>, (after, over): (EventId, bool)) -> Self {
+        Self {
+            caller,
+            feed: app.feed.clone(),
+            job,
+            after,
+            changes: app.store.watch_events(),
+            stopping: app.stopping.clone(),
+            over,
+            caught_up: None,
+        }
+    }
+
+    /// The next events, or a comment if there are none for long. `None` when the job is over, the service
+    /// stops, or the database fails.
+    async fn next(&mut self) -> Option<Bytes> {
+        let quiet_until = Instant::now() + KEEP_ALIVE;
         loop {
-            if let Some(event) = self.batch.next() {
-                self.over |= self.job.is_some() && event.is_last;
-                return Some(event);
+            if let Some(before) = self.caught_up.take() {
+                tokio::select! {
+                    () = tokio::time::sleep_until(before + TOGETHER) => {}
+                    () = self.stopping.cancelled() => return None,
+                }
             }
             // Marked as seen before reading, so that anything written after the read wakes this stream again.
             self.changes.borrow_and_update();
-            self.batch = match self.read().await {
-                Ok(Batch { events, until }) => {
-                    self.after = until;
-                    events.into_iter()
-                }
+            let Batch { events, until } = match self.read().await {
+                Ok(batch) => batch,
                 Err(error) => {
                     tracing::warn!(%error, "an event stream ends");
                     return None;
                 }
             };
-            if self.batch.len() > 0 {
+            self.after = until;
+            self.over |= self.job.is_some() && events.iter().any(|event| event.is_last);
+            let mine = events.iter().filter_map(|event| event.lines_for(&self.caller));
+            let text: String = mine.map(String::as_str).collect();
+            if !text.is_empty() {
+                self.caught_up = (events.len() < BATCH as usize && !self.over).then(Instant::now);
+                return Some(text.into());
+            }
+            if !events.is_empty() {
                 continue;
             }
             if self.over {
@@ -171,6 +181,7 @@ impl Cursor {
             tokio::select! {
                 changed = self.changes.changed() => changed.ok()?,
                 () = self.stopping.cancelled() => return None,
+                () = tokio::time::sleep_until(quiet_until) => return Some(Bytes::from_static(b":\n\n")),
             }
         }
     }
@@ -182,8 +193,4 @@ impl Cursor {
         }
         self.feed.after(self.job, self.after).await
     }
-}
-
-fn to_server_event(event: &Told, json: &str) -> ServerEvent {
-    ServerEvent::default().id(event.id.to_string()).event(event.kind.name()).data(json)
 }

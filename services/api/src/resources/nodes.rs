@@ -10,7 +10,7 @@ use forelight_protocol::{
     JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration,
     NodeState, ProblemKind, Role,
 };
-use forelight_store::{NodeFilter, NodeOrder, as_it_is};
+use forelight_store::{NodeFilter, NodeOrder, StoreError, as_it_is};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
@@ -24,7 +24,6 @@ use crate::extract::{
 };
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::{IdempotencyKeyHeader, WorkerVersionHeader};
-use crate::seen::shown_node;
 use crate::state::App;
 
 /// Registers a node. A node with the same name is updated; it keeps its id and all values set by an operator.
@@ -167,7 +166,7 @@ pub(crate) async fn list(
     let (filter, times) = (NodeFilter { state, search }, (app.lease_ttl, app.now()));
     let mut items = app.store.listed_nodes(&filter, (order, after.as_ref()), size + 1, times).await?;
     let next_page_token = cut(&mut items, size, list, |node| order.place(node));
-    let items = items.into_iter().map(|node| shown_node(&caller, node)).collect();
+    let items = app.shown_nodes(&caller, items).await?;
     tagged(&headers, &NodePage { items, next_page_token })
 }
 
@@ -181,7 +180,8 @@ pub(crate) async fn get(
     Segment(node): Segment<NodeId>,
 ) -> ApiResult<Json<Node>> {
     let node = as_it_is(app.store.node(node).await?, app.lease_ttl, app.now());
-    Ok(Json(shown_node(&caller, node)))
+    let shown = app.shown_nodes(&caller, vec![node]).await?;
+    Ok(Json(shown.into_iter().next().ok_or(StoreError::NotFound("node"))?))
 }
 
 /// Gives a node orders, or sets its speed, price, calendar or terms.

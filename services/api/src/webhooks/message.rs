@@ -40,14 +40,17 @@ impl About {
             Some(job) => Some(app.store.job(job).await?),
             None => None,
         };
-        let origin = app.public_origin.as_deref();
-        let page = |id: JobId| origin.map(|origin| format!("{origin}/#/job/{id}"));
+        let place = match (event.job_id, event.node_id) {
+            (Some(job), _) => format!("#/jobs/{job}"),
+            (None, Some(node)) => format!("#/farm?node={node}"),
+            (None, None) => String::new(),
+        };
         Ok(Self {
             kind,
             at: event.at,
             text: text(kind, &event, job.as_ref()),
             job_id: event.job_id,
-            url: event.job_id.map_or_else(|| origin.map(|origin| format!("{origin}/")), page),
+            url: app.public_origin.as_deref().map(|origin| format!("{origin}/{place}")),
             project: job.as_ref().map(|job| job.project.clone()).or_else(|| event.project.clone()),
             job: job.map(|job| job.name),
             event: Some(event),

@@ -12,9 +12,9 @@ use axum::http::{HeaderMap, StatusCode as Status};
 use axum::routing::post;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use forelight_api::ManualClock;
+use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
-    Delivery, DeliveryPage, DeliveryState, Job, JobState, ProblemKind, Timestamp, Webhook, WebhookKind,
+    Delivery, DeliveryPage, DeliveryState, Job, JobState, Node, ProblemKind, Timestamp, Webhook, WebhookKind,
     WebhookList, WebhookMessage,
 };
 use hmac::{Hmac, KeyInit as _, Mac as _};
@@ -281,6 +281,66 @@ async fn a_budget_that_is_spent_and_a_promise_at_risk_are_told_of() {
     );
     let at_risk = &messages[&WebhookKind::PromiseAtRisk];
     assert!(at_risk.starts_with("a job of project default is at risk: ready in time with"), "{at_risk}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_threshold_of_a_budget_is_told_of_when_it_is_reached() {
+    let (farm, clock) = farm().await;
+    let node = farm.node("a").await;
+    let (receiver, url) = Receiver::new().await;
+    add(&farm, json!({"url": url, "kinds": ["budget"], "project": "default"})).await;
+    // The node costs a thousand a second.
+    let thresholds = json!([{"percent": 50, "action": "warn"}, {"percent": 100, "action": "drain"}]);
+    let budget =
+        json!({"project": "default", "period": "total", "amount": 100_000, "thresholds": thresholds});
+    farm.operator.post("/v1/budgets", &budget).await;
+    let job = farm.submit("0-9").await;
+    farm.until_booked(&node, &job).await;
+    let task = farm.next_task(&node).await;
+    let lease = format!("/v1/leases/{}", task.lease_id);
+    for (seconds, word) in [(60, "warning"), (50, "nothing new is started")] {
+        let before = receiver.messages().len();
+        for _ in 0..seconds / 10 {
+            clock.advance_micros(10_000_000);
+            let beat = farm.worker.request(Method::PATCH, &lease).json(&json!({"fence": task.fence}));
+            assert_eq!(beat.send().await.unwrap().status(), StatusCode::OK);
+        }
+        farm.service.store().enforce_budgets(clock.now()).await.unwrap();
+        until(word, async || receiver.messages().len() > before).await;
+        let said = receiver.messages().pop().unwrap().data;
+        assert!(said.text.contains(word), "{}", said.text);
+        assert_eq!((said.project.as_deref(), said.job_id), (Some("default"), None));
+    }
+    assert_eq!(receiver.messages().len(), 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_is_set_aside_for_its_failures_is_told_of_with_its_page() {
+    let farm = Farm::with(|config| config.public_origin = Some("https://farm.example".to_owned())).await;
+    let (receiver, url) = Receiver::new().await;
+    add(&farm, json!({"url": url, "kinds": ["node_set_aside"]})).await;
+    // Film people hear of their jobs, and not of nodes.
+    let (of_film, film_url) = Receiver::new().await;
+    add(&farm, json!({"url": film_url, "project": "film"})).await;
+    let (bad, good) = (farm.node("bad").await, farm.node("good").await);
+    let job = farm.submit("0-7").await;
+    farm.until_booked(&good, &job).await;
+    // A failure counts once another node has done the task.
+    while farm.viewer.json::<Node>(&format!("/v1/nodes/{}", bad.id)).await.set_aside.is_none() {
+        if let Some(lease) = farm.claim(&bad).await {
+            let failed = json!({"fence": lease.fence, "error": {"message": "no GPU"}});
+            farm.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &failed).await;
+        }
+        if let Some(lease) = farm.claim_waiting(&good, 2000).await {
+            farm.finish(&lease).await;
+        }
+    }
+    until("the node", async || !receiver.got.lock().is_empty()).await;
+    let data = receiver.messages().remove(0).data;
+    assert!(data.text.starts_with("node bad: it was at fault for 3 tasks within a day"), "{}", data.text);
+    assert_eq!(data.url, Some(format!("https://farm.example/#/farm?node={}", bad.id)));
+    assert_eq!(data.event.unwrap().node_id, Some(bad.id));
+    assert!(of_film.got.lock().is_empty());
 }
 
 #[tokio::test(flavor = "multi_thread")]

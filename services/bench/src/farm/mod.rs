@@ -3,6 +3,7 @@
 mod bare;
 mod filling;
 pub mod leases;
+mod pages;
 mod service;
 mod siege;
 pub mod workers;

@@ -37,6 +37,7 @@ mod slurm;
 mod status;
 mod submit;
 mod token;
+mod webhook;
 mod worker;
 
 use anyhow::Result;
@@ -98,6 +99,8 @@ enum Command {
     #[command(visible_alias = "nodes")]
     Node(Box<node::Args>),
     Audit(audit::Args),
+    #[command(visible_alias = "webhooks")]
+    Webhook(webhook::Args),
     Log(log::Args),
     Retention(retention::Args),
     Prune(retention::PruneArgs),
@@ -135,6 +138,7 @@ impl Cli {
             Command::Project(args) => project::run(args).await,
             Command::Quota(args) => quota::run(args).await,
             Command::Audit(args) => audit::run(args).await,
+            Command::Webhook(args) => webhook::run(args).await,
             Command::Log(args) => log::run(args).await,
             Command::Retention(args) => retention::run(args).await,
             Command::Prune(args) => retention::prune(args).await,

@@ -329,6 +329,7 @@ mod tests {
             set_aside: Some("3 jobs failed on it".into()),
             idle_reason: None,
             task_id: None,
+            activity: None,
             created_at: now,
             last_seen_at: now,
         }

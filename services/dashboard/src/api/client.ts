@@ -112,7 +112,9 @@ async function call(method: string, path: string, request: Request<never>): Prom
   if (request.key) headers["Idempotency-Key"] = request.key;
   if (request.signal) init.signal = request.signal;
   const response = await ask(address(path, request.path, request.query), init);
-  return response.status === 204 ? undefined : response.json();
+  // Some answers have no body.
+  const text = await response.text();
+  return text === "" ? undefined : JSON.parse(text);
 }
 
 export function get<P extends WithMethod<"get"> & string>(

@@ -3596,6 +3596,7 @@ export interface components {
         };
         /** @description A node. */
         Node: {
+            activity?: components["schemas"]["NodeActivity"] | null;
             /** @description Properties of the machine. */
             capabilities?: components["schemas"]["Capabilities"];
             /**
@@ -3654,6 +3655,8 @@ export interface components {
              * @description Its frame. Absent for tasks about all frames.
              */
             frame?: number | null;
+            /** @description Name of the job. */
+            job?: string;
             /** @description Its job. */
             job_id: components["schemas"]["JobId"];
             /** @description Its kind. */
@@ -5768,6 +5771,8 @@ export interface components {
              * @description Mean over frames of |forecast mean / actual − 1| of the CPU time. Absent without frames.
              */
             cpu_mean_absolute_error?: number | null;
+            /** @description The same by day, the newest 366 days with finished frames, oldest first. Only on the first page. */
+            days?: components["schemas"]["TrackRecordDay"][];
             /**
              * Format: int64
              * @description Number of finished frames that had a forecast.
@@ -5780,6 +5785,8 @@ export interface components {
             /** @description Jobs that an operator took out of the record: none of the numbers counts them. The newest first. */
             left_out?: components["schemas"]["LeftOutJob"][];
             next_page_token?: components["schemas"]["PageToken"] | null;
+            /** @description The same by project, sorted by name. Only on the first page. */
+            projects?: components["schemas"]["TrackRecordProject"][];
             /**
              * Format: double
              * @description Sum of forecast means / sum of actual values − 1, of the work. Absent without frames.
@@ -5793,6 +5800,13 @@ export interface components {
              */
             work_mean_absolute_error?: number | null;
         };
+        /** @description Accuracy for the frames that were finished on a day. */
+        TrackRecordDay: {
+            /** @description When the day began, in UTC. */
+            day: components["schemas"]["Timestamp"];
+            /** @description Accuracy for its frames. */
+            frames: components["schemas"]["Coverage"];
+        };
         /** @description Accuracy of quotes of one kind. Quotes are calibrated on past jobs of the same kind. */
         TrackRecordKind: {
             /** @description Whether the quantiles were calibrated on past jobs. */
@@ -5805,6 +5819,23 @@ export interface components {
             jobs: components["schemas"]["Coverage"];
             /** @description Renderer that measured the profiles, with its version. Absent if unknown. */
             renderer?: string | null;
+        };
+        /** @description Accuracy for the frames of a project. */
+        TrackRecordProject: {
+            /**
+             * Format: double
+             * @description Sum of forecast means / sum of actual values − 1, of the CPU time.
+             */
+            cpu_bias?: number | null;
+            /** @description Accuracy for its finished frames. */
+            frames: components["schemas"]["Coverage"];
+            /** @description The project. */
+            project: string;
+            /**
+             * Format: double
+             * @description Sum of forecast means / sum of actual values − 1, of the work.
+             */
+            work_bias?: number | null;
         };
         /** @description Forecast and actual cost of a finished frame. */
         TrackRecordRow: {

@@ -8,6 +8,7 @@ const KEYS: [keys: string[], does: string][] = [
   [["g", "f"], "go to Farm"],
   [["g", "r"], "go to Record"],
   [["g", "s"], "go to Submit"],
+  [["g", "e"], "go to Settings"],
   [["/"], "search on this screen"],
   [["?"], "this list"],
   [["←", "→"], "on a frame strip: the frame before, the next frame; with Shift, select"],

@@ -106,20 +106,20 @@ function flush(): void {
   schedule(SOON);
 }
 
+/** The farm after some events: the same object if they changed none of its jobs. */
 function changedFarm(old: Farm, events: Event[]): Farm {
-  const jobs = new Map(old.jobs.map((job) => [job.id, job]));
-  const nodes = new Map(old.nodes.map((node) => [node.id, node]));
+  const jobs = new Map<string, Job>();
+  const places = new Map(old.jobs.map((job) => [job.id, job]));
   for (const event of events) {
-    const job = event.job_id && jobs.get(event.job_id);
-    if (job) jobs.set(job.id, changedJob(job, event));
-    const node = event.node_id && nodes.get(event.node_id);
-    if (node) nodes.set(node.id, changedNode(node, event));
+    const job = event.job_id && (jobs.get(event.job_id) ?? places.get(event.job_id));
+    if (!job) continue;
+    const changed = changedJob(job, event);
+    if (changed !== job) jobs.set(job.id, changed);
   }
-  return { ...old, jobs: [...jobs.values()], nodes: [...nodes.values()] };
+  return jobs.size === 0 ? old : { ...old, jobs: old.jobs.map((job) => jobs.get(job.id) ?? job) };
 }
 
 type Job = Farm["jobs"][number];
-type Node = Farm["nodes"][number];
 
 function changedJob(job: Job, event: Event): Job {
   switch (event.kind) {
@@ -132,23 +132,5 @@ function changedJob(job: Job, event: Event): Job {
       return event.promise ? { ...job, promise: event.promise } : job;
     default:
       return job;
-  }
-}
-
-function changedNode(before: Node, event: Event): Node {
-  const node = event.node_state ? { ...before, state: event.node_state } : before;
-  switch (event.kind) {
-    case "task_progress":
-      if (node.activity?.task_id !== event.task_id || event.progress == null) return node;
-      return { ...node, activity: { ...node.activity!, progress: event.progress } };
-    case "task_done":
-    case "task_failed":
-    case "result_refused":
-    case "lease_expired":
-    case "lease_released":
-    case "lease_lost":
-      return node.activity && node.activity.task_id === event.task_id ? { ...node, activity: null } : node;
-    default:
-      return node;
   }
 }

@@ -1,6 +1,6 @@
 // An uncertain instant on a time axis: P50 to P80 to P95 as a narrowing bar, the deadline as a line.
 
-import { clockTime, duration, zoneAt } from "./format";
+import { clockTime, exactTime, duration, zoneAt } from "./format";
 
 export interface Axis {
   from: number;
@@ -102,9 +102,12 @@ export function AxisHead(props: { axis: Axis }) {
 /** A spread in words: `half the time by 06:10, four times in five by 06:30, 19 in 20 by 06:55 (CET)`. */
 export function spreadWords(spread: Spread): string {
   if (spread.p50 === null) return "No end is known yet";
-  const parts = [`P50 ${clockTime(spread.p50)}`];
-  if (spread.p80 !== null) parts.push(`P80 ${clockTime(spread.p80)}`);
-  if (spread.p95 !== null) parts.push(`P95 ${clockTime(spread.p95)}`);
+  // Ends that minutes do not tell apart have seconds.
+  const last = spread.p95 ?? spread.p80 ?? spread.p50;
+  const time = last > spread.p50 && last - spread.p50 < 5 * 60_000 ? exactTime : clockTime;
+  const parts = [`P50 ${time(spread.p50)}`];
+  if (spread.p80 !== null) parts.push(`P80 ${time(spread.p80)}`);
+  if (spread.p95 !== null) parts.push(`P95 ${time(spread.p95)}`);
   return `${parts.join(", ")} ${zoneAt(spread.p50)}`;
 }
 

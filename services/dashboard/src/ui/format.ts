@@ -176,9 +176,13 @@ const STAMP = /\d{4}-\d\d-\d\dT\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:\d\d)/
 
 /** A text of the service for people: one line, with its instants in the viewer's zone. */
 export function told(text: string): string {
-  return clean(text).replace(STAMP, (stamp) => {
+  const shown = clean(text);
+  // Instants that minutes do not tell apart have seconds.
+  const stamps = (shown.match(STAMP) ?? []).map((stamp) => Date.parse(stamp));
+  const near = stamps.length > 1 && Math.max(...stamps) - Math.min(...stamps) < 5 * 60_000;
+  return shown.replace(STAMP, (stamp) => {
     const at = Date.parse(stamp);
-    return Number.isNaN(at) ? stamp : clockTime(at);
+    return Number.isNaN(at) ? stamp : near ? exactTime(at) : clockTime(at);
   });
 }
 

@@ -3,7 +3,7 @@
 import { useEffect } from "preact/hooks";
 import { go } from "../state/route";
 
-export const GOTO = { t: "tonight", f: "farm", r: "record", s: "submit" } as const;
+export const GOTO = { t: "tonight", f: "farm", r: "record", s: "submit", e: "settings" } as const;
 
 const hours = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit" });
 

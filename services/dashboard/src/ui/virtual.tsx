@@ -11,13 +11,13 @@ export function VirtualRows<T>(props: {
   /** Role of the container, such as `rowgroup`. */
   role?: string;
   row: (item: T, at: number) => ComponentChildren;
-  /** Called when rows near the end are shown. */
-  nearEnd?: () => void;
+  /** Is told which rows are shown, also beyond the last one that is there. */
+  seen?: (first: number, last: number) => void;
 }) {
   const element = useRef<HTMLDivElement>(null);
   const [range, setRange] = useState<[number, number]>([0, 60]);
   const count = props.items.length;
-  const { height, nearEnd } = props;
+  const { height, seen } = props;
 
   useLayoutEffect(() => {
     const measure = () => {
@@ -26,7 +26,7 @@ export function VirtualRows<T>(props: {
       const first = Math.max(0, Math.floor(-box.top / height) - MARGIN);
       const last = Math.min(count, Math.ceil((innerHeight - box.top) / height) + MARGIN);
       setRange((old) => (old[0] === first && old[1] === last ? old : [first, Math.max(first, last)]));
-      if (last >= count - MARGIN) nearEnd?.();
+      seen?.(first, Math.max(first, Math.ceil((innerHeight - box.top) / height) + MARGIN));
     };
     measure();
     addEventListener("scroll", measure, { passive: true });
@@ -39,7 +39,7 @@ export function VirtualRows<T>(props: {
       removeEventListener("scroll", measure);
       removeEventListener("resize", measure);
     };
-  }, [count, height, nearEnd]);
+  }, [count, height, seen]);
 
   const [first, last] = range;
   return (

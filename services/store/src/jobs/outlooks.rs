@@ -10,7 +10,7 @@ use crate::error::{Result, StoreError};
 use crate::events::{append, event};
 use crate::policy::projection::rounded_up;
 use crate::policy::rebooking::promise_news;
-use crate::writing::run;
+use crate::writing::{later, run};
 
 /// Why a job waits, and the state of its promise.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize)]
@@ -77,7 +77,7 @@ pub(crate) async fn keep(write: &mut Write, outlooks: &[(JobId, JobOutlook)], no
         if before == *outlook || row.state.0.is_final() {
             continue;
         }
-        run!(write, "UPDATE jobs SET outlook = ? WHERE id = ?", Json(outlook), job.0);
+        later!(write, "UPDATE jobs SET outlook = ? WHERE id = ?", Json(outlook.clone()), job.0);
         let Some((kind, message)) = promise_news(before.promise.as_ref(), outlook.promise.as_ref()) else {
             continue;
         };

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use forelight_protocol::{Node, NodeId, NodeState, Timestamp};
+use forelight_protocol::{Node, NodeActivity, NodeId, NodeState, Timestamp};
 use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
@@ -85,10 +85,30 @@ impl Store {
         let ids: Vec<NodeId> = later.take(limit as usize).map(|node| node.id).collect();
         let mut found = Vec::with_capacity(ids.len());
         for id in ids {
-            found.push(as_it_is(read(&mut transaction, id).await?, ttl, now));
+            let mut node = read(&mut transaction, id).await?;
+            node.activity = activity(&mut transaction, &node).await?;
+            found.push(as_it_is(node, ttl, now));
         }
         Ok(found)
     }
+}
+
+/// What a node's task is.
+pub(crate) async fn activity(connection: &mut SqliteConnection, node: &Node) -> Result<Option<NodeActivity>> {
+    if node.task_id.is_none() {
+        return Ok(None);
+    }
+    let activity = sqlx::query_as!(
+        NodeActivity,
+        r#"SELECT t.id AS task_id, t.kind, t.job_id, j.name AS job, t.frame,
+                  round(t.progress, 4) AS "progress!: f64", t.started_at AS "started!"
+           FROM tasks t JOIN jobs j ON j.id = t.job_id
+           WHERE t.node_id = ? AND t.state = 'leased' ORDER BY t.started_at DESC, t.id LIMIT 1"#,
+        node.id.0
+    )
+    .fetch_optional(connection)
+    .await?;
+    Ok(activity)
 }
 
 fn in_order(a: &NodePlace, b: &NodePlace) -> std::cmp::Ordering {

@@ -103,6 +103,7 @@ pub(crate) mod tests {
             set_aside: None,
             idle_reason: None,
             task_id: None,
+            activity: None,
             created_at: at,
             last_seen_at: at,
         }

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use forelight_protocol::{
-    Coverage, JobId, QuantileHits, Quantiles, Timestamp, TrackRecord, TrackRecordKind, TrackRecordRow,
+    Coverage, JobId, QuantileHits, Quantiles, Timestamp, TrackRecord, TrackRecordDay, TrackRecordKind,
+    TrackRecordProject, TrackRecordRow,
 };
 use sqlx::{SqliteConnection, query, query_as};
 
@@ -79,7 +80,18 @@ pub struct FinishedJob {
     pub cpu_error: Option<f64>,
 }
 
+/// Days of which the record tells.
+const DAYS: i64 = 366;
+
+/// A day in microseconds.
+const DAY: i64 = 86_400_000_000;
+
 impl Store {
+    /// The record over all finished frames, without any of them. Only of `projects`, if they are given.
+    pub async fn track_record_totals(&self, projects: Option<&[String]>) -> Result<TrackRecord> {
+        totals(&mut *self.readers().acquire().await?, projects).await
+    }
+
     /// The newest finished jobs, at most `limit`, the oldest of them first; those of `projects`, if they are
     /// given.
     pub async fn finished_jobs(&self, limit: u32, projects: Option<&[String]>) -> Result<Vec<FinishedJob>> {
@@ -109,6 +121,10 @@ impl Store {
     ) -> Result<TrackRecord> {
         let mut transaction = self.read().await?;
         let mut record = totals(&mut transaction, projects).await?;
+        if before.is_none() {
+            record.projects = by_project(&mut transaction, projects).await?;
+            record.days = by_day(&mut transaction, projects).await?;
+        }
         let (at, job, frame) = before.map_or((i64::MAX, uuid::Uuid::max(), i64::MAX), |(at, job, frame)| {
             (at.micros(), job.0, i64::from(frame))
         });
@@ -152,10 +168,7 @@ fn quantiles([mean, p50, p80, p95]: [f64; 4]) -> Quantiles {
 }
 
 /// The record over all finished frames, without any of them.
-pub(crate) async fn totals(
-    connection: &mut SqliteConnection,
-    projects: Option<&[String]>,
-) -> Result<TrackRecord> {
+async fn totals(connection: &mut SqliteConnection, projects: Option<&[String]>) -> Result<TrackRecord> {
     let row = coverage_rows!(
         "sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
          sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
@@ -176,10 +189,58 @@ pub(crate) async fn totals(
         work_bias: row.work_bias,
         cpu_bias: row.cpu_bias,
         kinds: Vec::new(),
+        projects: Vec::new(),
+        days: Vec::new(),
         left_out: Vec::new(),
         items: Vec::new(),
         next_page_token: None,
     })
+}
+
+async fn by_project(
+    connection: &mut SqliteConnection,
+    projects: Option<&[String]>,
+) -> Result<Vec<TrackRecordProject>> {
+    let rows = coverage_rows!(
+        "j.project AS \"project!\", \
+         sum(work_mean) / nullif(sum(actual_work), 0) - 1 AS \"work_bias?: f64\", \
+         sum(cpu_mean) / nullif(sum(actual_cpu), 0) - 1 AS \"cpu_bias?: f64\"",
+        "FROM frames f JOIN jobs j ON j.id = f.job_id \
+         WHERE f.finished_at IS NOT NULL AND f.forecast IS NOT NULL \
+         AND f.job_id NOT IN (SELECT job_id FROM left_out_jobs) \
+         AND (?1 IS NULL OR j.project IN (SELECT value FROM json_each(?1))) GROUP BY 1 ORDER BY 1",
+        projects.map(Json)
+    )
+    .fetch_all(connection)
+    .await?;
+    let project = rows.into_iter().map(|row| TrackRecordProject {
+        frames: coverage!(row),
+        project: row.project,
+        work_bias: row.work_bias,
+        cpu_bias: row.cpu_bias,
+    });
+    Ok(project.collect())
+}
+
+async fn by_day(
+    connection: &mut SqliteConnection,
+    projects: Option<&[String]>,
+) -> Result<Vec<TrackRecordDay>> {
+    let rows = coverage_rows!(
+        "finished_at / ?1 AS \"day!: i64\"",
+        "FROM frames WHERE finished_at IS NOT NULL AND forecast IS NOT NULL \
+         AND job_id NOT IN (SELECT job_id FROM left_out_jobs) \
+         AND (?3 IS NULL OR job_id IN (SELECT id FROM jobs WHERE project IN (SELECT value FROM json_each(?3)))) \
+         GROUP BY 1 ORDER BY 1 DESC LIMIT ?2",
+        DAY,
+        DAYS,
+        projects.map(Json)
+    )
+    .fetch_all(connection)
+    .await?;
+    let day = |number: i64| Timestamp::from_micros(number.saturating_mul(DAY));
+    let days = rows.into_iter().rev().map(|row| TrackRecordDay { day: day(row.day), frames: coverage!(row) });
+    Ok(days.collect())
 }
 
 async fn kinds(

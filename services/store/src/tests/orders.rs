@@ -3,7 +3,6 @@
 use forelight_protocol::{FrameState, LeaseOrder, NodeChange, NodeState};
 
 use super::*;
-use crate::Projection;
 
 fn change(change: impl FnOnce(&mut NodeChange)) -> NodeChange {
     let mut changed = NodeChange::default();
@@ -98,7 +97,7 @@ async fn what_was_spent_never_falls_when_the_clock_goes_back() {
     let job = farm.booked_job(request("0-2"), node.id, at(0)).await;
     let spent = async |now: i64| farm.store.spent_on(job, at(now)).await.unwrap().0;
     let tonight = async |now: i64| {
-        let dashboard = farm.store.dashboard(&Projection::default(), None, TTL, at(now)).await.unwrap();
+        let dashboard = farm.dashboard(at(now)).await;
         dashboard.spending.iter().map(|project| project.tonight.0).sum::<i64>()
     };
     let done = farm.claim(node.id, at(10)).await.unwrap();

@@ -1,7 +1,6 @@
 // Nodes × time: past as it was, running, and booked ahead at P50 with P80 ends.
 
 import { useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
-import type { TimelineNode, TimelineSpan } from "../../api/types";
 import { now } from "../../state/farm";
 import { href } from "../../state/route";
 import { clean, clockTime, duration, told, zoneAt } from "../../ui/format";
@@ -10,7 +9,7 @@ import { Trouble, Waiting } from "../../ui/parts";
 import { useWidth } from "../../ui/resource";
 import { theme } from "../../ui/theme";
 import { chartColours, type Drawing, HEAD, type Move, paint, ROW, spanAt } from "./paint";
-import type { Rows, Stretch } from "./timeline";
+import type { Row, Rows, Span, Stretch } from "./timeline";
 
 export interface ChartProps {
   rows: Rows;
@@ -41,11 +40,11 @@ export function Chart(props: ChartProps) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const [scroll, setScroll] = useState(0);
   const [boxHeight, setBoxHeight] = useState(400);
-  const [under, setUnder] = useState<{ row: TimelineNode; span: TimelineSpan | null } | null>(null);
-  const [pinned, setPinned] = useState<{ row: TimelineNode; span: TimelineSpan } | null>(null);
+  const [under, setUnder] = useState<{ row: Row; span: Span | null } | null>(null);
+  const [pinned, setPinned] = useState<{ row: Row; span: Span } | null>(null);
   const look = theme.value;
   const colours = useMemo(() => chartColours(look === "dark"), [look]);
-  const count = rows.complete ? rows.rows.length : Math.max(props.total, rows.rows.length);
+  const count = rows.complete ? rows.items.length : Math.max(props.total, rows.items.length);
   const high = HEAD + Math.max(1, count) * ROW;
 
   const drawing: Drawing = {
@@ -54,7 +53,7 @@ export function Chart(props: ChartProps) {
     scroll,
     view,
     now: now.value,
-    rows: rows.rows,
+    rows: rows.items,
     jobs: rows.jobs,
     marked: pinned?.span.job_id ?? null,
     moves: props.moves,
@@ -71,7 +70,7 @@ export function Chart(props: ChartProps) {
     pending.current = requestAnimationFrame(
       () => canvas.current && paint(canvas.current, latest.current, colours),
     );
-  });
+  }, [...Object.values(drawing), colours]);
 
   useEffect(() => {
     const target = box.current!;
@@ -80,14 +79,15 @@ export function Chart(props: ChartProps) {
     return () => observer.disconnect();
   }, []);
 
-  useEffect(() => {
-    if ((scroll + boxHeight) / ROW > rows.rows.length - 10 && !rows.complete) rows.more();
-  }, [scroll, boxHeight, rows.rows.length, rows.complete, rows.loading]);
+  useEffect(
+    () => rows.see(Math.floor(scroll / ROW), Math.ceil((scroll + boxHeight) / ROW)),
+    [scroll, boxHeight, rows.see],
+  );
 
   useGestures(plot, latest, props);
 
   const first = Math.max(0, Math.floor(scroll / ROW) - 4);
-  const last = Math.min(rows.rows.length, Math.ceil((scroll + boxHeight) / ROW) + 4);
+  const last = Math.min(rows.items.length, Math.ceil((scroll + boxHeight) / ROW) + 4);
   const told = pinned ?? under;
   return (
     <>
@@ -112,7 +112,7 @@ export function Chart(props: ChartProps) {
         <div class="gantt-inner" style={{ height: `${high}px` }}>
           <div class="gantt-names">
             <div class="gantt-corner">Node</div>
-            {rows.rows.slice(first, last).map((row, at) => (
+            {rows.items.slice(first, last).map((row, at) => (
               <button
                 type="button"
                 key={row.node_id}
@@ -152,10 +152,10 @@ export function Chart(props: ChartProps) {
         </div>
       </div>
       {rows.error && <Trouble error={rows.error} retry={rows.again} />}
-      {rows.loading && rows.rows.length === 0 && <Waiting>Asking what the nodes do…</Waiting>}
-      {rows.loading && rows.rows.length > 0 && !rows.complete && (
+      {rows.loading && rows.items.length === 0 && <Waiting>Asking what the nodes do…</Waiting>}
+      {rows.loading && rows.items.length > 0 && !rows.complete && (
         <p class="note">
-          {rows.rows.length} of {count} nodes are here; asking for more…
+          {rows.items.length} of {count} nodes are here; asking for more…
         </p>
       )}
     </>
@@ -184,7 +184,7 @@ function Legend() {
   );
 }
 
-function Told(props: { row: TimelineNode; span: TimelineSpan | null; jobs: ReadonlyMap<string, string> }) {
+function Told(props: { row: Row; span: Span | null; jobs: ReadonlyMap<string, string> }) {
   const { row, span } = props;
   if (!span) {
     return (
@@ -194,8 +194,7 @@ function Told(props: { row: TimelineNode; span: TimelineSpan | null; jobs: Reado
       </>
     );
   }
-  const start = Date.parse(span.start);
-  const end = Date.parse(span.end);
+  const { start, end, tail } = span;
   const name = span.job_id ? (props.jobs.get(span.job_id) ?? "a job") : span.kind;
   return (
     <>
@@ -207,8 +206,7 @@ function Told(props: { row: TimelineNode; span: TimelineSpan | null; jobs: Reado
       )}
       {span.frames && `, frame${/[-,]/.test(span.frames) ? "s" : ""} ${span.frames}`}, {span.kind},{" "}
       {clockTime(start)} to {clockTime(end)}
-      {span.end_p80 && ` (P80 ${clockTime(Date.parse(span.end_p80))})`} {zoneAt(start)},{" "}
-      {duration(end - start)}.{" "}
+      {tail > end && ` (P80 ${clockTime(tail)})`} {zoneAt(start)}, {duration(end - start)}.{" "}
     </>
   );
 }

@@ -1,5 +1,6 @@
 // The farm: nodes and time, as a chart and as a list.
 
+import { computed } from "@preact/signals";
 import type { ComponentChildren } from "preact";
 import { useCallback, useEffect, useMemo, useState } from "preact/hooks";
 import type { NodeState } from "../../api/types";
@@ -29,10 +30,14 @@ function tonight(): Stretch {
   return { from: at - ahead * 0.4, to: at + ahead };
 }
 
+// Events change jobs many times a second. What this screen shows of the document changes more rarely.
+const isKnown = computed(() => farm.value !== null);
+const nodeCounts = computed(() => farm.value!.node_counts);
+const total = computed(() => farm.value!.counts.nodes);
+
 export function FarmScreen() {
   useEffect(() => titled("Farm"), []);
-  const doc = farm.value;
-  if (!doc) {
+  if (!isKnown.value) {
     return farmError.value ? (
       <Trouble error={farmError.value} />
     ) : (
@@ -43,13 +48,12 @@ export function FarmScreen() {
 }
 
 function Nodes() {
-  const doc = farm.value!;
   const list = param("view") === "list";
   const state = knownState(param("state"));
   const search = param("search") ?? "";
   const node = param("node");
   const [version, setVersion] = useState(0);
-  const { asleep, ...states } = doc.node_counts;
+  const { asleep, ...states } = nodeCounts.value;
   const counts = (Object.entries(states) as [NodeState, number][]).filter(([, count]) => count > 0);
   return (
     <div class="farm">
@@ -84,7 +88,7 @@ function Nodes() {
       </div>
       <div class="states" role="group" aria-label="Only nodes in this state">
         <button type="button" aria-pressed={state === ""} onClick={() => setQuery({ state: null })}>
-          all {grouped(doc.counts.nodes)}
+          all {grouped(total.value)}
         </button>
         {counts.map(([name, count]) => (
           <button
@@ -98,7 +102,7 @@ function Nodes() {
         ))}
         {asleep > 0 && <Mark of="asleep" word={`${grouped(asleep)} of them asleep`} />}
       </div>
-      {doc.counts.nodes === 0 ? (
+      {total.value === 0 ? (
         <NoNodes />
       ) : list ? (
         <NodeList state={state} search={search} open={(id) => setQuery({ node: id })} key={version} />
@@ -106,7 +110,7 @@ function Nodes() {
         <ChartView
           state={state}
           search={search}
-          total={state || search ? 0 : doc.counts.nodes}
+          total={state || search ? 0 : total.value}
           version={version}
         />
       )}
@@ -202,7 +206,7 @@ function ChartView(props: { state: NodeState | ""; search: string; total: number
             Tonight
           </button>
         </span>
-        {seesAll.value && <Plans rows={rows.rows} play={setPlaying} />}
+        {seesAll.value && <Plans rows={rows.items} play={setPlaying} />}
       </div>
       <Chart
         rows={rows}
@@ -218,7 +222,7 @@ function ChartView(props: { state: NodeState | ""; search: string; total: number
         label="The chart, as a table"
         head={["Node", "Does", "Job", "Frames", "From", "To", "P80"]}
         rows={() => spanRows(rows, view)}
-        note={`What is in the chart's time, of the ${rows.rows.length} nodes that are loaded; at most ${MOST_ROWS} lines.`}
+        note={`What is in the chart's time, of the ${rows.items.length} nodes that are loaded; at most ${MOST_ROWS} lines.`}
       />
     </>
   );
@@ -228,9 +232,9 @@ const MOST_ROWS = 500;
 
 function spanRows(rows: Rows, view: Stretch): ComponentChildren[][] {
   const out: ComponentChildren[][] = [];
-  for (const row of rows.rows) {
+  for (const row of rows.items) {
     for (const span of row.spans) {
-      if (Date.parse(span.end) < view.from || Date.parse(span.start) > view.to) continue;
+      if (span.end < view.from || span.start > view.to) continue;
       if (out.length === MOST_ROWS) return out;
       out.push([
         clean(row.name),
@@ -243,7 +247,7 @@ function spanRows(rows: Rows, view: Stretch): ComponentChildren[][] {
         span.frames ?? "–",
         <Time at={span.start} exact />,
         <Time at={span.end} exact />,
-        <Time at={span.end_p80} exact />,
+        <Time at={span.tail > span.end ? span.tail : null} exact />,
       ]);
     }
   }

@@ -3,15 +3,17 @@
 import { useCallback, useEffect, useState } from "preact/hooks";
 import { get, patch } from "../../api/client";
 import type { Node, NodeChange, NodeState } from "../../api/types";
-import { farm, now, refresh } from "../../state/farm";
+import { refresh } from "../../state/farm";
 import { onEvent } from "../../state/live";
-import { href, param, setQuery } from "../../state/route";
+import { param, setQuery } from "../../state/route";
 import { mayOperate } from "../../state/session";
-import { bytes, clean, counted, money, percent, significant, words } from "../../ui/format";
+import { bytes, clean, counted, money, significant } from "../../ui/format";
 import { Mark } from "../../ui/mark";
+import { PAGE, usePages } from "../../ui/pages";
 import { Trouble, Waiting } from "../../ui/parts";
 import { asError, useThrottled } from "../../ui/resource";
 import { VirtualRows } from "../../ui/virtual";
+import { Activity } from "./activity";
 
 const SORTS = [
   ["name", "Name"],
@@ -19,57 +21,36 @@ const SORTS = [
   ["price", "Price"],
 ] as const;
 
-interface Listed {
-  nodes: Node[];
-  next: string | null;
-  loading: boolean;
-  error: Error | null;
-}
-
 export function NodeList(props: { state: NodeState | ""; search: string; open: (id: string) => void }) {
+  const { state, search } = props;
   const sort = SORTS.find(([value]) => value === param("sort"))?.[0] ?? "name";
-  const [listed, setListed] = useState<Listed>({ nodes: [], next: null, loading: true, error: null });
   const ask = useCallback(
-    async (old: Node[], token: string | null) => {
-      setListed((was) => ({ ...was, loading: true }));
-      try {
-        const page = await get("/v1/nodes", {
-          query: {
-            page_size: 100,
-            sort,
-            ...(props.state ? { state: props.state } : {}),
-            ...(props.search ? { search: props.search } : {}),
-            ...(token ? { page_token: token } : {}),
-          },
-        });
-        setListed({
-          nodes: [...old, ...page.items],
-          next: page.next_page_token ?? null,
-          loading: false,
-          error: null,
-        });
-      } catch (failure) {
-        setListed((was) => ({ ...was, loading: false, error: asError(failure) }));
-      }
+    async (token: string | null) => {
+      const page = await get("/v1/nodes", {
+        query: {
+          page_size: PAGE,
+          sort,
+          ...(state ? { state } : {}),
+          ...(search ? { search } : {}),
+          ...(token ? { page_token: token } : {}),
+        },
+      });
+      return { items: page.items, next: page.next_page_token ?? null };
     },
-    [sort, props.state, props.search],
+    [sort, state, search],
   );
-  useEffect(() => void ask([], null), [ask]);
-  const again = useThrottled(() => void ask([], null), 3_000);
+  const listed = usePages(ask, () => null);
+  const again = useThrottled(listed.again, 3_000);
   useEffect(
     () =>
       onEvent((event) => event.node_id && /node_|task_leased|task_done|lease_/.test(event.kind) && again()),
     [again],
   );
-  const more = useCallback(() => {
-    if (!listed.loading && listed.next) void ask(listed.nodes, listed.next);
-  }, [listed, ask]);
-  const changed = (node: Node) =>
-    setListed((was) => ({ ...was, nodes: was.nodes.map((one) => (one.id === node.id ? node : one)) }));
-  void now.value;
+  useProgress(listed.change);
+  const changed = (node: Node) => listed.change((one) => (one.id === node.id ? node : one));
 
-  if (listed.nodes.length === 0) {
-    if (listed.error) return <Trouble error={listed.error} retry={() => void ask([], null)} />;
+  if (listed.items.length === 0) {
+    if (listed.error) return <Trouble error={listed.error} retry={listed.again} />;
     return listed.loading ? (
       <Waiting>Asking for the nodes…</Waiting>
     ) : (
@@ -103,18 +84,18 @@ export function NodeList(props: { state: NodeState | ""; search: string; open: (
           </div>
           <VirtualRows
             role="rowgroup"
-            items={listed.nodes}
+            items={listed.items}
             height={36}
-            nearEnd={more}
+            seen={listed.see}
             row={(node) => <Row node={node} open={props.open} changed={changed} />}
           />
         </div>
       </div>
       <p class="note">
-        {counted(listed.nodes.length, "node")} shown{listed.next ? ", more below" : ""}.{" "}
+        {counted(listed.items.length, "node")} shown{listed.complete ? "" : ", more below"}.{" "}
         {listed.loading && "Asking…"}
       </p>
-      {listed.error && <Trouble error={listed.error} retry={() => void ask([], null)} />}
+      {listed.error && <Trouble error={listed.error} retry={listed.again} />}
     </>
   );
 }
@@ -187,19 +168,29 @@ function Row(props: { node: Node; open: (id: string) => void; changed: (node: No
 
 function Does(props: { node: Node }) {
   const { node } = props;
-  const activity = farm.value?.nodes.find((one) => one.id === node.id)?.activity;
-  if (activity) {
-    const job = farm.value?.jobs.find((one) => one.id === activity.job_id);
-    return (
-      <>
-        {words(activity.kind)}
-        {activity.frame != null && ` ${activity.frame}`} of{" "}
-        <a href={href(["jobs", activity.job_id])}>{job ? clean(job.name) : "a job"}</a>,{" "}
-        {percent(activity.progress)}
-      </>
-    );
-  }
+  if (node.activity) return <Activity of={node.activity} />;
   if (node.set_aside) return <>set aside: {clean(node.set_aside)}</>;
   if (node.idle_reason) return <span class="muted">{clean(node.idle_reason)}</span>;
   return <span class="none">{node.task_id ? "a task" : "nothing"}</span>;
+}
+
+/** Progress of the listed nodes' tasks, as events tell of it, drawn twice a second. */
+function useProgress(change: (change: (node: Node) => Node) => void): void {
+  useEffect(() => {
+    let told = new Map<string, number>();
+    const stop = onEvent((event) => {
+      if (event.kind === "task_progress" && event.task_id && event.progress != null)
+        told.set(event.task_id, event.progress);
+    });
+    const timer = setInterval(() => {
+      if (told.size === 0) return;
+      const progress = told;
+      told = new Map();
+      change((node) => {
+        const now = node.activity && progress.get(node.activity.task_id);
+        return now == null ? node : { ...node, activity: { ...node.activity!, progress: now } };
+      });
+    }, 500);
+    return () => (clearInterval(timer), stop());
+  }, [change]);
 }

@@ -3,24 +3,14 @@
 import { useState } from "preact/hooks";
 import { get, patch } from "../../api/client";
 import type { Node, NodeChange } from "../../api/types";
-import { farm, refresh } from "../../state/farm";
-import { href } from "../../state/route";
+import { refresh } from "../../state/farm";
 import { mayOperate } from "../../state/session";
 import { Dialog } from "../../ui/dialog";
-import {
-  bytes,
-  clean,
-  money,
-  parseMoney,
-  percent,
-  significant,
-  timeZone,
-  told,
-  words,
-} from "../../ui/format";
+import { bytes, clean, money, parseMoney, significant, timeZone, told } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Field, Time, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource } from "../../ui/resource";
+import { Activity } from "./activity";
 import { Schedule, scheduleWords } from "./schedule";
 
 export function NodeDialog(props: { id: string; close: () => void; changed: () => void }) {
@@ -72,8 +62,6 @@ export function NodeDialog(props: { id: string; close: () => void; changed: () =
 function NodeFacts(props: { node: Node }) {
   const { node } = props;
   const what = node.capabilities;
-  const activity = farm.value?.nodes.find((one) => one.id === node.id)?.activity;
-  const job = activity && farm.value?.jobs.find((one) => one.id === activity.job_id);
   return (
     <>
       <dl class="facts">
@@ -107,12 +95,9 @@ function NodeFacts(props: { node: Node }) {
           </Fact>
         )}
       </dl>
-      {activity && (
+      {node.activity && (
         <p>
-          It does the {words(activity.kind)}
-          {activity.frame != null && ` of frame ${activity.frame}`} of{" "}
-          <a href={href(["jobs", activity.job_id])}>{job ? clean(job.name) : "a job"}</a>,{" "}
-          {percent(activity.progress)} done, since <Time at={activity.started} exact />.
+          It does the <Activity of={node.activity} />, since <Time at={node.activity.started} exact />.
         </p>
       )}
       {node.idle_reason && <p>It is idle: {told(node.idle_reason)}.</p>}

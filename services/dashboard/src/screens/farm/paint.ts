@@ -1,9 +1,8 @@
 // Draws the chart: rows of nodes, spans of jobs. Only what is in view is drawn.
 
-import type { TimelineNode, TimelineSpan } from "../../api/types";
 import { clockTime } from "../../ui/format";
 import { colour } from "../../ui/theme";
-import type { Stretch } from "./timeline";
+import type { Row, Span, Stretch } from "./timeline";
 
 export const ROW = 24;
 export const HEAD = 24;
@@ -24,7 +23,7 @@ export interface Drawing {
   scroll: number;
   view: Stretch;
   now: number;
-  rows: readonly TimelineNode[];
+  rows: readonly Row[];
   jobs: ReadonlyMap<string, string>;
   /** A job whose spans stand out. */
   marked: string | null;
@@ -145,15 +144,15 @@ type X = (at: number) => number;
 
 function paintSpan(
   draw: CanvasRenderingContext2D,
-  span: TimelineSpan,
+  span: Span,
   y: number,
   x: X,
   drawing: Drawing,
   colours: Colours,
 ): void {
-  const left = x(Date.parse(span.start));
-  const right = x(Date.parse(span.end));
-  const tail = span.end_p80 ? x(Date.parse(span.end_p80)) : right;
+  const left = x(span.start);
+  const right = x(span.end);
+  const tail = x(span.tail);
   if (Math.max(right, tail) < 0 || left > drawing.width) return;
   const from = Math.max(left, -2);
   const width = Math.max(1, Math.min(right, drawing.width + 2) - from);
@@ -257,18 +256,12 @@ function paintMoves(draw: CanvasRenderingContext2D, drawing: Drawing, x: X, colo
 }
 
 /** The span under a point of the chart. */
-export function spanAt(
-  drawing: Drawing,
-  px: number,
-  py: number,
-): { row: TimelineNode; span: TimelineSpan | null } | null {
+export function spanAt(drawing: Drawing, px: number, py: number): { row: Row; span: Span | null } | null {
   const row = drawing.rows[Math.floor((py - HEAD + drawing.scroll) / ROW)];
   if (!row || py < HEAD) return null;
   const at = drawing.view.from + (px / drawing.width) * (drawing.view.to - drawing.view.from);
   const slack = ((drawing.view.to - drawing.view.from) / drawing.width) * 2;
-  const hits = row.spans.filter(
-    (span) => Date.parse(span.start) - slack <= at && at <= Date.parse(span.end_p80 ?? span.end) + slack,
-  );
+  const hits = row.spans.filter((span) => span.start - slack <= at && at <= span.tail + slack);
   // Jobs lie on top of nights and maintenance.
   return { row, span: hits.find((span) => span.job_id) ?? hits[0] ?? null };
 }

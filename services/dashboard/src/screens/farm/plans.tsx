@@ -2,7 +2,7 @@
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { get } from "../../api/client";
-import type { PlanDifference, TimelineNode } from "../../api/types";
+import type { PlanDifference } from "../../api/types";
 import { now } from "../../state/farm";
 import { param, setQuery } from "../../state/route";
 import { clockTime, counted, told } from "../../ui/format";
@@ -10,6 +10,7 @@ import { Trouble } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { lessMotion } from "../../ui/theme";
 import type { Move } from "./paint";
+import type { Row } from "./timeline";
 
 const PLAYED_MS = 2_200;
 
@@ -19,7 +20,7 @@ export interface Playing {
 }
 
 /** The moves of a difference, on the rows that are shown. */
-function movesOf(difference: PlanDifference, rows: readonly TimelineNode[]): Move[] {
+function movesOf(difference: PlanDifference, rows: readonly Row[]): Move[] {
   const places = new Map(rows.map((row, at) => [row.node_id, at]));
   const out: Move[] = [];
   for (const move of difference.frames) {
@@ -41,7 +42,7 @@ function movesOf(difference: PlanDifference, rows: readonly TimelineNode[]): Mov
   return out.filter((move) => move.from || move.to);
 }
 
-export function Plans(props: { rows: readonly TimelineNode[]; play: (playing: Playing) => void }) {
+export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) => void }) {
   const version = Math.floor(now.value / 20_000);
   const plans = useResource((signal) => get("/v1/plans", { query: { page_size: 30 }, signal }), [version]);
   const chosen = param("plan");

@@ -94,6 +94,7 @@ function JobHead(props: { job: Job; changed: () => void }) {
         <Mark of={job.state} />
         <span class="muted">
           {clean(job.project)} · {clean(job.scene.name)} · frames {job.frames}
+          {job.renderer && ` · ${job.renderer.name} ${job.renderer.version ?? ""}`.trimEnd()}
         </span>
         <span class="spread" />
         {maySubmit.value && (

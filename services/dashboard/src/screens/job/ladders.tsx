@@ -29,6 +29,13 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
   );
   const [chosen, setChosen] = useState<AccuracyRung | null>(null);
   const doc = ladders.data;
+  if (job.renderer)
+    return (
+      <p class="note">
+        Other qualities are priced for forelight’s own renderer alone. Submit the scene again with other
+        samples to compare quotes: nothing is booked before you accept one.
+      </p>
+    );
   if (!doc)
     return ladders.error ? (
       <Trouble error={ladders.error} retry={ladders.reload} />

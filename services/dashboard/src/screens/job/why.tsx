@@ -19,6 +19,12 @@ export function Why(props: { job: Job; version: string }) {
     [props.job.id, frame, props.version],
   );
   const doc = answer.data;
+  if (!doc && answer.error && props.job.renderer)
+    return (
+      <p class="note">
+        <Prose text={answer.error.message} /> The cost maps under Images show where the time went.
+      </p>
+    );
   if (!doc)
     return answer.error ? (
       <Trouble error={answer.error} retry={answer.reload} />

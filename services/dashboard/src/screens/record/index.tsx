@@ -10,38 +10,17 @@ import { clean, counted, grouped, percent, signedPercent } from "../../ui/format
 import { Choice, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { colour } from "../../ui/theme";
-import { Nights, projectsOf } from "./nights";
+import { Nights } from "./nights";
 import { type Line, Reliability } from "./reliability";
-import { batches, type Group, groups, LEVELS, type Measure, NAMES, type Row } from "./statistics";
+import { course, type Group, LEVELS, type Measure, NAMES, projectGroups } from "./statistics";
 import "../../styles/record.css";
-
-const PAGES = 5;
-
-interface Asked {
-  record: TrackRecord;
-  rows: Row[];
-  projects: Map<string, string>;
-}
-
-async function load(signal: AbortSignal): Promise<Asked> {
-  const record = await get("/v1/forecasts/track-record", { query: { page_size: 200 }, signal });
-  const rows = [...record.items];
-  let next = record.next_page_token;
-  for (let page = 1; page < PAGES && next; page++) {
-    const more: TrackRecord = await get("/v1/forecasts/track-record", {
-      query: { page_size: 200, page_token: next },
-      signal,
-    });
-    rows.push(...more.items);
-    next = more.next_page_token;
-  }
-  const projects = await projectsOf([...new Set(rows.map((row) => row.job_id))], signal);
-  return { record, rows, projects };
-}
 
 export function RecordScreen() {
   useEffect(() => titled("Record"), []);
-  const answer = useResource(load, []);
+  const answer = useResource(
+    (signal) => get("/v1/forecasts/track-record", { query: { page_size: 200 }, signal }),
+    [],
+  );
   const measure: Measure = param("in") === "work" ? "work" : "cpu";
   const asked = answer.data;
   return (
@@ -64,21 +43,20 @@ export function RecordScreen() {
         ) : (
           <Waiting>Reading the track record…</Waiting>
         ))}
-      {asked && asked.record.frames === 0 && (
+      {asked && asked.frames === 0 && (
         <p>
           No frame with a quote is finished yet. As soon as one is, this screen compares quote and truth: how
           often the truth stayed at or below P50, P80 and P95, and how large the error was.
         </p>
       )}
-      {asked && asked.record.frames > 0 && <Shown asked={asked} measure={measure} />}
+      {asked && asked.frames > 0 && <Shown record={asked} measure={measure} />}
       <Nights />
     </div>
   );
 }
 
-function Shown(props: { asked: Asked; measure: Measure }) {
-  const { record, rows, projects } = props.asked;
-  const { measure } = props;
+function Shown(props: { record: TrackRecord; measure: Measure }) {
+  const { record, measure } = props;
   const frameHits = measure === "cpu" ? record.cpu_hits : record.work_hits;
   const error = measure === "cpu" ? record.cpu_mean_absolute_error : record.work_mean_absolute_error;
   const bias = measure === "cpu" ? record.cpu_bias : record.work_bias;
@@ -113,29 +91,22 @@ function Shown(props: { asked: Asked; measure: Measure }) {
           <Reliability lines={lines} />
         </Section>
         <Section title="Coverage over time">
-          <Coverage rows={rows} measure={measure} />
+          <Coverage record={record} measure={measure} />
         </Section>
       </div>
       <Section title="By renderer and kind of job">
         <Kinds record={record} measure={measure} />
       </Section>
       <Section title="By project">
-        <Groups
-          of={groups(rows, measure, (row) => projects.get(row.job_id) ?? "not looked up")}
-          name="Project"
-        />
-        <p class="note">
-          {rows.length < record.frames ? `The newest ${grouped(rows.length)} frames.` : "All frames."}
-        </p>
+        <Groups of={projectGroups(record.projects ?? [], measure)} name="Project" />
       </Section>
     </>
   );
 }
 
-function Coverage(props: { rows: Row[]; measure: Measure }) {
-  const { rows, measure } = props;
-  const size = Math.max(4, Math.ceil(rows.length / 24));
-  const parts = useMemo(() => batches(rows, measure, size), [rows, measure, size]);
+function Coverage(props: { record: TrackRecord; measure: Measure }) {
+  const { record, measure } = props;
+  const parts = useMemo(() => course(record, measure), [record, measure]);
   const data = useMemo<PlotData>(
     () => [
       parts.map((part) => part.at / 1000),
@@ -144,6 +115,7 @@ function Coverage(props: { rows: Row[]; measure: Measure }) {
     ],
     [parts],
   );
+  const days = record.items.length < record.frames;
   if (parts.length < 2) return <p class="note">Too few frames for a course over time.</p>;
   const names = ["p50", "p80", "muted"] as const;
   const options = () => ({
@@ -172,7 +144,8 @@ function Coverage(props: { rows: Row[]; measure: Measure }) {
       />
       <p class="note">
         <span class="swatch p50" /> P50 <span class="swatch p80" /> P80 <span class="swatch grey" /> P95;
-        dashed: where they should be. A point is {size} frames.
+        dashed: where they should be. A point is{" "}
+        {days ? "a day or more, in UTC" : `about ${counted(parts[0]!.count, "frame")}`}.
       </p>
       <TableBehind
         label="Coverage over time, as a table"

@@ -1,6 +1,6 @@
 // The forecast of the nights to come beside what the nights before really cost.
 
-import { get, post } from "../../api/client";
+import { post } from "../../api/client";
 import type { BudgetForecast } from "../../api/types";
 import { dayName, money, nightOf, percent, timeZone } from "../../ui/format";
 import { Money, Prose, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
@@ -88,16 +88,4 @@ function recordWords(record: BudgetForecast["track_record"]): string {
     percent(nights / record.nights),
   );
   return `Of ${record.nights} nights that were forecast before they began, ${p50} cost at most P50, ${p80} at most P80, ${p95} at most P95.`;
-}
-
-/** Project of each job, for jobs that are asked about. */
-export async function projectsOf(jobs: readonly string[], signal: AbortSignal): Promise<Map<string, string>> {
-  const out = new Map<string, string>();
-  await Promise.all(
-    jobs.slice(0, 60).map(async (id) => {
-      const job = await get("/v1/jobs/{id}", { path: { id }, signal });
-      out.set(id, job.project);
-    }),
-  );
-  return out;
 }

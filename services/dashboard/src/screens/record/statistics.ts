@@ -29,12 +29,6 @@ export function hits(row: Row, measure: Measure): [boolean, boolean, boolean] {
   return [actual <= forecast.p50, actual <= forecast.p80, actual <= forecast.p95];
 }
 
-/** Forecast mean ÷ actual − 1. */
-export function errorOf(row: Row, measure: Measure): number {
-  const { actual, forecast } = sides(row, measure);
-  return actual > 0 ? forecast.mean / actual - 1 : 0;
-}
-
 export interface Batch {
   /** Instant of the batch's last frame. */
   at: number;
@@ -70,25 +64,49 @@ export interface Group {
   bias: number;
 }
 
-/** The same by a name of each row, the most frames first. */
-export function groups(rows: readonly Row[], measure: Measure, nameOf: (row: Row) => string): Group[] {
-  const parts = new Map<string, Row[]>();
-  for (const row of rows) {
-    const name = nameOf(row);
-    parts.set(name, [...(parts.get(name) ?? []), row]);
-  }
-  return [...parts]
-    .map(([name, part]) => {
-      const sums = [0, 0, 0];
-      for (const row of part) hits(row, measure).forEach((hit, at) => (sums[at]! += Number(hit)));
-      const errors = part.map((row) => errorOf(row, measure));
-      return {
-        name,
-        frames: part.length,
-        shares: sums.map((sum) => sum / part.length) as [number, number, number],
-        error: errors.reduce((sum, error) => sum + Math.abs(error), 0) / part.length,
-        bias: errors.reduce((sum, error) => sum + error, 0) / part.length,
-      };
-    })
+/** The accuracy of projects, the most frames first. */
+export function projectGroups(projects: NonNullable<TrackRecord["projects"]>, measure: Measure): Group[] {
+  return projects
+    .map(({ project, frames, work_bias, cpu_bias }) => ({
+      name: project,
+      frames: frames.count,
+      shares: sharesOf(frames, measure),
+      error: (measure === "cpu" ? frames.cpu_mean_absolute_error : frames.work_mean_absolute_error) ?? 0,
+      bias: (measure === "cpu" ? cpu_bias : work_bias) ?? 0,
+    }))
     .sort((a, b) => b.frames - a.frames);
+}
+
+type Coverage = NonNullable<TrackRecord["days"]>[number]["frames"];
+
+function sharesOf(frames: Coverage, measure: Measure): [number, number, number] {
+  const hits = measure === "cpu" ? frames.cpu_hits : frames.work_hits;
+  const count = Math.max(1, frames.count);
+  return [hits.p50 / count, hits.p80 / count, hits.p95 / count];
+}
+
+/** Most points of a course over time. */
+const POINTS = 60;
+
+/** The shares of hits over time: of batches while the record is short, and of days when it is long. */
+export function course(record: TrackRecord, measure: Measure): Batch[] {
+  const days = record.days ?? [];
+  if (record.items.length >= record.frames || days.length === 0) {
+    return batches(record.items, measure, Math.max(4, Math.ceil(record.items.length / 24)));
+  }
+  const together = Math.ceil(days.length / POINTS);
+  const out: Batch[] = [];
+  for (let begin = 0; begin < days.length; begin += together) {
+    const part = days.slice(begin, begin + together);
+    const count = part.reduce((sum, day) => sum + day.frames.count, 0);
+    const shares = [0, 0, 0];
+    for (const { frames } of part)
+      sharesOf(frames, measure).forEach((share, at) => (shares[at]! += (share * frames.count) / count));
+    out.push({
+      at: Date.parse(part[part.length - 1]!.day),
+      count,
+      shares: shares as [number, number, number],
+    });
+  }
+  return out;
 }

@@ -1,8 +1,11 @@
 // What is asked for: frames, quality, deadline, confidence, budget.
 
+import { useId } from "preact/hooks";
+import { get } from "../../api/client";
 import type { Bundle, Confidence, Job, JobRequest } from "../../api/types";
 import { parseMoney, timeZone } from "../../ui/format";
 import { Choice, Field } from "../../ui/parts";
+import { useResource } from "../../ui/resource";
 import { CONFIDENCES, localText } from "../job/change";
 
 export interface Draft {
@@ -20,6 +23,8 @@ export interface Draft {
   budget: string;
   priority: string;
   ladders: boolean;
+  /** Name of another renderer, and its version if one is wanted: `cycles 5.0`. Empty for our own. */
+  renderer: string;
 }
 
 export function draftFor(bundle: Bundle): Draft {
@@ -39,6 +44,8 @@ export function draftFor(bundle: Bundle): Draft {
     budget: "",
     priority: "",
     ladders: false,
+    // Only Blender files are uploaded of all scenes that our own renderer cannot open.
+    renderer: scene.frames === 0 ? "cycles" : "",
   };
 }
 
@@ -61,6 +68,7 @@ export function draftOf(job: Job): Draft {
     budget: job.budget == null ? "" : String(job.budget / 1e6),
     priority: job.priority ? String(job.priority) : "",
     ladders: job.ladders === "all",
+    renderer: job.renderer ? [job.renderer.name, job.renderer.version ?? ""].join(" ").trim() : "",
   };
 }
 
@@ -97,6 +105,7 @@ export function requestOf(
     if (/^\d{1,7}$/.test(text)) settings[setting] = Number(text);
     else wrong[field] = "Write a whole number.";
   }
+  const [renderer, version] = draft.renderer.trim().split(/\s+/);
   if (draft.integrator) settings["integrator"] = draft.integrator;
   if (draft.cache) settings["cache"] = draft.cache;
   const budget = draft.budget.trim() === "" ? null : parseMoney(draft.budget);
@@ -114,6 +123,7 @@ export function requestOf(
     budget,
     priority,
     ladders: draft.ladders ? "all" : "own",
+    ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),
     weight: 1,
     samples: 256,
     hold: true,
@@ -136,6 +146,9 @@ export function fieldOf(pointer: string | null): keyof Draft | null {
     "/deadline": "deadline",
     "/budget": "budget",
     "/priority": "priority",
+    "/renderer": "renderer",
+    "/renderer/name": "renderer",
+    "/renderer/version": "renderer",
   };
   return pointer === null ? null : (known[pointer] ?? null);
 }
@@ -232,15 +245,19 @@ export function Fields(props: {
             </Field>
           </div>
         )}
-        <label>
-          <input
-            type="checkbox"
-            checked={draft.ladders}
-            onChange={(event) => change({ ladders: event.currentTarget.checked })}
-          />{" "}
-          Price other qualities too
-          <span class="hint"> (profiles one frame with other settings as well)</span>
-        </label>
+        {props.own ? (
+          <label>
+            <input
+              type="checkbox"
+              checked={draft.ladders}
+              onChange={(event) => change({ ladders: event.currentTarget.checked })}
+            />{" "}
+            Price other qualities too
+            <span class="hint"> (profiles one frame with other settings as well)</span>
+          </label>
+        ) : (
+          <Renderer value={draft.renderer} wrong={wrong.renderer ?? null} change={change} />
+        )}
       </fieldset>
       <fieldset>
         <legend>When and how much</legend>
@@ -271,5 +288,41 @@ export function Fields(props: {
         />
       </fieldset>
     </>
+  );
+}
+
+/** Which renderer opens the scene: those that the farm's nodes have. */
+function Renderer(props: { value: string; wrong: string | null; change: (part: Partial<Draft>) => void }) {
+  const nodes = useResource((signal) => get("/v1/nodes", { query: { page_size: 200 }, signal }), []);
+  const known = (nodes.data?.items ?? []).flatMap((node) => node.capabilities?.renderers ?? []);
+  const names = [...new Set(known.flatMap((one) => [one.name, `${one.name} ${one.version}`]))].sort();
+  const list = useId();
+  return (
+    <Field
+      label="Renderer"
+      hint={
+        nodes.data && names.length === 0
+          ? "No node of the farm has another renderer yet: the quote waits for one."
+          : "With a version, such as “cycles 5.0”, only that one renders the job."
+      }
+      error={props.wrong}
+    >
+      {(id) => (
+        <>
+          <input
+            id={id}
+            list={list}
+            required
+            value={props.value}
+            onInput={(event) => props.change({ renderer: event.currentTarget.value })}
+          />
+          <datalist id={list}>
+            {names.map((name) => (
+              <option key={name} value={name} />
+            ))}
+          </datalist>
+        </>
+      )}
+    </Field>
   );
 }

@@ -56,7 +56,7 @@ export function Quote(props: { id: string; edit: (job: Job) => void }) {
 
 function settingsWords(job: Job): string {
   const settings = job.settings as Record<string, number | string | undefined>;
-  const parts = [];
+  const parts = job.renderer ? [`${job.renderer.name} ${job.renderer.version ?? ""}`.trim()] : [];
   if (settings["width"] && settings["height"]) parts.push(`${settings["width"]} × ${settings["height"]}`);
   const samples = settings["spp"] ?? settings["samples"];
   if (samples) parts.push(`${samples} samples per pixel`);
@@ -137,7 +137,7 @@ function Ready(props: { job: Job; edit: (job: Job) => void }) {
   return (
     <>
       {quote.data ? (
-        <Numbers quote={quote.data} />
+        <Numbers quote={quote.data} own={!job.renderer} />
       ) : quote.error ? (
         <Trouble error={quote.error} retry={quote.reload} />
       ) : (
@@ -187,8 +187,8 @@ function Ready(props: { job: Job; edit: (job: Job) => void }) {
   );
 }
 
-function Numbers(props: { quote: ForecastDoc }) {
-  const { quote } = props;
+function Numbers(props: { quote: ForecastDoc; own: boolean }) {
+  const { quote, own } = props;
   const { cpu_seconds: cpu, work: operations } = quote.total;
   const rows: [string, string, string, string, string][] = [
     ["CPU time", cpuTime(cpu.mean), cpuTime(cpu.p50), cpuTime(cpu.p80), cpuTime(cpu.p95)],
@@ -242,9 +242,9 @@ function Numbers(props: { quote: ForecastDoc }) {
         </table>
       </div>
       <p class="note">
-        It rests on {counted(quote.profiled.pixels, "pixel")} of{" "}
+        It rests on {own ? <>{counted(quote.profiled.pixels, "pixel")} of </> : "a few samples of "}
         {counted(quote.profiled.frames.length, "frame")}, and making it cost{" "}
-        {percent(quote.spent.fraction_of_forecast, 1)} of the job; these pixels are kept.{" "}
+        {percent(quote.spent.fraction_of_forecast, 1)} of the job{own && "; these pixels are kept"}.{" "}
         {quote.calibrated
           ? "The quantiles are calibrated on past jobs."
           : "The quantiles rest on sampling alone: too few jobs are finished to calibrate them."}

@@ -80,7 +80,7 @@ export function eventWords(event: Event): string {
     case "node_changed":
       return event.node_state ? `${message} is ${words(event.node_state)}` : `${message} changed`;
     case "plan_stored":
-      return message || "was planned";
+      return message ? `planned anew: ${message}` : "was planned";
     default:
       return message || words(event.kind);
   }

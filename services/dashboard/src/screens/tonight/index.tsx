@@ -1,6 +1,6 @@
 // Tonight, the first screen: will everything be ready, what does it cost, and what is to be done now.
 
-import { useCallback, useEffect, useMemo, useState } from "preact/hooks";
+import { useCallback, useEffect, useMemo, useRef } from "preact/hooks";
 import { get } from "../../api/client";
 import type { Farm, DashboardJob, Job } from "../../api/types";
 import { atRisk, farm, farmError, now } from "../../state/farm";
@@ -9,7 +9,8 @@ import { titled } from "../../state/tab";
 import { axisFor, AxisHead, Fan, spreadWords } from "../../ui/fan";
 import { clockTime, counted, grouped, maybeInstant, money } from "../../ui/format";
 import { Choice, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
-import { asError, useResource, useWidth } from "../../ui/resource";
+import { PAGE, usePages } from "../../ui/pages";
+import { useWidth } from "../../ui/resource";
 import { Events } from "./events";
 import { FirstSteps } from "./first-steps";
 import { JobTable, Risks, spreadOf, troubleOf } from "./jobs";
@@ -185,7 +186,7 @@ function Jobs(props: { doc: Farm }) {
             jobs={listed.jobs}
             axis={axis}
             narrow={width < 720}
-            nearEnd={listed.more}
+            seen={listed.see}
             label={`${shown} jobs`}
           />
         )}
@@ -236,69 +237,58 @@ interface Listed {
   total: number | null;
   loading: boolean;
   error: Error | null;
-  more: () => void;
+  see: (first: number, last: number) => void;
   again: () => void;
 }
 
 /** Open jobs by risk come with the dashboard; everything else, and what is beyond it, is asked page by page. */
 function useListed(doc: Farm, shown: Shown, sort: Sort, search: string): Listed {
   const plain = shown === "open" && sort === "risk" && search === "";
-  const query = {
-    ...(shown === "open" ? { open: true } : { state: shown }),
-    search: search || undefined,
-    sort: shown === "open" ? sort : "-created",
-    page_size: 100,
-  };
-  const asksFirst = !plain || doc.jobs_open_total > doc.jobs.length;
-  const version = plain ? 0 : Math.floor(now.value / 20_000);
-  const first = useResource(
-    (signal) => (asksFirst ? get("/v1/jobs", { query, signal }) : null),
-    [shown, sort, search, asksFirst, version],
+  const isNeeded = !plain || doc.jobs_open_total > doc.jobs.length;
+  const ask = useCallback(
+    async (token: string | null) => {
+      if (!isNeeded) return { items: [], next: null };
+      const page = await get("/v1/jobs", {
+        query: {
+          ...(shown === "open" ? { open: true } : { state: shown }),
+          ...(search ? { search } : {}),
+          sort: shown === "open" ? sort : "-created",
+          ...(token ? { page_token: token } : {}),
+          page_size: PAGE,
+        },
+      });
+      return { items: page.items.map(asRow), next: page.next_page_token ?? null };
+    },
+    [shown, sort, search, isNeeded],
   );
-  const [rest, setRest] = useState<{ key: string; jobs: Job[]; next: string | null }>({
-    key: "",
-    jobs: [],
-    next: null,
-  });
-  const [loading, setLoading] = useState(false);
-  const [error, setError] = useState<Error | null>(null);
-  const key = JSON.stringify([shown, sort, search]);
-  const mine = rest.key === key ? rest : { key, jobs: [], next: first.data?.next_page_token ?? null };
-
-  const more = useCallback(() => {
-    if (loading || !mine.next) return;
-    setLoading(true);
-    get("/v1/jobs", { query: { ...query, page_token: mine.next } }).then(
-      (page) => {
-        setRest({ key, jobs: [...mine.jobs, ...page.items], next: page.next_page_token ?? null });
-        setLoading(false);
-      },
-      (failure: unknown) => {
-        setError(asError(failure));
-        setLoading(false);
-      },
-    );
-  }, [loading, mine.next, key, mine.jobs]);
+  const pages = usePages(ask, () => null);
+  const version = Math.floor(now.value / 20_000);
+  const first = useRef(version);
+  useEffect(() => {
+    if (version !== first.current) pages.again();
+  }, [version]);
 
   const jobs = useMemo(() => {
     const listed = new Map<string, DashboardJob>();
     if (plain) for (const job of doc.jobs) listed.set(job.id, job);
-    for (const job of [...(first.data?.items ?? []), ...mine.jobs])
-      if (!listed.has(job.id)) listed.set(job.id, asRow(job));
+    for (const job of pages.items) if (!listed.has(job.id)) listed.set(job.id, job);
     const all = [...listed.values()];
     return plain ? all.filter((job) => troubleOf(job) === null) : all;
-  }, [plain, doc.jobs, first.data, mine.jobs]);
+  }, [plain, doc.jobs, pages.items]);
 
+  // Jobs in trouble come first in the pages, and are shown above the list.
+  const above = plain ? doc.jobs.filter((job) => troubleOf(job) !== null).length : 0;
+  const see = useCallback(
+    (first: number, last: number) => pages.see(first + above, last + above),
+    [pages.see, above],
+  );
   return {
     jobs,
     total: plain ? doc.jobs_open_total : null,
-    loading: loading || first.loading,
-    error: error ?? first.error,
-    more,
-    again: () => {
-      setError(null);
-      first.reload();
-    },
+    loading: pages.loading,
+    error: pages.error,
+    see,
+    again: pages.again,
   };
 }
 

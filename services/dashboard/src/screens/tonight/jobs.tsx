@@ -35,7 +35,7 @@ export function JobTable(props: {
   jobs: readonly DashboardJob[];
   axis: Axis;
   narrow: boolean;
-  nearEnd?: () => void;
+  seen: (first: number, last: number) => void;
   label: string;
 }) {
   const { axis, narrow } = props;
@@ -65,7 +65,7 @@ export function JobTable(props: {
         items={props.jobs}
         height={narrow ? 108 : 48}
         row={(job) => <JobRow job={job} axis={axis} />}
-        {...(props.nearEnd ? { nearEnd: props.nearEnd } : {})}
+        seen={props.seen}
       />
     </div>
   );

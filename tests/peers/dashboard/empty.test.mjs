@@ -1,0 +1,54 @@
+// The page of an empty farm: signing in, what is to be done first, and a service that goes away.
+
+import assert from "node:assert/strict";
+import fs from "node:fs";
+import os from "node:os";
+import path from "node:path";
+import test from "node:test";
+import { inspect, inspectAll, launch, noFaults, screens, show, visitor } from "./browser.mjs";
+import { Farm, steps, WORKERS } from "./farm.mjs";
+
+test("an empty farm", { timeout: 240_000 }, async (t) => {
+  const folder = fs.mkdtempSync(path.join(os.tmpdir(), "forelight-dashboard-"));
+  const farm = new Farm(path.join(folder, "farm"));
+  const browser = await launch();
+  t.after(async () => {
+    await browser.close();
+    await farm.kill();
+    fs.rmSync(folder, { recursive: true, force: true });
+  });
+  const page = await visitor(browser);
+  const step = steps(t);
+
+  await step("refuses a wrong token in words, and signs in with a link that works once", async () => {
+    await farm.start("serve");
+    await page.goto(farm.address);
+    await page.getByLabel("Token or link").fill("forelight_0000");
+    await page.getByRole("button", { name: "Sign in" }).click();
+    await page.getByText("The farm does not know this token").waitFor();
+    await inspect(page, "sign-in", { phone: true });
+    const link = await farm.link();
+    await page.goto(link);
+    await page.locator(".tonight").waitFor();
+    assert.ok(!page.url().includes("code="), "the code leaves the address");
+    const other = await visitor(browser);
+    await other.goto(link);
+    await other.getByText("This code was used already").waitFor();
+    await other.context().close();
+  });
+
+  await step("explains an empty farm on every screen", async () => {
+    await page.getByText("Three things to do first").waitFor();
+    await inspectAll(page, farm.address, screens(null), "empty");
+    noFaults(page);
+  });
+
+  await step("goes on by itself when the service was killed and came back", async () => {
+    await show(page, farm.address, screens(null).tonight);
+    await farm.kill();
+    await page.locator(".connection.lost").waitFor();
+    await farm.start("farm", ...WORKERS);
+    await page.locator(".connection.live").waitFor();
+    await page.getByText("done: 2").waitFor();
+  });
+});
