@@ -15,7 +15,6 @@ use tokio::time::Instant;
 use crate::clock::SteadyClock;
 use crate::conductor::Conductor;
 use crate::outputs::write_outputs;
-use crate::rights::watch_rights;
 use crate::state::App;
 use crate::webhooks::tell_webhooks;
 
@@ -128,6 +127,32 @@ async fn scrub(app: &App) {
 
 pub(crate) async fn run_rights(app: App) {
     while again_after_panic("ending rights", watch_rights(&app)).await {}
+}
+
+/// Interval at which the service looks which rights have ended: by time, or by another process such as
+/// `forelight token`. Those that end through the service are told at once.
+const LOOKED_FOR: Duration = Duration::from_millis(250);
+
+/// Looks for ended rights, and stores when tokens were used.
+async fn watch_rights(app: &App) {
+    let mut looks = tokio::time::interval(LOOKED_FOR);
+    looks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            () = app.stopping.cancelled() => break,
+            _ = looks.tick() => {}
+        }
+        app.end_rights().await;
+        store_uses(app, false).await;
+    }
+    store_uses(app, true).await;
+}
+
+async fn store_uses(app: &App, all: bool) {
+    if let Err(error) = app.rights.store_uses(&app.store, all, app.now()).await {
+        // Reading goes on while the disk is full.
+        tracing::debug!(%error, "the uses of tokens were not stored");
+    }
 }
 
 /// Shortest time between plans that no request waits for, or four times the last plan's duration if longer.

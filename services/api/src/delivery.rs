@@ -1,4 +1,4 @@
-//! Delivers files: conditional requests (RFC 9110, section 13) and ranges (section 14).
+//! Delivers files, whole or in ranges (RFC 9110, section 14).
 
 use std::ops::Range;
 
@@ -8,26 +8,12 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ProblemKind};
 use futures::{StreamExt as _, stream};
-use headers::{ETag, HeaderMapExt as _, IfMatch, IfNoneMatch, IfRange};
+use headers::{ETag, HeaderMapExt as _, IfRange};
 use http_range_header::{EndPosition, StartPosition, parse_range_header};
 
+use crate::conditions::{is_another, is_known};
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
-
-/// Whether the client has the version with this tag already. Tags are compared weakly, because compression
-/// changes the bytes and not the content.
-pub(crate) fn is_known(headers: &HeaderMap, etag: &HeaderValue) -> bool {
-    let Some(asked) = headers.typed_get::<IfNoneMatch>() else { return false };
-    let tag = etag.to_str().ok().and_then(|tag| tag.parse::<ETag>().ok());
-    tag.is_some_and(|tag| !asked.precondition_passes(&tag))
-}
-
-/// Whether the client asks for another version (RFC 9110, section 13.1.1). Tags are compared strongly.
-fn is_another(headers: &HeaderMap, etag: &HeaderValue) -> bool {
-    let Some(asked) = headers.typed_get::<IfMatch>() else { return false };
-    let tag = etag.to_str().ok().and_then(|tag| tag.parse::<ETag>().ok());
-    tag.is_none_or(|tag| !asked.precondition_passes(&tag))
-}
 
 /// A file that is asked for.
 pub(crate) struct Asked {
@@ -234,18 +220,5 @@ mod tests {
         for other in ["\"b\"", "W/\"a\"", "Wed, 21 Oct 2015 07:28:00 GMT"] {
             assert_eq!(get(other), Parts::Whole, "{other}");
         }
-    }
-
-    #[test]
-    fn tags_come_weak_in_lists_in_several_lines_and_as_a_star() {
-        let known = |values: &[&'static str]| {
-            let lines = values
-                .iter()
-                .map(|value| (axum::http::header::IF_NONE_MATCH, HeaderValue::from_static(value)));
-            is_known(&lines.collect(), &HeaderValue::from_static("W/\"a\""))
-        };
-        assert!(known(&["\"a\""]) && known(&["W/\"a\""]) && known(&["*"]));
-        assert!(known(&["\"b\", W/\"c,d\", \"a\""]) && !known(&["\"b\", \"c\""]));
-        assert!(!known(&[]) && !known(&["a"]) && !known(&["\"aa\""]));
     }
 }

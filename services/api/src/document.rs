@@ -15,9 +15,11 @@ use forelight_protocol::ProblemKind;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use crate::delivery::is_known;
+use crate::conditions::is_known;
 use crate::error::{ApiError, ApiResult};
-use crate::router::WORTH_COMPRESSING;
+
+/// Shorter answers are sent as they are: gzip has a header of its own.
+pub(crate) const WORTH_COMPRESSING: u64 = 1 << 10;
 
 /// A finished document. It is cheap to clone, and written and compressed once for all who ask for it.
 #[derive(Clone, Debug, PartialEq)]

@@ -10,7 +10,6 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
-use std::time::Duration;
 
 use axum::body::{Body, HttpBody as _};
 use axum::extract::Request;
@@ -24,11 +23,6 @@ use tokio::sync::SetOnce;
 use tokio_util::sync::CancellationToken;
 
 use crate::error::{ApiError, BAD_TOKEN};
-use crate::state::App;
-
-/// Interval at which the service looks which rights have ended: by time, or by another process such as
-/// `forelight token`. Those that end through the service are told at once.
-const LOOKED_FOR: Duration = Duration::from_millis(250);
 
 /// A token's last use is stored at most once in this time: a minute, in microseconds.
 const USE_NOTED: i64 = 60_000_000;
@@ -186,37 +180,6 @@ pub(crate) async fn end_with_right(mut request: Request, next: Next) -> Response
 fn over() -> ApiError {
     let reason = "the token or the session ended while the request was answered";
     ApiError::new(ProblemKind::Unauthenticated, reason).authenticate(BAD_TOKEN)
-}
-
-impl App {
-    /// Ends the requests whose rights have ended. Whoever ends a right calls this before answering.
-    pub async fn end_rights(&self) {
-        if let Err(error) = self.rights.look(&self.store, self.now()).await {
-            tracing::warn!(%error, "which rights have ended could not be read; the next look tries again");
-        }
-    }
-}
-
-/// Looks for ended rights, and stores when tokens were used.
-pub(crate) async fn watch_rights(app: &App) {
-    let mut looks = tokio::time::interval(LOOKED_FOR);
-    looks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    loop {
-        tokio::select! {
-            () = app.stopping.cancelled() => break,
-            _ = looks.tick() => {}
-        }
-        app.end_rights().await;
-        store_uses(app, false).await;
-    }
-    store_uses(app, true).await;
-}
-
-async fn store_uses(app: &App, all: bool) {
-    if let Err(error) = app.rights.store_uses(&app.store, all, app.now()).await {
-        // Reading goes on while the disk is full.
-        tracing::debug!(%error, "the uses of tokens were not stored");
-    }
 }
 
 #[cfg(test)]

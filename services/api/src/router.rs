@@ -24,6 +24,7 @@ use tracing::Span;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use crate::document::WORTH_COMPRESSING;
 use crate::error::render_problems;
 use crate::openapi::{frame, with_one_key};
 use crate::paced_body::PacedBody;
@@ -190,9 +191,6 @@ fn other_sites(allowed: &[String]) -> CorsLayer {
 
 /// How long a browser may keep the answer to whether it may ask.
 const PREFLIGHT_KEPT: Duration = Duration::from_secs(3600);
-
-/// Shorter answers are sent as they are: gzip has a header of its own.
-pub(crate) const WORTH_COMPRESSING: u64 = 1 << 10;
 
 /// Whether an answer is text. Images and artefacts are compressed by themselves. A compressed stream of
 /// events would be held back until there is enough of it.

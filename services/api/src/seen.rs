@@ -6,13 +6,14 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    AnswersDoc, Dashboard, Event, EventKind, Job, JobId, JobVerdict, Node, Plan, PlanChange, PlanEffect,
-    Promise, Role, TimelinePage, Waits,
+    AnswersDoc, Dashboard, Job, JobId, JobVerdict, Node, Plan, PlanChange, PlanEffect, Promise, Role,
+    TimelinePage, Waits,
 };
 use forelight_store::tokens::Principal;
 
 use crate::conductor::settle::IN_THE_WAY;
 use crate::error::ApiResult;
+use crate::feed::without_others;
 use crate::state::App;
 
 /// Which of some jobs a caller sees.
@@ -148,16 +149,6 @@ pub(crate) fn in_effect(effect: &PlanEffect) -> impl Iterator<Item = JobId> + '_
         PlanChange::MoreNodes { .. } | PlanChange::NodeGone { .. } | PlanChange::Quality { .. } => None,
     };
     about.into_iter().chain(effect.moved.iter().map(|moved| moved.job_id))
-}
-
-/// An event without what it may say of other projects' jobs.
-pub(crate) fn without_others(event: &Event) -> Event {
-    // What is about no project may name anything.
-    let is_of_many = event.project.is_none() || event.kind == EventKind::PlanStored;
-    let promise = event.promise.clone().map(|promise| Promise { rescue: None, ..promise });
-    let message = event.message.clone().filter(|_| !is_of_many);
-    let task_id = event.task_id.filter(|_| event.project.is_some());
-    Event { promise, message, task_id, ..event.clone() }
 }
 
 impl App {

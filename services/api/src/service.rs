@@ -1,7 +1,7 @@
 //! The running service: start, background work, and shutdown.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ use crate::feed::Feed;
 use crate::inspector::Inspector;
 use crate::metrics::Metrics;
 use crate::oidc::{SignIn, SignInProvider};
-use crate::outputs::OutputRoot;
+use crate::output_root::OutputRoot;
 use crate::quotas::Quotas;
 use crate::router::{openapi_yaml, router};
 use crate::state::{App, InFlight};
@@ -105,7 +105,7 @@ impl Service {
         let sign_in =
             sign_in.map(|provider| sign_in_through(provider, public_origin.as_deref())).transpose()?;
         let roots = bundle_roots.into_iter().map(bundle_root).collect::<Result<Arc<[_]>, _>>()?;
-        let output_root = output_root.as_deref().map(OutputRoot::open).transpose()?;
+        let output_root = output_root.as_deref().map(open_output_root).transpose()?;
         let clock = Arc::new(SteadyClock::new(clock));
         let store = Store::open_with(&data_dir, &artifacts, artifacts_moved).await?;
         let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
@@ -217,6 +217,11 @@ fn sign_in_through(provider: SignInProvider, origin: Option<&str>) -> Result<Arc
 fn bundle_root(root: PathBuf) -> Result<PathBuf, ServiceError> {
     root.canonicalize()
         .map_err(|source| ServiceError::BundleRoot { path: root.display().to_string(), source })
+}
+
+fn open_output_root(path: &Path) -> Result<OutputRoot, ServiceError> {
+    let failed = |source| ServiceError::OutputRoot { path: path.display().to_string(), source };
+    OutputRoot::open(path).map_err(failed)
 }
 
 /// Listens on an address. Port 0 picks a free port.

@@ -20,7 +20,7 @@ use crate::feed::Feed;
 use crate::inspector::Inspector;
 use crate::metrics::Metrics;
 use crate::oidc::SignIn;
-use crate::outputs::OutputRoot;
+use crate::output_root::OutputRoot;
 use crate::quotas::Quotas;
 use crate::rights::Rights;
 use crate::shared::Shared;
@@ -81,7 +81,14 @@ impl App {
         self.clock.now()
     }
 
-    /// The same, for what people ask: they share connections to the database that workers do not need.
+    /// Ends the requests whose rights have ended. Whoever ends a right calls this before answering.
+    pub async fn end_rights(&self) {
+        if let Err(error) = self.rights.look(&self.store, self.now()).await {
+            tracing::warn!(%error, "which rights have ended could not be read; the next look tries again");
+        }
+    }
+
+    /// The same service, for what people ask: they share connections to the database that workers do not need.
     pub fn for_people(&self) -> Self {
         Self { store: self.store.for_people(), ..self.clone() }
     }

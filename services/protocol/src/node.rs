@@ -5,9 +5,8 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::{
-    ArtifactHash, ByClass, Money, NodeActivity, NodeCalendar, NodeCalibration, NodeId, NodePower, OWN_RENDERER,
-    PageToken,
-    RendererId, RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
+    ArtifactHash, ByClass, Money, NodeActivity, NodeCalendar, NodeCalibration, NodeId, NodePower,
+    OWN_RENDERER, PageToken, RendererId, RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
 };
 
 /// Registers a node. A node with the same name is updated; it keeps its id and what an operator set.

@@ -3,9 +3,7 @@
 //! An entry is written in the transaction of the change that it is about, so there is never one without the
 //! other. A write knows its actor: a store that acts for somebody ([`Store::acting_for`]) passes him on.
 
-use std::net::IpAddr;
-
-use forelight_protocol::{AuditAction, AuditEntry, Role, Timestamp, TokenId};
+use forelight_protocol::{AuditAction, AuditEntry, Role, Timestamp};
 use serde::Serialize;
 
 use crate::columns::{Id, Json, Time, Word, corrupt};
@@ -15,19 +13,6 @@ use crate::writing::later;
 
 /// The name in entries about what was done beside the service, as by `forelight token`.
 const THIS_MACHINE: &str = "this machine";
-
-/// Somebody who does something.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Actor {
-    /// Name of the token.
-    pub name: String,
-    /// Role of the token.
-    pub role: Role,
-    /// The token.
-    pub token: Option<TokenId>,
-    /// Address of the connection's other end.
-    pub from: Option<IpAddr>,
-}
 
 /// Which entries to list. Absent fields match all.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]

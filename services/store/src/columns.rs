@@ -16,7 +16,7 @@ use sqlx::{Decode, Encode, Sqlite, Type};
 use uuid::Uuid;
 
 use crate::error::{Result, StoreError};
-use crate::leases::LeaseState;
+use crate::leases::state::LeaseState;
 
 /// The error for a column value that this program never writes.
 pub(crate) fn corrupt(column: &str, reason: impl std::fmt::Display) -> StoreError {

@@ -15,8 +15,8 @@ use sqlx::sqlite::{
 use sqlx::{ConnectOptions as _, Sqlite, Transaction};
 use tokio::sync::watch;
 
+use crate::actor::Actor;
 use crate::artifacts::{ArtifactPlace, Artifacts};
-use crate::audit::Actor;
 use crate::error::{Result, StoreError};
 use crate::writing::{WRITE_TURN, Writer};
 pub(crate) use crate::writing::{Write, run};

@@ -36,6 +36,7 @@ pub(crate) mod failing;
 pub(crate) mod logs;
 pub(crate) mod overdue;
 pub(crate) mod renewing;
+pub(crate) mod state;
 pub(crate) mod sweeping;
 
 use forelight_protocol::{
@@ -43,6 +44,7 @@ use forelight_protocol::{
 };
 use sqlx::{FromRow, SqliteConnection};
 
+use self::state::LeaseState;
 use crate::columns::{Id, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
@@ -109,17 +111,6 @@ impl LeaseRow {
         let name = self.renderer.as_deref().and_then(|renderer| renderer.split(' ').next());
         name.is_some_and(|name| name != OWN_RENDERER)
     }
-}
-
-#[derive(Clone, Copy, PartialEq, Eq, Debug, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum LeaseState {
-    Active,
-    Committed,
-    Failed,
-    Expired,
-    Released,
-    Revoked,
 }
 
 /// A statement for rows of leases. It is composed, so it is not checked at compile time: the same text is run

@@ -17,6 +17,7 @@
 //!
 //! This crate never reads the clock: every function that needs the time takes `now`.
 
+mod actor;
 mod artifacts;
 mod audit;
 mod backup;
@@ -55,8 +56,9 @@ pub mod tokens;
 mod webhooks;
 mod writing;
 
+pub use actor::Actor;
 pub use artifacts::{ArtifactPlace, ArtifactReader, Artifacts, BadPlace, Scrubbed, Staged};
-pub use audit::{Actor, AuditFilter};
+pub use audit::AuditFilter;
 pub use backup::{Backup, backup};
 pub use budgets::nights::KeptNight;
 pub use bundles::NewBundle;

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use forelight_protocol::{Role, Timestamp, TokenId};
 
-use crate::audit::Actor;
+use crate::actor::Actor;
 use crate::columns::Json;
 use crate::database::Store;
 use crate::error::Result;

@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use forelight_protocol::{AuditAction, Session, SessionCode, SessionId, Timestamp};
 
-use crate::audit::{Actor, Deed, note, note_only};
+use crate::actor::Actor;
+use crate::audit::{Deed, note, note_only};
 use crate::columns::{Id, Json, Time, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};

@@ -79,7 +79,7 @@ impl Farm {
     async fn dashboard(&self, now: Timestamp) -> forelight_protocol::Dashboard {
         let (bookings, parts) =
             (self.store.open_bookings().await.unwrap(), self.store.open_cache_parts().await.unwrap());
-        let record = self.store.track_record_totals().await.unwrap();
+        let record = self.store.track_record_totals(None).await.unwrap();
         let known = (&crate::project(&bookings, &parts, now), &record);
         self.store.dashboard(known, None, TTL, now).await.unwrap()
     }

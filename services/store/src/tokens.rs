@@ -12,7 +12,8 @@ use forelight_protocol::{
 };
 use uuid::Uuid;
 
-use crate::audit::{Actor, Deed, note};
+use crate::actor::Actor;
+use crate::audit::{Deed, note};
 use crate::columns::{Id, Json, Time, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};

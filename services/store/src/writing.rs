@@ -31,7 +31,7 @@ use sqlx::{ConnectOptions as _, Connection as _, Encode, Executor as _, FromRow,
 use tokio::sync::{Mutex, OwnedMappedMutexGuard, OwnedMutexGuard, watch};
 
 use self::statements::Statements;
-use crate::audit::Actor;
+use crate::actor::Actor;
 use crate::error::{Result, StoreError};
 
 /// How long a writer waits for its turn before its caller gets [`StoreError::Busy`].

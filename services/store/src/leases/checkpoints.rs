@@ -13,7 +13,8 @@ use uuid::Uuid;
 
 use crate::database::Store;
 use crate::error::{Result, StoreError};
-use crate::leases::{LeaseState, read};
+use crate::leases::read;
+use crate::leases::state::LeaseState;
 
 /// Name of their folder in the data folder.
 const FOLDER: &str = "checkpoints";

@@ -15,7 +15,8 @@ use forelight_protocol::{
     ArtifactHash, AuditAction, JoinRequest, JoinToken, Node, NodeId, Role, Timestamp, TokenId,
 };
 
-use crate::audit::{Actor, Deed, note, note_only};
+use crate::actor::Actor;
+use crate::audit::{Deed, note, note_only};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::writing::run;
