@@ -35,7 +35,7 @@ trap finish EXIT
 kept=${FORELIGHT_FARM_SIZE:-$work/kept}
 [ -e "$kept" ] || FORELIGHT_FARM_SIZE=$kept cargo test --quiet -p forelight-api --test farm_size >/dev/null
 # Each measurement has a fresh copy.
-farm() { rm -rf "$work/farm" && cp -r "$kept" "$work/farm"; }
+farm() { rm -rf "$work/farm" "$work/farm.out" && cp -r "$kept" "$work/farm"; }
 
 printf 'load of the machine: %s\n' "$(cut -d' ' -f1-3 /proc/loadavg)"
 printf '\n== Heartbeats alone\n'

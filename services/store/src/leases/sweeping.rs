@@ -9,7 +9,6 @@ use crate::error::Result;
 use crate::events::{append, forget_old_progress};
 use crate::idempotency::forget_old;
 use crate::jobs::ending::fail_task_and_job;
-use crate::leases::overdue::look_at_running;
 use crate::leases::{LeaseState, back_to_ready, end, ran_out, read_in};
 use crate::living;
 use crate::nodes::changing::stop_after_windows;
@@ -35,7 +34,6 @@ impl Store {
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
-        look_at_running(&mut write, now).await?;
         stop_after_windows(&mut write, now).await?;
         living::catch_up(&mut write, now).await?;
         forget_old(&mut write, now).await?;
@@ -45,6 +43,7 @@ impl Store {
         forget_ended_rights(&mut write).await?;
         forget_old_deliveries(&mut write, now).await?;
         self.commit(write).await?;
+        self.look_at_running(now).await?;
         self.forget_checkpoints().await?;
         Ok(swept)
     }
