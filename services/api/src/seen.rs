@@ -115,8 +115,8 @@ pub(crate) fn without_others(event: &Event) -> Event {
 }
 
 impl App {
-    /// Nodes as the caller sees them. Why one is idle or was set aside may name any job. Workers are told of no
-    /// job.
+    /// Nodes as the caller sees them. Why one is idle or was set aside may name any job. Workers are told of
+    /// no job.
     pub async fn shown_nodes(&self, caller: &Principal, mut nodes: Vec<Node>) -> ApiResult<Vec<Node>> {
         let jobs = nodes.iter().filter_map(|node| Some(node.activity.as_ref()?.job_id));
         let seen = self.seen(caller, jobs.collect::<Vec<_>>()).await?;

@@ -30,8 +30,8 @@ const EVENTS: u32 = 20;
 
 impl Store {
     /// Everything that a dashboard shows first, read in one transaction. A node is alive if it was heard of
-    /// within the last three lease times. `projection` is the expected course of the open bookings, `record` the
-    /// totals of the track record. The jobs are those of `projects`, if they are given.
+    /// within the last three lease times. `projection` is the expected course of the open bookings, `record`
+    /// the totals of the track record. The jobs are those of `projects`, if they are given.
     pub async fn dashboard(
         &self,
         (projection, record): (&Projection, &TrackRecord),
