@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Measures the service and the dashboard page together on a farm of 5,000 nodes, 2,000 open jobs, one of them of
-# 10,000 frames: heartbeats of all workers, alone and beside 200 open pages, and the page in Chromium while the
-# workers go on. Prints times and sizes, and asserts nothing: the sizes of documents are asserted by
+# Measures the service and the dashboard page together on a farm of 5,000 nodes, 2,000 open jobs, one of them
+# of 10,000 frames: heartbeats of all workers, alone and beside 200 open pages, and the page in Chromium while
+# the workers go on. Prints times and sizes, and asserts nothing: the sizes of documents are asserted by
 # `cargo test -p forelight-api --test farm_size`, which also fills this farm's database.
 #
 #   FORELIGHT_DASHBOARD_BIN   the program, built with `--features dashboard` (default: it is built, with the
@@ -35,7 +35,7 @@ trap finish EXIT
 kept=${FORELIGHT_FARM_SIZE:-$work/kept}
 [ -e "$kept" ] || FORELIGHT_FARM_SIZE=$kept cargo test --quiet -p forelight-api --test farm_size >/dev/null
 # Each measurement has a fresh copy.
-farm() { rm -rf "$work/farm" && cp -r "$kept" "$work/farm"; }
+farm() { rm -rf "$work/farm" "$work/farm.out" && cp -r "$kept" "$work/farm"; }
 
 printf 'load of the machine: %s\n' "$(cut -d' ' -f1-3 /proc/loadavg)"
 printf '\n== Heartbeats alone\n'

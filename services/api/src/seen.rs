@@ -152,8 +152,8 @@ pub(crate) fn in_effect(effect: &PlanEffect) -> impl Iterator<Item = JobId> + '_
 }
 
 impl App {
-    /// Nodes as the caller sees them. Why one is idle or was set aside may name any job. Workers are told of no
-    /// job.
+    /// Nodes as the caller sees them. Why one is idle or was set aside may name any job. Workers are told of
+    /// no job.
     pub async fn shown_nodes(&self, caller: &Principal, mut nodes: Vec<Node>) -> ApiResult<Vec<Node>> {
         let jobs = nodes.iter().filter_map(|node| Some(node.activity.as_ref()?.job_id));
         let seen = self.seen(caller, jobs.collect::<Vec<_>>()).await?;

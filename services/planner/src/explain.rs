@@ -180,7 +180,8 @@ impl Taken {
         Self { jobs, planned, fixed }
     }
 
-    /// How much of the nodes' time each job takes between two instants, of what is planned or of what is fixed.
+    /// How much of the nodes' time each job takes between two instants, of what is planned or of what is
+    /// fixed.
     fn by_job(&self, lists: &[Vec<Span>], able: &[usize], (from, to): (i64, i64)) -> Vec<i64> {
         let mut time = vec![0; self.jobs.len()];
         for span in able.iter().flat_map(|&node| &lists[node]) {

@@ -146,8 +146,8 @@ impl Store {
 
     /// Stores the outlooks of a plan, and that it was made, while `newest_plan` is the newest.
     ///
-    /// A farm has thousands of jobs, and workers wait while somebody writes. So this is done in several writes.
-    /// If they end half-way, the causes stay due, and the next plan stores the rest.
+    /// A farm has thousands of jobs, and workers wait while somebody writes. So this is done in several
+    /// writes. If they end half-way, the causes stay due, and the next plan stores the rest.
     async fn tell_outlooks(&self, plan: &NewPlan, newest_plan: Option<PlanId>, now: Timestamp) -> Result<()> {
         let mut parts = plan.outlooks.chunks(OUTLOOKS_AT_ONCE).peekable();
         loop {

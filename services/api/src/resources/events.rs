@@ -30,8 +30,8 @@ use crate::state::App;
 /// Interval of comments on a quiet stream. They keep proxies open and reveal dead clients.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
-/// Events that come within this time of others are sent together. A farm of thousands of workers writes hundreds
-/// a second, and hundreds of pages are told of them.
+/// Events that come within this time of others are sent together. A farm of thousands of workers writes
+/// hundreds a second, and hundreds of pages are told of them.
 const TOGETHER: Duration = Duration::from_millis(100);
 
 /// Where to start.

@@ -1,7 +1,7 @@
 // A long list of the API, asked page by page.
 //
-// Pages in view are asked for again when they are old. The others wait until they are in view, so that a list of
-// thousands costs no more than what is seen of it.
+// Pages in view are asked for again when they are old. The others wait until they are in view, so that a list
+// of thousands costs no more than what is seen of it.
 
 import { useCallback, useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { asError } from "./resource";

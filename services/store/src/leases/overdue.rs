@@ -3,7 +3,7 @@
 use forelight_protocol::{Event, EventKind, JobId, LeaseId, TaskError, Timestamp};
 
 use crate::columns::{Id, Time};
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::events::append;
 use crate::leases::failing::{Report, fail};
@@ -27,33 +27,75 @@ struct Row {
     job: String,
 }
 
-/// Notes which running tasks are late, has stalled ones run on another node as well, and ends leases that are
-/// beyond the farm's time limit.
-pub(crate) async fn look_at_running(write: &mut Write, now: Timestamp) -> Result<()> {
-    let rows = sqlx::query_as!(
-        Row,
-        "SELECT l.id, t.job_id, l.granted_at, l.counts_from, l.progress, l.progress_at, l.p95, l.lateness, \
-         n.name AS node, j.name AS job \
-         FROM leases l JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = l.node_id JOIN jobs j ON j.id = t.job_id \
-         WHERE l.state = 'active' AND NOT n.paused AND l.granted_at < ? ORDER BY l.granted_at, l.id",
-        now.plus_micros(-LEAST_LATE).micros()
-    )
-    .fetch_all(write.connection().await?)
-    .await?;
-    for row in rows {
-        let times = AttemptTimes::new(row.granted_at, row.counts_from, row.progress_at);
-        match (times.attempt(row.progress, row.p95).lateness(now), row.lateness.as_deref()) {
-            (Lateness::Over, _) => end_for_time(write, row.id.into(), now).await?,
-            (Lateness::Stalled, Some("stalled")) | (Lateness::OnTime, _) => {}
-            (Lateness::Stalled, _) => stall(write, &row, now).await?,
-            (Lateness::Late, None) => {
-                let message = format!("it takes longer on {} than in 19 of 20 cases", row.node);
-                note(write, &row, ("late", EventKind::TaskLate, message), now).await?;
+/// Active leases whose tasks run: `running!("AND l.id = ?", lease.0)`.
+macro_rules! running {
+    ($rest:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query_as!(
+            Row,
+            "SELECT l.id, t.job_id, l.granted_at, l.counts_from, l.progress, l.progress_at, l.p95, l.lateness, \
+             n.name AS node, j.name AS job FROM leases l JOIN tasks t ON t.id = l.task_id \
+             JOIN nodes n ON n.id = l.node_id JOIN jobs j ON j.id = t.job_id \
+             WHERE l.state = 'active' AND NOT n.paused " + $rest
+            $(, $value)*
+        )
+    };
+}
+
+impl Row {
+    /// How late it is, if that is news.
+    fn news(&self, now: Timestamp) -> Option<Lateness> {
+        let times = AttemptTimes::new(self.granted_at, self.counts_from, self.progress_at);
+        let lateness = times.attempt(self.progress, self.p95).lateness(now);
+        let is_known = match lateness {
+            Lateness::OnTime => true,
+            Lateness::Late => self.lateness.is_some(),
+            Lateness::Stalled => self.lateness.as_deref() == Some("stalled"),
+            Lateness::Over => false,
+        };
+        (!is_known).then_some(lateness)
+    }
+}
+
+/// Tasks that are noted in one write. On a large farm, thousands may be late at once, and workers wait while
+/// somebody writes.
+const AT_ONCE: usize = 20;
+
+impl Store {
+    /// Notes which running tasks are late, has stalled ones run on another node as well, and ends leases that
+    /// are beyond the farm's time limit.
+    pub(crate) async fn look_at_running(&self, now: Timestamp) -> Result<()> {
+        let since = now.plus_micros(-LEAST_LATE).micros();
+        let rows = running!("AND l.granted_at < ? ORDER BY l.granted_at, l.id", since)
+            .fetch_all(&mut *self.readers().acquire().await?)
+            .await?;
+        let due: Vec<LeaseId> =
+            rows.into_iter().filter(|row| row.news(now).is_some()).map(|row| row.id.into()).collect();
+        for part in due.chunks(AT_ONCE) {
+            let mut write = self.write().await?;
+            for lease in part {
+                look_at(&mut write, *lease, now).await?;
             }
-            (Lateness::Late, Some(_)) => {}
+            self.commit(write).await?;
+        }
+        Ok(())
+    }
+}
+
+/// Looks at one lease, as it is now.
+async fn look_at(write: &mut Write, lease: LeaseId, now: Timestamp) -> Result<()> {
+    let row = running!("AND l.id = ?", lease.0).fetch_optional(write.connection().await?).await?;
+    let Some((row, lateness)) = row.and_then(|row| row.news(now).map(|news| (row, news))) else {
+        return Ok(());
+    };
+    match lateness {
+        Lateness::OnTime => Ok(()),
+        Lateness::Over => end_for_time(write, lease, now).await,
+        Lateness::Stalled => stall(write, &row, now).await,
+        Lateness::Late => {
+            let message = format!("it takes longer on {} than in 19 of 20 cases", row.node);
+            note(write, &row, ("late", EventKind::TaskLate, message), now).await
         }
     }
-    Ok(())
 }
 
 /// Has the task run on another node as well.

@@ -10,7 +10,6 @@ use crate::events::{append, forget_old_progress};
 use crate::idempotency::forget_old;
 use crate::jobs::ending::fail_task_and_job;
 use crate::jobs::versions::replace_lost;
-use crate::leases::overdue::look_at_running;
 use crate::leases::state::LeaseState;
 use crate::leases::{back_to_ready, end, ran_out, read_in};
 use crate::living;
@@ -37,7 +36,6 @@ impl Store {
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept> {
         let mut write = self.write().await?;
         let swept = sweep(&mut write, now).await?;
-        look_at_running(&mut write, now).await?;
         stop_after_windows(&mut write, now).await?;
         living::catch_up(&mut write, now).await?;
         replace_lost(&mut write, self.up_since(), now).await?;
@@ -48,6 +46,7 @@ impl Store {
         forget_ended_rights(&mut write).await?;
         forget_old_deliveries(&mut write, now).await?;
         self.commit(write).await?;
+        self.look_at_running(now).await?;
         self.forget_checkpoints().await?;
         Ok(swept)
     }

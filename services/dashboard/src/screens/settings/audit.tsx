@@ -36,6 +36,8 @@ const ACTIONS: Record<Action, true> = {
   session_ended: true,
   project_set: true,
   retention_set: true,
+  audit_pruned: true,
+  quota_set: true,
   budget_set: true,
   webhook_added: true,
   webhook_removed: true,

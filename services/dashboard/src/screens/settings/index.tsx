@@ -1,4 +1,5 @@
-// What operators set: who may sign in, whom the farm tells of events, how long things are kept, and who did what.
+// What operators set: who may sign in, whom the farm tells of events, how long things are kept; and who did
+// what.
 
 import { useEffect } from "preact/hooks";
 import { param, setQuery } from "../../state/route";
