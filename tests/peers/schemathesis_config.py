@@ -31,8 +31,12 @@ checks = { negative_data_rejection.enabled = false }
 # A bundle is good or bad by what is in the file. The hook shortens waits.
 [[operations]]
 include-name = ["POST /v1/bundles", "POST /v1/leases"]
-phases.fuzzing.checks = { negative_data_rejection.enabled = false }
-phases.stateful.checks = { negative_data_rejection.enabled = false }
+checks = { negative_data_rejection.enabled = false }
+
+# Below the top, a list of an object's fields is read as the object.
+[[operations]]
+include-name = ["POST /v1/nodes", "POST /v1/nodes/join"]
+checks = { negative_data_rejection.enabled = false }
 
 # Ids of existing things, and some of missing ones.
 [dictionaries]"""
