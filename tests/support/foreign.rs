@@ -196,7 +196,8 @@ struct Kept {
     bundle: tempfile::TempDir,
     _files: tempfile::TempDir,
     folder: Folder,
-    name: blake3::Hash,
+    /// The file in which the scene is kept.
+    file: PathBuf,
 }
 
 fn kept_once() -> &'static Kept {
@@ -213,22 +214,19 @@ fn kept_once() -> &'static Kept {
         let folder = Folder::new(&files.path().join("kept")).expect("the folder is private");
         Scene::load_or_keep(bundle.path(), &Limits::default(), &folder).expect("the bundle is good");
         let entry = std::fs::read_dir(folder.path()).expect("the folder can be read").next();
-        let entry = entry.expect("the scene was kept").expect("the folder can be read").file_name();
-        let name = entry.to_string_lossy().split('.').next().unwrap_or_default().to_owned();
-        let name = blake3::Hash::from_hex(&name).expect("a file is named by a hash");
-        Kept { bundle, _files: files, folder, name }
+        let file = entry.expect("the scene was kept").expect("the folder can be read").path();
+        Kept { bundle, _files: files, folder, file }
     })
 }
 
 fn kept_content() -> Vec<u8> {
-    let Kept { folder, name, .. } = kept_once();
-    folder.read(name).expect("the scene was kept")
+    std::fs::read(&kept_once().file).expect("the scene was kept")
 }
 
-/// A kept scene with a right hash, as a program of another version may have written it.
+/// The file of a kept scene. If it is damaged, the bundle is read instead.
 pub fn kept(bytes: &[u8]) {
-    let Kept { bundle, folder, name, .. } = kept_once();
-    folder.write(name, &[bytes]);
+    let Kept { bundle, folder, file, .. } = kept_once();
+    std::fs::write(file, bytes).expect("a temporary file can be written");
     let (scene, _) =
         Scene::load_or_keep(bundle.path(), &Limits::default(), folder).expect("the bundle is good");
     let _ = scene.frame(0);

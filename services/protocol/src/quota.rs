@@ -30,7 +30,7 @@ pub struct QuotaRequest {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Quota {
     /// What is allowed, and to whom.
-    pub quota: QuotaRequest,
+    pub allowed: QuotaRequest,
     /// Bytes of files that are used: of the project's jobs, or of the token's jobs and uploads.
     pub used_storage_bytes: u64,
     /// Jobs that are not over.

@@ -121,11 +121,11 @@ impl Store {
                 open_jobs: row.open_jobs,
                 ..QuotaRequest::default()
             };
-            let quota = match is_project {
+            let allowed = match is_project {
                 true => QuotaRequest { project: Some(row.name), ..limits },
                 false => QuotaRequest { token: Some(row.name), ..limits },
             };
-            quotas.push(Quota { quota, used_storage_bytes, used_open_jobs });
+            quotas.push(Quota { allowed, used_storage_bytes, used_open_jobs });
         }
         Ok(quotas)
     }

@@ -25,7 +25,7 @@ const BYTES_OF_PIXEL: u64 = 35;
 pub(crate) async fn list(State(app): State<App>, Reader(caller): Reader) -> ApiResult<Json<QuotaList>> {
     let mut items = app.store.quotas().await?;
     if !caller.reaches_all() {
-        items.retain(|item| match (&item.quota.project, &item.quota.token) {
+        items.retain(|item| match (&item.allowed.project, &item.allowed.token) {
             (Some(project), _) => caller.sees(project),
             (None, token) => token.as_ref() == Some(&caller.name),
         });

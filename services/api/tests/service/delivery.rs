@@ -139,6 +139,10 @@ async fn head_agrees_with_get_but_for_the_body() {
                 for field in ["date", "transfer-encoding"] {
                     headers.remove(field);
                 }
+                // The dashboard says when it was made, which is compressed to more or fewer bytes.
+                if path == "/v1/dashboard" && coding == "gzip" {
+                    headers.remove("content-length");
+                }
                 (answer.status(), headers, answer.bytes().await.unwrap())
             };
             let (get, head) = (ask(Method::GET).await, ask(Method::HEAD).await);

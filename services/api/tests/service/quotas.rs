@@ -76,7 +76,7 @@ async fn quotas_are_set_by_operators_and_seen_by_those_whom_they_concern() {
     }
     let seen: QuotaList = anna.json("/v1/quotas").await;
     let names =
-        seen.items.iter().map(|item| item.quota.project.clone().or(item.quota.token.clone()).unwrap());
+        seen.items.iter().map(|item| item.allowed.project.clone().or(item.allowed.token.clone()).unwrap());
     assert_eq!(names.collect::<Vec<_>>(), ["film", "anna"]);
     assert_eq!(farm.viewer.json::<QuotaList>("/v1/quotas").await.items.len(), 4);
     farm.submitter

@@ -59,8 +59,9 @@ pub async fn run(args: Args) -> Result<()> {
     let mut quotas = client.quotas().await.context("cannot list the quotas")?;
     let asked = QuotaRequest { project: args.project, token: args.who, ..QuotaRequest::default() };
     if asked.project.is_some() || asked.token.is_some() {
-        let is_asked = |had: &&Quota| had.quota.project == asked.project && had.quota.token == asked.token;
-        let had = quotas.items.iter().find(is_asked).map(|had| had.quota.clone()).unwrap_or_default();
+        let is_asked =
+            |had: &&Quota| had.allowed.project == asked.project && had.allowed.token == asked.token;
+        let had = quotas.items.iter().find(is_asked).map(|had| had.allowed.clone()).unwrap_or_default();
         let request = QuotaRequest {
             storage_bytes: args.storage.map_or(had.storage_bytes, |limit| limit.0),
             open_jobs: args.open_jobs.map_or(had.open_jobs, |limit| limit.0),
@@ -83,8 +84,8 @@ fn report(quotas: &QuotaList) -> String {
         ("open jobs", Align::Right),
         ("of", Align::Right),
     ]);
-    for Quota { quota, used_storage_bytes, used_open_jobs } in &quotas.items {
-        let (kind, name) = match (&quota.project, &quota.token) {
+    for Quota { allowed, used_storage_bytes, used_open_jobs } in &quotas.items {
+        let (kind, name) = match (&allowed.project, &allowed.token) {
             (Some(project), _) => ("project", project.clone()),
             (None, token) => ("token", token.clone().unwrap_or_default()),
         };
@@ -92,9 +93,9 @@ fn report(quotas: &QuotaList) -> String {
             kind.to_owned(),
             name,
             bytes(*used_storage_bytes),
-            quota.storage_bytes.map_or("-".to_owned(), bytes),
+            allowed.storage_bytes.map_or("-".to_owned(), bytes),
             used_open_jobs.to_string(),
-            quota.open_jobs.map_or("-".to_owned(), |most| most.to_string()),
+            allowed.open_jobs.map_or("-".to_owned(), |most| most.to_string()),
         ]);
     }
     table.render()

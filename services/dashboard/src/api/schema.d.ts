@@ -4577,7 +4577,7 @@ export interface components {
         /** @description A quota, and how much of it is used. */
         Quota: {
             /** @description What is allowed, and to whom. */
-            quota: components["schemas"]["QuotaRequest"];
+            allowed: components["schemas"]["QuotaRequest"];
             /**
              * Format: int32
              * @description Jobs that are not over.
