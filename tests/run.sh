@@ -35,6 +35,7 @@ run_logged() {
   { time "$1" >"$log" 2>&1; } 2>"$log.cpu" || status=$?
   flock "$work" bash -c 'printf "\n-- %s (%d s, %s s of CPU time%s)\n" "$1" "$2" "$3" "$4"; cat "$5"' - "$name" \
     $((SECONDS - start)) "$(cat "$log.cpu")" "$([ $status = 0 ] || echo ', FAILED')" "$log"
+  [ $status = 0 ] || mv "$log" "$work/$name.failed"
   return $status
 }
 export -f run_logged
@@ -42,9 +43,15 @@ export work
 # Programs under test keep nothing for later runs.
 export XDG_CACHE_HOME=$work/cache
 
-# Lists the tests that were not run, whether the others passed or failed.
+# Shows what failed once more, where a reader looks first, and lists the tests that were not run.
 finish() {
-  local status=$?
+  local status=$? log
+  for log in "$work"/*.failed; do
+    printf '\n-- What failed in %s\n' "$(basename "$log" .failed)"
+    # Of the tests in Rust, only what failed says.
+    if grep -q '^test result: FAILED' "$log"; then sed -n '/^failures:$/,/^test result: FAILED/p' "$log"; else cat "$log"; fi |
+      tail -n 120
+  done
   if [ -s "$FORELIGHT_NOT_RUN" ]; then
     printf '\nNot run, or only in part: %d tests\n' "$(cut -f1 "$FORELIGHT_NOT_RUN" | sort -u | wc -l)"
     sort -u "$FORELIGHT_NOT_RUN" | sed 's/^/  /; s/\t/: /'
