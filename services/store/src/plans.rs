@@ -122,10 +122,9 @@ impl Store {
         living::update(&mut write, job, Occasion::Booked, now).await?;
         job_state(&mut write, job, JobState::Booked, None, now);
         // A booked job has its promise, whatever happens to the outlooks of the others.
-        let own: Vec<_> = plan.outlooks.iter().filter(|(of, _)| *of == job).cloned().collect();
-        outlooks::keep(&mut write, &own, now).await?;
-        self.commit(write).await?;
-        self.tell_outlooks(plan, Some(plan_id), now).await?;
+        let mut outlooks = plan.outlooks.clone();
+        outlooks.sort_by_key(|(of, _)| *of != job);
+        self.tell_outlooks(write, plan, &outlooks, Some(plan_id), now).await?;
         Ok(plan_id)
     }
 
@@ -134,40 +133,51 @@ impl Store {
     pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId> {
         let mut write = self.write().await?;
         let plan_id = keep(&mut write, plan, None, now).await?;
-        self.commit(write).await?;
-        self.tell_outlooks(plan, Some(plan_id), now).await?;
+        self.tell_outlooks(write, plan, &plan.outlooks, Some(plan_id), now).await?;
         Ok(plan_id)
     }
 
     /// Stores only new outlooks, for a plan that changes no booking.
     pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<()> {
-        self.tell_outlooks(plan, plan.parent, now).await
+        let mut write = self.write().await?;
+        check_newest(&mut write, plan.parent).await?;
+        self.tell_outlooks(write, plan, &plan.outlooks, plan.parent, now).await
     }
 
     /// Stores the outlooks of a plan, and that it was made, while `newest_plan` is the newest.
     ///
-    /// A farm has thousands of jobs, and workers wait while somebody writes. So this is done in several
-    /// writes. If they end half-way, the causes stay due, and the next plan stores the rest.
-    async fn tell_outlooks(&self, plan: &NewPlan, newest_plan: Option<PlanId>, now: Timestamp) -> Result<()> {
-        let mut parts = plan.outlooks.chunks(OUTLOOKS_AT_ONCE).peekable();
+    /// A farm has thousands of jobs, and workers wait while somebody writes. So the open write takes the first
+    /// outlooks, and several short ones the others. If they end half-way, the causes stay due, and the next plan
+    /// stores the rest.
+    async fn tell_outlooks(
+        &self,
+        mut write: Write,
+        plan: &NewPlan,
+        outlooks: &[(JobId, JobOutlook)],
+        newest_plan: Option<PlanId>,
+        now: Timestamp,
+    ) -> Result<()> {
+        let mut parts = outlooks.chunks(OUTLOOKS_AT_ONCE).peekable();
         loop {
-            let part = parts.next().unwrap_or_default();
-            let is_last = parts.peek().is_none();
-            let mut write = self.write().await?;
-            if newest(write.connection().await?).await? != newest_plan {
-                return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
-            }
-            outlooks::keep(&mut write, part, now).await?;
-            if is_last {
+            outlooks::keep(&mut write, parts.next().unwrap_or_default(), now).await?;
+            if parts.peek().is_none() {
                 outlooks::keep_of_farm(&mut write, plan.finish).await?;
                 replans::planned(&mut write, &plan.wanted).await?;
+                return self.commit(write).await;
             }
             self.commit(write).await?;
-            if is_last {
-                return Ok(());
-            }
+            write = self.write().await?;
+            check_newest(&mut write, newest_plan).await?;
         }
     }
+}
+
+/// A [`StoreError::Conflict`] if this plan is not the newest any more.
+async fn check_newest(write: &mut Write, plan: Option<PlanId>) -> Result<()> {
+    if newest(write.connection().await?).await? == plan {
+        return Ok(());
+    }
+    Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()))
 }
 
 /// Outlooks that are stored in one write.
@@ -175,9 +185,7 @@ const OUTLOOKS_AT_ONCE: usize = 100;
 
 /// Stores a plan inside a write: its jobs and their tasks get its bookings. `fresh` is a job without a plan.
 async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Timestamp) -> Result<PlanId> {
-    if newest(write.connection().await?).await? != plan.parent {
-        return Err(StoreError::Conflict("another plan was stored in the meantime".to_owned()));
-    }
+    check_newest(write, plan.parent).await?;
     let plan_id = PlanId::new();
     let verdicts: Vec<&JobVerdict> = plan.jobs.iter().map(|job| &job.verdict).collect();
     run!(
