@@ -9,7 +9,7 @@
 
 use forelight_api::ServiceError;
 use forelight_client::ClientError;
-use forelight_protocol::Problem;
+use forelight_protocol::{Problem, ProblemKind};
 use forelight_renderer_own::RenderError;
 use forelight_store::StoreError;
 use forelight_terminal::failure::{BadInput, Interrupted};
@@ -108,6 +108,8 @@ fn hint(error: &anyhow::Error) -> Option<String> {
 
 fn problem_hint(problem: &Problem) -> Option<String> {
     match (problem.status, &problem.pointer) {
+        // Its detail says what to do.
+        _ if problem.known_kind() == Some(ProblemKind::QuotaExceeded) => None,
         (401, _) => Some("the service does not know this token; see `forelight token --help`".into()),
         (403, _) => Some("this needs a token with another role; see `forelight token --help`".into()),
         (_, Some(pointer)) => Some(format!("the wrong field of the request is {pointer}")),
@@ -119,7 +121,6 @@ fn problem_hint(problem: &Problem) -> Option<String> {
 mod tests {
     use super::*;
     use anyhow::Context;
-    use forelight_protocol::ProblemKind;
 
     fn refused(kind: ProblemKind) -> anyhow::Error {
         ClientError::Refused(Box::new(Problem::new(kind, "no such frame").at("/frames"))).into()
@@ -156,5 +157,11 @@ mod tests {
         assert!(lines[0].starts_with("error: cannot submit: 422 "), "{text}");
         assert!(lines[0].contains("no such frame"), "{text}");
         assert!(lines[1].contains("/frames"), "{text}");
+    }
+
+    #[test]
+    fn a_quota_that_is_used_up_is_no_matter_of_roles() {
+        assert!(describe(&refused(ProblemKind::Forbidden)).contains("another role"));
+        assert!(!describe(&refused(ProblemKind::QuotaExceeded)).contains("hint"));
     }
 }

@@ -7,6 +7,7 @@ mod connection;
 mod contact_sheet;
 mod failure;
 mod job_options;
+mod named;
 mod storage;
 
 use clap::Parser;

@@ -328,7 +328,7 @@ async fn this_task(
     .ok_or(StoreError::NotFound("task"))?;
     let is_again = row.state == "leased" && row.may_again;
     match row.state.as_str() {
-        "ready" | "leased" if is_again || row.state == "ready" => {
+        state if state == "ready" || is_again => {
             Ok((Timestamp::from(row.not_before) <= now).then_some(OfferedTask {
                 id: row.id,
                 job_id: row.job_id,

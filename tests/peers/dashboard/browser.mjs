@@ -2,10 +2,11 @@
 
 import assert from "node:assert/strict";
 import fs from "node:fs";
+import os from "node:os";
 import path from "node:path";
 import { createRequire } from "node:module";
 import { chromium } from "playwright-core";
-import { root } from "./farm.mjs";
+import { Farm, root } from "./farm.mjs";
 
 const axe = fs.readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const shots = path.join(root, "target/dashboard-screenshots");
@@ -23,6 +24,19 @@ export async function visitor(browser) {
     locale: "en-GB",
   });
   return await watched(await context.newPage(), []);
+}
+
+/** A farm that is not started yet, and a page of a browser. Both are gone after the test, with the farm's folder. */
+export async function farmAndPage(t) {
+  const folder = fs.mkdtempSync(path.join(os.tmpdir(), "forelight-dashboard-"));
+  const farm = new Farm(path.join(folder, "farm"));
+  const browser = await launch();
+  t.after(async () => {
+    await browser.close();
+    await farm.kill();
+    fs.rmSync(folder, { recursive: true, force: true });
+  });
+  return { folder, farm, browser, page: await visitor(browser) };
 }
 
 /** Another tab of the same profile. */

@@ -1,23 +1,12 @@
 // The page of an empty farm: signing in, what is to be done first, and a service that goes away.
 
 import assert from "node:assert/strict";
-import fs from "node:fs";
-import os from "node:os";
-import path from "node:path";
 import test from "node:test";
-import { inspect, inspectAll, launch, noFaults, screens, show, visitor } from "./browser.mjs";
-import { Farm, steps, WORKERS } from "./farm.mjs";
+import { farmAndPage, inspect, inspectAll, noFaults, screens, show, visitor } from "./browser.mjs";
+import { steps, WORKERS } from "./farm.mjs";
 
 test("an empty farm", { timeout: 240_000 }, async (t) => {
-  const folder = fs.mkdtempSync(path.join(os.tmpdir(), "forelight-dashboard-"));
-  const farm = new Farm(path.join(folder, "farm"));
-  const browser = await launch();
-  t.after(async () => {
-    await browser.close();
-    await farm.kill();
-    fs.rmSync(folder, { recursive: true, force: true });
-  });
-  const page = await visitor(browser);
+  const { farm, browser, page } = await farmAndPage(t);
   const step = steps(t);
 
   await step("refuses a wrong token in words, and signs in with a link that works once", async () => {

@@ -3,22 +3,13 @@
 import assert from "node:assert/strict";
 import fs from "node:fs";
 import http from "node:http";
-import os from "node:os";
 import path from "node:path";
 import test from "node:test";
-import { inspect, inspectAll, launch, noFaults, screens, show, sibling, visitor } from "./browser.mjs";
-import { Farm, root, steps, until, WORKERS } from "./farm.mjs";
+import { farmAndPage, inspect, inspectAll, noFaults, screens, show, sibling, visitor } from "./browser.mjs";
+import { root, steps, until, WORKERS } from "./farm.mjs";
 
 test("a working farm", { timeout: 240_000 }, async (t) => {
-  const folder = fs.mkdtempSync(path.join(os.tmpdir(), "forelight-dashboard-"));
-  const farm = new Farm(path.join(folder, "farm"));
-  const browser = await launch();
-  t.after(async () => {
-    await browser.close();
-    await farm.kill();
-    fs.rmSync(folder, { recursive: true, force: true });
-  });
-  const page = await visitor(browser);
+  const { folder, farm, browser, page } = await farmAndPage(t);
   let job;
   let held;
   let long;

@@ -2,6 +2,7 @@
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::named::{Kind, the_one};
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{Job, JobId};
@@ -49,13 +50,18 @@ pub async fn run(args: Args) -> Result<()> {
     if args.json { output::json(&cancelled) } else { Ok(()) }
 }
 
+const JOBS: Kind =
+    Kind { none: "no job has this name", several: "jobs have this name", list: "forelight jobs" };
+
+const OPEN_JOBS: Kind = Kind { several: "open jobs have this name", ..JOBS };
+
 /// The id of the job with this id, or of the only open job with this name.
 pub(super) async fn find(client: &Client, wanted: &str) -> Result<JobId> {
     if let Ok(id) = wanted.parse() {
         return Ok(id);
     }
     let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
-    only_one(wanted, &named).map_err(Into::into)
+    only_one(wanted, named).map_err(Into::into)
 }
 
 /// The id of the job with this id, or of the only job with this name, open or not.
@@ -64,31 +70,20 @@ pub(super) async fn find_any(client: &Client, wanted: &str) -> Result<JobId> {
         return Ok(id);
     }
     let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
-    the_one(wanted, &named.iter().collect::<Vec<_>>(), "").map_err(Into::into)
+    id_of(wanted, named, &JOBS).map_err(Into::into)
 }
 
-fn only_one(wanted: &str, named: &[Job]) -> Result<JobId, BadInput> {
-    let open: Vec<&Job> = named.iter().filter(|job| !job.state.is_final()).collect();
-    if open.is_empty() && !named.is_empty() {
-        return Err(none(wanted, "all jobs with this name have ended"));
+fn only_one(wanted: &str, named: Vec<Job>) -> Result<JobId, BadInput> {
+    let is_named = !named.is_empty();
+    let open: Vec<Job> = named.into_iter().filter(|job| !job.state.is_final()).collect();
+    if open.is_empty() && is_named {
+        return Err(OPEN_JOBS.missing(wanted, "all jobs with this name have ended"));
     }
-    the_one(wanted, &open, "open ")
+    id_of(wanted, open, &OPEN_JOBS)
 }
 
-fn the_one(wanted: &str, jobs: &[&Job], kind: &str) -> Result<JobId, BadInput> {
-    match jobs {
-        [job] => Ok(job.id),
-        [] => Err(none(wanted, "no job has this name")),
-        several => {
-            let ids: Vec<String> = several.iter().map(|job| job.id.to_string()).collect();
-            Err(BadInput::new(format!("{wanted}: {} {kind}jobs have this name", several.len()))
-                .hint(format!("name one by its id: {}", ids.join(" "))))
-        }
-    }
-}
-
-fn none(wanted: &str, reason: &str) -> BadInput {
-    BadInput::new(format!("{wanted}: {reason}")).hint("`forelight jobs` lists them")
+fn id_of(wanted: &str, found: Vec<Job>, kind: &Kind) -> Result<JobId, BadInput> {
+    the_one(wanted, found, kind, |job| job.id.to_string()).map(|job| job.id)
 }
 
 #[cfg(test)]
@@ -105,10 +100,10 @@ mod tests {
     fn a_name_is_enough_where_one_job_is_open() {
         let [done, open] = [JobState::Done, JobState::Rendering].map(of);
         assert_eq!(
-            only_one("kitchen", &[done.clone(), open.clone()]).map_err(|error| error.to_string()),
+            only_one("kitchen", vec![done.clone(), open.clone()]).map_err(|error| error.to_string()),
             Ok(open.id)
         );
-        let refused = |jobs: &[Job]| only_one("kitchen", jobs).unwrap_err().to_string();
+        let refused = |jobs: &[Job]| only_one("kitchen", jobs.to_vec()).unwrap_err().to_string();
         assert_eq!(refused(&[]), "kitchen: no job has this name");
         assert_eq!(refused(&[done]), "kitchen: all jobs with this name have ended");
         assert_eq!(refused(&[open.clone(), of(JobState::Previewing)]), "kitchen: 2 open jobs have this name");

@@ -22,16 +22,16 @@ files of a project's jobs, or of a token's jobs and uploads; a file that several
 tokens of one name share a quota.")]
 pub struct Args {
     /// The project whose quota is set
-    #[arg(long, value_name = "PROJECT")]
+    #[arg(long, value_name = "PROJECT", group = "whose")]
     project: Option<String>,
     /// Name of the token whose quota is set
-    #[arg(long, value_name = "NAME", conflicts_with = "project")]
+    #[arg(long, value_name = "NAME", group = "whose")]
     who: Option<String>,
     /// Most bytes of files, such as 500GiB, or `none` [default: as it is]
-    #[arg(long, value_name = "SIZE", value_parser = |text: &str| Limit::read(text, parse_bytes))]
+    #[arg(long, value_name = "SIZE", requires = "whose", value_parser = |text: &str| Limit::read(text, parse_bytes))]
     storage: Option<Limit<u64>>,
     /// Most jobs that are not over, or `none` [default: as it is]
-    #[arg(long, value_name = "COUNT", value_parser = |text: &str| Limit::read(text, number))]
+    #[arg(long, value_name = "COUNT", requires = "whose", value_parser = |text: &str| Limit::read(text, number))]
     open_jobs: Option<Limit<u32>>,
     /// Print the quotas as JSON to standard output
     #[arg(long)]

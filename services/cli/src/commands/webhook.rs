@@ -1,6 +1,7 @@
 //! `forelight webhook`: the addresses that the farm tells of events, and what each was told.
 
 use crate::connection::{ConnectionOptions, connect};
+use crate::named::{Kind, the_one};
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_client::Client;
@@ -195,6 +196,12 @@ async fn tested(client: &Client, webhook: WebhookId) -> Result<String> {
     Ok("not sent yet; `forelight webhook deliveries` shows what becomes of it".to_owned())
 }
 
+const WEBHOOKS: Kind = Kind {
+    none: "no webhook has this id or address",
+    several: "webhooks have this address",
+    list: "forelight webhook list",
+};
+
 /// The webhook with this id, or the only one with this address.
 async fn find(client: &Client, wanted: &str) -> Result<Webhook> {
     let webhooks = client.webhooks().await.context("cannot list the webhooks")?;
@@ -203,18 +210,9 @@ async fn find(client: &Client, wanted: &str) -> Result<Webhook> {
 
 fn only_one(wanted: &str, webhooks: Vec<Webhook>) -> Result<Webhook, BadInput> {
     let id: Option<WebhookId> = wanted.parse().ok();
-    let named = |webhook: &Webhook| Some(webhook.id) == id || webhook.url == wanted;
-    let mut found: Vec<Webhook> = webhooks.into_iter().filter(named).collect();
-    match (found.pop(), found.as_slice()) {
-        (None, _) => Err(BadInput::new(format!("{wanted}: no webhook has this id or address"))
-            .hint("`forelight webhook list` lists them")),
-        (Some(webhook), []) => Ok(webhook),
-        (Some(last), others) => {
-            let ids: Vec<String> = others.iter().chain([&last]).map(|it| it.id.to_string()).collect();
-            Err(BadInput::new(format!("{wanted}: {} webhooks have this address", ids.len()))
-                .hint(format!("name one by its id: {}", ids.join(" "))))
-        }
-    }
+    let is_meant = |webhook: &Webhook| Some(webhook.id) == id || webhook.url == wanted;
+    let found = webhooks.into_iter().filter(is_meant).collect();
+    the_one(wanted, found, &WEBHOOKS, |webhook| webhook.id.to_string())
 }
 
 fn report(webhooks: &[Webhook]) -> String {

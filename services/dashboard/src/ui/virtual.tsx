@@ -1,4 +1,5 @@
-// A long list of rows of one height: only those in view are in the document. The window scrolls, not a box.
+// Long lists and tables of rows of one height: only those in view are in the document. The window scrolls, not a
+// box.
 
 import type { ComponentChildren } from "preact";
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
@@ -63,6 +64,45 @@ export function VirtualRows<T>(props: {
           {props.row(item, first + at)}
         </div>
       ))}
+    </div>
+  );
+}
+
+/** A long table, with the names of its columns above. */
+export function VirtualTable<T>(props: {
+  /** Name of the region in which it scrolls sideways, and of the table. */
+  region: string;
+  name: string;
+  /** Classes of the table, and of a row. A row of names has the class `head` as well. */
+  table: string;
+  line: string;
+  head: string;
+  columns: readonly string[];
+  items: readonly T[];
+  height: number;
+  seen: (first: number, last: number) => void;
+  row: (item: T) => ComponentChildren;
+}) {
+  return (
+    <div class="scroll-x list-box" tabIndex={0} role="region" aria-label={props.region}>
+      <div role="table" aria-label={props.name} class={props.table}>
+        <div role="rowgroup">
+          <div role="row" class={`${props.line} ${props.head}`}>
+            {props.columns.map((name) => (
+              <span role="columnheader" key={name}>
+                {name}
+              </span>
+            ))}
+          </div>
+        </div>
+        <VirtualRows
+          role="rowgroup"
+          items={props.items}
+          height={props.height}
+          seen={props.seen}
+          row={props.row}
+        />
+      </div>
     </div>
   );
 }

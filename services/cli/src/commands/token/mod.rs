@@ -3,6 +3,7 @@
 mod create;
 
 use crate::connection::{ConnectionOptions, connect};
+use crate::named::{Kind, the_one};
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_client::Client;
@@ -200,6 +201,12 @@ fn hand_over(secret: &str, out: Option<&std::path::Path>) -> Result<()> {
     }
 }
 
+const TOKENS: Kind = Kind {
+    none: "no token has this id or name",
+    several: "tokens have this name",
+    list: "forelight token list",
+};
+
 /// The token with this id, or the only one with this name.
 async fn find(client: &Client, wanted: &str) -> Result<Token> {
     let tokens = client.tokens().await.context("cannot list the tokens")?;
@@ -208,18 +215,9 @@ async fn find(client: &Client, wanted: &str) -> Result<Token> {
 
 fn only_one(wanted: &str, tokens: Vec<Token>) -> Result<Token, BadInput> {
     let id: Option<TokenId> = wanted.parse().ok();
-    let named = |token: &Token| Some(token.id) == id || token.name == wanted;
-    let mut found: Vec<Token> = tokens.into_iter().filter(named).collect();
-    match (found.pop(), found.as_slice()) {
-        (None, _) => Err(BadInput::new(format!("{wanted}: no token has this id or name"))
-            .hint("`forelight token list` lists them")),
-        (Some(token), []) => Ok(token),
-        (Some(last), others) => {
-            let ids: Vec<String> = others.iter().chain([&last]).map(|token| token.id.to_string()).collect();
-            Err(BadInput::new(format!("{wanted}: {} tokens have this name", ids.len()))
-                .hint(format!("name one by its id: {}", ids.join(" "))))
-        }
-    }
+    let is_meant = |token: &Token| Some(token.id) == id || token.name == wanted;
+    let found = tokens.into_iter().filter(is_meant).collect();
+    the_one(wanted, found, &TOKENS, |token| token.id.to_string())
 }
 
 fn report(tokens: &[Token], now: Timestamp) -> String {

@@ -12,7 +12,7 @@ import { Mark } from "../../ui/mark";
 import { PAGE, usePages } from "../../ui/pages";
 import { Trouble, Waiting } from "../../ui/parts";
 import { asError, useThrottled } from "../../ui/resource";
-import { VirtualRows } from "../../ui/virtual";
+import { VirtualTable } from "../../ui/virtual";
 import { Activity } from "./activity";
 
 const SORTS = [
@@ -71,26 +71,18 @@ export function NodeList(props: { state: NodeState | ""; search: string; open: (
           </select>
         </label>
       </div>
-      <div class="scroll-x list-box" tabIndex={0} role="region" aria-label="Nodes">
-        <div role="table" aria-label="Nodes" class="node-table">
-          <div role="rowgroup">
-            <div role="row" class="node-row node-head">
-              {["State", "Name", "Speed", "Cores", "Price/h", "Memory", "Does", "Orders"].map((name) => (
-                <span role="columnheader" key={name}>
-                  {name}
-                </span>
-              ))}
-            </div>
-          </div>
-          <VirtualRows
-            role="rowgroup"
-            items={listed.items}
-            height={36}
-            seen={listed.see}
-            row={(node) => <Row node={node} open={props.open} changed={changed} />}
-          />
-        </div>
-      </div>
+      <VirtualTable
+        region="Nodes"
+        name="Nodes"
+        table="node-table"
+        line="node-row"
+        head="node-head"
+        columns={["State", "Name", "Speed", "Cores", "Price/h", "Memory", "Does", "Orders"]}
+        items={listed.items}
+        height={36}
+        seen={listed.see}
+        row={(node) => <Row node={node} open={props.open} changed={changed} />}
+      />
       <p class="note">
         {counted(listed.items.length, "node")} shown{listed.complete ? "" : ", more below"}.{" "}
         {listed.loading && "Asking…"}

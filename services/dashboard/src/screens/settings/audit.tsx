@@ -7,7 +7,7 @@ import { param, setQuery } from "../../state/route";
 import { clean, words } from "../../ui/format";
 import { PAGE, usePages } from "../../ui/pages";
 import { Section, Time, Trouble, Waiting } from "../../ui/parts";
-import { VirtualRows } from "../../ui/virtual";
+import { VirtualTable } from "../../ui/virtual";
 
 type Entry = Schemas["AuditEntry"];
 type Action = Schemas["AuditAction"];
@@ -114,26 +114,18 @@ export function Audit() {
           <p class="note">Nobody did anything like that.</p>
         ))}
       {entries.items.length > 0 && (
-        <div class="scroll-x list-box" tabIndex={0} role="region" aria-label="Who did what">
-          <div role="table" aria-label="Audit" class="set-table audit">
-            <div role="rowgroup">
-              <div role="row" class="set-row set-head">
-                {["When", "Who", "From", "Did", "With", "Project"].map((name) => (
-                  <span role="columnheader" key={name}>
-                    {name}
-                  </span>
-                ))}
-              </div>
-            </div>
-            <VirtualRows
-              role="rowgroup"
-              items={entries.items}
-              height={32}
-              seen={entries.see}
-              row={(entry) => <Row entry={entry} />}
-            />
-          </div>
-        </div>
+        <VirtualTable
+          region="Who did what"
+          name="Audit"
+          table="set-table audit"
+          line="set-row"
+          head="set-head"
+          columns={["When", "Who", "From", "Did", "With", "Project"]}
+          items={entries.items}
+          height={32}
+          seen={entries.see}
+          row={(entry) => <Row entry={entry} />}
+        />
       )}
       <p class="note">Entries never change. Point at what was done to see what was asked for.</p>
     </Section>

@@ -1,8 +1,10 @@
 // A secret that is shown once.
 
+import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
+import { Dialog } from "../../ui/dialog";
 
-export function Secret(props: { text: string }) {
+function Secret(props: { text: string }) {
   const [copied, setCopied] = useState(false);
   // Without TLS, browsers let no page write to the clipboard.
   const copy =
@@ -20,5 +22,25 @@ export function Secret(props: { text: string }) {
         </button>
       )}
     </>
+  );
+}
+
+/** Shows a secret until whoever made it has kept it. */
+export function SecretDialog(props: {
+  title: string;
+  secret: string;
+  close: () => void;
+  children?: ComponentChildren;
+}) {
+  return (
+    <Dialog title={props.title} close={props.close}>
+      {props.children}
+      <Secret text={props.secret} />
+      <div class="buttons">
+        <button type="button" onClick={props.close}>
+          I have kept it
+        </button>
+      </div>
+    </Dialog>
   );
 }

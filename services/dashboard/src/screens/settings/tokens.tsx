@@ -5,11 +5,11 @@ import { get, post, remove } from "../../api/client";
 import type { Schemas } from "../../api/client";
 import { now } from "../../state/farm";
 import { clean, words } from "../../ui/format";
-import { Confirm, Dialog } from "../../ui/dialog";
+import { Confirm } from "../../ui/dialog";
 import { PAGE, usePages } from "../../ui/pages";
 import { Field, Section, Time, Trouble, Waiting } from "../../ui/parts";
-import { VirtualRows } from "../../ui/virtual";
-import { Secret } from "./secret";
+import { VirtualTable } from "../../ui/virtual";
+import { SecretDialog } from "./secret";
 
 type Token = Schemas["Token"];
 type Role = Schemas["Role"];
@@ -52,38 +52,27 @@ export function Tokens() {
       {tokens.error && <Trouble error={tokens.error} retry={tokens.again} />}
       {tokens.items.length === 0 && tokens.loading && <Waiting>Asking for the tokens…</Waiting>}
       {tokens.items.length > 0 && (
-        <div class="scroll-x list-box" tabIndex={0} role="region" aria-label="All tokens">
-          <div role="table" aria-label="Tokens" class="set-table tokens">
-            <div role="rowgroup">
-              <div role="row" class="set-row set-head">
-                {["Name", "May", "Expires", "Last used", "Orders"].map((name) => (
-                  <span role="columnheader" key={name}>
-                    {name}
-                  </span>
-                ))}
-              </div>
-            </div>
-            <VirtualRows
-              role="rowgroup"
-              items={tokens.items}
-              height={40}
-              seen={tokens.see}
-              row={(token) => <Row token={token} act={(act) => setActing({ token, act })} />}
-            />
-          </div>
-        </div>
+        <VirtualTable
+          region="All tokens"
+          name="Tokens"
+          table="set-table tokens"
+          line="set-row"
+          head="set-head"
+          columns={["Name", "May", "Expires", "Last used", "Orders"]}
+          items={tokens.items}
+          height={40}
+          seen={tokens.see}
+          row={(token) => <Row token={token} act={(act) => setActing({ token, act })} />}
+        />
       )}
       {making && <Make close={() => setMaking(false)} made={made} />}
       {acting && <Act {...acting} close={() => setActing(null)} made={made} changed={() => tokens.again()} />}
       {secret && (
-        <Dialog title={`The token of ${clean(secret.name)}`} close={() => setSecret(null)}>
-          <Secret text={secret.secret} />
-          <div class="buttons">
-            <button type="button" onClick={() => setSecret(null)}>
-              I have kept it
-            </button>
-          </div>
-        </Dialog>
+        <SecretDialog
+          title={`The token of ${clean(secret.name)}`}
+          secret={secret.secret}
+          close={() => setSecret(null)}
+        />
       )}
     </Section>
   );

@@ -4,10 +4,10 @@ import { useEffect, useState } from "preact/hooks";
 import { get, post, remove } from "../../api/client";
 import type { Schemas } from "../../api/client";
 import { clean, counted, words } from "../../ui/format";
-import { Confirm, Dialog } from "../../ui/dialog";
+import { Confirm } from "../../ui/dialog";
 import { Field, Section, Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
-import { Secret } from "./secret";
+import { SecretDialog } from "./secret";
 
 type Webhook = Schemas["Webhook"];
 type Kind = Schemas["WebhookKind"];
@@ -75,15 +75,9 @@ export function Webhooks() {
         </Confirm>
       )}
       {secret && (
-        <Dialog title="The webhook’s secret" close={() => setSecret(null)}>
+        <SecretDialog title="The webhook’s secret" secret={secret} close={() => setSecret(null)}>
           <p>The receiver checks with it that a message is from this farm (Standard Webhooks).</p>
-          <Secret text={secret} />
-          <div class="buttons">
-            <button type="button" onClick={() => setSecret(null)}>
-              I have kept it
-            </button>
-          </div>
-        </Dialog>
+        </SecretDialog>
       )}
     </Section>
   );
