@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::support::{Answer, Farm};
+use crate::support::{Answer, Farm, eventually};
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
     AnswersDoc, Budget, BudgetAction, BudgetForecast, BudgetList, Job, JobState, Lease, LeaseOrder, Money,
@@ -18,13 +18,7 @@ async fn farm() -> (Farm, Arc<ManualClock>) {
 }
 
 async fn farm_with_leases_of(lease_ttl: Duration) -> (Farm, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::at("2026-03-01T18:00:00Z".parse().unwrap()));
-    let own = clock.clone();
-    let farm = Farm::with(move |config| {
-        config.clock = own;
-        config.lease_ttl = lease_ttl;
-    })
-    .await;
+    let (farm, clock) = Farm::with_clock("2026-03-01T18:00:00Z".parse().unwrap(), lease_ttl).await;
     for project in ["film", "advert"] {
         farm.project(project).await;
     }
@@ -72,26 +66,16 @@ async fn in_force(farm: &Farm, clock: &ManualClock, action: Option<BudgetAction>
 
 /// The same, waiting for the service's own sweep.
 async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
-    for _ in 0..200 {
+    eventually("the action comes into force", async || {
         let list: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
-        if list.items[0].action == action {
-            return list.items[0].clone();
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
-    panic!("{action:?} does not come into force");
+        Some(list.items[0].clone()).filter(|budget| budget.action == action)
+    })
+    .await
 }
 
 /// The job, once it says why it waits.
 async fn soon_waits(farm: &Farm, job: &Job) -> Job {
-    for _ in 0..200 {
-        let job = farm.job(job).await;
-        if job.waits.is_some() {
-            return job;
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
-    panic!("{} does not say why it waits", job.name);
+    farm.until(job, "it says why it waits", |job| job.waits.is_some()).await
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,8 +1,6 @@
 //! Quotes before booking, other terms, frames that are rendered again or cancelled, what-if questions.
 
-use std::time::Duration;
-
-use crate::support::{Answer, Farm};
+use crate::support::{Answer, Farm, PATIENCE};
 use forelight_protocol::{
     AnswersDoc, Confidence, EventKind, Explanation, ForecastDoc, FramePage, FrameState, Job, JobState, Lease,
     Money, Node, PlanPage, ProblemKind, TaskKind, Timestamp, Verdict, WhatIf,
@@ -28,17 +26,6 @@ async fn quoted(farm: &Farm, node: &Node, frames: &str) -> Job {
     let job = farm.until_booked(node, &job).await;
     assert_eq!((job.state, job.hold), (JobState::Quoted, true));
     job
-}
-
-async fn until(farm: &Farm, job: &Job, what: &str, is_so: impl Fn(&Job) -> bool) -> Job {
-    for _ in 0..1000 {
-        let job = farm.job(job).await;
-        if is_so(&job) {
-            return job;
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    panic!("not in time: {what}");
 }
 
 async fn patch(farm: &Farm, job: &Job, change: Value) -> Response {
@@ -89,7 +76,7 @@ async fn a_job_on_hold_is_quoted_and_books_nothing_until_it_is_accepted() {
     let terms = json!({"deadline": deadline, "budget": 9_000_000, "confidence": "p95"});
     let accepted: Job = post(&farm, &job, "accept", terms).await.parsed(StatusCode::OK).await;
     assert_eq!((accepted.hold, accepted.deadline), (false, Some(deadline)));
-    let booked = until(&farm, &job, "it is booked", |job| job.state == JobState::Booked).await;
+    let booked = farm.until(&job, "it is booked", |job| job.state == JobState::Booked).await;
     assert_eq!((booked.budget, booked.confidence), (Some(Money(9_000_000)), Confidence::P95));
     assert_eq!(booked.verdict.unwrap().verdict, Verdict::OnTime);
     assert_eq!(farm.viewer.json::<ForecastDoc>(&path("forecast")).await, quote, "a quote never changes");
@@ -140,7 +127,7 @@ async fn a_later_deadline_rescues_a_job_that_was_late_and_the_question_before_sa
     let changed: Job = patch(&farm, &job, json!({"deadline": later})).await.parsed(StatusCode::OK).await;
     assert_eq!(changed.deadline, Some(later));
     let is_rescued = |job: &Job| job.verdict.as_ref().is_some_and(|said| said.verdict == Verdict::OnTime);
-    let rescued = until(&farm, &job, "the job is in time", is_rescued).await;
+    let rescued = farm.until(&job, "the job is in time", is_rescued).await;
     assert!(rescued.promise.is_some_and(|promise| promise.kept));
     assert_ne!(rescued.plan_id, late.plan_id);
 }
@@ -166,7 +153,7 @@ async fn other_terms_are_checked_and_lead_to_a_new_plan() {
     let changed: Job = patch(&farm, &job, change).await.parsed(StatusCode::OK).await;
     assert_eq!((changed.deadline, changed.budget, changed.confidence), (None, None, Confidence::P50));
     let is_new = |job: &Job| job.plan_id != before.plan_id;
-    let planned = until(&farm, &job, "there is a new plan", is_new).await;
+    let planned = farm.until(&job, "there is a new plan", is_new).await;
     assert_eq!(planned.verdict.unwrap().confidence, Confidence::P50);
     assert!(planned.promise.is_none(), "without a deadline there is no promise");
     farm.work_off(&node, &job).await;
@@ -332,13 +319,13 @@ async fn changes_are_events() {
     let node = farm.node("a").await;
     let job = quoted(&farm, &node, "0-1").await;
     post(&farm, &job, "accept", json!({})).await.parsed::<Job>(StatusCode::OK).await;
-    until(&farm, &job, "it is booked", |job| job.state == JobState::Booked).await;
+    farm.until(&job, "it is booked", |job| job.state == JobState::Booked).await;
     patch(&farm, &job, json!({"budget": 7_000_000})).await.parsed::<Job>(StatusCode::OK).await;
     post(&farm, &job, "frames/cancel", json!({"frames": "1"})).await.parsed::<Job>(StatusCode::OK).await;
     farm.work_off(&node, &job).await;
     let path = format!("/v1/jobs/{}/events", job.id);
     let stream = crate::support::events::Events::open(&farm.viewer, &path, None).await.unwrap();
-    let events = stream.rest(Duration::from_secs(60)).await;
+    let events = stream.rest(PATIENCE).await;
     let said: Vec<&str> = events
         .iter()
         .filter(|event| event.kind == EventKind::JobChanged)

@@ -1,9 +1,8 @@
 //! TLS: verified by clients, with certificates that are read again, and HTTP/2 for browsers.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use crate::support::Farm;
+use crate::support::{Farm, until};
 use forelight_api::TlsFiles;
 use forelight_client::{Backoff, Client, Token};
 use forelight_protocol::{Role, Timestamp};
@@ -72,15 +71,8 @@ async fn clients_verify_the_service_and_a_renewed_certificate_is_served_without_
     std::fs::write(&tls.certificate, "nothing").unwrap();
     assert!(browser(&[&studio]).get(&ready).send().await.is_ok());
     renewed.certify(&tls);
-    let mut is_renewed = false;
-    for _ in 0..600 {
-        is_renewed = browser(&[&renewed]).get(&ready).send().await.is_ok();
-        if is_renewed {
-            break;
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-    assert!(is_renewed, "the new certificate is served");
+    until("the new certificate is served", async || browser(&[&renewed]).get(&ready).send().await.is_ok())
+        .await;
     assert!(browser(&[&studio]).get(&ready).send().await.is_err());
 }
 

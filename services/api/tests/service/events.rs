@@ -1,13 +1,9 @@
 //! Server-sent events.
 
 use crate::support::events::Events;
-use crate::support::{Answer, Farm, Http};
+use crate::support::{Answer, Farm, Http, PATIENCE};
 use forelight_protocol::{EventKind, JobState};
 use reqwest::{Method, StatusCode};
-use std::time::Duration;
-
-/// Longest silence of a stream.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 async fn open(http: &Http, path: &str, last: Option<i64>) -> Events {
     Events::open(http, path, last).await.expect("events to come")

@@ -1,11 +1,9 @@
 //! Lists, the dashboard, strips and timelines.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use crate::support::events::Events;
-use crate::support::{Answer, Farm};
-use forelight_api::ManualClock;
+use crate::support::{Answer, Farm, PATIENCE, eventually};
 use forelight_protocol::{
     Dashboard, EventKind, FrameStrip, Job, JobPage, JobState, NodePage, NodeState, ProblemKind, SpanKind,
     TaskKind, TimelinePage, Timestamp,
@@ -107,7 +105,7 @@ async fn nodes_are_found_by_state_and_text_and_sorted() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_dashboard_has_risks_ends_and_money_and_is_not_sent_twice() {
     // Time stands still, so that nothing is expected later than before.
-    let farm = Farm::with(|config| config.clock = Arc::new(ManualClock::at(Timestamp::now()))).await;
+    let (farm, _) = Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await;
     let node = farm.node("<script>alert(1)</script>").await;
     let late = submit(&farm, "late", json!({"deadline": Timestamp::now().plus_micros(1_000_000)})).await;
     farm.until_booked(&node, &late).await;
@@ -137,17 +135,13 @@ async fn the_dashboard_has_risks_ends_and_money_and_is_not_sent_twice() {
         shown.events.iter().all(|event| event.kind != EventKind::TaskProgress) && shown.events.len() <= 20
     );
     // The last plan may still be on its way; after it, nothing changes.
-    let mut settled = None;
-    for _ in 0..50 {
+    let tag = eventually("the dashboard comes to rest", async || {
         let first = farm.viewer.get("/v1/dashboard").await;
         let tag = first.headers()["etag"].clone();
         let again = farm.viewer.request(Method::GET, "/v1/dashboard").header("if-none-match", &tag);
-        if again.send().await.unwrap().status() == StatusCode::NOT_MODIFIED {
-            settled = Some(tag);
-            break;
-        }
-    }
-    let tag = settled.expect("the dashboard comes to rest");
+        (again.send().await.unwrap().status() == StatusCode::NOT_MODIFIED).then_some(tag)
+    })
+    .await;
     farm.submitter.post(&format!("/v1/jobs/{}/cancel", held.id), &json!({})).await;
     let after = farm.viewer.request(Method::GET, "/v1/dashboard").header("if-none-match", &tag);
     assert_eq!(after.send().await.unwrap().status(), StatusCode::OK, "people see what they did");
@@ -240,10 +234,9 @@ async fn events_bring_what_a_page_needs_to_stay_true() {
     let job = farm.submit("0-1").await;
     farm.work_off(&node, &job).await;
     farm.order(&node, json!({"drain": true})).await;
-    let patience = Duration::from_secs(60);
     let (mut done, mut registered) = (Vec::new(), None);
     loop {
-        let event = stream.next(patience).await.unwrap();
+        let event = stream.next(PATIENCE).await.unwrap();
         match (event.kind, event.task_kind) {
             (EventKind::TaskDone, Some(TaskKind::Render)) => done.push(event),
             (EventKind::NodeRegistered, _) => registered = event.node_state,

@@ -1,9 +1,8 @@
 //! Images that are written where their job wants them.
 
 use std::os::unix::fs::PermissionsExt as _;
-use std::time::Duration;
 
-use crate::support::{Answer, Farm};
+use crate::support::{Answer, Farm, eventually, until};
 use forelight_protocol::{FrameRow, Job, JobState, ProblemKind};
 use reqwest::StatusCode;
 use serde_json::json;
@@ -36,14 +35,12 @@ impl Farm {
 
     /// Waits until the frame's image is written, or cannot be.
     async fn until_told(&self, job: &Job, frame: u32) -> FrameRow {
-        for _ in 0..500 {
+        eventually("the image is written", async || {
             let row = self.row(job, frame).await;
-            if row.output.as_ref().is_some_and(|output| output.written || output.error.is_some()) {
-                return row;
-            }
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
-        panic!("the image was not written in time");
+            let is_told = row.output.as_ref().is_some_and(|output| output.written || output.error.is_some());
+            is_told.then_some(row)
+        })
+        .await
     }
 }
 
@@ -83,12 +80,7 @@ async fn an_image_that_cannot_be_written_says_why_and_is_written_once_it_can_be(
     // It stays due when the service is killed.
     let root = farm.images();
     let farm = farm.restarted_with(|config| config.output_root = Some(root)).await;
-    for _ in 0..500 {
-        if farm.images().join("shots/1.png").exists() {
-            break;
-        }
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+    until("the image is there", async || farm.images().join("shots/1.png").exists()).await;
     let row = farm.until_told(&job, 1).await;
     let written = std::fs::read(farm.images().join("shots/1.png")).unwrap();
     assert_eq!(blake3::hash(&written).as_bytes(), &row.artifacts.image_png.unwrap().0);

@@ -1,10 +1,9 @@
 //! Mended plans, promises, reasons to wait, answers, and sleeping nodes.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use crate::support::{Answer, Farm};
-use forelight_api::{Clock as _, ManualClock};
+use forelight_api::Clock as _;
 use forelight_protocol::{
     AnswersDoc, Dashboard, Event, EventKind, Job, JobState, Lease, Node, Plan, PlanChange, PlanDifference,
     PlanPage, PlanReason, PowerState, ProblemKind, ProjectList, Renewal, TaskKind, Timestamp, Verdict,
@@ -30,18 +29,6 @@ impl Farm {
 
     async fn answers(&self, job: &Job, query: &str) -> AnswersDoc {
         self.viewer.get(&format!("/v1/jobs/{}/answers{query}", job.id)).await.parsed(StatusCode::OK).await
-    }
-
-    /// Waits until the condition holds for the job.
-    async fn until(&self, job: &Job, what: &str, condition: impl Fn(&Job) -> bool) -> Job {
-        for _ in 0..1000 {
-            let job = self.job(job).await;
-            if condition(&job) {
-                return job;
-            }
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
-        panic!("waited in vain until {what}: {:?}", self.job(job).await);
     }
 
     async fn events(&self, job: &Job, kind: EventKind) -> Vec<Event> {
@@ -158,8 +145,7 @@ async fn a_plan_that_was_due_when_the_service_died_is_made_after_its_start() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_that_take_much_longer_than_forecast_stretch_what_is_left_of_the_plan() {
-    let clock = Arc::new(ManualClock::at(Timestamp::now()));
-    let farm = Farm::with(|config| config.clock = clock.clone()).await;
+    let (farm, clock) = Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await;
     let node = farm.node("a").await;
     let deadline = clock.now().plus_micros(3600 * SECOND);
     let job = farm.asked(|request| request["deadline"] = json!(deadline), "0-7").await;
@@ -329,8 +315,7 @@ fn monday(hour: i64, minute: i64, second: i64) -> Timestamp {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
-    let clock = Arc::new(ManualClock::at(monday(12, 0, 0)));
-    let farm = Farm::with(|config| config.clock = clock.clone()).await;
+    let (farm, clock) = Farm::with_clock(monday(12, 0, 0), Duration::from_secs(30)).await;
     let schedule = json!({"zone": "Europe/Berlin", "windows": [{"days": ["mon", "tue"], "from": "21:00", "until": "08:00"}]});
     let registration = json!({"name": "a", "speed": 2.0, "cores": 2, "schedule": schedule});
     let node: Node = farm.worker.post("/v1/nodes", &registration).await.parsed(StatusCode::CREATED).await;
@@ -374,8 +359,7 @@ async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn at_the_end_of_a_window_tasks_are_finished_or_stopped_as_the_nodes_terms_say() {
-    let clock = Arc::new(ManualClock::at(monday(7, 58, 0)));
-    let farm = Farm::with(|config| config.clock = clock.clone()).await;
+    let (farm, clock) = Farm::with_clock(monday(7, 58, 0), Duration::from_secs(30)).await;
     let until_eight = json!({"zone": "UTC", "windows": [{"from": "20:00", "until": "08:00"}]});
     let mut leases = Vec::new();
     for (name, window_end) in [("patient", "finish"), ("strict", "stop")] {

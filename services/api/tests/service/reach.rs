@@ -1,18 +1,15 @@
 //! Tokens that reach some projects only.
 
 use std::collections::BTreeSet;
-use std::time::Duration;
 
 use crate::support::events::Events;
-use crate::support::{Answer, Farm, Http};
+use crate::support::{Answer, Farm, Http, PATIENCE};
 use forelight_protocol::{
     BookingPage, BudgetForecast, BudgetList, Dashboard, EventKind, Job, JobPage, JobState, NewToken,
     NodePage, PlanPage, ProblemKind, ProjectList, Role, Session, TimelinePage, Token, TrackRecord,
 };
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A farm with the projects `film` and `ads`, and a job of each.
 struct Two {

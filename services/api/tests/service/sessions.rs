@@ -4,14 +4,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::support::events::Events;
-use crate::support::{Answer, Farm, Http, address};
+use crate::support::{Answer, Farm, Http, PATIENCE, address};
 use forelight_api::ManualClock;
 use forelight_protocol::{Job, JobPage, ProblemKind, Role, Session, SessionCode, SessionPage, Timestamp};
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
 use serde_json::{Value, json};
 
 const MINUTE: i64 = 60_000_000;
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A browser with the cookie of a session, on a page of the farm.
 struct Browser {
@@ -59,9 +58,7 @@ async fn browser_of(farm: &Farm, http: &Http) -> Browser {
 }
 
 async fn farm_with_a_clock() -> (Farm, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::at(Timestamp::now()));
-    let own = clock.clone();
-    (Farm::with(move |config| config.clock = own).await, clock)
+    Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await
 }
 
 #[tokio::test(flavor = "multi_thread")]

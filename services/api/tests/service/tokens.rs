@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::support::events::Events;
-use crate::support::{Answer, Farm, Http, address};
+use crate::support::{Answer, Farm, Http, PATIENCE, address, until};
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
     EventKind, JoinToken, Lease, NewToken, Node, NodePage, Plan, PlanPage, ProblemKind, Role, Timestamp,
@@ -14,7 +14,6 @@ use forelight_store::{Store, token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 
-const PATIENCE: Duration = Duration::from_secs(60);
 const MINUTE: i64 = 60_000_000;
 
 impl Farm {
@@ -53,9 +52,7 @@ impl Farm {
 }
 
 async fn farm_with_a_clock() -> (Farm, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::at(Timestamp::now()));
-    let own = clock.clone();
-    (Farm::with(move |config| config.clock = own).await, clock)
+    Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -158,14 +155,11 @@ async fn code(http: &Http) -> String {
 
 /// Waits until the service has seen a request with this token.
 async fn until_used(farm: &Farm, token: &Token) {
-    for _ in 0..1000 {
+    until("the token is used", async || {
         let token: Token = farm.operator.json(&format!("/v1/tokens/{}", token.id)).await;
-        if token.last_used_at.is_some() {
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    panic!("the token was not used");
+        token.last_used_at.is_some()
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -258,13 +252,10 @@ async fn a_node_with_a_task_is_removed_only_with_it_and_comes_back_only_with_a_t
         let plans: PlanPage = farm.operator.json("/v1/plans").await;
         farm.operator.json::<Plan>(&format!("/v1/plans/{}", plans.items[0].id)).await
     };
-    for _ in 0..1000 {
-        if plan().await.bookings.iter().all(|booking| booking.node_id == other.id) {
-            break;
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    assert!(plan().await.bookings.iter().all(|booking| booking.node_id == other.id));
+    until("the other node has all bookings", async || {
+        plan().await.bookings.iter().all(|booking| booking.node_id == other.id)
+    })
+    .await;
     let done = farm.work_off(&other, &job).await;
     assert_eq!(done.frames_done, 4);
     let again: Node = farm

@@ -95,15 +95,9 @@ async fn an_operator_takes_a_job_out_of_the_record_with_a_reason_and_puts_it_bac
     nothing.problem(ProblemKind::NotFound).await;
 }
 
-/// A farm whose time passes only as it is told, and looks at its leases often.
+/// A farm whose time passes as it is told.
 async fn with_clock() -> (Farm, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::at(Timestamp::now()));
-    let farm = Farm::with(|config| {
-        config.clock = clock.clone();
-        config.lease_ttl = Duration::from_secs(3600);
-    })
-    .await;
-    (farm, clock)
+    Farm::with_clock(Timestamp::now(), Duration::from_secs(3600)).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -119,26 +113,18 @@ async fn a_promise_falls_while_a_frame_hangs_and_the_expected_end_does_not_slide
     assert_eq!(job.verdict.as_ref().unwrap().verdict, Verdict::OnTime);
     let lease = farm.next_task(&node).await;
     let mut etas = Vec::new();
-    let mut last = farm.job(&job).await;
     for _ in 0..11 {
         clock.advance_micros(5 * SECOND);
         farm.heartbeat(&lease, 0.0).await;
         farm.service.store().sweep(now()).await.unwrap();
-        last = farm.job(&job).await;
-        etas.extend(last.eta);
+        etas.extend(farm.job(&job).await.eta);
     }
     etas.dedup();
     assert!(etas.len() <= 4, "{etas:?}");
     assert_eq!(farm.told(&job, EventKind::TaskLate).await.len(), 1);
-    for _ in 0..500 {
-        last = farm.job(&job).await;
-        if last.promise.as_ref().is_some_and(|promise| !promise.kept) {
-            break;
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    let promise = last.promise.unwrap();
-    assert!(!promise.kept && promise.probability < 0.1, "{promise:?}");
+    let is_at_risk = |job: &Job| job.promise.as_ref().is_some_and(|promise| !promise.kept);
+    let promise = farm.until(&job, "the promise is at risk", is_at_risk).await.promise.unwrap();
+    assert!(promise.probability < 0.1, "{promise:?}");
     assert_eq!(farm.told(&job, EventKind::JobPromiseAtRisk).await.len(), 1);
 }
 

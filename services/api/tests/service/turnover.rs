@@ -5,14 +5,13 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
 use crate::support::events::Events;
-use crate::support::{Answer, Farm, Http};
+use crate::support::{Answer, Farm, Http, PATIENCE, until};
 use forelight_protocol::{EventKind, JobState, Lease, NewToken, Node, Timestamp, Token};
 use parking_lot::Mutex;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
 const WORKERS: usize = 200;
-const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A worker with made-up results, and what it met.
 struct Worker {
@@ -52,11 +51,11 @@ impl Worker {
 
     /// Takes tasks and reports results until `stop`.
     async fn work(self: Arc<Self>, farm: Arc<Farm>, stop: Arc<AtomicBool>) {
-        let claim = json!({"node_id": self.node.id, "wait_ms": 200});
+        let claim = json!({"node_id": self.node.id, "wait_ms": 1000});
         while !stop.load(Ordering::SeqCst) {
             let Some(answer) = self.ask("/v1/leases", &claim).await else {
                 // It is asked again and again, as a stranger would.
-                tokio::time::sleep(Duration::from_millis(50)).await;
+                tokio::time::sleep(Duration::from_millis(500)).await;
                 continue;
             };
             match answer.status() {
@@ -110,8 +109,8 @@ async fn tokens_die_among_200_workers_and_only_their_holders_notice() {
                 let worker = worker.clone();
                 tokio::spawn(async move {
                     let http = worker.http.lock().clone();
-                    while http.get("/v1/nodes").await.status() != StatusCode::UNAUTHORIZED {
-                        tokio::time::sleep(Duration::from_millis(50)).await;
+                    while http.get("/v1/nodes?page_size=1").await.status() != StatusCode::UNAUTHORIZED {
+                        tokio::time::sleep(Duration::from_millis(500)).await;
                     }
                     worker.is_dead.store(true, Ordering::SeqCst);
                 });
@@ -143,10 +142,13 @@ async fn tokens_die_among_200_workers_and_only_their_holders_notice() {
     assert_eq!(done.job_state, Some(JobState::Done));
     // Whoever holds a dead token has learnt it.
     for (_, worker) in workers.iter().enumerate().filter(|(number, _)| matches!(number % 8, 0..=3 | 6)) {
-        until(async || worker.refusals.load(Ordering::SeqCst) > 0).await;
+        until("it is refused", async || worker.refusals.load(Ordering::SeqCst) > 0).await;
     }
     for old in replaced {
-        until(async || old.get("/v1/nodes").await.status() == StatusCode::UNAUTHORIZED).await;
+        until("the old token dies", async || {
+            old.get("/v1/nodes?page_size=1").await.status() == StatusCode::UNAUTHORIZED
+        })
+        .await;
     }
     stop.store(true, Ordering::SeqCst);
     for task in tasks {
@@ -154,14 +156,4 @@ async fn tokens_die_among_200_workers_and_only_their_holders_notice() {
     }
     let job = farm.job(&job).await;
     assert_eq!((job.state, job.frames_done), (JobState::Done, 20));
-}
-
-async fn until(holds: impl AsyncFn() -> bool) {
-    for _ in 0..6000 {
-        if holds().await {
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
-    panic!("this does not come true");
 }

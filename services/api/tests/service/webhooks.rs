@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU16, AtomicU64, Ordering};
 use std::time::Duration;
 
-use crate::support::{Answer, Farm};
+use crate::support::{Answer, Farm, until};
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode as Status};
 use axum::routing::post;
@@ -71,9 +71,7 @@ async fn receive(State(receiver): State<Receiver>, headers: HeaderMap, body: Str
 
 /// A farm whose time passes when the test says so.
 async fn farm() -> (Farm, Arc<ManualClock>) {
-    let clock = Arc::new(ManualClock::at(Timestamp::now()));
-    let own = clock.clone();
-    (Farm::with(move |config| config.clock = own).await, clock)
+    Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await
 }
 
 async fn add(farm: &Farm, request: Value) -> Webhook {
@@ -83,16 +81,6 @@ async fn add(farm: &Farm, request: Value) -> Webhook {
 async fn deliveries(farm: &Farm, webhook: &Webhook) -> Vec<Delivery> {
     let path = format!("/v1/webhooks/{}/deliveries?page_size=200", webhook.id);
     farm.operator.json::<DeliveryPage>(&path).await.items
-}
-
-async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
-    for _ in 0..3000 {
-        if is_so().await {
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    panic!("not in time: {what}");
 }
 
 /// Takes a job of one frame to its end.

@@ -4,9 +4,10 @@
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
-use forelight_api::{Config, Evidence, Service};
+use forelight_api::{Config, Evidence, ManualClock, Service};
 use forelight_protocol::{
     ArtifactHash, Job, JobState, Lease, Node, ResultAnswer, ResultRequest, Role, TaskKind, TaskResult,
     Timestamp,
@@ -74,17 +75,34 @@ pub fn config(folder: &Path) -> Config {
     config
 }
 
+/// How long a test waits for what must come, and the longest silence of a stream. However busy the machine is,
+/// only a defect takes so long.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Asks again and again until there is an answer.
+pub async fn eventually<T>(what: &str, mut ask: impl AsyncFnMut() -> Option<T>) -> T {
+    let begun = Instant::now();
+    loop {
+        if let Some(answer) = ask().await {
+            return answer;
+        }
+        assert!(begun.elapsed() < PATIENCE, "waited in vain: {what}");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+/// Waits until this is so.
+pub async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
+    eventually(what, async || is_so().await.then_some(())).await;
+}
+
 /// Retries while the previous service still holds the lock, which ends with its last connection.
 pub async fn start(config: &Config) -> Service {
-    for _ in 0..500 {
-        match Service::start(config.clone()).await {
-            Err(error) if error.to_string().contains("another service") => {
-                tokio::time::sleep(Duration::from_millis(10)).await;
-            }
-            other => return other.unwrap_or_else(|error| panic!("{error}")),
-        }
-    }
-    panic!("the data folder stays locked");
+    eventually("the data folder is free", async || match Service::start(config.clone()).await {
+        Err(error) if error.to_string().contains("another service") => None,
+        other => Some(other.unwrap_or_else(|error| panic!("{error}"))),
+    })
+    .await
 }
 
 pub fn address(service: &Service) -> String {
@@ -94,6 +112,18 @@ pub fn address(service: &Service) -> String {
 impl Farm {
     pub async fn new() -> Self {
         Self::with(|_| {}).await
+    }
+
+    /// A farm whose time begins at `now` and passes as the test says. The service looks for expired leases four
+    /// times in `lease_ttl` of real time.
+    pub async fn with_clock(now: Timestamp, lease_ttl: Duration) -> (Self, Arc<ManualClock>) {
+        let clock = Arc::new(ManualClock::at(now));
+        let own = clock.clone();
+        let farm = Self::with(|config| {
+            config.clock = own;
+            config.lease_ttl = lease_ttl;
+        });
+        (farm.await, clock)
     }
 
     pub async fn with(change: impl FnOnce(&mut Config)) -> Self {
@@ -229,26 +259,30 @@ impl Farm {
 
     /// Takes a job to where its first frame, or what divides it, can be claimed.
     pub async fn until_booked(&self, node: &Node, job: &Job) -> Job {
-        for _ in 0..500 {
+        eventually("the job is booked", async || {
             let job = self.job(job).await;
             if !matches!(job.state, JobState::Previewing | JobState::Profiling) {
-                return job;
+                return Some(job);
             }
             match self.claim(node).await {
                 Some(lease) if matches!(lease.spec.kind(), TaskKind::Preview | TaskKind::Profile) => {
                     self.finish(&lease).await;
                 }
-                claimed => {
-                    // A frame, of this job or of another.
-                    if let Some(Lease { lease_id, fence, .. }) = claimed {
-                        let path = format!("/v1/leases/{lease_id}/release");
-                        let released = self.worker.post(&path, &json!({"fence": fence})).await;
-                        assert_eq!(released.status(), StatusCode::NO_CONTENT);
-                    }
-                    tokio::time::sleep(Duration::from_millis(10)).await;
+                // A frame, of this job or of another.
+                Some(Lease { lease_id, fence, .. }) => {
+                    let path = format!("/v1/leases/{lease_id}/release");
+                    let released = self.worker.post(&path, &json!({"fence": fence})).await;
+                    assert_eq!(released.status(), StatusCode::NO_CONTENT);
                 }
+                None => {}
             }
-        }
-        panic!("the job was not booked in time");
+            None
+        })
+        .await
+    }
+
+    /// Waits until this is so of the job.
+    pub async fn until(&self, job: &Job, what: &str, is_so: impl Fn(&Job) -> bool) -> Job {
+        eventually(what, async || Some(self.job(job).await).filter(&is_so)).await
     }
 }
