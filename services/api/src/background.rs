@@ -10,6 +10,7 @@ use forelight_protocol::JobId;
 use forelight_store::{Store, StoreError};
 use futures::FutureExt as _;
 use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
 use crate::clock::SteadyClock;
@@ -34,23 +35,40 @@ async fn again_after_panic(name: &str, run: impl Future<Output = ()>) -> bool {
     }
 }
 
-pub(crate) async fn run_conductor(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
+/// Starts all loops. They end with the service.
+pub(crate) fn in_background(
+    app: &App,
+    jobs: mpsc::UnboundedReceiver<JobId>,
+    clock: Arc<SteadyClock>,
+) -> Vec<JoinHandle<()>> {
+    vec![
+        tokio::spawn(run_conductor(app.clone(), jobs)),
+        tokio::spawn(run_sweep(app.clone(), clock)),
+        tokio::spawn(run_webhooks(app.clone())),
+        tokio::spawn(run_outputs(app.clone())),
+        tokio::spawn(run_retention(app.clone())),
+        tokio::spawn(run_scrub(app.clone())),
+        tokio::spawn(run_rights(app.clone())),
+    ]
+}
+
+async fn run_conductor(app: App, mut jobs: mpsc::UnboundedReceiver<JobId>) {
     while again_after_panic("advancing jobs", conduct(&app, &mut jobs)).await {}
 }
 
-pub(crate) async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
+async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
     while again_after_panic("the sweep", sweep(&app, &clock)).await {}
 }
 
-pub(crate) async fn run_webhooks(app: App) {
+async fn run_webhooks(app: App) {
     while again_after_panic("telling webhooks", tell_webhooks(&app)).await {}
 }
 
-pub(crate) async fn run_outputs(app: App) {
+async fn run_outputs(app: App) {
     while again_after_panic("writing images", write_outputs(&app)).await {}
 }
 
-pub(crate) async fn run_retention(app: App) {
+async fn run_retention(app: App) {
     while again_after_panic("the nightly deletion", delete_nightly(&app)).await {}
 }
 
@@ -90,7 +108,7 @@ async fn delete_if_due(app: &App) -> Result<(), StoreError> {
     Ok(())
 }
 
-pub(crate) async fn run_scrub(app: App) {
+async fn run_scrub(app: App) {
     while again_after_panic("the scrub", scrub(&app)).await {}
 }
 
@@ -125,7 +143,7 @@ async fn scrub(app: &App) {
     }
 }
 
-pub(crate) async fn run_rights(app: App) {
+async fn run_rights(app: App) {
     while again_after_panic("ending rights", watch_rights(&app)).await {}
 }
 

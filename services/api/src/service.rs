@@ -13,9 +13,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::background::{
-    run_conductor, run_outputs, run_retention, run_rights, run_scrub, run_sweep, run_webhooks,
-};
+use crate::background::in_background;
 use crate::clock::{Clock as _, SteadyClock};
 use crate::config::Config;
 use crate::connections::{Tls, TlsError, serve};
@@ -83,64 +81,48 @@ pub struct Service {
 impl Service {
     /// Opens the data folder, resumes earlier work, and serves. The service is reachable when this returns.
     pub async fn start(config: Config) -> Result<Self, ServiceError> {
-        let Config {
-            data_dir,
-            artifacts,
-            artifacts_moved,
-            listen,
-            tls,
-            lease_ttl,
-            public_origin,
-            allowed_origins,
-            sign_in,
-            session_lifetime,
-            bundle_roots,
-            output_root,
-            inspection,
-            limits,
-            evidence,
-            clock,
-        } = config;
-        let tls = tls.map(Tls::new).transpose()?;
+        let tls = config.tls.map(Tls::new).transpose()?;
+        let public_origin = config.public_origin;
         let sign_in =
-            sign_in.map(|provider| sign_in_through(provider, public_origin.as_deref())).transpose()?;
-        let roots = bundle_roots.into_iter().map(bundle_root).collect::<Result<Arc<[_]>, _>>()?;
-        let output_root = output_root.as_deref().map(open_output_root).transpose()?;
-        let clock = Arc::new(SteadyClock::new(clock));
-        let store = Store::open_with(&data_dir, &artifacts, artifacts_moved).await?;
-        let extended = store.extend_leases_after_start(lease_ttl, clock.now()).await?;
+            config.sign_in.map(|provider| sign_in_through(provider, public_origin.as_deref())).transpose()?;
+        let roots = config.bundle_roots.into_iter().map(bundle_root).collect::<Result<Arc<[_]>, _>>()?;
+        let output_root = config.output_root.as_deref().map(open_output_root).transpose()?;
+        let clock = Arc::new(SteadyClock::new(config.clock));
+        let store = Store::open_with(&config.data_dir, &config.artifacts, config.artifacts_moved).await?;
+        let extended = store.extend_leases_after_start(config.lease_ttl, clock.now()).await?;
         if extended > 0 {
             tracing::info!(leases = extended, "leases from before the start were extended");
         }
-        let (listener, address) = bind(listen).await?;
+        let (listener, address) = bind(config.listen).await?;
         // With TLS, the processes of this machine reach the service without it, by the loopback alone.
         let at_home = match &tls {
             Some(_) => Some(bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?),
             None => None,
         };
         let stopping = CancellationToken::new();
+        let limits = config.limits;
         let connections = limits.connections;
         let (conductor, jobs) = mpsc::unbounded_channel();
         let app = App {
             store: store.clone(),
             clock: clock.clone(),
-            lease_ttl,
+            lease_ttl: config.lease_ttl,
             is_over_tls: tls.is_some()
-                || public_origin.as_ref().is_some_and(|origin| origin.starts_with("https://")),
+                || public_origin.as_deref().is_some_and(|it| it.starts_with("https://")),
             public_origin: public_origin.map(Into::into),
             sign_in,
-            session_lifetime,
+            session_lifetime: config.session_lifetime,
             sign_ins: Arc::default(),
             rights: Arc::default(),
             webhooks_changed: Arc::new(watch::Sender::new(0)),
             bundle_roots: roots,
             output_root,
-            inspector: Arc::new(Inspector::new(inspection, limits.scene, limits.checks_at_once)),
+            inspector: Arc::new(Inspector::new(config.inspection, limits.scene, limits.checks_at_once)),
             costly: Costly::new(limits.costly_at_once, limits.costly_waiting),
             quotas: Quotas::default(),
             reserved: Reserved::default(),
             limits: Arc::new(limits),
-            evidence,
+            evidence: config.evidence,
             metrics: Arc::new(Metrics::default()),
             stopping: stopping.clone(),
             conductor,
@@ -156,16 +138,8 @@ impl Service {
         };
         // From here on, no right ends unseen.
         app.end_rights().await;
-        let router = router(app.clone(), &allowed_origins);
-        let mut tasks = vec![
-            tokio::spawn(run_conductor(app.clone(), jobs)),
-            tokio::spawn(run_sweep(app.clone(), clock)),
-            tokio::spawn(run_webhooks(app.clone())),
-            tokio::spawn(run_outputs(app.clone())),
-            tokio::spawn(run_retention(app.clone())),
-            tokio::spawn(run_scrub(app.clone())),
-            tokio::spawn(run_rights(app.clone())),
-        ];
+        let router = router(app.clone(), &config.allowed_origins);
+        let mut tasks = in_background(&app, jobs, clock);
         let mut home = address;
         if let Some((listener, address)) = at_home {
             home = address;

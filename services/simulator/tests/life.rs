@@ -6,8 +6,8 @@ use forelight_planner::{
     Confidence, Division, Frame, Input, Interval, Job, Node, SharedCache, Task, WorkTotal,
 };
 use forelight_simulator::{
-    Attempt, Chances, Farm, Outcome, Policy, PolicyKind, Record, Refusal, Scenario, World, report, run,
-    studio,
+    Attempt, Chances, Farm, JobRecord, Outcome, Policy, PolicyKind, Record, Refusal, Scenario, World, report,
+    run, studio,
 };
 use proptest::prelude::*;
 
@@ -22,95 +22,103 @@ fn simulated(world: &World, kind: PolicyKind, pool: u32) -> (Record, u64) {
 /// Checks the rules from the record alone. `may_leave`: frames may fill their own caches.
 fn check(world: &World, record: &Record, may_leave: bool) {
     let input = world.input();
-    let mut by_node: BTreeMap<u64, Vec<&Attempt>> = BTreeMap::new();
-    let mut done: BTreeMap<(u64, Task), u32> = BTreeMap::new();
-    for attempt in &record.attempts {
-        by_node.entry(attempt.node).or_default().push(attempt);
-        if attempt.outcome == Outcome::Done {
-            *done.entry((attempt.job, attempt.task)).or_default() += 1;
-        }
+    let mut done = Done::new();
+    for attempt in record.attempts.iter().filter(|attempt| attempt.outcome == Outcome::Done) {
+        *done.entry((attempt.job, attempt.task)).or_default() += 1;
     }
     for (job, entry) in input.jobs.iter().zip(&record.jobs) {
         assert!(entry.finish.is_none() || entry.withdrawn.is_none(), "job {} ended twice", job.id);
         assert!(entry.finish.is_some() || entry.withdrawn.is_some(), "job {} is left over", job.id);
-        let times = |task: Task| done.get(&(job.id, task)).copied().unwrap_or(0);
         for frame in &job.frames {
-            let whole = times(Task::Frame(frame.number));
-            let parts: Vec<(u32, u32)> = done
-                .range((job.id, Task::Part { frame: i64::MIN, part: 0, parts: 0 })..)
-                .take_while(|((id, _), _)| *id == job.id)
-                .filter_map(|(&(_, task), &times)| match task {
-                    Task::Part { frame: of, parts, .. } if of == frame.number => Some((parts, times)),
-                    _ => None,
-                })
-                .collect();
-            let count = parts.first().map_or(1, |&(parts, _)| parts);
-            let once = whole <= 1 && parts.iter().all(|&(parts, times)| times == 1 && parts == count);
-            let all = if count > 1 { whole == 0 && parts.len() == count as usize } else { whole == 1 };
-            assert!(once, "job {}, frame {} was done {whole} times, parts {parts:?}", job.id, frame.number);
-            assert!(all || entry.withdrawn.is_some(), "job {}, frame {}: {parts:?}", job.id, frame.number);
-            let is_allowed = frame.division.allows(count) || (whole == 0 && parts.is_empty());
-            assert!(is_allowed, "job {}, frame {} in {count} parts", job.id, frame.number);
+            check_frame(job, frame, &done, entry.withdrawn.is_some());
         }
-        // The shared cache is filled once and entirely, or left to the frames if they may.
-        let cache_parts: Vec<u32> =
-            job.shared_cache.iter().flat_map(|cache| cache.tasks()).map(times).collect();
-        let shares = cache_parts.iter().all(|&times| times == 1);
-        let leaves =
-            may_leave && record.attempts.iter().all(|a| a.job != job.id || !a.task.is_shared_cache());
-        assert!(
-            shares || leaves || entry.withdrawn.is_some(),
-            "job {}: parts of the cache {cache_parts:?}",
-            job.id
-        );
-        assert!(cache_parts.iter().all(|&times| times <= 1));
-        let of_job = || record.attempts.iter().filter(|attempt| attempt.job == job.id);
+        check_shared_cache(job, entry, record, &done, may_leave);
+        let attempts = || record.attempts.iter().filter(|attempt| attempt.job == job.id);
         let over = entry.withdrawn.or(entry.finish).unwrap_or(i64::MAX);
-        for attempt in of_job() {
+        for attempt in attempts() {
             assert!(attempt.start >= job.release && attempt.end <= over, "{attempt:?} is outside of its job");
         }
-        let last =
-            of_job().filter(|attempt| attempt.outcome == Outcome::Done).map(|attempt| attempt.end).max();
-        assert!(entry.finish.is_none() || entry.finish == last.or(Some(job.release)));
-        let filled =
-            of_job().filter(|a| a.task.is_shared_cache() && a.outcome == Outcome::Done).map(|a| a.end).max();
-        if job.shared_cache.is_some() && !leaves {
-            for frame in of_job().filter(|attempt| !attempt.task.is_shared_cache()) {
-                assert!(
-                    filled.is_some_and(|filled| filled <= frame.start),
-                    "{frame:?} came before its shared cache"
-                );
-            }
-        }
+        let ends = attempts().filter(|attempt| attempt.outcome == Outcome::Done).map(|attempt| attempt.end);
+        assert!(entry.finish.is_none() || entry.finish == ends.max().or(Some(job.release)));
+    }
+    let mut by_node: BTreeMap<u64, Vec<&Attempt>> = BTreeMap::new();
+    for attempt in &record.attempts {
+        by_node.entry(attempt.node).or_default().push(attempt);
     }
     for node in &input.nodes {
-        let attempts = by_node.remove(&node.id).unwrap_or_default();
-        for pair in attempts.windows(2) {
-            assert!(pair[0].end <= pair[1].start, "two at once: {pair:?}");
-        }
-        let rentals: Vec<_> = record.rentals.iter().filter(|rental| rental.node == node.id).collect();
-        for pair in rentals.windows(2) {
-            assert!(pair[0].end <= pair[1].start, "paid twice: {pair:?}");
-        }
-        let is_open = |start: i64, end: i64| {
-            node.calendar.iter().any(|&Interval { start: opens, end: closes }| {
-                opens <= start && closes.is_none_or(|closes| end <= closes)
-            })
-        };
-        for attempt in &attempts {
-            assert!(is_open(attempt.start, attempt.end), "{attempt:?} is outside of the calendar");
-            let paid =
-                rentals.iter().any(|rental| rental.start <= attempt.start && attempt.end <= rental.end);
-            assert!(paid, "{attempt:?} was not paid");
-        }
-        for rental in &rentals {
-            assert!(is_open(rental.start, rental.end), "{rental:?} is outside of the calendar");
-            assert_eq!(rental.cost, node.price(rental.end - rental.start, rental.setup));
-            let worked = |attempt: &&&Attempt| rental.start <= attempt.start && attempt.end <= rental.end;
-            assert!(attempts.iter().filter(worked).count() > 0, "{rental:?} is for nothing");
-        }
+        check_node(node, &by_node.remove(&node.id).unwrap_or_default(), record);
     }
     assert!(by_node.is_empty(), "attempts on nodes that do not exist");
+}
+
+/// How often each task of each job was done.
+type Done = BTreeMap<(u64, Task), u32>;
+
+/// A frame was done once: whole, or in parts of one division that it allows.
+fn check_frame(job: &Job, frame: &Frame, done: &Done, is_withdrawn: bool) {
+    let whole = done.get(&(job.id, Task::Frame(frame.number))).copied().unwrap_or(0);
+    let parts: Vec<(u32, u32)> = done
+        .range((job.id, Task::Part { frame: i64::MIN, part: 0, parts: 0 })..)
+        .take_while(|((id, _), _)| *id == job.id)
+        .filter_map(|(&(_, task), &times)| match task {
+            Task::Part { frame: of, parts, .. } if of == frame.number => Some((parts, times)),
+            _ => None,
+        })
+        .collect();
+    let count = parts.first().map_or(1, |&(parts, _)| parts);
+    let once = whole <= 1 && parts.iter().all(|&(parts, times)| times == 1 && parts == count);
+    let all = if count > 1 { whole == 0 && parts.len() == count as usize } else { whole == 1 };
+    assert!(once, "job {}, frame {} was done {whole} times, parts {parts:?}", job.id, frame.number);
+    assert!(all || is_withdrawn, "job {}, frame {}: {parts:?}", job.id, frame.number);
+    let is_allowed = frame.division.allows(count) || (whole == 0 && parts.is_empty());
+    assert!(is_allowed, "job {}, frame {} in {count} parts", job.id, frame.number);
+}
+
+/// The shared cache was filled once and entirely before all frames, or left to the frames if they may.
+fn check_shared_cache(job: &Job, entry: &JobRecord, record: &Record, done: &Done, may_leave: bool) {
+    let tasks = job.shared_cache.iter().flat_map(|cache| cache.tasks());
+    let parts: Vec<u32> = tasks.map(|task| done.get(&(job.id, task)).copied().unwrap_or(0)).collect();
+    let attempts = || record.attempts.iter().filter(|attempt| attempt.job == job.id);
+    let shares = parts.iter().all(|&times| times == 1);
+    let leaves = may_leave && !attempts().any(|attempt| attempt.task.is_shared_cache());
+    assert!(shares || leaves || entry.withdrawn.is_some(), "job {}: parts of the cache {parts:?}", job.id);
+    assert!(parts.iter().all(|&times| times <= 1));
+    if job.shared_cache.is_none() || leaves {
+        return;
+    }
+    let is_fill = |attempt: &&Attempt| attempt.task.is_shared_cache() && attempt.outcome == Outcome::Done;
+    let filled = attempts().filter(is_fill).map(|attempt| attempt.end).max();
+    for frame in attempts().filter(|attempt| !attempt.task.is_shared_cache()) {
+        let is_after = filled.is_some_and(|filled| filled <= frame.start);
+        assert!(is_after, "{frame:?} came before its shared cache");
+    }
+}
+
+/// A node did one thing at a time, while it was open and paid for, and was paid for nothing else.
+fn check_node(node: &Node, attempts: &[&Attempt], record: &Record) {
+    for pair in attempts.windows(2) {
+        assert!(pair[0].end <= pair[1].start, "two at once: {pair:?}");
+    }
+    let rentals: Vec<_> = record.rentals.iter().filter(|rental| rental.node == node.id).collect();
+    for pair in rentals.windows(2) {
+        assert!(pair[0].end <= pair[1].start, "paid twice: {pair:?}");
+    }
+    let is_open = |start: i64, end: i64| {
+        node.calendar.iter().any(|&Interval { start: opens, end: closes }| {
+            opens <= start && closes.is_none_or(|closes| end <= closes)
+        })
+    };
+    for attempt in attempts {
+        assert!(is_open(attempt.start, attempt.end), "{attempt:?} is outside of the calendar");
+        let paid = rentals.iter().any(|rental| rental.start <= attempt.start && attempt.end <= rental.end);
+        assert!(paid, "{attempt:?} was not paid");
+    }
+    for rental in &rentals {
+        assert!(is_open(rental.start, rental.end), "{rental:?} is outside of the calendar");
+        assert_eq!(rental.cost, node.price(rental.end - rental.start, rental.setup));
+        let worked = |attempt: &&&Attempt| rental.start <= attempt.start && attempt.end <= rental.end;
+        assert!(attempts.iter().filter(worked).count() > 0, "{rental:?} is for nothing");
+    }
 }
 
 fn small(nodes: u64, jobs: u64, frames: u64, seed: u64, chances: Chances) -> World {

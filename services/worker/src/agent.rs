@@ -19,6 +19,7 @@
 //! * **This process is told to stop.** The work is stopped and the lease given back, for another node.
 
 use crate::bundles::Bundles;
+use crate::errors::{describe, is_lost, is_unwanted, panic_text};
 use crate::limits::gone_beyond;
 use bytes::Bytes;
 use forelight_client::{Backoff, Claimed, Client, ClientError};
@@ -487,36 +488,9 @@ impl Agent {
     }
 }
 
-/// Whether the error means that the lease is lost.
-pub(crate) fn is_lost(error: &ClientError) -> bool {
-    error.is(ProblemKind::LeaseLost) || error.is(ProblemKind::NotFound) || error.is(ProblemKind::Conflict)
-}
-
-/// Whether repeating the request with this token cannot help.
-fn is_unwanted(error: &ClientError) -> bool {
-    error.is(ProblemKind::Unauthenticated) || error.is(ProblemKind::Forbidden)
-}
-
 async fn pause(time: Duration, stop: &CancellationToken) {
     tokio::select! {
         () = stop.cancelled() => {}
         () = tokio::time::sleep(time) => {}
     }
-}
-
-/// An error with its causes on one line.
-pub(crate) fn describe(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text += &format!(": {error}");
-        cause = error.source();
-    }
-    text
-}
-
-fn panic_text(error: tokio::task::JoinError) -> String {
-    let Ok(payload) = error.try_into_panic() else { return "it was cancelled".into() };
-    let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
-    text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "it panicked".into())
 }

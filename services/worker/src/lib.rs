@@ -10,9 +10,11 @@
 //! | `bundles` | bundles fetched from the service |
 //! | `limits` | tasks that exceed their limits |
 //! | `machine` | what this machine has |
+//! | `errors` | what an error of the service or of a task means for the worker |
 
 mod agent;
 mod bundles;
+mod errors;
 mod limits;
 mod machine;
 mod report;

@@ -1,6 +1,7 @@
 //! The end of a task: its result, an error, or giving the lease back.
 
-use crate::agent::{Agent, describe, is_lost};
+use crate::agent::Agent;
+use crate::errors::{describe, is_lost};
 use forelight_client::{Backoff, Client, ClientError};
 use forelight_protocol::{
     FailureKind, Lease, LogLevel, ProblemKind, RenewRequest, ResultRequest, TaskError, without_secrets,

@@ -16,7 +16,7 @@ use crate::jobs::read;
 use crate::projects;
 use crate::quotas::{QuotaOf, check_open_jobs};
 use crate::tasks::Common;
-use crate::writing::run;
+use crate::writing::{Write, run};
 
 /// A job that has been checked.
 #[derive(Clone, PartialEq, Debug)]
@@ -55,41 +55,7 @@ impl Store {
             check_open_jobs(&mut write, QuotaOf::Token(name)).await?;
         }
         let job_id = JobId::new();
-        run!(
-            write,
-            "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
-             frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
-             priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output, \
-             submitted_by) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            job_id.0,
-            request.name,
-            request.project,
-            request.bundle.id.map(|bundle| bundle.0),
-            request.bundle.path,
-            Json(source),
-            Json(scene),
-            request.frames.to_string(),
-            i64::try_from(request.frames.count()).unwrap_or(i64::MAX),
-            Json(settings),
-            request.samples,
-            request.profile_frames.map_or(FIRST_FRAMES as i64, i64::from),
-            request.deadline.map(Timestamp::micros),
-            request.budget.map(Money::micro_units),
-            request.confidence.name(),
-            request.priority,
-            now.micros(),
-            Json(&request.limits),
-            request.within.as_ref().map(Json),
-            request.cache.name(),
-            request.weight,
-            request.profile_frames.is_none(),
-            request.ladders.name(),
-            request.renderer.as_ref().map(Json),
-            request.hold,
-            Json(&request.division),
-            request.output.as_ref().map(ToString::to_string),
-            submitter
-        );
+        insert(&mut write, job_id, new, submitter, now).await?;
         for frame in request.frames.iter() {
             run!(write, "INSERT INTO frames (job_id, frame) VALUES (?, ?)", job_id.0, frame);
         }
@@ -121,4 +87,51 @@ impl Store {
         self.commit(write).await?;
         Ok(Answered::Fresh(job))
     }
+}
+
+/// Stores the row of a new job.
+async fn insert(
+    write: &mut Write,
+    job_id: JobId,
+    new: &NewJob,
+    submitter: Option<String>,
+    now: Timestamp,
+) -> Result<()> {
+    let NewJob { request, scene, source, settings } = new;
+    run!(
+        write,
+        "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
+         frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
+         priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output, \
+         submitted_by) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        job_id.0,
+        request.name,
+        request.project,
+        request.bundle.id.map(|bundle| bundle.0),
+        request.bundle.path,
+        Json(source),
+        Json(scene),
+        request.frames.to_string(),
+        i64::try_from(request.frames.count()).unwrap_or(i64::MAX),
+        Json(settings),
+        request.samples,
+        request.profile_frames.map_or(FIRST_FRAMES as i64, i64::from),
+        request.deadline.map(Timestamp::micros),
+        request.budget.map(Money::micro_units),
+        request.confidence.name(),
+        request.priority,
+        now.micros(),
+        Json(&request.limits),
+        request.within.as_ref().map(Json),
+        request.cache.name(),
+        request.weight,
+        request.profile_frames.is_none(),
+        request.ladders.name(),
+        request.renderer.as_ref().map(Json),
+        request.hold,
+        Json(&request.division),
+        request.output.as_ref().map(ToString::to_string),
+        submitter
+    );
+    Ok(())
 }
