@@ -1,7 +1,7 @@
 //! A year of a studio in minutes: every night, what is past its time is deleted. The database and the files
 //! stop growing, the books do not lose anything, and the service starts and answers as on the first day.
 //!
-//! `FORELIGHT_YEAR_JOBS` sets the number of jobs of the year (default: 3,650).
+//! `FORELIGHT_YEAR_JOBS` sets the number of jobs of the year (default: 1,095).
 
 #[path = "support/mod.rs"]
 mod support;
@@ -25,7 +25,7 @@ const JOBS_KEPT: i64 = 60;
 const IMAGES_KEPT: i64 = 20;
 
 fn jobs_a_day() -> i64 {
-    let jobs = std::env::var("FORELIGHT_YEAR_JOBS").map_or(10 * DAYS, |jobs| jobs.parse().unwrap());
+    let jobs = std::env::var("FORELIGHT_YEAR_JOBS").map_or(3 * DAYS, |jobs| jobs.parse().unwrap());
     (jobs / DAYS).max(1)
 }
 

@@ -309,7 +309,7 @@ fn a_hundred_thousand_lights_give_the_sum_of_all_and_none_gives_all() {
         total += f64::from(radiance);
     }
     let expected = total * 1e-6 * 4.0 / 13.0 / 13.0;
-    let (value, error) = irradiance(&world, ASIDE, &settings(4, 256));
+    let (value, error) = irradiance(&world, ASIDE, &settings(4, 64));
     // Lamps are chosen by power, so every choice has the same weight. Shares of 1e-6 are differences of f32
     // near 1, good to 6 %, but drawing and weighting use the same ones. The square's extent adds 1e-7.
     case(16, "100,000 lights give the sum of all, relative error beyond 5 standard errors")

@@ -20,7 +20,7 @@
 //! | 26 | sums | `sums` |
 //! | 28 | light by way of small bright places, fine detail | `spots` |
 //!
-//! `FORELIGHT_HARD_RAYS` sets the number of rays of case 10. The default is four million; the table asks for
+//! `FORELIGHT_HARD_RAYS` sets the number of rays of case 10. The default is one million; the table asks for
 //! a hundred million.
 
 mod bundles;

@@ -113,7 +113,7 @@ fn closed_meshes() -> Vec<Mesh> {
 #[test]
 fn no_ray_escapes_from_a_closed_mesh() {
     let wanted = std::env::var("FORELIGHT_HARD_RAYS").ok().and_then(|n| n.parse().ok());
-    let rays: u64 = wanted.unwrap_or(4_000_000);
+    let rays: u64 = wanted.unwrap_or(1_000_000);
     let meshes = closed_meshes();
     let per_mesh = rays / meshes.len() as u64;
     let (mut escaped, mut shot) = (0, 0);

@@ -25,8 +25,8 @@ use std::time::Duration;
 const SCENE: &str = "corridor";
 const WIDTH: u32 = 48;
 const HEIGHT: u32 = 27;
-/// A frame takes about two seconds in a test build, long enough to kill its worker in the middle.
-const SAMPLES_PER_PIXEL: u32 = 24;
+/// A frame takes more than a second in a test build, long enough to kill its worker in the middle.
+const SAMPLES_PER_PIXEL: u32 = 16;
 const FRAMES: u32 = 10;
 /// Profiled pixels of a profiled frame, and number of profiled frames, with and without a farm.
 const PROFILED_PIXELS: u32 = 64;
