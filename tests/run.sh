@@ -3,7 +3,8 @@
 # against other programs, and the demo.
 #
 #   tests/run.sh          everything
-#   tests/run.sh --quick  without the tests against other programs, and without the demo
+#   tests/run.sh --quick  without the tests of the whole (reference images, hard cases, kills of processes), the tests
+#                         against other programs, and the demo
 #
 #   FORELIGHT_SHARED            folder with test scenes and reference images (default: ../shared)
 #   CI                          if set, a test that lacks its data, a GPU or a program fails; otherwise such
@@ -88,7 +89,11 @@ export FORELIGHT_BIN FORELIGHT_FEATURES="${features[*]}"
 [ ${#features[@]} -eq 0 ] || export FORELIGHT_DASHBOARD_BIN=$FORELIGHT_BIN
 peers=()
 # The longest first.
-[ "${1:-}" = --quick ] || peers=(tests/peers/{gltf,blender_farm,command,slurm}.sh tests/peers/*.sh)
+if [ "${1:-}" = --quick ]; then
+  export FORELIGHT_QUICK=1
+else
+  peers=(tests/peers/{gltf,blender_farm,command,slurm}.sh tests/peers/*.sh)
+fi
 step 'Tests, two programs at a time'
 # Where one fails, the others still run.
 printf '%s\n' tests/rust.sh "${peers[@]}" | awk '!seen[$0]++' | xargs -P 2 -I{} bash -c 'run_logged {}'
