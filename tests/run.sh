@@ -3,8 +3,8 @@
 # against other programs, and the demo.
 #
 #   tests/run.sh          everything
-#   tests/run.sh --quick  without the tests of the whole (reference images, hard cases, kills of processes), the tests
-#                         against other programs, and the demo
+#   tests/run.sh --quick  without the tests of the whole (reference images, hard cases, kills of processes), of
+#                         other programs, and of the demo
 #
 #   FORELIGHT_SHARED            folder with test scenes and reference images (default: ../shared)
 #   CI                          if set, a test that lacks its data, a GPU or a program fails; otherwise such
@@ -49,9 +49,12 @@ finish() {
   local status=$? log
   for log in "$work"/*.failed; do
     printf '\n-- What failed in %s\n' "$(basename "$log" .failed)"
-    # Of the tests in Rust, only what failed says.
-    if grep -q '^test result: FAILED' "$log"; then sed -n '/^failures:$/,/^test result: FAILED/p' "$log"; else cat "$log"; fi |
-      tail -n 120
+    # Of the tests in Rust, only what those say that failed, without their stacks.
+    if grep -q '^test result: FAILED' "$log"; then
+      sed -n '/^failures:$/,/^test result: FAILED/{/^ *[0-9]*: \|^ *at /!p}' "$log"
+    else
+      cat "$log"
+    fi | tail -n 120
   done
   if [ -s "$FORELIGHT_NOT_RUN" ]; then
     printf '\nNot run, or only in part: %d tests\n' "$(cut -f1 "$FORELIGHT_NOT_RUN" | sort -u | wc -l)"
