@@ -87,12 +87,12 @@ for scene in "${scenes[@]}"; do
   name=$(basename "$scene")
   echo "$name, all materials"
   mkdir -p "$work/full/$name"
-  mitsuba "$scene" --out "$work/full/$name" --size 64 --spp 256 --batches 8 --materials format --depth 100 >/dev/null
+  mitsuba "$scene" --out "$work/full/$name" --size 64 --spp 128 --batches 8 --materials format --depth 100 >/dev/null
   for seed in {1..8}; do
-    "$FORELIGHT_BIN" render "$scene" --width 64 --height 64 --integrator path --ambient-bounces 100 --max-depth 64 --spp 256 \
+    "$FORELIGHT_BIN" render "$scene" --width 64 --height 64 --integrator path --ambient-bounces 100 --max-depth 64 --spp 128 \
       --seed "$seed" --preview cpu --out "$work/full/$name/ours-$seed.exr" >/dev/null 2>"$work/log" || { cat "$work/log"; exit 1; }
   done
   "$environment/bin/python" "$here/bundle.py" compare-means 0.001 0.0008 \
-    "$work/full/$name"/ours-*.exr "$work/full/$name"/mitsuba-256-*.exr || failed=1
+    "$work/full/$name"/ours-*.exr "$work/full/$name"/mitsuba-128-*.exr || failed=1
 done
 exit "$failed"
