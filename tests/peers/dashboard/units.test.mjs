@@ -27,6 +27,16 @@ test("sets of frames are read and written as the API writes them", async () => {
     assert.equal(parseFrames(text), null, text);
 });
 
+test("a session submits to the projects in which its role does", async () => {
+  const { submitsTo } = await load("state/rights.ts");
+  const both = { name: "anna", role: "submitter", projects: { film: "submitter", ads: "viewer" } };
+  assert.deepEqual(["film", "ads", "other"].map((project) => submitsTo(both, project)), [true, false, false]);
+  assert.equal(submitsTo({ ...both, projects: { "*": "operator", ads: "viewer" } }, "film"), true);
+  assert.equal(submitsTo({ name: "all", role: "submitter" }, "film"), true);
+  assert.equal(submitsTo({ name: "all", role: "viewer" }, "film"), false);
+  assert.equal(submitsTo(null, "film"), false);
+});
+
 test("amounts keep the digits that tell them apart, and are read back exactly", async () => {
   const { money, parseMoney, moneyOnAxis } = await load("ui/format.ts");
   const written = [

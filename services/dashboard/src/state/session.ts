@@ -3,6 +3,7 @@
 import { computed, signal } from "@preact/signals";
 import { get, hooks, post, Refused, remove } from "../api/client";
 import type { Session } from "../api/types";
+import { submits, submitsTo } from "./rights";
 
 /** `undefined` until the service has answered. */
 export const session = signal<Session | null | undefined>(undefined);
@@ -10,10 +11,11 @@ export const session = signal<Session | null | undefined>(undefined);
 /** Why the last session ended, if it did not end by signing out. */
 export const ended = signal<string | null>(null);
 
-/** Whether jobs may be submitted and changed. */
-export const maySubmit = computed(
-  () => session.value?.role === "operator" || session.value?.role === "submitter",
-);
+/** Whether jobs of some project may be submitted and changed. */
+export const maySubmit = computed(() => submits(session.value?.role));
+
+/** Whether jobs of this project may be submitted and changed. */
+export const maySubmitTo = (project: string): boolean => submitsTo(session.value, project);
 
 /** Whether the session sees what belongs to all projects. */
 export const seesAll = computed(() => {

@@ -121,7 +121,7 @@ function Nodes() {
           changed={() => setVersion((n) => n + 1)}
         />
       )}
-      {param("add") && <AddNode close={() => setQuery({ add: null })} />}
+      {param("add") && mayOperate.value && <AddNode close={() => setQuery({ add: null })} />}
     </div>
   );
 }

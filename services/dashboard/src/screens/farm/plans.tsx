@@ -68,8 +68,10 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
 
   const play = () => {
     cancelAnimationFrame(frame.current);
+    const end = (after: number) => setTimeout(() => show.current({ moves: [], played: 0 }), after);
     if (lessMotion()) {
       show.current({ moves, played: 1 });
+      end(PLAYED_MS);
       return;
     }
     setPlaying(true);
@@ -80,7 +82,7 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
       if (played < 1) frame.current = requestAnimationFrame(step);
       else {
         setPlaying(false);
-        setTimeout(() => show.current({ moves: [], played: 0 }), 1_500);
+        end(1_500);
       }
     };
     frame.current = requestAnimationFrame(step);

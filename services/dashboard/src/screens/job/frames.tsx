@@ -3,7 +3,7 @@
 import { useEffect, useMemo, useState } from "preact/hooks";
 import { get, post } from "../../api/client";
 import type { FrameRow, Job, FrameStrip as StripDoc } from "../../api/types";
-import { maySubmit } from "../../state/session";
+import { maySubmitTo } from "../../state/session";
 import { param, setQuery } from "../../state/route";
 import { Confirm } from "../../ui/dialog";
 import { clean, counted, cpuTime, money, signedPercent, work } from "../../ui/format";
@@ -102,7 +102,7 @@ export function Frames(props: {
       <TableBehind
         label="Frames, as a table"
         head={["Frame", "State", "P50", "P80", "P95", "Actual", "Actual ÷ P50 − 1"]}
-        note={numbers.length > 1000 ? "The first 1,000 frames. Select frames to see others." : ""}
+        note={numbers.length > 1000 ? "The first 1,000 frames. The strip shows all of them." : ""}
         rows={() =>
           numbers.slice(0, 1000).map((frame, at) => {
             const actual = doc.actual[at];
@@ -224,7 +224,7 @@ function Selection(props: {
             ? "none: drag over the cells, or write numbers, to retry, cancel or fetch frames"
             : counted(count, "frame")}
       </span>
-      {count > 0 && maySubmit.value && (
+      {count > 0 && maySubmitTo(job.project) && (
         <>
           <button type="button" disabled={count === open} onClick={() => setAsked("retry")}>
             Retry…

@@ -6,7 +6,7 @@ import type { AnswersDoc, Event, Job, FrameStrip } from "../../api/types";
 import { onEvent } from "../../state/live";
 import { param, route, setQuery } from "../../state/route";
 import { href } from "../../state/route";
-import { maySubmit } from "../../state/session";
+import { maySubmitTo } from "../../state/session";
 import { titled } from "../../state/tab";
 import { slackWords } from "../../ui/fan";
 import { clean, cpuTime, grouped, maybeInstant, percent } from "../../ui/format";
@@ -97,7 +97,7 @@ function JobHead(props: { job: Job; changed: () => void }) {
           {job.renderer && ` · ${job.renderer.name} ${job.renderer.version ?? ""}`.trimEnd()}
         </span>
         <span class="spread" />
-        {maySubmit.value && (
+        {maySubmitTo(job.project) && (
           <span class="buttons">
             {job.state === "quoted" && (
               <a class="button primary" href={href(["submit"], { job: job.id })}>
@@ -142,7 +142,7 @@ function JobHead(props: { job: Job; changed: () => void }) {
           ) : (
             ". "
           )}
-          {maySubmit.value && (
+          {maySubmitTo(job.project) && (
             <button type="button" class="primary" onClick={() => setAsked("rescue")}>
               {job.promise.rescue ? "Look at the rescue…" : "Look for a way out…"}
             </button>

@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 import { submitAgain } from "../../actions/jobs";
 import { get } from "../../api/client";
 import type { AccuracyDoc, AccuracyRung, AnswersDoc, Job } from "../../api/types";
-import { maySubmit } from "../../state/session";
+import { maySubmitTo } from "../../state/session";
 import { go } from "../../state/route";
 import { Confirm } from "../../ui/dialog";
 import { clean, cpuTime, percent, work } from "../../ui/format";
@@ -57,6 +57,7 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
           <Ladder
             rungs={doc.rungs.filter((rung) => rung.ladder === kind)}
             answers={answers}
+            maySubmit={maySubmitTo(job.project)}
             choose={setChosen}
           />
         </Section>
@@ -80,6 +81,7 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
 function Ladder(props: {
   rungs: AccuracyRung[];
   answers: AnswersDoc | null;
+  maySubmit: boolean;
   choose: (rung: AccuracyRung) => void;
 }) {
   const most = Math.max(...props.rungs.map((rung) => rung.cpu_seconds.p95));
@@ -150,7 +152,7 @@ function Ladder(props: {
                   )}
                 </td>
                 <td>
-                  {!rung.asked_for && maySubmit.value && (
+                  {!rung.asked_for && props.maySubmit && (
                     <button type="button" onClick={() => props.choose(rung)}>
                       Submit…
                     </button>

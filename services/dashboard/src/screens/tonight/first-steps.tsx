@@ -1,7 +1,7 @@
 // An empty farm: the first three things to do.
 
 import type { Farm } from "../../api/types";
-import { maySubmit } from "../../state/session";
+import { mayOperate, maySubmit } from "../../state/session";
 import { href } from "../../state/route";
 import { Mark } from "../../ui/mark";
 import { Section } from "../../ui/parts";
@@ -15,9 +15,16 @@ export function FirstSteps(props: { farm: Farm }) {
         <li>
           <h3>Add nodes {nodes > 0 && <Mark of="done" word={`done: ${nodes}`} />}</h3>
           <p>
-            A node is a machine that renders. On the <a href={href(["farm"], { add: "1" })}>Farm</a> screen,
-            “Add a node” makes a one-time token and shows the command for that machine. For a trial on this
-            one:
+            A node is a machine that renders.{" "}
+            {mayOperate.value ? (
+              <>
+                On the <a href={href(["farm"], { add: "1" })}>Farm</a> screen, “Add a node” makes a one-time
+                token and shows the command for that machine.
+              </>
+            ) : (
+              <>An operator adds it on the Farm screen.</>
+            )}{" "}
+            For a trial on this one:
           </p>
           <pre tabIndex={0}>
             <code>forelight worker --server {server} --token-file farm-data/tokens/worker.token</code>

@@ -2,7 +2,7 @@
 
 import { useState } from "preact/hooks";
 import type { DashboardJob } from "../../api/types";
-import { maySubmit } from "../../state/session";
+import { maySubmitTo } from "../../state/session";
 import { href } from "../../state/route";
 import { type Axis, AxisHead, Fan, slackWords, type Spread, spreadWords } from "../../ui/fan";
 import { clean, grouped, maybeInstant, money, percent, told, zoneAt } from "../../ui/format";
@@ -218,7 +218,7 @@ function Risk(props: { job: DashboardJob; axis: Axis; open: () => void }) {
             Cheapest rescue: <Prose text={rescue.words} bare />.
           </span>
         )}
-        {maySubmit.value ? (
+        {maySubmitTo(job.project) ? (
           <button type="button" class="primary" onClick={props.open}>
             {rescue ? "Look at the rescue…" : "Look for a way out…"}
           </button>

@@ -5,6 +5,7 @@ import { useState } from "preact/hooks";
 import { get, post } from "../../api/client";
 import type { Job, PlanEffect } from "../../api/types";
 import { refresh } from "../../state/farm";
+import { mayOperate } from "../../state/session";
 import { go, href } from "../../state/route";
 import { Confirm, Dialog } from "../../ui/dialog";
 import { clean, counted, duration } from "../../ui/format";
@@ -86,9 +87,13 @@ export function RescueDialog(props: {
       {!possible && (
         <p>
           <strong>{whatToDo(way.change)}</strong>{" "}
-          <a href={href(["farm"], { add: "1" })} onClick={props.close}>
-            To the Farm screen
-          </a>
+          {mayOperate.value ? (
+            <a href={href(["farm"], { add: "1" })} onClick={props.close}>
+              To the Farm screen
+            </a>
+          ) : (
+            "An operator can do this."
+          )}
         </p>
       )}
     </Confirm>
