@@ -1,6 +1,5 @@
 //! A job's frames and their pictures.
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::header::CACHE_CONTROL;
 use axum::http::{HeaderMap, HeaderValue, Method};
@@ -35,12 +34,14 @@ pub(crate) async fn list(
 /// One frame.
 #[utoipa::path(get, path = "/v1/jobs/{id}/frames/{frame}", operation_id = "frame_get",
     tag = "jobs", params(("id" = JobId, Path), ("frame" = u32, Path)),
-    responses((status = 200, description = "The frame", body = FrameRow), Problems))]
+    responses((status = 200, description = "The frame", body = FrameRow),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
     SeenFrame(job, frame): SeenFrame,
-) -> ApiResult<Json<FrameRow>> {
-    Ok(Json(app.store.frame(job, frame).await?))
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    tagged(&headers, &app.store.frame(job, frame).await?)
 }
 
 macro_rules! picture {

@@ -173,15 +173,17 @@ pub(crate) async fn list(
 /// One node.
 #[utoipa::path(get, path = "/v1/nodes/{id}", operation_id = "node_get",
     tag = "work", params(("id" = NodeId, Path)),
-    responses((status = 200, description = "The node", body = Node), Problems))]
+    responses((status = 200, description = "The node", body = Node),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
     Anyone(caller): Anyone,
     Segment(node): Segment<NodeId>,
-) -> ApiResult<Json<Node>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let node = as_it_is(app.store.node(node).await?, app.lease_ttl, app.now());
     let shown = app.shown_nodes(&caller, vec![node]).await?;
-    Ok(Json(shown.into_iter().next().ok_or(StoreError::NotFound("node"))?))
+    tagged(&headers, &shown.into_iter().next().ok_or(StoreError::NotFound("node"))?)
 }
 
 /// Gives a node orders, or sets its speed, price, calendar or terms.

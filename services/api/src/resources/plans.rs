@@ -2,10 +2,13 @@
 
 use axum::Json;
 use axum::extract::State;
+use axum::http::HeaderMap;
+use axum::response::Response;
 use forelight_protocol::{BookingPage, Plan, PlanDifference, PlanId, PlanPage};
 use forelight_store::StoreError;
 use forelight_store::tokens::Principal;
 
+use super::responses::tagged;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{QueryParameters, Reader, Segment};
 use crate::page::{PageQuery, cut};
@@ -16,12 +19,14 @@ use crate::state::App;
 /// The plans, newest first. Each holds the jobs that it books; all other bookings come from earlier plans. Who
 /// reaches some projects only, sees the plans that book their jobs, and of these what is about such jobs.
 #[utoipa::path(get, path = "/v1/plans", operation_id = "plan_list", tag = "farm", params(PageQuery),
-    responses((status = 200, description = "A page of plans", body = PlanPage), Problems))]
+    responses((status = 200, description = "A page of plans", body = PlanPage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
     Reader(caller): Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
-) -> ApiResult<Json<PlanPage>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let size = query.size();
     let projects = caller.project_names();
     let mut items = app.store.plans(query.key("plans")?, size + 1, projects.as_deref()).await?;
@@ -30,7 +35,7 @@ pub(crate) async fn list(
         items.iter_mut().for_each(|plan| plan.causes.clear());
     }
     let next_page_token = cut(&mut items, size, "plans", |plan| plan.id);
-    Ok(Json(PlanPage { items, next_page_token }))
+    tagged(&headers, &PlanPage { items, next_page_token })
 }
 
 /// One plan: its bookings, and its verdict on each job.
@@ -67,16 +72,18 @@ pub(crate) async fn changed(
 
 /// The bookings of frames that are not rendered yet, by start.
 #[utoipa::path(get, path = "/v1/bookings", operation_id = "booking_list", tag = "farm", params(PageQuery),
-    responses((status = 200, description = "A page of bookings", body = BookingPage), Problems))]
+    responses((status = 200, description = "A page of bookings", body = BookingPage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn bookings(
     State(app): State<App>,
     Reader(caller): Reader,
     QueryParameters(query): QueryParameters<PageQuery>,
-) -> ApiResult<Json<BookingPage>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let size = query.size();
     let mut items = app.store.open_bookings_page(query.key("bookings")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "bookings", |booking| (booking.start, booking.id));
     let seen = app.seen(&caller, items.iter().map(|booking| booking.job_id)).await?;
     items.retain(|booking| seen.sees(booking.job_id));
-    Ok(Json(BookingPage { items, next_page_token }))
+    tagged(&headers, &BookingPage { items, next_page_token })
 }

@@ -1,6 +1,5 @@
 //! Tasks of jobs, and their logs.
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
@@ -54,14 +53,16 @@ pub(crate) async fn list(
 /// attempt.
 #[utoipa::path(get, path = "/v1/tasks/{id}/log", operation_id = "task_log",
     tag = "work", params(("id" = TaskId, Path)),
-    responses((status = 200, description = "The log", body = TaskLog), Problems))]
+    responses((status = 200, description = "The log", body = TaskLog),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn log(
     State(app): State<App>,
     Reader(caller): Reader,
     Segment(task): Segment<TaskId>,
-) -> ApiResult<Json<TaskLog>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     if !caller.reaches_all() && !caller.sees(&app.store.project_of_task(task).await?) {
         return Err(StoreError::NotFound("task").into());
     }
-    Ok(Json(app.store.task_log(task).await?))
+    tagged(&headers, &app.store.task_log(task).await?)
 }

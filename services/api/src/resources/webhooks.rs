@@ -3,7 +3,7 @@
 use axum::Json;
 use axum::extract::State;
 use axum::http::header::CACHE_CONTROL;
-use axum::http::{HeaderValue, StatusCode};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{
     DeliveryPage, ProblemKind, Webhook, WebhookId, WebhookKind, WebhookList, WebhookRequest,
@@ -11,6 +11,7 @@ use forelight_protocol::{
 use reqwest::Url;
 
 use super::checks::check_name;
+use super::responses::tagged;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, QueryParameters, Segment};
 use crate::page::{PageQuery, cut};
@@ -83,10 +84,11 @@ fn check_url(text: &str) -> ApiResult<()> {
 
 /// All webhooks, without their secrets.
 #[utoipa::path(get, path = "/v1/webhooks", operation_id = "webhook_list", tag = "farm",
-    responses((status = 200, description = "The webhooks", body = WebhookList), Problems))]
-pub(crate) async fn list(State(app): State<App>, _: Operator) -> ApiResult<Json<WebhookList>> {
+    responses((status = 200, description = "The webhooks", body = WebhookList),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
+pub(crate) async fn list(State(app): State<App>, _: Operator, headers: HeaderMap) -> ApiResult<Response> {
     let receivers = app.store.receivers().await?;
-    Ok(Json(WebhookList { items: receivers.into_iter().map(|receiver| receiver.webhook).collect() }))
+    tagged(&headers, &WebhookList { items: receivers.into_iter().map(|receiver| receiver.webhook).collect() })
 }
 
 /// Removes a webhook and the list of its deliveries.
@@ -116,15 +118,17 @@ pub(crate) async fn test(
 /// What a webhook was and is to be told, newest first. Kept for thirty days.
 #[utoipa::path(get, path = "/v1/webhooks/{id}/deliveries", operation_id = "webhook_deliveries", tag = "farm",
     params(("id" = WebhookId, Path), PageQuery),
-    responses((status = 200, description = "A page of deliveries", body = DeliveryPage), Problems))]
+    responses((status = 200, description = "A page of deliveries", body = DeliveryPage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn deliveries(
     State(app): State<App>,
     _: Operator,
     Segment(webhook): Segment<WebhookId>,
     QueryParameters(query): QueryParameters<PageQuery>,
-) -> ApiResult<Json<DeliveryPage>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let size = query.size();
     let mut items = app.store.deliveries(webhook, query.key("deliveries")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "deliveries", |delivery| delivery.id);
-    Ok(Json(DeliveryPage { items, next_page_token }))
+    tagged(&headers, &DeliveryPage { items, next_page_token })
 }

@@ -1,8 +1,9 @@
 //! The dashboard page, compression, and headers that protect browsers.
 
 use crate::support::{Answer, Farm};
-use forelight_protocol::ProblemKind;
+use forelight_protocol::{ProblemKind, TaskPage, Webhook};
 use reqwest::{Method, Response, StatusCode};
+use serde_json::json;
 
 async fn with_gzip(farm: &Farm, path: &str) -> Response {
     farm.viewer.request(Method::GET, path).header("accept-encoding", "gzip").send().await.unwrap()
@@ -67,19 +68,29 @@ async fn a_document_that_has_not_changed_is_not_sent_again() {
     let node = farm.node("a").await;
     let job = farm.submit("0-1").await;
     farm.work_off(&node, &job).await;
-    for path in ["", "/forecast", "/frames"] {
-        let path = format!("/v1/jobs/{}{path}", job.id);
-        let first = farm.viewer.get(&path).await;
+    let webhook = farm.operator.post("/v1/webhooks", &json!({"url": "http://127.0.0.1:1/"})).await;
+    let webhook: Webhook = webhook.parsed(StatusCode::CREATED).await;
+    let tasks: TaskPage = farm.viewer.json(&format!("/v1/jobs/{}/tasks", job.id)).await;
+    let of_job = ["", "/forecast", "/frames", "/frames/0"].map(|path| format!("/v1/jobs/{}{path}", job.id));
+    let of_farm = [
+        format!("/v1/nodes/{}", node.id),
+        format!("/v1/tasks/{}/log", tasks.items[0].id),
+        format!("/v1/webhooks/{}/deliveries", webhook.id),
+    ];
+    let lists = ["/v1/nodes", "/v1/plans", "/v1/bookings", "/v1/webhooks"].map(str::to_owned);
+    for path in of_job.into_iter().chain(of_farm).chain(lists) {
+        let first = farm.operator.get(&path).await;
         let tag = first.headers()["etag"].to_str().unwrap().to_owned();
         assert_eq!(first.headers()["cache-control"], "private, no-cache", "{path}");
         let strong = tag.trim_start_matches("W/").to_owned();
         for known in [tag.clone(), strong, format!("\"other\", {tag}"), "*".to_owned()] {
-            let again = farm.viewer.request(Method::GET, &path).header("if-none-match", &known);
+            let again = farm.operator.request(Method::GET, &path).header("if-none-match", &known);
             let again = again.send().await.unwrap();
             assert_eq!(again.status(), StatusCode::NOT_MODIFIED, "{path} {known}");
             assert!(again.bytes().await.unwrap().is_empty());
         }
-        let other = farm.viewer.request(Method::GET, &path).header("if-none-match", "\"other\"").send().await;
+        let other =
+            farm.operator.request(Method::GET, &path).header("if-none-match", "\"other\"").send().await;
         assert_eq!(other.unwrap().status(), StatusCode::OK, "{path}");
     }
 }

@@ -6483,6 +6483,13 @@ export interface operations {
                     "application/json": components["schemas"]["BookingPage"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -7800,6 +7807,13 @@ export interface operations {
                     "application/json": components["schemas"]["FrameRow"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -8788,6 +8802,13 @@ export interface operations {
                     "application/json": components["schemas"]["Node"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -8915,6 +8936,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["PlanPage"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -9716,6 +9744,13 @@ export interface operations {
                     "application/json": components["schemas"]["TaskLog"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -10063,6 +10098,13 @@ export interface operations {
                     "application/json": components["schemas"]["WebhookList"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -10187,6 +10229,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["DeliveryPage"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
