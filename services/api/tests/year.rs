@@ -14,7 +14,7 @@ use forelight_store::Store;
 use reqwest::StatusCode;
 use rusqlite::Connection;
 
-use support::copies::copy;
+use support::copies::{copy, run};
 use support::{Answer, Farm, start};
 
 const DAYS: i64 = 365;
@@ -31,24 +31,20 @@ fn jobs_a_day() -> i64 {
 
 /// Makes the rows of the first job, which is done, a template. It stays: its end is in the far future.
 fn prepare(database: &Connection) {
-    database
-        .execute_batch(
-            "PRAGMA foreign_keys = ON;
+    run(
+        database,
+        "PRAGMA foreign_keys = ON;
              CREATE TEMP TABLE template AS SELECT id AS job FROM jobs;
              UPDATE jobs SET finished_at = 9000000000000000;
              CREATE TEMP TABLE numbers AS WITH RECURSIVE n (n) AS
                  (SELECT 1 UNION ALL SELECT n + 1 FROM n WHERE n < 1000) SELECT n FROM n",
-        )
-        .unwrap();
+    );
 }
 
 /// Adds the jobs of a day, which end at `now`: copies of the template, each with an image of its own.
 fn add_day(database: &Connection, folder: &Path, jobs: i64, now: Timestamp) {
-    let run = |statement: &str| {
-        database.execute_batch(statement).unwrap_or_else(|error| panic!("{statement}: {error}"));
-    };
     let now = now.micros().to_string();
-    run(&format!(
+    run(database, &format!(
         "BEGIN; DROP TABLE IF EXISTS temp.new_jobs; DROP TABLE IF EXISTS temp.new_tasks;
          CREATE TEMP TABLE new_jobs AS SELECT n, randomblob(16) AS id, randomblob(32) AS image FROM numbers
              WHERE n <= {jobs};
@@ -104,7 +100,7 @@ fn add_day(database: &Connection, folder: &Path, jobs: i64, now: Timestamp) {
     let named = "t.task_id = e.old AND e.kind = 'render' AND t.hash = (SELECT min(hash) FROM result_artifacts r WHERE r.task_id = e.old)";
     copy(database, "result_artifacts", named, "new_tasks e", &[("task_id", "e.id"), ("hash", "e.image")]);
     copy(database, "events", of_template, "new_jobs e", &[("id", "NULL"), id, ("at", &now)]);
-    run("COMMIT");
+    run(database, "COMMIT");
 }
 
 fn count(database: &Connection, what: &str) -> i64 {

@@ -122,9 +122,7 @@ impl Store {
         living::update(&mut write, job, Occasion::Booked, now).await?;
         job_state(&mut write, job, JobState::Booked, None, now);
         // A booked job has its promise, whatever happens to the outlooks of the others.
-        let mut outlooks = plan.outlooks.clone();
-        outlooks.sort_by_key(|(of, _)| *of != job);
-        self.tell_outlooks(write, plan, &outlooks, Some(plan_id), now).await?;
+        self.tell_outlooks(write, plan, Some(job), Some(plan_id), now).await?;
         Ok(plan_id)
     }
 
@@ -133,7 +131,7 @@ impl Store {
     pub async fn replan(&self, plan: &NewPlan, now: Timestamp) -> Result<PlanId> {
         let mut write = self.write().await?;
         let plan_id = keep(&mut write, plan, None, now).await?;
-        self.tell_outlooks(write, plan, &plan.outlooks, Some(plan_id), now).await?;
+        self.tell_outlooks(write, plan, None, Some(plan_id), now).await?;
         Ok(plan_id)
     }
 
@@ -141,10 +139,11 @@ impl Store {
     pub async fn keep_outlooks(&self, plan: &NewPlan, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         check_newest(&mut write, plan.parent).await?;
-        self.tell_outlooks(write, plan, &plan.outlooks, plan.parent, now).await
+        self.tell_outlooks(write, plan, None, plan.parent, now).await
     }
 
-    /// Stores the outlooks of a plan, and that it was made, while `newest_plan` is the newest.
+    /// Stores the outlooks of a plan, that of job `first` before the others, and that it was made, while
+    /// `newest_plan` is the newest.
     ///
     /// A farm has thousands of jobs, and workers wait while somebody writes. So the open write takes the first
     /// outlooks, and several short ones the others. If they end half-way, the causes stay due, and the next plan
@@ -153,10 +152,12 @@ impl Store {
         &self,
         mut write: Write,
         plan: &NewPlan,
-        outlooks: &[(JobId, JobOutlook)],
+        first: Option<JobId>,
         newest_plan: Option<PlanId>,
         now: Timestamp,
     ) -> Result<()> {
+        let mut outlooks: Vec<&(JobId, JobOutlook)> = plan.outlooks.iter().collect();
+        outlooks.sort_by_key(|(of, _)| Some(*of) != first);
         let mut parts = outlooks.chunks(OUTLOOKS_AT_ONCE).peekable();
         loop {
             outlooks::keep(&mut write, parts.next().unwrap_or_default(), now).await?;

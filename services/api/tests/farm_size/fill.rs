@@ -2,7 +2,7 @@
 
 use rusqlite::Connection;
 
-use crate::support::copies::copy;
+use crate::support::copies::{copy, run};
 
 /// Nodes of the farm.
 pub const NODES: u32 = 5_000;
@@ -22,10 +22,6 @@ pub fn fill(database: &Connection, now: i64) {
     tasks(database, now);
     bookings_and_leases(database, now);
     run(database, "COMMIT");
-}
-
-fn run(database: &Connection, statement: &str) {
-    database.execute_batch(statement).unwrap_or_else(|error| panic!("{statement}: {error}"));
 }
 
 /// Temporary tables of what is copied, and of the ids of the copies.

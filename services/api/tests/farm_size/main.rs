@@ -1,7 +1,6 @@
 //! A large farm: 5,000 nodes, 2,000 open jobs, one of them of 10,000 frames. Its documents stay short.
 //!
-//! With `FORELIGHT_FARM_SIZE`,
-//! nothing is tested: the farm's data folder is left at that path, for measurements
+//! With `FORELIGHT_FARM_SIZE`, nothing is tested: the farm's data folder is left at that path, for measurements
 //! (`tests/farm_size.sh`).
 
 mod fill;

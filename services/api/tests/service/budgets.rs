@@ -18,7 +18,9 @@ async fn farm() -> (Farm, Arc<ManualClock>) {
 }
 
 async fn farm_with_leases_of(lease_ttl: Duration) -> (Farm, Arc<ManualClock>) {
-    let (farm, clock) = Farm::with_clock("2026-03-01T18:00:00Z".parse().unwrap(), lease_ttl).await;
+    let (farm, clock) =
+        Farm::with_clock_at("2026-03-01T18:00:00Z".parse().unwrap(), |config| config.lease_ttl = lease_ttl)
+            .await;
     for project in ["film", "advert"] {
         farm.project(project).await;
     }

@@ -2,16 +2,13 @@
 
 use std::time::Duration;
 
-use crate::support::{Answer, Farm};
+use crate::support::{Answer, Farm, LEASE};
 use forelight_protocol::{
     Booking, BookingPage, Dashboard, ForecastDoc, FramePage, FrameState, Job, JobState, Plan, ProblemKind,
-    TaskKind, Timestamp, TrackRecord, Verdict,
+    TaskKind, TrackRecord, Verdict,
 };
 use reqwest::StatusCode;
 use serde_json::json;
-
-/// Leases that are looked at every tenth of a second.
-const LEASE: Duration = Duration::from_millis(400);
 
 /// Asserts that the quote is near the actual cost and rests on these frames.
 async fn assert_quoted(farm: &Farm, job: &Job, profiled: &[u32]) {
@@ -208,11 +205,11 @@ async fn a_crash_between_result_and_advance_is_made_up_for_at_the_start() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_worker_costs_one_lease_time_and_its_late_result_nothing() {
-    let (farm, clock) = Farm::with_clock(Timestamp::now(), LEASE).await;
+    let (farm, clock) = Farm::with_short_leases().await;
     let (lost, other) = (farm.node("lost").await, farm.node("other").await);
     farm.submit("0-3").await;
     let stale = farm.next_task(&lost).await;
-    clock.advance_micros(LEASE.as_micros() as i64);
+    clock.advance_micros(LEASE);
     // No event announces the expired lease; the waiting claim finds it.
     let current = farm.claim_waiting(&other, 5000).await.unwrap();
     assert_eq!(current.task_id, stale.task_id);

@@ -1,7 +1,5 @@
 //! Lists, the dashboard, strips and timelines.
 
-use std::time::Duration;
-
 use crate::support::events::Events;
 use crate::support::{Answer, Farm, PATIENCE, eventually};
 use forelight_protocol::{
@@ -105,7 +103,7 @@ async fn nodes_are_found_by_state_and_text_and_sorted() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_dashboard_has_risks_ends_and_money_and_is_not_sent_twice() {
     // Time stands still, so that nothing is expected later than before.
-    let (farm, _) = Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await;
+    let (farm, _) = Farm::with_clock().await;
     let node = farm.node("<script>alert(1)</script>").await;
     let late = submit(&farm, "late", json!({"deadline": Timestamp::now().plus_micros(1_000_000)})).await;
     farm.until_booked(&node, &late).await;

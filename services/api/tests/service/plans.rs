@@ -145,7 +145,7 @@ async fn a_plan_that_was_due_when_the_service_died_is_made_after_its_start() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_that_take_much_longer_than_forecast_stretch_what_is_left_of_the_plan() {
-    let (farm, clock) = Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await;
+    let (farm, clock) = Farm::with_clock().await;
     let node = farm.node("a").await;
     let deadline = clock.now().plus_micros(3600 * SECOND);
     let job = farm.asked(|request| request["deadline"] = json!(deadline), "0-7").await;
@@ -315,7 +315,7 @@ fn monday(hour: i64, minute: i64, second: i64) -> Timestamp {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
-    let (farm, clock) = Farm::with_clock(monday(12, 0, 0), Duration::from_secs(30)).await;
+    let (farm, clock) = Farm::with_clock_at(monday(12, 0, 0), |_| {}).await;
     let schedule = json!({"zone": "Europe/Berlin", "windows": [{"days": ["mon", "tue"], "from": "21:00", "until": "08:00"}]});
     let registration = json!({"name": "a", "speed": 2.0, "cores": 2, "schedule": schedule});
     let node: Node = farm.worker.post("/v1/nodes", &registration).await.parsed(StatusCode::CREATED).await;
@@ -359,7 +359,7 @@ async fn a_node_that_sleeps_gets_nothing_and_is_told_until_when() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn at_the_end_of_a_window_tasks_are_finished_or_stopped_as_the_nodes_terms_say() {
-    let (farm, clock) = Farm::with_clock(monday(7, 58, 0), Duration::from_secs(30)).await;
+    let (farm, clock) = Farm::with_clock_at(monday(7, 58, 0), |_| {}).await;
     let until_eight = json!({"zone": "UTC", "windows": [{"from": "20:00", "until": "08:00"}]});
     let mut leases = Vec::new();
     for (name, window_end) in [("patient", "finish"), ("strict", "stop")] {

@@ -1,11 +1,7 @@
 //! Signing in with a browser.
 
-use std::sync::Arc;
-use std::time::Duration;
-
 use crate::support::events::Events;
 use crate::support::{Answer, Farm, Http, PATIENCE, address};
-use forelight_api::ManualClock;
 use forelight_protocol::{Job, JobPage, ProblemKind, Role, Session, SessionCode, SessionPage, Timestamp};
 use reqwest::{Method, RequestBuilder, Response, StatusCode};
 use serde_json::{Value, json};
@@ -55,10 +51,6 @@ async fn code(http: &Http) -> SessionCode {
 async fn browser_of(farm: &Farm, http: &Http) -> Browser {
     let code = code(http).await.code;
     Browser::new(farm, &json!({"code": code})).await
-}
-
-async fn farm_with_a_clock() -> (Farm, Arc<ManualClock>) {
-    Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -170,7 +162,7 @@ async fn a_page_of_another_site_changes_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sessions_and_codes_end_with_time() {
-    let (farm, clock) = farm_with_a_clock().await;
+    let (farm, clock) = Farm::with_clock().await;
     let late = code(&farm.viewer).await;
     let browser = browser_of(&farm, &farm.viewer).await;
     clock.advance_micros(5 * MINUTE);
@@ -236,7 +228,7 @@ async fn behind_tls_the_cookie_travels_over_tls_only_and_the_public_origin_is_on
 
 #[tokio::test(flavor = "multi_thread")]
 async fn whoever_guesses_is_held_back_for_a_minute() {
-    let (farm, clock) = farm_with_a_clock().await;
+    let (farm, clock) = Farm::with_clock().await;
     let good = code(&farm.viewer).await.code;
     for _ in 0..10 {
         sign_in(&farm, &json!({"code": "0000"})).await.problem(ProblemKind::Unauthenticated).await;

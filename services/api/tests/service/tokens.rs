@@ -1,11 +1,8 @@
 //! Tokens: listing, renaming, expiry, rotation and revocation; nodes that are removed.
 
-use std::sync::Arc;
-use std::time::Duration;
-
 use crate::support::events::Events;
 use crate::support::{Answer, Farm, Http, PATIENCE, address, until};
-use forelight_api::{Clock as _, ManualClock};
+use forelight_api::Clock as _;
 use forelight_protocol::{
     EventKind, JoinToken, Lease, NewToken, Node, NodePage, Plan, PlanPage, ProblemKind, Role, Timestamp,
     Token, TokenPage,
@@ -51,13 +48,9 @@ impl Farm {
     }
 }
 
-async fn farm_with_a_clock() -> (Farm, Arc<ManualClock>) {
-    Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn operators_make_list_rename_and_revoke_tokens_and_nobody_else_does() {
-    let (farm, clock) = farm_with_a_clock().await;
+    let (farm, clock) = Farm::with_clock().await;
     let (anna, token) = farm.new_token(json!({"name": "anna", "role": "submitter"})).await;
     assert_eq!((token.name.as_str(), token.role, token.last_used_at), ("anna", Role::Submitter, None));
     let path = format!("/v1/tokens/{}", token.id);
@@ -164,7 +157,7 @@ async fn until_used(farm: &Farm, token: &Token) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_token_expires_with_its_streams_and_can_be_given_more_time() {
-    let (farm, clock) = farm_with_a_clock().await;
+    let (farm, clock) = Farm::with_clock().await;
     let end = |minutes: i64| clock.now().plus_micros(minutes * MINUTE);
     let request = json!({"name": "guest", "role": "viewer", "expires_at": end(10)});
     let (guest, token) = farm.new_token(request).await;
@@ -186,7 +179,7 @@ async fn a_token_expires_with_its_streams_and_can_be_given_more_time() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rotated_token_lives_for_its_grace_and_its_successor_has_its_rights() {
-    let (farm, clock) = farm_with_a_clock().await;
+    let (farm, clock) = Farm::with_clock().await;
     let (old, node) = farm.joined("rack-7").await;
     let list: TokenPage = farm.operator.json("/v1/tokens").await;
     let of_node = list.items.iter().find(|token| token.node_id == Some(node.id)).unwrap();

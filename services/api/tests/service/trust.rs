@@ -97,7 +97,7 @@ async fn an_operator_takes_a_job_out_of_the_record_with_a_reason_and_puts_it_bac
 
 /// A farm whose time passes as it is told.
 async fn with_clock() -> (Farm, Arc<ManualClock>) {
-    Farm::with_clock(Timestamp::now(), Duration::from_secs(3600)).await
+    Farm::with_clock_at(Timestamp::now(), |config| config.lease_ttl = TTL).await
 }
 
 #[tokio::test(flavor = "multi_thread")]

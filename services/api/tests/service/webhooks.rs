@@ -12,7 +12,7 @@ use axum::http::{HeaderMap, StatusCode as Status};
 use axum::routing::post;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use forelight_api::{Clock as _, ManualClock};
+use forelight_api::Clock as _;
 use forelight_protocol::{
     Delivery, DeliveryPage, DeliveryState, Job, JobState, Node, ProblemKind, Timestamp, Webhook, WebhookKind,
     WebhookList, WebhookMessage,
@@ -69,11 +69,6 @@ async fn receive(State(receiver): State<Receiver>, headers: HeaderMap, body: Str
     }
 }
 
-/// A farm whose time passes when the test says so.
-async fn farm() -> (Farm, Arc<ManualClock>) {
-    Farm::with_clock(Timestamp::now(), Duration::from_secs(30)).await
-}
-
 async fn add(farm: &Farm, request: Value) -> Webhook {
     farm.operator.post("/v1/webhooks", &request).await.parsed(StatusCode::CREATED).await
 }
@@ -93,7 +88,7 @@ async fn done(farm: &Farm, node: &forelight_protocol::Node) -> Job {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_message_is_signed_and_says_what_happened() {
-    let (farm, _) = farm().await;
+    let (farm, _) = Farm::with_clock().await;
     let (receiver, url) = Receiver::new().await;
     let webhook = add(&farm, json!({"url": url, "kinds": ["job_done", "job_failed", "job_done"]})).await;
     assert_eq!(webhook.kinds, [WebhookKind::JobDone, WebhookKind::JobFailed]);
@@ -126,7 +121,7 @@ async fn a_message_is_signed_and_says_what_happened() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_receiver_that_was_away_or_answers_500_gets_every_event_once_or_more_in_order() {
-    let (farm, clock) = farm().await;
+    let (farm, clock) = Farm::with_clock().await;
     let node = farm.node("a").await;
     // A port on which nobody listens yet.
     let port = TcpListener::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap();
@@ -171,7 +166,7 @@ async fn a_receiver_that_was_away_or_answers_500_gets_every_event_once_or_more_i
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slow_receiver_holds_up_neither_the_farm_nor_others() {
-    let (farm, _) = farm().await;
+    let (farm, _) = Farm::with_clock().await;
     let node = farm.node("a").await;
     let (slow, slow_url) = Receiver::new().await;
     slow.pause.store(3_600_000, Ordering::SeqCst);
@@ -210,7 +205,7 @@ async fn events_are_told_after_a_restart_too_and_a_removed_webhook_is_told_nothi
 
 #[tokio::test(flavor = "multi_thread")]
 async fn chat_services_get_their_own_form_and_projects_their_own_events() {
-    let (farm, _) = farm().await;
+    let (farm, _) = Farm::with_clock().await;
     let node = farm.node("a").await;
     let (chat, url) = Receiver::new().await;
     let (other, other_url) = Receiver::new().await;
@@ -245,7 +240,7 @@ async fn chat_services_get_their_own_form_and_projects_their_own_events() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_budget_that_is_spent_and_a_promise_at_risk_are_told_of() {
-    let (farm, clock) = farm().await;
+    let (farm, clock) = Farm::with_clock().await;
     let node = farm.node("a").await;
     let (receiver, url) = Receiver::new().await;
     add(&farm, json!({"url": url})).await;
@@ -273,7 +268,7 @@ async fn a_budget_that_is_spent_and_a_promise_at_risk_are_told_of() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn each_threshold_of_a_budget_is_told_of_when_it_is_reached() {
-    let (farm, clock) = farm().await;
+    let (farm, clock) = Farm::with_clock().await;
     let node = farm.node("a").await;
     let (receiver, url) = Receiver::new().await;
     add(&farm, json!({"url": url, "kinds": ["budget"], "project": "default"})).await;

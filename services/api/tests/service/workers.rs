@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::support::{Answer, Farm, Http, address, until};
+use crate::support::{Answer, Farm, Http, LEASE, address, until};
 use forelight_api::Clock as _;
 use forelight_protocol::{
     Dashboard, Job, JobPage, JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog,
@@ -12,9 +12,6 @@ use forelight_store::{token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use uuid::Uuid;
-
-/// Leases that are looked at every tenth of a second.
-const LEASE: Duration = Duration::from_millis(400);
 
 impl Farm {
     async fn renew(&self, lease: &Lease, more: Value) -> Response {
@@ -199,7 +196,7 @@ async fn what_workers_say_can_be_read_while_they_work_and_after_they_failed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn finished_tiles_outlive_their_worker_and_go_with_the_task() {
-    let (farm, clock) = Farm::with_clock(Timestamp::now(), LEASE).await;
+    let (farm, clock) = Farm::with_short_leases().await;
     let (lost, other) = (farm.node("lost").await, farm.node("other").await);
     let job = farm.submit("0").await;
     farm.until_booked(&other, &job).await;
@@ -214,7 +211,7 @@ async fn finished_tiles_outlive_their_worker_and_go_with_the_task() {
         assert_eq!(put(&lease, lease.fence, tiles).await.status(), StatusCode::NO_CONTENT);
     }
     put(&lease, lease.fence + 1, b"a stranger's").await.problem(ProblemKind::LeaseLost).await;
-    clock.advance_micros(LEASE.as_micros() as i64);
+    clock.advance_micros(LEASE);
     let taken = farm.claim_waiting(&other, 5000).await.unwrap();
     assert_eq!((taken.task_id, taken.fence), (lease.task_id, lease.fence + 1));
     put(&lease, lease.fence, b"too late").await.problem(ProblemKind::LeaseLost).await;
@@ -241,7 +238,7 @@ async fn a_task_that_failed_comes_back_to_a_waiting_claim_when_its_time_has_come
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_clock_that_is_set_by_hours_costs_no_lease_and_holds_none() {
-    let (farm, clock) = Farm::with_clock(Timestamp::now(), LEASE).await;
+    let (farm, clock) = Farm::with_short_leases().await;
     let (a, b) = (farm.node("a").await, farm.node("b").await);
     farm.submit("0").await;
     let lease = farm.next_task(&a).await;
@@ -250,11 +247,11 @@ async fn a_clock_that_is_set_by_hours_costs_no_lease_and_holds_none() {
         until("the clock is followed", async || {
             assert!(farm.claim(&b).await.is_none(), "the lease was taken for one that ran out");
             let renewal: Renewal = farm.renew(&lease, json!({})).await.parsed(StatusCode::OK).await;
-            renewal.expires_at == clock.now().plus_micros(LEASE.as_micros() as i64)
+            renewal.expires_at == clock.now().plus_micros(LEASE)
         })
         .await;
     }
-    clock.advance_micros(LEASE.as_micros() as i64);
+    clock.advance_micros(LEASE);
     assert_eq!(farm.next_task(&b).await.task_id, lease.task_id);
 }
 

@@ -2,6 +2,11 @@
 
 use rusqlite::Connection;
 
+/// Runs statements.
+pub fn run(database: &Connection, statements: &str) {
+    database.execute_batch(statements).unwrap_or_else(|error| panic!("{statements}: {error}"));
+}
+
 /// Copies rows of a table once for each row of `each`, with other values in some columns.
 pub fn copy(database: &Connection, table: &str, which: &str, each: &str, other: &[(&str, &str)]) {
     let mut columns = database

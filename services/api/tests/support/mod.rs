@@ -5,7 +5,7 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use forelight_api::{Config, Evidence, ManualClock, Service};
 use forelight_protocol::{
@@ -23,6 +23,8 @@ pub mod events;
 #[path = "../../../../tests/support/http.rs"]
 pub mod http;
 pub mod made_up;
+#[path = "../../../../tests/support/waiting.rs"]
+mod waiting;
 
 pub use http::{Answer, Http};
 
@@ -75,20 +77,16 @@ pub fn config(folder: &Path) -> Config {
     config
 }
 
-/// How long a test waits for what must come, and the longest silence of a stream. However busy the machine is,
-/// only a defect takes so long.
+/// How long a test waits for what must come, and the longest silence of a stream. However busy the machine
+/// is, only a defect takes so long.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
+/// Length of a short lease, in microseconds.
+pub const LEASE: i64 = 400_000;
+
 /// Asks again and again until there is an answer.
-pub async fn eventually<T>(what: &str, mut ask: impl AsyncFnMut() -> Option<T>) -> T {
-    let begun = Instant::now();
-    loop {
-        if let Some(answer) = ask().await {
-            return answer;
-        }
-        assert!(begun.elapsed() < PATIENCE, "waited in vain: {what}");
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
+pub async fn eventually<T>(what: &str, ask: impl AsyncFnMut() -> Option<T>) -> T {
+    waiting::eventually(what, PATIENCE, ask).await
 }
 
 /// Waits until this is so.
@@ -114,14 +112,24 @@ impl Farm {
         Self::with(|_| {}).await
     }
 
-    /// A farm whose time begins at `now` and passes as the test says. The service looks for expired leases four
-    /// times in `lease_ttl` of real time.
-    pub async fn with_clock(now: Timestamp, lease_ttl: Duration) -> (Self, Arc<ManualClock>) {
+    /// A farm whose time passes as the test says.
+    pub async fn with_clock() -> (Self, Arc<ManualClock>) {
+        Self::with_clock_at(Timestamp::now(), |_| {}).await
+    }
+
+    /// The same with leases of [`LEASE`]. The service looks for expired ones ten times a second of real time.
+    pub async fn with_short_leases() -> (Self, Arc<ManualClock>) {
+        Self::with_clock_at(Timestamp::now(), |config| config.lease_ttl = Duration::from_micros(LEASE as u64))
+            .await
+    }
+
+    /// The same with other settings, from this time on.
+    pub async fn with_clock_at(now: Timestamp, change: impl FnOnce(&mut Config)) -> (Self, Arc<ManualClock>) {
         let clock = Arc::new(ManualClock::at(now));
         let own = clock.clone();
         let farm = Self::with(|config| {
             config.clock = own;
-            config.lease_ttl = lease_ttl;
+            change(config);
         });
         (farm.await, clock)
     }

@@ -66,7 +66,7 @@ pub(crate) async fn keep_of_farm(write: &mut Write, finish: Option<FinishSpread>
 }
 
 /// Keeps the outlooks of jobs, and writes an event for each promise that broke or is kept again.
-pub(crate) async fn keep(write: &mut Write, outlooks: &[(JobId, JobOutlook)], now: Timestamp) -> Result<()> {
+pub(crate) async fn keep(write: &mut Write, outlooks: &[&(JobId, JobOutlook)], now: Timestamp) -> Result<()> {
     for (job, outlook) in outlooks {
         let row = sqlx::query!("SELECT outlook, state FROM jobs WHERE id = ?", job.0)
             .fetch_optional(write.connection().await?)
