@@ -176,8 +176,8 @@ async fn store_uses(app: &App, all: bool) {
 /// Shortest time between plans that no request waits for, or four times the last plan's duration if longer.
 const BREATH: Duration = Duration::from_millis(500);
 
-/// Advances announced jobs, and sometimes all waiting ones, since a transient error may have passed. Makes
-/// one plan at a time; events meanwhile, or soon after, are covered by the next plan.
+/// Advances announced jobs, and sometimes all waiting ones, since a transient error may have passed, and then
+/// looks when quotes on hold would end. Makes one plan at a time; events meanwhile, or soon after, are covered by the next plan.
 async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
     let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
     let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));
@@ -206,6 +206,7 @@ async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
             _ = again.tick() => {
                 conductor.advance_all().await;
                 conductor.watch().await;
+                conductor.foresee_held_quotes().await;
                 due = true;
             }
         }

@@ -18,6 +18,7 @@ pub(crate) mod answers;
 pub(crate) mod book;
 pub(crate) mod effects;
 pub(crate) mod farm;
+mod held_quotes;
 pub(crate) mod job_profile;
 pub(crate) mod numbers;
 mod qualities;
@@ -117,8 +118,8 @@ impl Conductor {
             JobState::Previewing => self.choose(&job).await,
             JobState::Profiling => self.forecast_and_book(&job).await,
             JobState::Quoted if !job.hold => self.book_accepted(&job).await,
-            JobState::Quoted
-            | JobState::Booked
+            JobState::Quoted => self.foresee(&[id]).await,
+            JobState::Booked
             | JobState::Rendering
             | JobState::Done
             | JobState::Failed
@@ -251,7 +252,8 @@ impl Conductor {
         rungs: &[AccuracyRung],
     ) -> Result<(), AdvanceError> {
         if job.hold {
-            return self.keep_quote(job, quote, basis).await;
+            self.keep_quote(job, quote, basis).await?;
+            return self.foresee(&[job.id]).await;
         }
         for _ in 0..ATTEMPTS {
             match self.book(job, quote, basis, rungs).await {

@@ -250,6 +250,9 @@ pub struct QualityOffer {
     pub error: Option<ImageError>,
     /// When the job would finish. Absent if it never would.
     pub finish: Option<Timestamp>,
+    /// Probability that the job would meet its deadline, 0 to 1. Absent without a deadline.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
     /// What it would cost.
     pub cost: Money,
     /// Whether that fits the deadline and the budget.
@@ -267,6 +270,9 @@ pub struct AnswersDoc {
     pub at: Timestamp,
     /// The deadline in question: that of the request, or the job's own. Absent if there is neither.
     pub deadline: Option<Timestamp>,
+    /// Probability that the job meets that deadline, 0 to 1. Absent without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
     /// Finish and cost at P50, P80 and P95.
     pub outlook: Vec<OutlookLine>,
     /// The cheapest plan that keeps the deadline at the job's confidence. Absent if there is none.

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    Booking, Budget, Event, JobId, JobState, Money, MoneyQuantiles, NodeId, NodeState, Promise, QuantileHits,
-    SharedCacheProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
+    Booking, Budget, Event, JobId, JobState, Money, MoneyQuantiles, NodeId, NodeState, PlanId, Promise,
+    QuantileHits, SharedCacheProgress, TaskId, TaskKind, Timestamp, Verdict, Waits,
 };
 
 /// Number of tasks by state.
@@ -167,7 +167,11 @@ pub struct DashboardJob {
     /// Whether deadline and budget can be kept, by the newest plan. Absent until it is planned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
-    /// Expected finish of the last frame.
+    /// Probability that it meets its deadline, 0 to 1, in the scenarios of the newest plan. Of a quote on hold:
+    /// if it were accepted now. Absent without a deadline or a plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
+    /// Expected finish of the last frame. Of a quote on hold: if it were accepted now.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eta: Option<Timestamp>,
     /// When it will be finished, in the scenarios of the newest plan. Absent if no plan says.
@@ -243,6 +247,28 @@ pub struct ProjectSpending {
     pub budgets: Vec<Budget>,
 }
 
+/// How many nodes run a version.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct WorkerVersion {
+    /// The version of the worker. Absent for nodes that do not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub version: Option<String>,
+    /// Number of nodes.
+    pub nodes: u64,
+}
+
+/// Which versions the farm runs.
+#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct FarmVersions {
+    /// The version of the service.
+    pub service: String,
+    /// The versions of the workers, that of the most nodes first.
+    pub workers: Vec<WorkerVersion>,
+    /// The newest plan. Absent before the first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plan_id: Option<PlanId>,
+}
+
 /// The farm at one instant.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Dashboard {
@@ -250,6 +276,9 @@ pub struct Dashboard {
     pub at: Timestamp,
     /// Id of the newest event that is taken into account. Subscribe to events from here.
     pub last_event_id: i64,
+    /// Which versions the farm runs.
+    #[serde(default)]
+    pub versions: FarmVersions,
     /// Counts of the farm.
     pub counts: DashboardCounts,
     /// Number of nodes by state.

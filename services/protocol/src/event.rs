@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    EventId, JobId, JobState, NodeId, NodeState, OffForecast, PlanId, Promise, TaskId, TaskKind, Timestamp,
+    EventId, Job, JobId, JobState, Money, MoneyQuantiles, NodeId, NodeState, OffForecast, PlanId, Promise,
+    TaskId, TaskKind, Timestamp, Verdict,
 };
 
 /// Kind of an event. It is also the `event:` field of the server-sent events.
@@ -116,6 +117,56 @@ pub struct FrameCost {
     pub cpu_seconds: f64,
 }
 
+/// What a job is to be, as far as a person may change it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct JobTerms {
+    /// Whether its quote waits to be accepted.
+    pub hold: bool,
+    /// Its deadline. Absent if it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub deadline: Option<Timestamp>,
+    /// Its budget. Absent if it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Money>,
+}
+
+/// What an event says of its job, so that who shows it need not ask. Absent fields stay as they were.
+#[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
+pub struct JobNews {
+    /// Its name. Of new jobs only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Number of frames. Of new jobs only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames_total: Option<u32>,
+    /// Its terms, if the event set them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub terms: Option<JobTerms>,
+    /// The quoted cost.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<MoneyQuantiles>,
+    /// The verdict of a plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verdict: Option<Verdict>,
+    /// Expected finish of the last frame, by a plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub eta: Option<Timestamp>,
+    /// Cost of the bookings of a plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub booked_cost: Option<Money>,
+    /// Probability that it meets its deadline, 0 to 1, in the scenarios of a plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
+}
+
+impl JobNews {
+    /// The terms of a job.
+    pub fn of_terms(job: &Job) -> Self {
+        let terms = JobTerms { hold: job.hold, deadline: job.deadline, budget: job.budget };
+        Self { terms: Some(terms), ..Self::default() }
+    }
+}
+
 /// One event. Fields that do not apply to its kind are absent.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Event {
@@ -170,6 +221,9 @@ pub struct Event {
     /// The state of the job's promise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
+    /// What is new about the job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub job: Option<Box<JobNews>>,
     /// The event as one line of text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message: Option<String>,

@@ -6,10 +6,10 @@ use utoipa::ToSchema;
 use crate::division::{is_one, one};
 use crate::node::given;
 use crate::{
-    ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FrameForecast, FrameSet, JobId, JobSettings,
-    JobState, JobVerdict, Ladders, LiveForecast, Money, NodeId, OutputPattern, PageToken, PlanId, Promise,
-    Quantiles, RenderSettingsRequest, RenderStats, RenderedBy, RendererRequest, SceneSummary,
-    SharedCacheProgress, TaskLimits, Timestamp, Waits,
+    ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FinishQuantiles, FrameForecast, FrameSet,
+    JobId, JobSettings, JobState, JobVerdict, Ladders, LiveForecast, Money, NodeId, OutputPattern, PageToken,
+    PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats, RenderedBy, RendererRequest,
+    SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, Waits,
 };
 
 /// Request for a new job.
@@ -288,8 +288,16 @@ pub struct Job {
     /// State of its promised deadline. Absent if none was promised.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub promise: Option<Promise>,
-    /// Expected finish of the last frame. Absent until the job is booked, and once it is over.
+    /// Probability that it meets its deadline, 0 to 1, in the scenarios of the newest plan. Of a quote on hold:
+    /// if it were accepted now. Absent without a deadline or a plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
+    /// Expected finish of the last frame. Of a quote on hold: if it were accepted now. Absent before the quote,
+    /// and once the job is over.
     pub eta: Option<Timestamp>,
+    /// When it will be finished, in the scenarios of the newest plan. Absent if no plan says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finish: Option<FinishQuantiles>,
     /// Cost of node time so far, including quotes and lost work. Absent in lists, and while it is zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spent: Option<Money>,

@@ -90,14 +90,14 @@ pub use calendar::{
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use confidence::Confidence;
 pub use dashboard::{
-    Dashboard, DashboardCounts, DashboardJob, DashboardNode, FinishQuantiles, JobCounts, NodeActivity,
-    NodeCounts, ProjectSpending, TaskCounts,
+    Dashboard, DashboardCounts, DashboardJob, DashboardNode, FarmVersions, FinishQuantiles, JobCounts,
+    NodeActivity, NodeCounts, ProjectSpending, TaskCounts, WorkerVersion,
 };
 pub use division::{
     DivideResult, DivideSpec, Division, FinishedPart, FrameCache, FramePart, MOST_PARTS, PartCount,
     PartPixels, PartRange, PixelRange, RenderPartResult, RenderPartSpec, SampleRange,
 };
-pub use event::{Event, EventKind, FrameCost};
+pub use event::{Event, EventKind, FrameCost, JobNews, JobTerms};
 pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
 pub use fixed_costs::{FixedCosts, ProcessCosts};
 pub use forecast::{

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use forelight_protocol::{
-    Booking, Budget, Dashboard, DashboardCounts, DashboardJob, DashboardNode, JobState, Money,
+    Booking, Budget, Dashboard, DashboardCounts, DashboardJob, DashboardNode, FarmVersions, JobState, Money,
     MoneyQuantiles, Night, Node, NodeCounts, NodeState, PowerState, ProjectSpending, TaskCounts, Timestamp,
-    TrackRecord,
+    TrackRecord, WorkerVersion,
 };
 use sqlx::SqliteConnection;
 
@@ -20,6 +20,7 @@ use crate::jobs::listing::{self, JobFilter, JobOrder};
 use crate::jobs::{self, JobRow, outlooks, progress};
 use crate::nodes::listing::{activity, without_capabilities};
 use crate::nodes::unattended::{Unattended, unattended};
+use crate::plans::reading::newest;
 use crate::policy::availability::{as_it_is, silent_after};
 use crate::policy::projection::{JobEnds, Projected, Projection, rounded_up};
 
@@ -51,6 +52,7 @@ impl Store {
         Ok(Dashboard {
             at: now,
             last_event_id: events::last_id(connection).await?,
+            versions: versions(connection).await?,
             jobs: dashboard_jobs(connection, projects, (&ends, &unattended), now).await?,
             jobs_open_total: counts.jobs_active,
             finish: ends.last().map(|end| spread.unwrap_or_default().around(end, now)),
@@ -165,6 +167,18 @@ async fn counts(
     Ok(counts)
 }
 
+async fn versions(connection: &mut SqliteConnection) -> Result<FarmVersions> {
+    let workers = sqlx::query_as!(
+        WorkerVersion,
+        r#"SELECT version, count(*) AS "nodes!: u64" FROM nodes WHERE removed_at IS NULL GROUP BY version
+           ORDER BY count(*) DESC, version LIMIT 20"#
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    let service = env!("CARGO_PKG_VERSION").to_owned();
+    Ok(FarmVersions { service, workers, plan_id: newest(connection).await? })
+}
+
 async fn dashboard_jobs(
     connection: &mut SqliteConnection,
     projects: Option<Vec<String>>,
@@ -177,10 +191,9 @@ async fn dashboard_jobs(
     for id in ids {
         let row = jobs::row(connection, id).await?;
         let quoted = quoted_cost(connection, &row).await?;
-        let spread = row.outlook.0.finish;
         let progress = progress::of_job(connection, id).await?;
-        let job = row.job(progress)?;
-        let eta = ends.eta(&job);
+        let mut job = row.job(progress)?;
+        outlooks::tell_ends(connection, &mut job, ends, now).await?;
         list.push(DashboardJob {
             id: job.id,
             name: job.name,
@@ -194,8 +207,9 @@ async fn dashboard_jobs(
             shared_cache: job.shared_cache,
             deadline: job.deadline,
             verdict: job.verdict.as_ref().map(|verdict| verdict.verdict),
-            eta: eta.map(|eta| rounded_up(eta, now)),
-            finish: eta.zip(spread).map(|(end, spread)| spread.around(end, now)),
+            probability: job.probability.map(rounded),
+            eta: job.eta.map(|eta| rounded_up(eta, now)),
+            finish: job.finish,
             waits: job.waits.or_else(|| unattended.waits(job.id)),
             promise: job.promise,
             booked_cost: job.verdict.and_then(|verdict| verdict.cost),

@@ -33,6 +33,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
         progress: None,
         off_forecast: None,
         promise: None,
+        job: None,
         message: None,
     }
 }

@@ -127,8 +127,8 @@ impl JobRow {
         self.frames.parse().map_err(|error| corrupt("frames", error))
     }
 
-    /// A job from its row. Its `eta` depends on the other work of the farm; callers that need it compute it
-    /// with [`crate::project`].
+    /// A job from its row. Its `eta` and `finish` depend on the other work of the farm: see
+    /// [`outlooks::tell_ends`].
     pub fn job(self, progress: Progress) -> Result<Job> {
         let frames = self.frame_set()?;
         let (state, outlook) = (self.state.0, self.outlook.0);
@@ -168,7 +168,9 @@ impl JobRow {
                 .waits
                 .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),
             promise: outlook.promise,
+            probability: outlook.probability.filter(|_| !state.is_final()),
             eta: None,
+            finish: None,
             spent: None,
             live: progress.live,
             hold: self.hold,

@@ -8,8 +8,8 @@ pub(crate) mod replans;
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
-    BookingId, Event, EventKind, FrameForecast, FramePart, JobId, JobSettings, JobState, JobVerdict, NodeId,
-    PlanId, PlanReason, Timestamp,
+    BookingId, Event, EventKind, FrameForecast, FramePart, JobId, JobNews, JobSettings, JobState, JobVerdict,
+    NodeId, PlanId, PlanReason, Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 
@@ -199,6 +199,8 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         Json(&verdicts),
         now.micros()
     );
+    let outlooks: BTreeMap<JobId, &JobOutlook> =
+        plan.outlooks.iter().map(|(job, outlook)| (*job, outlook)).collect();
     for job in &plan.jobs {
         let job_id = job.verdict.job_id;
         if fresh != Some(job_id) {
@@ -211,8 +213,19 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         if fresh != Some(job_id) {
             living::update(write, job_id, Occasion::Booked, now).await?;
         }
-        let told =
-            Event { job_id: Some(job_id), plan_id: Some(plan_id), ..event(EventKind::PlanStored, now) };
+        let news = JobNews {
+            verdict: Some(job.verdict.verdict),
+            eta: job.verdict.finish,
+            booked_cost: job.verdict.cost,
+            probability: outlooks.get(&job_id).and_then(|outlook| outlook.probability),
+            ..JobNews::default()
+        };
+        let told = Event {
+            job_id: Some(job_id),
+            plan_id: Some(plan_id),
+            job: Some(news.into()),
+            ..event(EventKind::PlanStored, now)
+        };
         let message = (!plan.wanted.causes.is_empty()).then(|| plan.wanted.causes.join("; "));
         append(write, Event { message, ..told });
     }

@@ -6,7 +6,8 @@ pub(crate) mod profiling;
 pub(crate) mod track_record;
 
 use forelight_protocol::{
-    Event, EventKind, ForecastDoc, FrameForecast, JobId, JobSettings, JobState, QuotedShot, Timestamp,
+    Event, EventKind, ForecastDoc, FrameForecast, JobId, JobNews, JobSettings, JobState, QuotedShot,
+    Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 use sqlx::SqliteConnection;
@@ -101,7 +102,11 @@ pub(crate) async fn keep(
         settings.spp = spp;
         run!(write, "UPDATE jobs SET settings = ? WHERE id = ?", Json(JobSettings::Own(settings)), job.0);
     }
-    append(write, Event { job_id: Some(job), ..event(EventKind::ForecastReady, now) });
+    let news = JobNews { cost: forecast.cost, ..JobNews::default() };
+    append(
+        write,
+        Event { job_id: Some(job), job: Some(news.into()), ..event(EventKind::ForecastReady, now) },
+    );
     Ok(())
 }
 

@@ -37,6 +37,51 @@ test("a session submits to the projects in which its role does", async () => {
   assert.equal(submitsTo(null, "film"), false);
 });
 
+test("events change the rows of jobs and nodes, and the counts, without another request", async () => {
+  const { farmAfter, nodeAfter } = await load("state/news.ts");
+  const at = "2026-11-26T20:00:00Z";
+  const counts = { previewing: 0, booked: 1, rendering: 0, done: 4 };
+  const row = { id: "a", name: "hero", state: "booked", frames_done: 0, deadline: at, budget: 5 };
+  const farm = { jobs: [row], jobs_open_total: 1, counts: { jobs: counts, nodes: 2 } };
+  assert.equal(farmAfter(farm, [{ kind: "task_progress", job_id: "a", progress: 0.5 }]), farm);
+  const created = { name: "new", frames_total: 3, terms: { hold: true, budget: 9 } };
+  const planned = { verdict: "late", eta: at, booked_cost: 7, probability: 0.2 };
+  const after = farmAfter(farm, [
+    { kind: "job_state", job_id: "a", job_state: "rendering" },
+    { kind: "task_done", job_id: "a", frames_done: 2 },
+    { kind: "plan_stored", job_id: "a", job: planned },
+    { kind: "job_changed", job_id: "a", job: { terms: { hold: false } } },
+    { kind: "job_created", job_id: "b", job_state: "previewing", project: "film", job: created },
+  ]);
+  const [old, fresh] = after.jobs;
+  assert.deepEqual(
+    [old.state, old.frames_done, old.verdict, old.probability, old.deadline, old.budget],
+    ["rendering", 2, "late", 0.2, null, null],
+  );
+  assert.deepEqual(
+    [fresh.name, fresh.project, fresh.hold, fresh.budget, fresh.frames_total],
+    ["new", "film", true, 9, 3],
+  );
+  assert.deepEqual([after.jobs_open_total, after.counts.jobs.booked, after.counts.jobs.rendering], [2, 0, 1]);
+  const over = farmAfter(after, [{ kind: "job_state", job_id: "a", job_state: "done" }]);
+  assert.deepEqual(
+    [over.jobs.map((job) => job.id), over.jobs_open_total, over.counts.jobs.done],
+    [["b"], 1, 5],
+  );
+
+  const idle = { id: "n", state: "idle", activity: null };
+  const names = new Map([["a", "hero"]]);
+  const leased = { kind: "task_leased", node_id: "n", task_id: "t", job_id: "a", frame: 7, at };
+  const busy = nodeAfter(idle, [leased, { kind: "task_progress", task_id: "t", progress: 0.5 }], names);
+  assert.deepEqual(
+    [busy.state, busy.activity.job, busy.activity.frame, busy.activity.progress],
+    ["working", "hero", 7, 0.5],
+  );
+  const ended = nodeAfter(busy, [{ kind: "task_done", task_id: "t", job_id: "a" }], names);
+  assert.deepEqual([ended.state, ended.activity], ["idle", null]);
+  assert.equal(nodeAfter(busy, [{ kind: "task_done", task_id: "other" }], names), busy);
+});
+
 test("amounts keep the digits that tell them apart, and are read back exactly", async () => {
   const { money, parseMoney, moneyOnAxis } = await load("ui/format.ts");
   const written = [

@@ -18,6 +18,7 @@ use super::AdvanceError;
 use super::effects::duration;
 use super::farm::{Farm, own_confidence};
 use super::qualities::qualities;
+use super::risks::risk;
 use super::settle::end;
 
 const POINTS: u32 = 13;
@@ -87,6 +88,7 @@ impl<'a> Asking<'a> {
             plan_id: None,
             at: Timestamp::from_micros(farm.input.now),
             deadline: asked.job.deadline,
+            probability: risk(farm, around, plan, *job)?.probability,
             outlook: outlook(farm, *job, around)?,
             cheapest: None,
             for_budget: None,

@@ -10,6 +10,7 @@ use forelight_protocol::{
 use super::AdvanceError;
 use super::effects::priced;
 use super::farm::{Farm, times, total};
+use super::risks::{Risk, risk};
 use super::settle::end;
 
 pub(crate) struct Offered {
@@ -88,6 +89,7 @@ fn offer(
     }
     let plan = planner::plan(&input)?;
     let finish = end(farm, &plan, job);
+    let Risk { probability, .. } = risk(farm, &input, &plan, job)?;
     let within = plan.job(job as u64).is_some_and(|entry| entry.within_budget != Some(false));
     let mut words = in_words(&rung.settings, &own.settings);
     if let Some((error, before)) = rung.error.zip(own.error) {
@@ -99,6 +101,7 @@ fn offer(
             asked_for: rung.asked_for,
             error: rung.error,
             finish: finish.map(Timestamp::from_micros),
+            probability,
             cost: Money(plan.cost),
             fits: asked.is_kept(finish) && within,
         },

@@ -21,7 +21,7 @@ use super::AdvanceError;
 use super::effects::duration;
 use super::farm::{Asked, Farm, with_spent};
 use super::numbers::frame_part;
-use super::risks::risks;
+use super::risks::{Risk, risks};
 
 /// With more waiting frames than this, whole plans are made the quick way.
 const LARGE: usize = 5_000;
@@ -75,8 +75,10 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let mut helped = 0;
     for (job, mut said) in verdicts.into_iter().enumerate() {
         let asked = &farm.jobs[job];
-        let promise = promise(farm, &plan, &at_risk, risks[job].in_time, job)?;
-        let outlook = JobOutlook { waits: waits.get(&job).cloned(), promise, finish: risks[job].finish };
+        let Risk { probability, finish } = risks[job];
+        let promise = promise(farm, &plan, &at_risk, probability, job)?;
+        let outlook =
+            JobOutlook { waits: waits.get(&job).cloned(), promise, finish, probability, takes: None };
         outlooks.push((asked.job.id, outlook));
         if !booked_anew[job] {
             continue;
@@ -318,13 +320,13 @@ fn promise(
     farm: &Farm,
     plan: &planner::Plan,
     at_risk: &[AtRisk],
-    probability: f64,
+    probability: Option<f64>,
     job: usize,
 ) -> Result<Option<Promise>, AdvanceError> {
     let asked = &farm.jobs[job];
-    let Some(deadline) = asked.job.deadline else { return Ok(None) };
+    let Some((deadline, probability)) = asked.job.deadline.zip(probability) else { return Ok(None) };
     // A job held back by a budget has no end until the budget changes.
-    let (finish, probability) = if asked.held { (None, 0.0) } else { (end(farm, plan, job), probability) };
+    let finish = end(farm, plan, job).filter(|_| !asked.held);
     let kept = asked.is_kept(finish);
     if !kept && !asked.is_promised() {
         return Ok(None);

@@ -186,15 +186,15 @@ pub(crate) async fn cancel(State(app): State<App>, OwnJob(caller, job): OwnJob) 
     Ok(Json(app.by(&caller).cancel_job(job, app.now()).await?))
 }
 
-/// Fills in the expected end, leaves out what the caller does not see, and fills in reasons to wait that no
+/// Fills in the expected ends, leaves out what the caller does not see, and fills in reasons to wait that no
 /// plan gives: no quote yet, or no disk space.
 async fn expect(app: &App, caller: &Principal, jobs: &mut [Job]) -> ApiResult<()> {
     if jobs.iter().any(|job| matches!(job.state, JobState::Previewing | JobState::Profiling)) {
         app.store.unattended(app.lease_ttl, app.now()).await?.tell(&mut *jobs);
     }
-    if jobs.iter().any(|job| !job.state.is_final() && job.plan_id.is_some()) {
+    if jobs.iter().any(|job| !job.state.is_final()) {
         let ends = app.projection().await?.ends();
-        jobs.iter_mut().for_each(|job| job.eta = ends.eta(job));
+        app.store.tell_ends(jobs, &ends, app.now()).await?;
     }
     // The expected end depends on the plan's reason to wait.
     app.tell_disk_full(jobs.iter_mut().map(|job| (job.state, &mut job.waits)));

@@ -4,14 +4,16 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
-use forelight_protocol::{BookingPage, Plan, PlanDifference, PlanId, PlanPage};
+use forelight_protocol::{BookingPage, Plan, PlanDifference, PlanId, PlanPage, Timestamp};
 use forelight_store::StoreError;
 use forelight_store::tokens::Principal;
+use serde::Deserialize;
+use utoipa::IntoParams;
 
 use super::responses::tagged;
 use crate::error::{ApiResult, Problems};
-use crate::extract::{QueryParameters, Reader, Segment};
-use crate::page::{PageQuery, cut};
+use crate::extract::{QueryParameters, Reader, Segment, number_if_any};
+use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::plan_difference::difference;
 use crate::seen::mentioned_in;
 use crate::state::App;
@@ -70,18 +72,39 @@ pub(crate) async fn changed(
     Ok(Json(difference(&app.store, plan).await?))
 }
 
+/// Which bookings to list.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct BookingQuery {
+    /// Only bookings that end after this instant.
+    #[param(value_type = Option<String>, format = DateTime)]
+    pub from: Option<Timestamp>,
+    /// Only bookings that start before this instant.
+    #[param(value_type = Option<String>, format = DateTime)]
+    pub to: Option<Timestamp>,
+    /// `next_page_token` of the previous page.
+    pub page_token: Option<String>,
+    /// Number of items on a page: 1 to 200, default 50.
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    #[serde(default, deserialize_with = "number_if_any::<_, _, 1, LARGEST_PAGE>")]
+    pub page_size: Option<u32>,
+}
+
 /// The bookings of frames that are not rendered yet, by start.
-#[utoipa::path(get, path = "/v1/bookings", operation_id = "booking_list", tag = "farm", params(PageQuery),
+#[utoipa::path(get, path = "/v1/bookings", operation_id = "booking_list", tag = "farm", params(BookingQuery),
     responses((status = 200, description = "A page of bookings", body = BookingPage),
               (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn bookings(
     State(app): State<App>,
     Reader(caller): Reader,
-    QueryParameters(query): QueryParameters<PageQuery>,
+    QueryParameters(query): QueryParameters<BookingQuery>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let size = query.size();
-    let mut items = app.store.open_bookings_page(query.key("bookings")?, size + 1).await?;
+    let BookingQuery { from, to, page_token, page_size } = query;
+    let page = PageQuery { page_token, page_size };
+    let size = page.size();
+    let mut items = app.store.open_bookings_page((from, to), page.key("bookings")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "bookings", |booking| (booking.start, booking.id));
     let seen = app.seen(&caller, items.iter().map(|booking| booking.job_id)).await?;
     items.retain(|booking| seen.sees(booking.job_id));

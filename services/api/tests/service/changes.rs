@@ -2,8 +2,8 @@
 
 use crate::support::{Answer, Farm, PATIENCE};
 use forelight_protocol::{
-    AnswersDoc, Confidence, EventKind, Explanation, ForecastDoc, FramePage, FrameState, Job, JobState, Lease,
-    Money, Node, PlanPage, ProblemKind, TaskKind, Timestamp, Verdict, WhatIf,
+    AnswersDoc, Confidence, Dashboard, EventKind, Explanation, ForecastDoc, FramePage, FrameState, Job,
+    JobState, Lease, Money, Node, PlanPage, ProblemKind, TaskKind, Timestamp, Verdict, WhatIf,
 };
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
@@ -56,7 +56,7 @@ async fn a_job_on_hold_is_quoted_and_books_nothing_until_it_is_accepted() {
     post(&farm, &early, "accept", json!({})).await.problem(ProblemKind::Conflict).await;
     assert_eq!(post(&farm, &early, "cancel", json!({})).await.status(), StatusCode::OK);
     let job = quoted(&farm, &node, "0-3").await;
-    assert_eq!((job.plan_id, &job.verdict, job.eta), (None, &None, None));
+    assert_eq!((job.plan_id, &job.verdict), (None, &None));
     let plans: PlanPage = farm.viewer.json("/v1/plans").await;
     assert!(plans.items.is_empty(), "nothing is booked");
     assert!(farm.claim(&node).await.is_none(), "there is nothing to do");
@@ -85,6 +85,33 @@ async fn a_job_on_hold_is_quoted_and_books_nothing_until_it_is_accepted() {
     post(&farm, &job, "accept", json!({"confidence": "p50"})).await.problem(ProblemKind::Conflict).await;
     let done = farm.work_off(&node, &job).await;
     assert_eq!((done.state, done.frames_done), (JobState::Done, 4));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_quote_on_hold_says_when_it_would_end_and_whether_that_is_in_time() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    // Eight frames of 25 seconds.
+    let job = quoted(&farm, &node, "0-7").await;
+    let foreseen = farm.until(&job, "its end is foreseen", |job| job.eta.is_some()).await;
+    let (eta, finish) = (foreseen.eta.unwrap(), foreseen.finish.unwrap());
+    let seconds = eta.micros_since(Timestamp::now()) / 1_000_000;
+    assert!((100..600).contains(&seconds) && finish.p50 <= finish.p80 && finish.p80 <= finish.p95);
+    assert_eq!(foreseen.probability, None, "it has no deadline");
+    let is_likely = |job: &Job, least: f64| job.probability.is_some_and(|share| share >= least);
+    patch(&farm, &job, json!({"deadline": in_hours(5)})).await;
+    farm.until(&job, "five hours are enough", |job| is_likely(job, 1.0)).await;
+    patch(&farm, &job, json!({"deadline": Timestamp::now().plus_micros(60_000_000)})).await;
+    farm.until(&job, "a minute is not", |job| is_likely(job, 0.0) && !is_likely(job, 0.1)).await;
+    let shown: Dashboard = farm.viewer.json("/v1/dashboard").await;
+    let [shown] = &shown.jobs[..] else { panic!("{shown:?}") };
+    assert!(shown.probability.is_some_and(|share| share < 0.1) && shown.finish.is_some(), "{shown:?}");
+    let answers: AnswersDoc = farm.viewer.json(&format!("/v1/jobs/{}/answers", job.id)).await;
+    assert!(answers.probability.is_some_and(|share| share < 0.1), "{answers:?}");
+    // Fewer samples would be in time.
+    let likely = answers.qualities.iter().filter(|offer| offer.probability.is_some_and(|share| share > 0.9));
+    assert!(likely.count() > 0, "{:?}", answers.qualities);
+    assert!(answers.qualities.iter().all(|offer| !offer.asked_for || offer.probability < Some(0.1)));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use crate::support::{Answer, Farm, LEASE};
 use forelight_protocol::{
-    Booking, BookingPage, Dashboard, ForecastDoc, FramePage, FrameState, Job, JobState, Plan, ProblemKind,
-    TaskKind, TrackRecord, Verdict,
+    Booking, BookingPage, Dashboard, EventKind, ForecastDoc, FramePage, FrameState, Job, JobState, Plan,
+    ProblemKind, TaskKind, TrackRecord, Verdict,
 };
 use reqwest::StatusCode;
 use serde_json::json;
@@ -88,6 +88,22 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     assert_eq!(first.spec.frame(), Some(plan.bookings[0].frame), "what is booked first is handed out first");
     let page: BookingPage = farm.viewer.get("/v1/bookings?page_size=4").await.parsed(StatusCode::OK).await;
     assert_eq!(page.items, plan.bookings[..4]);
+    // Those that overlap a stretch of time.
+    let (from, to) = (plan.bookings[1].end, plan.bookings[4].start);
+    let path = format!("/v1/bookings?from={from}&to={to}");
+    let page: BookingPage = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    assert_eq!(page.items, plan.bookings[2..4]);
+    farm.viewer.get("/v1/bookings?from=noon").await.problem(ProblemKind::Invalid).await;
+    let told = farm.service.store().events_after(Some(job.id), 0, 1000).await.unwrap();
+    let news =
+        |kind| told.iter().find(|event| event.kind == kind).and_then(|event| event.job.clone()).unwrap();
+    let created = news(EventKind::JobCreated);
+    assert_eq!((created.name, created.frames_total), (Some(job.name.clone()), Some(10)));
+    assert_eq!(created.terms.unwrap().deadline, Some(deadline));
+    assert!(news(EventKind::ForecastReady).cost.is_some());
+    let planned = news(EventKind::PlanStored);
+    assert_eq!((planned.verdict, planned.eta), (Some(Verdict::OnTime), verdict.finish));
+    assert!(planned.booked_cost == verdict.cost && planned.probability.is_some_and(|share| share > 0.7));
 
     farm.finish(&first).await;
     let done = farm.work_off(&node, &job).await;

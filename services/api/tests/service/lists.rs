@@ -123,7 +123,10 @@ async fn the_dashboard_has_risks_ends_and_money_and_is_not_sent_twice() {
     let (finish, eta) = (job.finish.unwrap(), job.eta.unwrap());
     assert!(finish.p50 <= finish.p80 && finish.p80 <= finish.p95 && finish.p50 <= eta, "{finish:?} {eta}");
     assert!(job.promise.as_ref().unwrap().kept && job.cost.is_some() && job.budget.is_some());
-    assert!(held.hold && held.cost.is_some() && held.finish.is_none());
+    assert!(held.hold && held.cost.is_some() && held.probability.is_none());
+    let versions = &shown.versions;
+    assert_eq!((versions.service.as_str(), versions.workers.len()), (env!("CARGO_PKG_VERSION"), 1));
+    assert_eq!((versions.workers[0].nodes, versions.plan_id.is_some()), (1, true));
     let farms = shown.finish.unwrap();
     assert!(farms.p50 <= farms.p95 && farms.p95 >= finish.p50, "{farms:?}");
     let spending = &shown.spending[0];

@@ -180,6 +180,7 @@ fn ready(job: &Job, now: Timestamp) -> String {
     let (at, said) = match (job.state, job.finished_at, job.eta) {
         (JobState::Done, Some(at), _) => (at, format!("since {}", clock(at, now))),
         (state, _, _) if state.is_final() => return format!("never: the job is {state}"),
+        (JobState::Quoted, _, Some(at)) => (at, format!("at {} if it is accepted now", clock(at, now))),
         (_, _, Some(at)) => (at, format!("at {} by the current plan", clock(at, now))),
         (_, _, None) if job.plan_id.is_none() => {
             let deadline = job.deadline.map_or(String::new(), |at| format!("; wanted by {}", clock(at, now)));

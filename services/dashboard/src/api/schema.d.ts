@@ -1492,6 +1492,11 @@ export interface components {
             /** @description Finish and cost at P50, P80 and P95. */
             outlook: components["schemas"]["OutlookLine"][];
             plan_id?: components["schemas"]["PlanId"] | null;
+            /**
+             * Format: double
+             * @description Probability that the job meets that deadline, 0 to 1. Absent without one.
+             */
+            probability?: number | null;
             /** @description Jobs that finish later because of this one. */
             pushes_back: components["schemas"]["MovedJob"][];
             /** @description Other qualities, the best first. */
@@ -2269,6 +2274,8 @@ export interface components {
             track_work_error?: number | null;
             /** @description How many of them had their work at or below the forecast quantiles. */
             track_work_hits: components["schemas"]["QuantileHits"];
+            /** @description Which versions the farm runs. */
+            versions?: components["schemas"]["FarmVersions"];
         };
         /** @description Counts of the farm. */
         DashboardCounts: {
@@ -2336,6 +2343,12 @@ export interface components {
             id: components["schemas"]["JobId"];
             /** @description Its name. */
             name: string;
+            /**
+             * Format: double
+             * @description Probability that it meets its deadline, 0 to 1, in the scenarios of the newest plan. Of a quote on hold:
+             *     if it were accepted now. Absent without a deadline or a plan.
+             */
+            probability?: number | null;
             /**
              * Format: double
              * @description Share of the forecast work that is done, 0 to 1.
@@ -2471,6 +2484,7 @@ export interface components {
             frames_done?: number | null;
             /** @description Position in the order of events. */
             id: components["schemas"]["i64"];
+            job?: components["schemas"]["JobNews"] | null;
             job_id?: components["schemas"]["JobId"] | null;
             job_state?: components["schemas"]["JobState"] | null;
             /** @description What happened. */
@@ -2544,6 +2558,14 @@ export interface components {
          * @enum {string}
          */
         FailureKind: "unknown" | "node" | "input" | "task";
+        /** @description Which versions the farm runs. */
+        FarmVersions: {
+            plan_id?: components["schemas"]["PlanId"] | null;
+            /** @description The version of the service. */
+            service: string;
+            /** @description The versions of the workers, that of the most nodes first. */
+            workers: components["schemas"]["WorkerVersion"][];
+        };
         /** @description Numbers of files, and their size. */
         Files: {
             /**
@@ -2994,6 +3016,7 @@ export interface components {
             /** @description Why the job failed. Absent if it did not. */
             error?: string | null;
             eta?: components["schemas"]["Timestamp"] | null;
+            finish?: components["schemas"]["FinishQuantiles"] | null;
             finished_at?: components["schemas"]["Timestamp"] | null;
             /** @description The frames to render. */
             frames: components["schemas"]["FrameSet"];
@@ -3030,6 +3053,12 @@ export interface components {
              * @description Priority among jobs with the same deadline. The greatest goes first.
              */
             priority: number;
+            /**
+             * Format: double
+             * @description Probability that it meets its deadline, 0 to 1, in the scenarios of the newest plan. Of a quote on hold:
+             *     if it were accepted now. Absent without a deadline or a plan.
+             */
+            probability?: number | null;
             /**
              * Format: int32
              * @description Largest number of frames to profile. Absent if the service decides.
@@ -3143,6 +3172,26 @@ export interface components {
             /** @description Its name. */
             name: string;
         };
+        /** @description What an event says of its job, so that who shows it need not ask. Absent fields stay as they were. */
+        JobNews: {
+            booked_cost?: components["schemas"]["Money"] | null;
+            cost?: components["schemas"]["MoneyQuantiles"] | null;
+            eta?: components["schemas"]["Timestamp"] | null;
+            /**
+             * Format: int32
+             * @description Number of frames. Of new jobs only.
+             */
+            frames_total?: number | null;
+            /** @description Its name. Of new jobs only. */
+            name?: string | null;
+            /**
+             * Format: double
+             * @description Probability that it meets its deadline, 0 to 1, in the scenarios of a plan.
+             */
+            probability?: number | null;
+            terms?: components["schemas"]["JobTerms"] | null;
+            verdict?: components["schemas"]["Verdict"] | null;
+        };
         /** @description One page of jobs, newest first. */
         JobPage: {
             /** @description The jobs. */
@@ -3213,6 +3262,13 @@ export interface components {
          * @enum {string}
          */
         JobState: "previewing" | "profiling" | "quoted" | "booked" | "rendering" | "done" | "failed" | "cancelled";
+        /** @description What a job is to be, as far as a person may change it. */
+        JobTerms: {
+            budget?: components["schemas"]["Money"] | null;
+            deadline?: components["schemas"]["Timestamp"] | null;
+            /** @description Whether its quote waits to be accepted. */
+            hold: boolean;
+        };
         /** @description What a plan says about one job. */
         JobVerdict: {
             /** @description The confidence of the verdict. */
@@ -4530,6 +4586,11 @@ export interface components {
             finish?: components["schemas"]["Timestamp"] | null;
             /** @description Whether that fits the deadline and the budget. */
             fits: boolean;
+            /**
+             * Format: double
+             * @description Probability that the job would meet its deadline, 0 to 1. Absent without a deadline.
+             */
+            probability?: number | null;
             /** @description The settings of this quality. */
             settings: components["schemas"]["RenderSettings"];
         };
@@ -6035,6 +6096,16 @@ export interface components {
              */
             spent_seconds: number;
         };
+        /** @description How many nodes run a version. */
+        WorkerVersion: {
+            /**
+             * Format: int64
+             * @description Number of nodes.
+             */
+            nodes: number;
+            /** @description The version of the worker. Absent for nodes that do not say. */
+            version?: string | null;
+        };
         /** Format: int64 */
         i64: number;
     };
@@ -6463,6 +6534,10 @@ export interface operations {
     booking_list: {
         parameters: {
             query?: {
+                /** @description Only bookings that end after this instant. */
+                from?: string;
+                /** @description Only bookings that start before this instant. */
+                to?: string;
                 /** @description `next_page_token` of the previous page. */
                 page_token?: string;
                 /** @description Number of items on a page: 1 to 200, default 50. */

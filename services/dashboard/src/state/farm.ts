@@ -1,10 +1,11 @@
-// The farm at one instant, kept fresh: events change counts at once; finishes, costs and promises, which only
-// the service can compute, are asked for a few seconds after events say that they may have moved.
+// The farm at one instant, kept fresh: events change jobs and their counts at once; what only the service can
+// compute is asked for a few seconds after events say that it moved, and now and then.
 
 import { batch, computed, signal } from "@preact/signals";
 import { get } from "../api/client";
 import type { Event, Farm } from "../api/types";
 import { follow, onEvent, unfollow } from "./live";
+import { farmAfter } from "./news";
 
 export const farm = signal<Farm | null>(null);
 export const farmError = signal<Error | null>(null);
@@ -20,7 +21,22 @@ export const atRisk = computed(
 );
 
 const SOON = 3_000;
+const LATER = 10_000;
 const QUIET = 30_000;
+
+/** Events that move what only the service can compute: expected ends, money, what jobs wait for. */
+const ASKED_SOON: ReadonlySet<Event["kind"]> = new Set([
+  "plan_stored",
+  "job_changed",
+  "budget",
+  "engine_state",
+  "job_promise_at_risk",
+  "job_promise_safe",
+  "node_registered",
+  "node_changed",
+  "node_set_aside",
+  "node_removed",
+]);
 const KEPT_EVENTS = 200;
 
 let timer: ReturnType<typeof setTimeout> | undefined;
@@ -101,36 +117,7 @@ function flush(): void {
   const old = farm.peek();
   batch(() => {
     if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
-    if (old) farm.value = changedFarm(old, events);
+    if (old) farm.value = farmAfter(old, events);
   });
-  schedule(SOON);
-}
-
-/** The farm after some events: the same object if they changed none of its jobs. */
-function changedFarm(old: Farm, events: Event[]): Farm {
-  const jobs = new Map<string, Job>();
-  const places = new Map(old.jobs.map((job) => [job.id, job]));
-  for (const event of events) {
-    const job = event.job_id && (jobs.get(event.job_id) ?? places.get(event.job_id));
-    if (!job) continue;
-    const changed = changedJob(job, event);
-    if (changed !== job) jobs.set(job.id, changed);
-  }
-  return jobs.size === 0 ? old : { ...old, jobs: old.jobs.map((job) => jobs.get(job.id) ?? job) };
-}
-
-type Job = Farm["jobs"][number];
-
-function changedJob(job: Job, event: Event): Job {
-  switch (event.kind) {
-    case "job_state":
-      return event.job_state ? { ...job, state: event.job_state } : job;
-    case "task_done":
-      return event.frames_done == null ? job : { ...job, frames_done: event.frames_done };
-    case "job_promise_at_risk":
-    case "job_promise_safe":
-      return event.promise ? { ...job, promise: event.promise } : job;
-    default:
-      return job;
-  }
+  schedule(events.some((event) => ASKED_SOON.has(event.kind)) ? SOON : LATER);
 }

@@ -1,7 +1,7 @@
 //! Accepting quotes, and changing the terms of jobs: deadline, budget and confidence.
 
 use forelight_protocol::{
-    AuditAction, Event, EventKind, FramePart, Job, JobChange, JobId, JobState, Money, Timestamp,
+    AuditAction, Event, EventKind, FramePart, Job, JobChange, JobId, JobNews, JobState, Money, Timestamp,
 };
 
 use crate::audit::{Deed, note};
@@ -41,7 +41,7 @@ impl Store {
         }
         run!(write, "UPDATE jobs SET hold = 0 WHERE id = ?", job.0);
         set_terms(&mut write, job, change).await?;
-        tell(&mut write, job, "its quote was accepted", now);
+        tell_terms(&mut write, job, "its quote was accepted", now).await?;
         let deed = Deed::new(AuditAction::JobAccepted, job).of_project(&current.project);
         note(&mut write, deed, Some(change), now);
         let accepted = read(write.connection().await?, job).await?;
@@ -69,7 +69,7 @@ impl Store {
         rebook_rates(&mut write, job).await?;
         let what = in_words(&changed);
         replans::want(&mut write, &format!("job {} has {what}", current.name)).await?;
-        tell(&mut write, job, &what, now);
+        tell_terms(&mut write, job, &what, now).await?;
         let deed = Deed::new(AuditAction::JobChanged, job).of_project(&current.project);
         note(&mut write, deed, Some(change), now);
         let changed = read(write.connection().await?, job).await?;
@@ -127,6 +127,14 @@ async fn rebook_rates(write: &mut Write, job: JobId) -> Result<()> {
         (frame, Some(NewBooking { frame, node: row.node.into(), start, end: start }))
     });
     book_tasks(write, job, booked.collect()).await
+}
+
+/// Writes the event that a job has new terms.
+async fn tell_terms(write: &mut Write, job: JobId, what: &str, now: Timestamp) -> Result<()> {
+    let news = JobNews::of_terms(&read(write.connection().await?, job).await?);
+    let changed = Event { job_id: Some(job), job: Some(news.into()), ..event(EventKind::JobChanged, now) };
+    append(write, Event { message: Some(what.to_owned()), ..changed });
+    Ok(())
 }
 
 pub(crate) fn tell(write: &mut Write, job: JobId, what: &str, now: Timestamp) {

@@ -1,14 +1,15 @@
 //! Outlooks of booked jobs: why they wait, and the state of their promises.
 
-use forelight_protocol::{Event, FinishQuantiles, JobId, Promise, Timestamp, Waits};
+use forelight_protocol::{Event, FinishQuantiles, Job, JobId, JobState, Promise, Timestamp, Waits};
 use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
 use crate::columns::Json;
-use crate::database::Write;
+use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event};
-use crate::policy::projection::rounded_up;
+use crate::jobs;
+use crate::policy::projection::{JobEnds, rounded_up};
 use crate::policy::rebooking::promise_news;
 use crate::writing::{later, run};
 
@@ -24,6 +25,67 @@ pub struct JobOutlook {
     /// How its end varies in the scenarios of the plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<FinishSpread>,
+    /// Probability that it meets its deadline. `None` without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
+    /// Of a quote on hold: the time until its end if it were accepted now, in microseconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub takes: Option<i64>,
+}
+
+impl Store {
+    /// The jobs with a quote that waits to be accepted, newest first, at most `limit`.
+    pub async fn held_quotes(&self, limit: u32) -> Result<Vec<JobId>> {
+        let ids = sqlx::query_scalar!(
+            "SELECT id FROM jobs WHERE state = 'quoted' AND hold = 1 ORDER BY id DESC LIMIT ?",
+            limit
+        )
+        .fetch_all(self.readers())
+        .await?;
+        Ok(ids.into_iter().map(JobId::from).collect())
+    }
+
+    /// Keeps the outlooks of quotes on hold. Those of jobs that were accepted meanwhile are dropped.
+    pub async fn keep_quotes_outlooks(&self, outlooks: &[(JobId, JobOutlook)], now: Timestamp) -> Result<()> {
+        let mut write = self.write().await?;
+        for outlook in outlooks {
+            if jobs::state(write.connection().await?, outlook.0).await? == JobState::Quoted {
+                keep(&mut write, &[outlook], now).await?;
+            }
+        }
+        self.commit(write).await
+    }
+
+    /// Fills in when jobs are expected to end, by the expected ends of the open bookings.
+    pub async fn tell_ends(&self, jobs: &mut [Job], ends: &JobEnds, now: Timestamp) -> Result<()> {
+        let mut transaction = self.read().await?;
+        for job in jobs {
+            tell_ends(&mut transaction, job, ends, now).await?;
+        }
+        Ok(())
+    }
+}
+
+/// Fills in when a job is expected to end, and how that varies.
+pub(crate) async fn tell_ends(
+    connection: &mut SqliteConnection,
+    job: &mut Job,
+    ends: &JobEnds,
+    now: Timestamp,
+) -> Result<()> {
+    if job.state.is_final() {
+        return Ok(());
+    }
+    let outlook = sqlx::query_scalar!("SELECT outlook FROM jobs WHERE id = ?", job.id.0)
+        .fetch_optional(connection)
+        .await?;
+    let JobOutlook { finish, takes, .. } = outlook.ok_or(StoreError::NotFound("job"))?.0;
+    job.eta = match takes.filter(|_| job.state == JobState::Quoted) {
+        Some(takes) => Some(rounded_up(now.plus_micros(takes), now)),
+        None => ends.eta(job),
+    };
+    job.finish = job.eta.zip(finish).map(|(end, spread)| spread.around(end, now));
+    Ok(())
 }
 
 /// How an end varies in the scenarios of a plan: quantiles less the planned end, in microseconds. Between two

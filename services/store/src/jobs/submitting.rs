@@ -2,7 +2,7 @@
 
 use forelight_forecast::FIRST_FRAMES;
 use forelight_protocol::{
-    AuditAction, BundleSource, Event, EventKind, Job, JobId, JobRequest, JobSettings, JobState, Money, Role,
+    AuditAction, BundleSource, Event, EventKind, Job, JobId, JobNews, JobRequest, JobSettings, Money, Role,
     SceneSummary, Timestamp,
 };
 
@@ -71,16 +71,22 @@ impl Store {
             limits: request.limits,
         };
         common.preview(&mut write, request.frames.iter().collect()).await?;
+        let job = read(write.connection().await?, job_id).await?;
+        let news = JobNews {
+            name: Some(job.name.clone()),
+            frames_total: Some(job.frames_total),
+            ..JobNews::of_terms(&job)
+        };
         append(
             &mut write,
             Event {
                 job_id: Some(job_id),
-                job_state: Some(JobState::Previewing),
+                job_state: Some(job.state),
+                job: Some(news.into()),
                 message: Some(request.name.clone()),
                 ..event(EventKind::JobCreated, now)
             },
         );
-        let job = read(write.connection().await?, job_id).await?;
         let deed = Deed::new(AuditAction::JobSubmitted, job_id).of_project(&job.project);
         note(&mut write, deed, Some(request), now);
         record(&mut write, key, 201, &job, now);

@@ -77,17 +77,26 @@ impl Store {
         open(&mut *self.readers().acquire().await?).await
     }
 
-    /// The open bookings after a place in the order of start and id, at most `limit`.
+    /// The open bookings that end after `from` and start before `to`, after a place in the order of start and id,
+    /// at most `limit`.
     pub async fn open_bookings_page(
         &self,
+        (from, to): (Option<Timestamp>, Option<Timestamp>),
         after: Option<(Timestamp, BookingId)>,
         limit: u32,
     ) -> Result<Vec<Booking>> {
         let (start, id) = after.map_or((i64::MIN, uuid::Uuid::nil()), |(start, id)| (start.micros(), id.0));
-        let rows =
-            rows!("AND (b.start_at, b.id) > (?, ?) ORDER BY b.start_at, b.id LIMIT ?", start, id, limit)
-                .fetch_all(self.readers())
-                .await?;
+        let rows = rows!(
+            "AND (b.start_at, b.id) > (?, ?) AND b.end_at > ? AND b.start_at < ? \
+             ORDER BY b.start_at, b.id LIMIT ?",
+            start,
+            id,
+            from.map_or(i64::MIN, Timestamp::micros),
+            to.map_or(i64::MAX, Timestamp::micros),
+            limit
+        )
+        .fetch_all(self.readers())
+        .await?;
         Ok(rows.into_iter().map(|row| OpenBooking::from(row).booking).collect())
     }
 }

@@ -80,8 +80,11 @@ async fn open_bookings_are_those_of_frames_not_yet_rendered() {
     let holder = Holder { node_id: node.id, started: at(21), attempt };
     let seen: Vec<_> = open.iter().map(|open| (open.booking.frame, open.holder)).collect();
     assert_eq!(seen, [(1, Some(holder)), (2, None)]);
-    let page =
-        farm.store.open_bookings_page(Some((open[0].booking.start, open[0].booking.id)), 10).await.unwrap();
+    let page = farm
+        .store
+        .open_bookings_page((None, None), Some((open[0].booking.start, open[0].booking.id)), 10)
+        .await
+        .unwrap();
     assert_eq!(page, [open[1].booking.clone()]);
     farm.store.cancel_job(job, at(30)).await.unwrap();
     assert!(farm.store.open_bookings().await.unwrap().is_empty());
@@ -110,7 +113,7 @@ async fn a_job_that_is_done_or_failed_leaves_no_booking_open_and_those_of_others
     assert_eq!(lease.job_id, failing);
     farm.store.fail_job(failing, "the verifier refused the plan", at(101)).await.unwrap();
     assert_eq!(open().await, [(waiting, 0), (waiting, 1), (waiting, 2)]);
-    assert_eq!(farm.store.open_bookings_page(None, 10).await.unwrap().len(), 3);
+    assert_eq!(farm.store.open_bookings_page((None, None), None, 10).await.unwrap().len(), 3);
     // What was booked is still told beside each frame.
     for job in [done, failing] {
         let rows = farm.store.frames(job, None, 10).await.unwrap();

@@ -37,7 +37,10 @@ pub(crate) async fn change(
     JsonBody { value: change, .. }: JsonBody<JobChange>,
 ) -> ApiResult<Json<Job>> {
     check_terms(&app, change.deadline.flatten(), change.budget.flatten())?;
-    Ok(Json(app.by(&caller).change_job(job, &change, app.now()).await?))
+    let changed = app.by(&caller).change_job(job, &change, app.now()).await?;
+    // The conductor looks again what would become of a quote on hold.
+    let _ = app.conductor.send(job);
+    Ok(Json(changed))
 }
 
 /// Renders frames again, finished ones too, and forgives their failures.

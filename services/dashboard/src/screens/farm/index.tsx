@@ -8,7 +8,7 @@ import { farm, farmError, now } from "../../state/farm";
 import { href, param, setQuery } from "../../state/route";
 import { mayOperate, seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
-import { clean, grouped } from "../../ui/format";
+import { clean, counted, grouped } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Choice, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { AddNode } from "./add";
@@ -34,6 +34,7 @@ function tonight(): Stretch {
 const isKnown = computed(() => farm.value !== null);
 const nodeCounts = computed(() => farm.value!.node_counts);
 const total = computed(() => farm.value!.counts.nodes);
+const versions = computed(() => farm.value!.versions);
 
 export function FarmScreen() {
   useEffect(() => titled("Farm"), []);
@@ -102,6 +103,7 @@ function Nodes() {
         ))}
         {asleep > 0 && <Mark of="asleep" word={`${grouped(asleep)} of them asleep`} />}
       </div>
+      {total.value > 0 && <Versions />}
       {total.value === 0 ? (
         <NoNodes />
       ) : list ? (
@@ -130,6 +132,21 @@ function Nodes() {
 function knownState(name: string | null): NodeState | "" {
   const { asleep: _, ...states } = farm.peek()!.node_counts;
   return name !== null && name in states ? (name as NodeState) : "";
+}
+
+/** Which versions run, and whether they differ: during an upgrade, some nodes are behind. */
+function Versions() {
+  const { service, workers } = versions.value ?? { service: "", workers: [] };
+  const others = workers.filter((line) => line.version !== service);
+  if (!service) return null;
+  return (
+    <p class="note">
+      Service {service}
+      {others.length === 0
+        ? ", as all workers."
+        : `; ${others.map((line) => `${counted(line.nodes, "worker")} ${line.version ? clean(line.version) : "of unknown version"}`).join(", ")}.`}
+    </p>
+  );
 }
 
 function NoNodes() {

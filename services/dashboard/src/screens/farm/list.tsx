@@ -1,15 +1,16 @@
 // The nodes as a table: the same as the chart shows, and orders to each.
 
-import { useCallback, useEffect, useState } from "preact/hooks";
+import { useCallback, useEffect, useRef, useState } from "preact/hooks";
 import { get, patch } from "../../api/client";
-import type { Node, NodeChange, NodeState } from "../../api/types";
-import { refresh } from "../../state/farm";
+import type { Event, Node, NodeChange, NodeState } from "../../api/types";
+import { farm, refresh } from "../../state/farm";
 import { onEvent } from "../../state/live";
+import { nodeAfter } from "../../state/news";
 import { param, setQuery } from "../../state/route";
 import { mayOperate } from "../../state/session";
 import { bytes, clean, counted, money, significant } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { PAGE, usePages } from "../../ui/pages";
+import { PAGE, type Pages, usePages } from "../../ui/pages";
 import { Trouble, Waiting } from "../../ui/parts";
 import { asError, useThrottled } from "../../ui/resource";
 import { VirtualTable } from "../../ui/virtual";
@@ -41,12 +42,7 @@ export function NodeList(props: { state: NodeState | ""; search: string; open: (
   );
   const listed = usePages(ask, () => null);
   const again = useThrottled(listed.again, 3_000);
-  useEffect(
-    () =>
-      onEvent((event) => event.node_id && /node_|task_leased|task_done|lease_/.test(event.kind) && again()),
-    [again],
-  );
-  useProgress(listed.change);
+  useNews(listed, again);
   const changed = (node: Node) => listed.change((one) => (one.id === node.id ? node : one));
 
   if (listed.items.length === 0) {
@@ -166,23 +162,27 @@ function Does(props: { node: Node }) {
   return <span class="none">{node.task_id ? "a task" : "nothing"}</span>;
 }
 
-/** Progress of the listed nodes' tasks, as events tell of it, drawn twice a second. */
-function useProgress(change: (change: (node: Node) => Node) => void): void {
+/** What events say of the listed nodes' tasks, drawn twice a second. What they do not say is asked for. */
+function useNews(listed: Pages<Node>, again: () => void): void {
+  const { change } = listed;
+  const items = useRef(listed.items);
+  items.current = listed.items;
   useEffect(() => {
-    let told = new Map<string, number>();
+    let told: Event[] = [];
     const stop = onEvent((event) => {
-      if (event.kind === "task_progress" && event.task_id && event.progress != null)
-        told.set(event.task_id, event.progress);
+      if (/^(task_|lease_)/.test(event.kind) && event.task_id) told.push(event);
+      else if (event.kind.startsWith("node_")) again();
     });
     const timer = setInterval(() => {
-      if (told.size === 0) return;
-      const progress = told;
-      told = new Map();
-      change((node) => {
-        const now = node.activity && progress.get(node.activity.task_id);
-        return now == null ? node : { ...node, activity: { ...node.activity!, progress: now } };
-      });
+      if (told.length === 0) return;
+      const events = told;
+      told = [];
+      const names = new Map<string, string>();
+      for (const job of farm.peek()?.jobs ?? []) names.set(job.id, job.name);
+      for (const { activity } of items.current) if (activity?.job) names.set(activity.job_id, activity.job);
+      if (events.some((event) => event.kind === "task_leased" && !names.has(event.job_id ?? ""))) again();
+      change((node) => nodeAfter(node, events, names));
     }, 500);
     return () => (clearInterval(timer), stop());
-  }, [change]);
+  }, [change, again]);
 }

@@ -4,6 +4,7 @@ import { useEffect, useState } from "preact/hooks";
 import { get } from "../../api/client";
 import type { AnswersDoc, Event, Job, FrameStrip } from "../../api/types";
 import { onEvent } from "../../state/live";
+import { jobAfter } from "../../state/news";
 import { param, route, setQuery } from "../../state/route";
 import { href } from "../../state/route";
 import { maySubmitTo } from "../../state/session";
@@ -50,8 +51,18 @@ export function JobScreen(props: { id: string }) {
     job.reload();
     strip.reload();
   }, 3_000);
+  const reloadLater = useThrottled(() => {
+    job.reload();
+    strip.reload();
+  }, 10_000);
   useEffect(
-    () => onEvent((event: Event) => event.job_id === id && event.kind !== "task_progress" && reloadSoon()),
+    () =>
+      onEvent((event: Event) => {
+        if (event.job_id !== id || event.kind === "task_progress") return;
+        // What these say is on screen already; money and expected ends follow.
+        if (event.kind === "task_leased" || event.kind === "task_done") reloadLater();
+        else reloadSoon();
+      }),
     [id],
   );
   useEffect(() => {
@@ -61,7 +72,7 @@ export function JobScreen(props: { id: string }) {
   }, [id]);
   useEffect(() => titled(job.data ? clean(job.data.name) : "Job"), [job.data?.name]);
 
-  const doc = job.data;
+  const doc = useNews(job.data);
   if (!doc)
     return job.error ? (
       <Trouble error={job.error} retry={job.reload} />
@@ -80,6 +91,17 @@ export function JobScreen(props: { id: string }) {
       <Tabs job={doc} strip={live.data} />
     </div>
   );
+}
+
+/** The job with what events have said since it was asked for. */
+function useNews(asked: Job | null): Job | null {
+  const [job, setJob] = useState(asked);
+  useEffect(() => setJob(asked), [asked]);
+  useEffect(
+    () => onEvent((event) => setJob((old) => (old && event.job_id === old.id ? jobAfter(old, event) : old))),
+    [],
+  );
+  return job?.id === asked?.id ? job : asked;
 }
 
 function JobHead(props: { job: Job; changed: () => void }) {

@@ -57,6 +57,7 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
           <Ladder
             rungs={doc.rungs.filter((rung) => rung.ladder === kind)}
             answers={answers}
+            deadline={job.deadline != null}
             maySubmit={maySubmitTo(job.project)}
             choose={setChosen}
           />
@@ -81,6 +82,8 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
 function Ladder(props: {
   rungs: AccuracyRung[];
   answers: AnswersDoc | null;
+  /** Whether the job has a deadline. */
+  deadline: boolean;
   maySubmit: boolean;
   choose: (rung: AccuracyRung) => void;
 }) {
@@ -103,6 +106,11 @@ function Ladder(props: {
               Cost
             </th>
             <th scope="col">Ready by</th>
+            {props.deadline && (
+              <th scope="col" class="right">
+                In time
+              </th>
+            )}
             <th scope="col">
               <span class="unseen">Submit</span>
             </th>
@@ -151,6 +159,9 @@ function Ladder(props: {
                     <span class="none">–</span>
                   )}
                 </td>
+                {props.deadline && (
+                  <td class="right">{offer?.probability == null ? "–" : percent(offer.probability)}</td>
+                )}
                 <td>
                   {!rung.asked_for && props.maySubmit && (
                     <button type="button" onClick={() => props.choose(rung)}>

@@ -8,6 +8,7 @@ import { onEvent } from "../../state/live";
 import { go, href, param } from "../../state/route";
 import { AxisHead, axisFor, Fan, slackWords, spreadWords } from "../../ui/fan";
 import { bytes, clean, counted, cpuTime, instant, maybeInstant, percent, words, work } from "../../ui/format";
+import { parseFrames } from "../../ui/frames";
 import { Mark } from "../../ui/mark";
 import { Money, Prose, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
@@ -74,6 +75,7 @@ const STEP_WORDS: Record<(typeof STEPS)[number], [name: string, does: string]> =
 function Making(props: { job: Job }) {
   const { job } = props;
   const { tasks } = useTasks(job.id);
+  const previewed = usePreviewed(job);
   const at = STEPS.indexOf(job.state as (typeof STEPS)[number]);
   const reached = at < 0 ? (job.state === "cancelled" || job.state === "failed" ? -1 : STEPS.length) : at;
   if (reached < 0) return null;
@@ -91,10 +93,13 @@ function Making(props: { job: Job }) {
           >
             <Mark of={done ? "done" : busy ? step : "waiting"} word={STEP_WORDS[step][0]} />
             <span class="under">
-              {step === "profiling" && profiles.length > 0
-                ? `${profiles.filter((task) => task.state === "done").length} of ${counted(profiles.length, "frame")} measured so far`
-                : STEP_WORDS[step][1]}
+              {step === "previewing" && busy && previewed > 0
+                ? `${previewed} of ${counted(job.frames_total, "frame")} so far`
+                : step === "profiling" && profiles.length > 0
+                  ? `${profiles.filter((task) => task.state === "done").length} of ${counted(profiles.length, "frame")} measured so far`
+                  : STEP_WORDS[step][1]}
             </span>
+            {step === "previewing" && done && <Previews job={job} />}
           </li>
         );
       })}
@@ -104,6 +109,42 @@ function Making(props: { job: Job }) {
         </li>
       )}
     </ol>
+  );
+}
+
+/** How many frames are previewed so far, as the worker reports it. */
+function usePreviewed(job: Job): number {
+  const [share, setShare] = useState(0);
+  useEffect(
+    () =>
+      onEvent((event) => {
+        if (event.job_id === job.id && event.task_kind === "preview" && event.progress != null)
+          setShare(event.progress);
+      }),
+    [job.id],
+  );
+  return Math.floor(share * job.frames_total);
+}
+
+/** The ID previews of the first, a middle and the last frame. */
+function Previews(props: { job: Job }) {
+  const { job } = props;
+  const all = parseFrames(job.frames) ?? [];
+  const chosen = new Set(
+    [0, all.length >> 1, all.length - 1].map((at) => all[at]).filter((it) => it != null),
+  );
+  return (
+    <span class="previews">
+      {[...chosen].map((frame) => (
+        <img
+          key={frame}
+          src={`/v1/jobs/${job.id}/frames/${frame}/preview.png`}
+          alt={`ID preview of frame ${frame}`}
+          title={`ID preview of frame ${frame}: a colour for each object and material`}
+          decoding="async"
+        />
+      ))}
+    </span>
   );
 }
 
@@ -290,6 +331,7 @@ function When(props: { job: Job; doc: AnswersDoc }) {
             ) : (
               <Mark of="on_time" word="fits" />
             )}
+            {doc.probability != null && <> In time with a probability of {percent(doc.probability)}.</>}
           </>
         ) : (
           "No plan finishes it."
@@ -334,13 +376,14 @@ function When(props: { job: Job; doc: AnswersDoc }) {
       {doc.qualities.length > 1 && (
         <TableBehind
           label="Other qualities, as a table"
-          head={["Size", "Samples", "Error", "Ready by", "Cost", ""]}
+          head={["Size", "Samples", "Error", "Ready by", "In time", "Cost", ""]}
           rows={() =>
             doc.qualities.map((offer) => [
               `${offer.settings.width} × ${offer.settings.height}`,
               offer.settings.spp,
               offer.error ? percent(offer.error.p50, 1) : "–",
               <Time at={offer.finish} none="never" />,
+              offer.probability == null ? "–" : percent(offer.probability),
               <Money of={offer.cost} />,
               offer.asked_for ? "as asked" : offer.fits ? "fits" : "does not fit",
             ])

@@ -297,7 +297,6 @@ function asRow(job: Job): DashboardJob {
   return {
     ...job,
     eta: job.eta ?? job.finished_at ?? null,
-    finish: null,
     cost: job.live?.cost ?? null,
     booked_cost: job.verdict?.cost ?? null,
     verdict: job.verdict?.verdict ?? null,

@@ -28,7 +28,7 @@ export function troubleOf(job: DashboardJob): "risk" | "late" | "impossible" | n
 }
 
 function probabilityOf(job: DashboardJob): number | null {
-  return job.promise?.probability ?? null;
+  return job.probability ?? job.promise?.probability ?? null;
 }
 
 export function JobTable(props: {
@@ -102,7 +102,9 @@ function JobRow(props: { job: DashboardJob; axis: Axis }) {
         <span class="number">
           <Time at={end} none="not known yet" />
         </span>
-        <span class="under">{slackWords(end, deadline)}</span>
+        <span class="under">
+          {job.state === "quoted" && end !== null ? "if accepted now" : slackWords(end, deadline)}
+        </span>
       </span>
       <span role="cell" class="cell-fan">
         <Fan

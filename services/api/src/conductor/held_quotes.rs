@@ -1,0 +1,52 @@
+//! What would become of quotes on hold if they were accepted now.
+
+use forelight_planner as planner;
+use forelight_protocol::JobId;
+use forelight_store::JobOutlook;
+
+use super::book::quoted;
+use super::farm::{Farm, Snapshot};
+use super::risks::{Risk, risk};
+use super::settle::end;
+use super::{AdvanceError, Conductor, compute};
+
+/// Most quotes that are looked at in one round: the newest.
+const MOST: u32 = 50;
+
+impl Conductor {
+    /// Keeps the outlooks of the quotes on hold up to date.
+    pub async fn foresee_held_quotes(&self) {
+        let foreseen = async { self.foresee(&self.store.held_quotes(MOST).await?).await };
+        if let Err(error) = foreseen.await {
+            tracing::warn!(%error, "when quotes on hold would end is not known; the next round tries again");
+        }
+    }
+
+    /// Keeps the outlooks of these quotes up to date. Each is planned around what is booked.
+    pub(super) async fn foresee(&self, quotes: &[JobId]) -> Result<(), AdvanceError> {
+        if quotes.is_empty() {
+            return Ok(());
+        }
+        let now = self.clock.now();
+        let mut snapshot = Snapshot::read(&self.store, now, self.started).await?;
+        for &quote in quotes {
+            snapshot.jobs.extend(quoted(&self.store, quote, now).await?);
+        }
+        let quotes = quotes.to_vec();
+        let outlooks = compute(move || {
+            let farm = Farm::new(&snapshot);
+            let places = quotes.iter().filter_map(|&quote| Some((quote, farm.place(quote)?)));
+            places.map(|(quote, place)| Ok((quote, outlook(&farm, place)?))).collect::<Result<Vec<_>, _>>()
+        })
+        .await?;
+        Ok(self.store.keep_quotes_outlooks(&outlooks, now).await?)
+    }
+}
+
+fn outlook(farm: &Farm, job: usize) -> Result<JobOutlook, AdvanceError> {
+    let around = farm.around(job, &farm.standing);
+    let plan = planner::plan(&around)?;
+    let Risk { probability, finish } = risk(farm, &around, &plan, job)?;
+    let takes = end(farm, &plan, job).map(|end| end.saturating_sub(farm.input.now));
+    Ok(JobOutlook { probability, finish, takes, ..JobOutlook::default() })
+}

@@ -1,0 +1,123 @@
+// What events say of jobs, put into documents that are on screen already. Pure.
+
+import type { DashboardJob, Event, Farm, JobState, Node } from "../api/types";
+
+/** What rows and documents of jobs share. */
+interface Known {
+  state: JobState;
+  frames_done: number;
+  hold?: boolean | undefined;
+  deadline?: string | null | undefined;
+  budget?: number | null | undefined;
+  eta?: string | null | undefined;
+  probability?: number | null | undefined;
+  promise?: DashboardJob["promise"] | undefined;
+}
+
+const OVER: readonly JobState[] = ["done", "failed", "cancelled"];
+
+/** A job after an event of it: the same object if the event says nothing that is shown. */
+export function jobAfter<J extends Known>(job: J, event: Event): J {
+  const after: Partial<Known> = {};
+  if (event.job_state) after.state = event.job_state;
+  if (event.frames_done != null) after.frames_done = event.frames_done;
+  if (event.promise) Object.assign(after, { promise: event.promise, probability: event.promise.probability });
+  const { terms, eta, probability } = event.job ?? {};
+  if (terms)
+    Object.assign(after, {
+      hold: terms.hold,
+      deadline: terms.deadline ?? null,
+      budget: terms.budget ?? null,
+    });
+  if (eta != null) after.eta = eta;
+  if (probability != null) after.probability = probability;
+  return Object.keys(after).length === 0 ? job : { ...job, ...after };
+}
+
+function rowAfter(row: DashboardJob, event: Event): DashboardJob {
+  const { verdict, booked_cost, cost } = event.job ?? {};
+  const said = {
+    ...(verdict && { verdict }),
+    ...(booked_cost != null && { booked_cost }),
+    ...(cost && { cost }),
+  };
+  const after = jobAfter(row, event);
+  return Object.keys(said).length === 0 ? after : { ...after, ...said };
+}
+
+/** A job that was just submitted; `null` for other events. */
+function newRow(event: Event): DashboardJob | null {
+  const { name, frames_total } = event.job ?? {};
+  if (event.kind !== "job_created" || !event.job_id || name == null || frames_total == null) return null;
+  const row: DashboardJob = {
+    id: event.job_id,
+    name,
+    project: event.project ?? "",
+    state: "previewing",
+    frames_total,
+    frames_done: 0,
+    progress: 0,
+  };
+  return rowAfter(row, event);
+}
+
+/** The farm after some events, oldest first: the same object if they changed none of its jobs. */
+export function farmAfter(old: Farm, events: readonly Event[]): Farm {
+  const rows = new Map(old.jobs.map((job) => [job.id, job]));
+  const counts = { ...old.counts.jobs };
+  let total = old.jobs_open_total;
+  let changed = false;
+  for (const event of events) {
+    if (!event.job_id) continue;
+    const before = rows.get(event.job_id);
+    const after = before ? rowAfter(before, event) : newRow(event);
+    if (!after || after === before) continue;
+    changed = true;
+    if (!before) total++;
+    if (before?.state !== after.state) {
+      if (before) counts[before.state]--;
+      counts[after.state]++;
+    }
+    if (OVER.includes(after.state)) {
+      rows.delete(after.id);
+      total--;
+    } else {
+      rows.set(after.id, after);
+    }
+  }
+  if (!changed) return old;
+  return {
+    ...old,
+    jobs: [...rows.values()],
+    jobs_open_total: total,
+    counts: { ...old.counts, jobs: counts },
+  };
+}
+
+/** A node after some events of tasks, oldest first: the same object if none is about its own. */
+export function nodeAfter(old: Node, events: readonly Event[], names: ReadonlyMap<string, string>): Node {
+  let node = old;
+  for (const event of events) {
+    const own = node.activity?.task_id === event.task_id ? node.activity : null;
+    if (event.kind === "task_progress") {
+      if (own && event.progress != null) node = { ...node, activity: { ...own, progress: event.progress } };
+    } else if (event.kind === "task_leased" && event.node_id === node.id && event.task_id && event.job_id) {
+      node = {
+        ...node,
+        state: node.state === "idle" ? "working" : node.state,
+        activity: {
+          task_id: event.task_id,
+          kind: event.task_kind ?? "render",
+          job_id: event.job_id,
+          job: names.get(event.job_id) ?? "",
+          frame: event.frame ?? null,
+          progress: 0,
+          started: event.at,
+        },
+      };
+    } else if (own) {
+      node = { ...node, state: node.state === "working" ? "idle" : node.state, activity: null };
+    }
+  }
+  return node;
+}
