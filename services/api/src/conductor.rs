@@ -252,8 +252,7 @@ impl Conductor {
         rungs: &[AccuracyRung],
     ) -> Result<(), AdvanceError> {
         if job.hold {
-            self.keep_quote(job, quote, basis).await?;
-            return self.foresee(&[job.id]).await;
+            return self.keep_quote(job, quote, basis).await;
         }
         for _ in 0..ATTEMPTS {
             match self.book(job, quote, basis, rungs).await {

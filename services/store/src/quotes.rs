@@ -17,15 +17,16 @@ use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::jobs;
+use crate::jobs::outlooks::{self, JobOutlook};
 use crate::writing::run;
 
 impl Store {
-    /// Stores the quote of a job on hold, which then waits to be accepted. A [`StoreError::Conflict`] if the
-    /// job is not `profiling`.
+    /// Stores the quote of a job on hold, which then waits to be accepted, and what would become of it now. A
+    /// [`StoreError::Conflict`] if the job is not `profiling`.
     pub async fn keep_quote(
         &self,
         job: JobId,
-        forecast: &JobForecast,
+        (forecast, outlook): (&JobForecast, &JobOutlook),
         frames: &[FrameForecast],
         basis: Option<&QuoteBasis>,
         now: Timestamp,
@@ -36,6 +37,7 @@ impl Store {
             return Err(StoreError::Conflict(format!("the job is {state}, not profiling")));
         }
         keep(&mut write, job, forecast, frames, basis, now).await?;
+        outlooks::keep(&mut write, &[&(job, outlook.clone())], now).await?;
         job_state(&mut write, job, JobState::Quoted, None, now);
         self.commit(write).await
     }

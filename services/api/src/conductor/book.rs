@@ -11,12 +11,13 @@ use forelight_quote::{JobForecast, Quote, QuoteBasis, mean_price};
 use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCache, Store, StoreError};
 
 use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
+use super::held_quotes::foreseen;
 use super::qualities::qualities;
 use super::settle::{Settled, Unsettled, settle};
 use super::{AdvanceError, Conductor, compute};
 
 impl Conductor {
-    /// Keeps the quote of a job on hold.
+    /// Keeps the quote of a job on hold, and what would become of it if it were accepted now.
     pub(super) async fn keep_quote(
         &self,
         job: &Job,
@@ -24,11 +25,16 @@ impl Conductor {
         basis: Option<&QuoteBasis>,
     ) -> Result<(), AdvanceError> {
         let now = self.clock.now();
-        let nodes = self.nodes_for_plans(now).await?;
+        let mut snapshot = Snapshot::read(&self.store, now, self.started).await?;
         let mut kept = forecast.job.clone();
-        price(&mut kept, forecast, &nodes);
-        kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
-        self.store.keep_quote(job.id, &kept, &forecast.frames, basis, now).await?;
+        price(&mut kept, forecast, &snapshot.nodes);
+        kept.cpu_seconds_on = on_calibrated(&kept, &snapshot.nodes);
+        let (with_terms, spent) =
+            (self.store.job_with_terms(job.id).await?, self.store.spent_on(job.id, now).await?);
+        snapshot.jobs.push(fresh(with_terms, &kept, &forecast.frames, spent));
+        let outlook = foreseen(snapshot, vec![job.id]).await?.pop().map(|(_, outlook)| outlook);
+        let outlook = outlook.unwrap_or_default();
+        self.store.keep_quote(job.id, (&kept, &outlook), &forecast.frames, basis, now).await?;
         tracing::info!(job = %job.id, "quoted");
         Ok(())
     }

@@ -22,7 +22,7 @@ impl Conductor {
         }
     }
 
-    /// Keeps the outlooks of these quotes up to date. Each is planned around what is booked.
+    /// Keeps the outlooks of these quotes up to date.
     pub(super) async fn foresee(&self, quotes: &[JobId]) -> Result<(), AdvanceError> {
         if quotes.is_empty() {
             return Ok(());
@@ -32,15 +32,22 @@ impl Conductor {
         for &quote in quotes {
             snapshot.jobs.extend(quoted(&self.store, quote, now).await?);
         }
-        let quotes = quotes.to_vec();
-        let outlooks = compute(move || {
-            let farm = Farm::new(&snapshot);
-            let places = quotes.iter().filter_map(|&quote| Some((quote, farm.place(quote)?)));
-            places.map(|(quote, place)| Ok((quote, outlook(&farm, place)?))).collect::<Result<Vec<_>, _>>()
-        })
-        .await?;
+        let outlooks = foreseen(snapshot, quotes.to_vec()).await?;
         Ok(self.store.keep_quotes_outlooks(&outlooks, now).await?)
     }
+}
+
+/// What would become of these quotes, which are among the jobs of the farm. Each is planned around what is booked.
+pub(super) async fn foreseen(
+    farm: Snapshot,
+    quotes: Vec<JobId>,
+) -> Result<Vec<(JobId, JobOutlook)>, AdvanceError> {
+    compute(move || {
+        let farm = Farm::new(&farm);
+        let places = quotes.iter().filter_map(|&quote| Some((quote, farm.place(quote)?)));
+        places.map(|(quote, place)| Ok((quote, outlook(&farm, place)?))).collect()
+    })
+    .await
 }
 
 fn outlook(farm: &Farm, job: usize) -> Result<JobOutlook, AdvanceError> {

@@ -93,11 +93,10 @@ async fn a_quote_on_hold_says_when_it_would_end_and_whether_that_is_in_time() {
     let node = farm.node("a").await;
     // Eight frames of 25 seconds.
     let job = quoted(&farm, &node, "0-7").await;
-    let foreseen = farm.until(&job, "its end is foreseen", |job| job.eta.is_some()).await;
-    let (eta, finish) = (foreseen.eta.unwrap(), foreseen.finish.unwrap());
+    let (eta, finish) = (job.eta.unwrap(), job.finish.unwrap());
     let seconds = eta.micros_since(Timestamp::now()) / 1_000_000;
     assert!((100..600).contains(&seconds) && finish.p50 <= finish.p80 && finish.p80 <= finish.p95);
-    assert_eq!(foreseen.probability, None, "it has no deadline");
+    assert_eq!(job.probability, None, "it has no deadline");
     let is_likely = |job: &Job, least: f64| job.probability.is_some_and(|share| share >= least);
     patch(&farm, &job, json!({"deadline": in_hours(5)})).await;
     farm.until(&job, "five hours are enough", |job| is_likely(job, 1.0)).await;

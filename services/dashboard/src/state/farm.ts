@@ -27,6 +27,7 @@ const QUIET = 30_000;
 /** Events that move what only the service can compute: expected ends, money, what jobs wait for. */
 const ASKED_SOON: ReadonlySet<Event["kind"]> = new Set([
   "plan_stored",
+  "job_state",
   "job_changed",
   "budget",
   "engine_state",

@@ -8,7 +8,6 @@ import { onEvent } from "../../state/live";
 import { go, href, param } from "../../state/route";
 import { AxisHead, axisFor, Fan, slackWords, spreadWords } from "../../ui/fan";
 import { bytes, clean, counted, cpuTime, instant, maybeInstant, percent, words, work } from "../../ui/format";
-import { parseFrames } from "../../ui/frames";
 import { Mark } from "../../ui/mark";
 import { Money, Prose, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
@@ -80,6 +79,7 @@ function Making(props: { job: Job }) {
   const reached = at < 0 ? (job.state === "cancelled" || job.state === "failed" ? -1 : STEPS.length) : at;
   if (reached < 0) return null;
   const profiles = tasks.filter((task) => task.kind === "profile");
+  const measured = profiles.filter((task) => task.state === "done").flatMap((task) => task.frame ?? []);
   return (
     <ol class="steps" aria-label="The way to the quote">
       {STEPS.map((step, index) => {
@@ -96,10 +96,10 @@ function Making(props: { job: Job }) {
               {step === "previewing" && busy && previewed > 0
                 ? `${previewed} of ${counted(job.frames_total, "frame")} so far`
                 : step === "profiling" && profiles.length > 0
-                  ? `${profiles.filter((task) => task.state === "done").length} of ${counted(profiles.length, "frame")} measured so far`
+                  ? `${done ? "" : `${measured.length} of `}${counted(profiles.length, "frame")} measured${done ? "" : " so far"}`
                   : STEP_WORDS[step][1]}
             </span>
-            {step === "previewing" && done && <Previews job={job} />}
+            {step === "profiling" && <Previews job={job} frames={measured} />}
           </li>
         );
       })}
@@ -126,24 +126,23 @@ function usePreviewed(job: Job): number {
   return Math.floor(share * job.frames_total);
 }
 
-/** The ID previews of the first, a middle and the last frame. */
-function Previews(props: { job: Job }) {
-  const { job } = props;
-  const all = parseFrames(job.frames) ?? [];
-  const chosen = new Set(
-    [0, all.length >> 1, all.length - 1].map((at) => all[at]).filter((it) => it != null),
-  );
+/** The ID previews of frames. A renderer that has no objects to tell apart draws none. */
+function Previews(props: { job: Job; frames: readonly number[] }) {
+  const [missing, setMissing] = useState<readonly number[]>([]);
   return (
     <span class="previews">
-      {[...chosen].map((frame) => (
-        <img
-          key={frame}
-          src={`/v1/jobs/${job.id}/frames/${frame}/preview.png`}
-          alt={`ID preview of frame ${frame}`}
-          title={`ID preview of frame ${frame}: a colour for each object and material`}
-          decoding="async"
-        />
-      ))}
+      {props.frames
+        .filter((frame) => !missing.includes(frame))
+        .map((frame) => (
+          <img
+            key={frame}
+            src={`/v1/jobs/${props.job.id}/frames/${frame}/preview.png`}
+            alt={`ID preview of frame ${frame}`}
+            title={`ID preview of frame ${frame}: a colour for each object and material`}
+            decoding="async"
+            onError={() => setMissing((old) => [...old, frame])}
+          />
+        ))}
     </span>
   );
 }
@@ -331,7 +330,7 @@ function When(props: { job: Job; doc: AnswersDoc }) {
             ) : (
               <Mark of="on_time" word="fits" />
             )}
-            {doc.probability != null && <> In time with a probability of {percent(doc.probability)}.</>}
+            {doc.probability != null && <> Probability of the deadline: {percent(doc.probability)}.</>}
           </>
         ) : (
           "No plan finishes it."
