@@ -193,6 +193,8 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
       return difference.frames.length > 0 && difference;
     });
     await show(page, farm.address, [`#/farm?plan=${plan}`, ".plan-words"]);
+    const chosen = page.locator(".plans select");
+    await until("the plan of the address is chosen", async () => (await chosen.inputValue()) === plan);
     await inspect(page, "plan-difference", { phone: true });
     const picture = () => page.locator(".gantt canvas").evaluate((canvas) => canvas.toDataURL());
     const before = await picture();
@@ -266,6 +268,9 @@ async function questionsOfTokens(tab, farm) {
   await asked(tab, "Replace: berta", "replace-question");
   await answer(tab, "Replace it");
   assert.notEqual(await tab.locator(".secret").textContent(), secret);
+  const row = tab.locator(".set-row", { hasText: "berta" }).locator(".orders");
+  const clipped = await row.evaluate((cell) => cell.scrollWidth - cell.clientWidth);
+  assert.ok(clipped <= 0, `the orders to a token are ${clipped} pixels wider than their column`);
   const old = { headers: { Authorization: `Bearer ${secret.trim()}` } };
   assert.equal((await fetch(`${farm.address}/v1/dashboard`, old)).status, 401);
   await answer(tab, "I have kept it");
@@ -291,19 +296,23 @@ async function questionsOfWebhooks(tab, farm) {
 async function questionsOfRetention(tab, farm) {
   const rule = async (kind, project) =>
     (await farm.get("/v1/retention")).items.find((one) => one.kind === kind && one.project === project)?.days;
+  const plans = async () => (await farm.get("/v1/plans")).items.map((plan) => plan.id);
+  const before = await plans();
   await show(tab, farm.address, screens(null).kept);
-  await asked(tab, "Change: images", "retention-question");
-  await tab.getByLabel("Days").fill("");
+  await asked(tab, "Change: plans", "retention-question");
+  await tab.getByLabel("Days").fill("0");
   await answer(tab, "Set it");
   await asked(tab, "A rule for a project…", "retention-of-project-question");
   await tab.getByRole("textbox", { name: "Project" }).fill("film");
   await tab.getByLabel("Days").fill("90");
   await answer(tab, "Set it");
-  assert.deepEqual([await rule("images"), await rule("images", "film")], [undefined, 90]);
+  assert.deepEqual([await rule("plans"), await rule("images", "film")], [0, 90]);
   await tab.getByRole("button", { name: "What would be deleted now?" }).click();
   await asked(tab, "Delete it now…", "delete-question");
   await answer(tab, "Delete it");
-  assert.ok((await farm.get("/v1/retention")).last);
+  const after = await plans();
+  assert.ok(after.length < before.length, `${before.length} plans, then ${after.length}`);
+  assert.equal(after[0], before[0], "the newest plan stays");
 }
 
 async function addingNodes(tab, farm) {
