@@ -1,5 +1,5 @@
-// What people do to jobs, nodes and settings on the page, in Chromium, against a farm on this machine. Each act
-// is checked through the API, and each question that the page asks with axe.
+// What people do to jobs, nodes and settings on the page, in Chromium, against a farm on this machine. Each
+// act is checked through the API, and each question that the page asks with axe.
 
 import assert from "node:assert/strict";
 import fs from "node:fs";
@@ -363,7 +363,7 @@ function berlin(at) {
   });
 }
 
-/** An instant as a field of the page takes it, such as `2026-03-01T20:30`, where the pages of the tests are. */
+/** An instant in the zone of the tests' pages, as a field takes it: `2026-03-01T20:30`. */
 function minutes(at) {
   const day = new Date(at).toLocaleDateString("sv-SE", { timeZone: ZONE });
   return `${day}T${berlin(at)}`;
