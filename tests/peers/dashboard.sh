@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Tests the dashboard page in Chromium against a farm: signing in, a quote before booking, a job to its end,
-# retries, a rescue, draining a node; every screen with an empty farm, a working one, and after the service was
-# killed; rules of accessibility (axe) in light and dark; and what the first view loads.
+# retries, a rescue; orders to frames, jobs and nodes, and changes of settings; every screen with an empty
+# farm, a working one, and after the service was killed or the network was away; rules of accessibility (axe)
+# in light and dark, of every screen and question; and what the first view loads.
 #
 #   FORELIGHT_DASHBOARD_BIN   the program, built with `--features dashboard` (default: it is built)
 #

@@ -71,11 +71,13 @@ export function screens(job) {
     webhooks: ["#/settings?part=webhooks", ".settings .primary"],
     kept: ["#/settings?part=kept", ".rules tbody tr"],
     audit: ["#/settings?part=audit", ".settings .filters"],
+    keys: ["#/keys", ".keys"],
     ...(job && {
       job: [`#/jobs/${job}`, ".strip"],
       "job-why": [`#/jobs/${job}?tab=why`, ".sentences"],
       "job-accuracy": [`#/jobs/${job}?tab=ladders`, "[aria-label^=Rungs]"],
       "job-estimate": [`#/jobs/${job}?tab=estimate`, "[aria-label^='Expected CPU time']"],
+      "job-price": [`#/jobs/${job}?tab=price`, ".outlook, .tabs ~ .note"],
       "job-logs": [`#/jobs/${job}?tab=logs`, ".log"],
     }),
   };
@@ -108,13 +110,14 @@ export async function inspect(page, name, { phone = false } = {}) {
       (one) => `${one.id}: ${one.nodes.map((node) => node.target.join(" ")).join(", ")}`,
     );
     assert.deepEqual(told, [], `axe, ${name}, ${theme}`);
-    await page.screenshot({ path: path.join(shots, `${name}-${theme}.png`), fullPage: true });
+    const fullPage = (await page.locator("dialog").count()) === 0;
+    await page.screenshot({ path: path.join(shots, `${name}-${theme}.png`), fullPage });
     if (phone) {
       await page.setViewportSize({ width: 390, height: 844 });
       await drawnTwice(page);
       const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
       assert.ok(over <= 0, `${name} is ${over} pixels wider than a phone`);
-      await page.screenshot({ path: path.join(shots, `${name}-${theme}-phone.png`), fullPage: true });
+      await page.screenshot({ path: path.join(shots, `${name}-${theme}-phone.png`), fullPage });
       await page.setViewportSize({ width: 1440, height: 900 });
     }
   }

@@ -35,7 +35,7 @@ export function AddNode(props: { close: () => void }) {
           </pre>
           <p>Then start the worker there:</p>
           <pre tabIndex={0}>
-            <code>{`forelight worker --server ${location.origin} --name ${shell} --price 0.40 \\\n  --join-token-file node.join --token-file node.token`}</code>
+            <code>{`forelight worker --server ${location.origin} --name ${shell} \\\n  --price 0.40 --join-token-file node.join --token-file node.token`}</code>
           </pre>
           <p class="note">
             It measures its speed, joins, and appears here. Start it again with the same command at any time.

@@ -231,11 +231,13 @@ function Terms(props: { node: Node; order: Order; busy: boolean }) {
       {editing && (
         <Schedule
           schedule={node.schedule ?? null}
+          isSet={node.schedule_set ?? false}
           busy={busy}
           save={async (schedule) => {
             await order({ schedule });
             setEditing(false);
           }}
+          close={() => setEditing(false)}
         />
       )}
       <Maintenance node={node} order={order} busy={busy} />

@@ -5,7 +5,7 @@ import { get } from "../../api/client";
 import type { PlanDifference } from "../../api/types";
 import { now } from "../../state/farm";
 import { param, setQuery } from "../../state/route";
-import { clockTime, counted, told } from "../../ui/format";
+import { clockTime, counted, sentence, told } from "../../ui/format";
 import { Trouble } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { lessMotion } from "../../ui/theme";
@@ -44,8 +44,12 @@ function movesOf(difference: PlanDifference, rows: readonly Row[]): Move[] {
 
 export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) => void }) {
   const version = Math.floor(now.value / 20_000);
-  const plans = useResource((signal) => get("/v1/plans", { query: { page_size: 30 }, signal }), [version]);
   const chosen = param("plan");
+  // A link may name a plan that is newer than the list.
+  const plans = useResource(
+    (signal) => get("/v1/plans", { query: { page_size: 30 }, signal }),
+    [version, chosen],
+  );
   const difference = useResource<PlanDifference>(
     (signal) => (chosen ? get("/v1/plans/{id}/difference", { path: { id: chosen }, signal }) : null),
     [chosen],
@@ -96,7 +100,7 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
         <select value={chosen ?? ""} onChange={(event) => setQuery({ plan: event.currentTarget.value })}>
           <option value="">choose one to see what it changed</option>
           {items.map((plan) => (
-            <option key={plan.id} value={plan.id}>
+            <option key={plan.id} value={plan.id} selected={plan.id === chosen}>
               {clockTime(Date.parse(plan.created_at))}: {told(plan.causes?.[0] ?? "a job was quoted")}
             </option>
           ))}
@@ -119,11 +123,10 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
 const FIRST = 3;
 
 function PlanWords(props: { words: string[] }) {
-  const shown = props.words.map(told);
-  const rest = shown.slice(FIRST);
+  const rest = props.words.slice(FIRST).map(told);
   return (
     <div class="plan-words">
-      <p>{shown.slice(0, FIRST).join("; ")}.</p>
+      <p>{sentence(props.words.slice(0, FIRST).join("; "))}</p>
       {rest.length > 0 && (
         <details>
           <summary>{counted(rest.length, "more change")}</summary>

@@ -32,8 +32,11 @@ export function scheduleWords(schedule: Calendar): string {
 
 export function Schedule(props: {
   schedule: Calendar | null;
+  /** Whether an operator has set it, so that the node's own is another one. */
+  isSet: boolean;
   busy: boolean;
   save: (schedule: Calendar | null) => Promise<void>;
+  close: () => void;
 }) {
   const [windows, setWindows] = useState<Window[]>(
     props.schedule?.windows ?? [{ days: [], from: "20:00", until: "08:00" }],
@@ -109,8 +112,13 @@ export function Schedule(props: {
         >
           Add a window
         </button>
-        <button type="button" disabled={props.busy} onClick={() => void props.save(null)}>
-          What the node says
+        {props.isSet && (
+          <button type="button" disabled={props.busy} onClick={() => void props.save(null)}>
+            What the node says
+          </button>
+        )}
+        <button type="button" onClick={props.close}>
+          Leave it
         </button>
       </div>
     </form>

@@ -45,11 +45,17 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
           }),
     [job.id, until, micros, wrong],
   );
+  const same = deadline === before.deadline && budget === before.budget && confidence === job.confidence;
+  // The planner is asked about other terms than the job's; it cannot be asked about none.
+  const without = [
+    deadline === "" && job.deadline != null && "deadline",
+    budget.trim() === "" && job.budget != null && "budget",
+  ].filter((term) => term !== false);
   return (
     <Confirm
       title={`Change ${clean(job.name)}`}
       act="Change and plan anew"
-      ready={!wrong}
+      ready={!wrong && !same}
       wide
       close={props.close}
       run={async () => {
@@ -89,6 +95,12 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
       </div>
       <Choice label="Confidence" value={confidence} options={CONFIDENCES} choose={setConfidence} />
       <h3>What that would mean</h3>
+      {without.length > 0 && (
+        <p class="note">
+          These numbers still count with the present {without.join(" and ")}. The job is planned without it
+          once you change it.
+        </p>
+      )}
       {answers.data ? (
         <>
           <Outlook doc={answers.data} />

@@ -78,9 +78,6 @@ export function Outlook(props: { doc: AnswersDoc }) {
             <th scope="col" class="right">
               At least
             </th>
-            <th scope="col">
-              <span class="unseen">In time</span>
-            </th>
           </tr>
         </thead>
         <tbody>
@@ -88,22 +85,15 @@ export function Outlook(props: { doc: AnswersDoc }) {
             <tr key={line.confidence}>
               <td>{line.confidence.toUpperCase()}</td>
               <td>
-                <Time at={line.finish} none="never" />
+                <Time at={line.finish} none="never" />{" "}
+                {line.in_time != null &&
+                  (line.in_time ? <Mark of="on_time" word="in time" /> : <Mark of="late" />)}
               </td>
               <td class="right">
                 <Money of={line.cost} />
               </td>
               <td class="right">
                 <Money of={line.cost_at_least} />
-              </td>
-              <td>
-                {line.in_time == null ? (
-                  ""
-                ) : line.in_time ? (
-                  <Mark of="on_time" word="in time" />
-                ) : (
-                  <Mark of="late" />
-                )}
               </td>
             </tr>
           ))}

@@ -3,7 +3,7 @@
 import { useState } from "preact/hooks";
 import { get, post } from "../../api/client";
 import type { Schemas } from "../../api/client";
-import { bytes, clean, counted, grouped, words } from "../../ui/format";
+import { bytes, clean, counted, grouped, sentence, words } from "../../ui/format";
 import { Confirm } from "../../ui/dialog";
 import { Field, Section, Time, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource } from "../../ui/resource";
@@ -101,7 +101,7 @@ export function Kept() {
         <button type="button" disabled={looking} onClick={() => void look()}>
           {looking ? "Looking…" : "What would be deleted now?"}
         </button>
-        {looked && (
+        {looked && deletes(looked) && (
           <button type="button" class="danger" onClick={() => setDeleting(true)}>
             Delete it now…
           </button>
@@ -137,6 +137,11 @@ export function Kept() {
 
 function keptWords(rule: Rule): string {
   return rule.days == null ? "for ever" : counted(rule.days, "day");
+}
+
+/** Whether anything is past its time. */
+function deletes(pruned: Pruned): boolean {
+  return pruned.items.some((item) => item.number > 0) || pruned.deleted.bytes > 0;
 }
 
 /** What was or would be deleted: `12 images of jobs, 300 events; files of 3.2 GiB`. */
@@ -202,7 +207,7 @@ function Change(props: { rule: Rule; close: () => void; changed: () => void }) {
           </Field>
         </>
       )}
-      <Field label="Days (empty: for ever)" hint={ABOUT[kind]}>
+      <Field label="Days (empty: for ever)" hint={ABOUT[kind] && sentence(`${words(kind)} ${ABOUT[kind]}`)}>
         {(id) => (
           <input
             id={id}
