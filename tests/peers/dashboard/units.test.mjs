@@ -132,3 +132,44 @@ test("coverage counts what was at or below each quantile", async () => {
   // Wilson's interval of 8 in 10, to three digits.
   assert.deepEqual([low.toFixed(3), high.toFixed(3)], ["0.490", "0.943"]);
 });
+
+test("keys move the crosshair by what is seen of the image, and never beside it", async () => {
+  const { crossed, placeOf } = await load("screens/job/crosshair.ts");
+  const room = [400, 200];
+  const size = [100, 50];
+  const far = { scale: 4, x: 0, y: 0 };
+  assert.deepEqual(crossed(null, "ArrowLeft", far, room, size), [50, 25]);
+  assert.deepEqual(crossed([50, 25], "ArrowRight", far, room, size), [52, 25]);
+  assert.deepEqual(crossed([99, 1], "ArrowRight", far, room, size), [99, 1]);
+  assert.deepEqual(crossed([99, 1], "ArrowUp", far, room, size), [99, 0]);
+  assert.equal(crossed([50, 25], "Enter", far, room, size), null);
+  // Where a pixel is large, a press moves by one. The first one leads to what is seen, not to the image's middle.
+  const near = { scale: 32, x: -320, y: 0 };
+  assert.deepEqual(crossed([50, 25], "ArrowDown", near, room, size), [50, 26]);
+  assert.deepEqual(crossed(null, "ArrowDown", near, room, size), [16, 3]);
+  assert.deepEqual(placeOf([16, 3], near), [208, 112]);
+});
+
+test("keys go through the spans of a node in time, and to the span at the same time of another node", async () => {
+  const { find, showing, walked } = await load("screens/farm/walk.ts");
+  const span = (job_id, start, end) => ({ job_id, frames: `${start}`, kind: "past", start, end, tail: end });
+  const rows = [
+    { node_id: "a", spans: [span("y", 20, 30), span("x", 0, 10), span("z", 40, 50)] },
+    { node_id: "b", spans: [span(null, 0, 60), span("w", 22, 24)] },
+    { node_id: "c", spans: [] },
+  ];
+  const view = { from: 0, to: 60 };
+  let spot = null;
+  const jobs = ["Right", "Right", "Right", "Left", "Down", "Down", "Up", "Up"].map((key) => {
+    spot = walked(rows, spot, `Arrow${key}`, view, 0);
+    const { row, span } = find(rows, spot);
+    return `${row.node_id} ${span?.job_id ?? null}`;
+  });
+  assert.deepEqual(jobs, ["a y", "a z", "a z", "a y", "b null", "c null", "b null", "a y"]);
+  assert.equal(walked(rows, spot, "Enter", view, 0), null);
+  // Asked again, the span has other frames.
+  rows[0].spans[0].frames = "20-22";
+  assert.equal(find(rows, spot).span, rows[0].spans[0]);
+  assert.deepEqual(showing(view, { from: 70, to: 80 }), { from: 23, to: 83 });
+  assert.equal(showing(view, { from: 10, to: 30 }), view);
+});

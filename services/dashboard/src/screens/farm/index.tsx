@@ -12,11 +12,11 @@ import { clean, grouped } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Choice, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { AddNode } from "./add";
-import { Chart, zoomed } from "./chart";
+import { Chart } from "./chart";
 import { NodeList } from "./list";
 import { NodeDialog } from "./node";
 import { Plans, type Playing } from "./plans";
-import { type Rows, type Stretch, useTimeline } from "./timeline";
+import { type Rows, type Stretch, useTimeline, zoomed } from "./timeline";
 import "../../styles/farm.css";
 
 const HOUR = 3_600_000;

@@ -1,6 +1,8 @@
 // Zoom and pan of an image in its box: wheel, drag, two fingers, and keys.
 
 import { useEffect, useRef, useState } from "preact/hooks";
+import { isTyping } from "../../ui/keys";
+import { type Pixel, placeOf } from "./crosshair";
 
 export interface View {
   /** CSS pixels per pixel of the image. */
@@ -12,13 +14,18 @@ export interface View {
 
 export interface Zoom {
   view: View;
-  /** Zooms around the middle. */
+  /** Zooms around the crosshair, or around the middle. */
   by(factor: number): void;
+  /** Moves the image until a point of the box, which may lie outside of it, is well inside. */
+  reveal(x: number, y: number): void;
   /** Shows the whole image. */
   all(): void;
 }
 
 const MOST = 32;
+
+/** What is to be seen stays so far from the edge of the box, CSS pixels. */
+const EDGE = 24;
 
 /** The view that shows the whole image in the middle of a box. */
 export function fit(room: [width: number, height: number], size: [width: number, height: number]): View {
@@ -31,12 +38,13 @@ export function useZoom(
   box: { current: HTMLElement | null },
   room: [width: number, height: number],
   size: [width: number, height: number] | null,
+  cross: Pixel | null,
 ): Zoom {
   const [chosen, setChosen] = useState<View | null>(null);
   const whole = size ? fit(room, size) : { scale: 1, x: 0, y: 0 };
   const view = chosen ?? whole;
-  const now = useRef({ view, whole, room });
-  now.current = { view, whole, room };
+  const now = useRef({ view, whole, room, cross });
+  now.current = { view, whole, room, cross };
 
   const all = () => setChosen(null);
   const around = (factor: number, x: number, y: number) => {
@@ -46,9 +54,19 @@ export function useZoom(
     const ratio = scale / old.scale;
     return setChosen({ scale, x: x - (x - old.x) * ratio, y: y - (y - old.y) * ratio });
   };
+  const by = (factor: number) => {
+    const { view: old, room: there, cross: mark } = now.current;
+    const at = mark && placeOf(mark, old);
+    around(factor, ...(at ?? ([there[0] / 2, there[1] / 2] as const)));
+  };
   const pan = (x: number, y: number) => {
     const { view: old, whole: least } = now.current;
     if (old.scale > least.scale) setChosen({ ...old, x: old.x + x, y: old.y + y });
+  };
+
+  const reveal = (x: number, y: number) => {
+    const off = (at: number, length: number) => Math.min(length - EDGE, Math.max(EDGE, at)) - at;
+    pan(off(x, room[0]), off(y, room[1]));
   };
 
   useEffect(all, [size?.[0], size?.[1]]);
@@ -86,10 +104,12 @@ export function useZoom(
     };
     const up = (event: PointerEvent) => fingers.delete(event.pointerId);
     const press = (event: KeyboardEvent) => {
-      const middle: [number, number] = [target.clientWidth / 2, target.clientHeight / 2];
-      if (event.key === "+" || event.key === "=") around(2, ...middle);
-      else if (event.key === "-") around(0.5, ...middle);
+      if (isTyping(event)) return;
+      if (event.key === "+" || event.key === "=") by(2);
+      else if (event.key === "-") by(0.5);
       else if (event.key === "0") all();
+      // With Shift, arrows move the crosshair.
+      else if (event.shiftKey) return;
       else if (event.key === "ArrowLeft") pan(60, 0);
       else if (event.key === "ArrowRight") pan(-60, 0);
       else if (event.key === "ArrowUp") pan(0, 60);
@@ -113,5 +133,5 @@ export function useZoom(
     };
   }, [size === null]);
 
-  return { view, all, by: (factor) => around(factor, room[0] / 2, room[1] / 2) };
+  return { view, all, by, reveal };
 }
