@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import test from "node:test";
-import { farmAndPage, inspect, noFaults, screens, show } from "./browser.mjs";
+import { farmAndPage, inspect, noFaults, screens, show, sibling } from "./browser.mjs";
 import { steps, until, WORKERS } from "./farm.mjs";
 
 test("without a pointer", { timeout: 120_000 }, async (t) => {
@@ -45,6 +45,35 @@ test("without a pointer", { timeout: 120_000 }, async (t) => {
     await page.keyboard.press("Enter");
     await told.getByRole("button", { name: "Let go" }).waitFor();
     await inspect(page, "chart-cursor", { phone: true });
+  });
+
+  await step("a link shows the held span, and zoom, place, slider and crosshair of an image", async () => {
+    await until("the address has the span", () => page.url().includes("pin="));
+    const chart = page.url();
+    await show(page, farm.address, screens(job).job);
+    await page.locator(".under-pointer", { hasText: "Point at the image" }).waitFor();
+    await page.getByLabel("Where the left image ends").fill("30");
+    await page.locator(".compare").focus();
+    for (const key of ["Shift+ArrowUp", "+", "+", "ArrowLeft"]) await page.keyboard.press(key);
+    await until("the address has all of it", () =>
+      ["wipe=30", "zoom=", "pixel=24_"].every((part) => page.url().includes(part)),
+    );
+    const seen = (tab) =>
+      tab
+        .locator(".compare img")
+        .last()
+        .evaluate((image) => [image.style.transform, image.style.clipPath]);
+    const told = await page.locator(".under-pointer").textContent();
+    const other = await sibling(page);
+    await other.goto(page.url());
+    await other.locator(".under-pointer").getByText(told).waitFor();
+    assert.deepEqual(await seen(other), await seen(page));
+    assert.equal(await other.getByLabel("Where the left image ends").inputValue(), "30");
+    await other.goto(chart);
+    await other
+      .locator(".chart-readout")
+      .getByText(/^node-2: kitchen/)
+      .waitFor();
     noFaults(page);
   });
 });

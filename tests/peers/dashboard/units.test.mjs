@@ -151,7 +151,7 @@ test("keys move the crosshair by what is seen of the image, and never beside it"
 });
 
 test("keys go through the spans of a node in time, and to the span at the same time of another node", async () => {
-  const { find, showing, walked } = await load("screens/farm/walk.ts");
+  const { find, showing, spotFrom, spotText, walked } = await load("screens/farm/walk.ts");
   const span = (job_id, start, end) => ({ job_id, frames: `${start}`, kind: "past", start, end, tail: end });
   const rows = [
     { node_id: "a", spans: [span("y", 20, 30), span("x", 0, 10), span("z", 40, 50)] },
@@ -170,6 +170,8 @@ test("keys go through the spans of a node in time, and to the span at the same t
   // Asked again, the span has other frames.
   rows[0].spans[0].frames = "20-22";
   assert.equal(find(rows, spot).span, rows[0].spans[0]);
+  const far = { node: "a", job: "y", frames: "1,3", at: 5_000 };
+  assert.deepEqual([spotFrom(spotText(far)), spotFrom("a"), spotFrom(null)], [far, null, null]);
   assert.deepEqual(showing(view, { from: 70, to: 80 }), { from: 23, to: 83 });
   assert.equal(showing(view, { from: 10, to: 30 }), view);
 });

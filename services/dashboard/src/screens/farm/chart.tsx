@@ -2,18 +2,20 @@
 
 import { useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
 import { now } from "../../state/farm";
+import { useAddressed } from "../../state/addressed";
 import { go } from "../../state/route";
 import { clean } from "../../ui/format";
 import { glyphOf, toneOf, wordOf } from "../../ui/mark";
 import { Trouble, Waiting } from "../../ui/parts";
 import { isTyping } from "../../ui/keys";
+import { PAGE } from "../../ui/pages";
 import { useWidth } from "../../ui/resource";
 import { theme } from "../../ui/theme";
 import { useGestures } from "./gestures";
 import { chartColours, type Drawing, HEAD, type Move, paint, ROW, spanAt } from "./paint";
 import { Legend, Told } from "./readout";
 import { type Rows, type Stretch, zoomed } from "./timeline";
-import { find, type Hit, type Spot, showing, spotOf, walked } from "./walk";
+import { find, type Hit, type Spot, showing, spotFrom, spotOf, spotText, walked } from "./walk";
 
 export interface ChartProps {
   rows: Rows;
@@ -34,7 +36,8 @@ export function Chart(props: ChartProps) {
   const [scroll, setScroll] = useState(0);
   const [boxHeight, setBoxHeight] = useState(400);
   const [under, setUnder] = useState<Hit | null>(null);
-  const [pinned, setPinned] = useState<Spot | null>(null);
+  const [pin, setPin] = useAddressed("pin");
+  const pinned = useMemo(() => spotFrom(pin), [pin]);
   const walk = useWalk(props, box, scroll);
   const held = useMemo(() => pinned && find(rows.items, pinned), [pinned, rows.items]);
   const look = theme.value;
@@ -84,13 +87,16 @@ export function Chart(props: ChartProps) {
 
   const first = Math.max(0, Math.floor(scroll / ROW) - 4);
   const last = Math.min(rows.items.length, Math.ceil((scroll + boxHeight) / ROW) + 4);
+  useSought(rows, pinned, held, box);
   const told = walk.hit ?? held ?? under;
   const hitAt = (event: MouseEvent) => {
     const place = canvas.current!.getBoundingClientRect();
     return spanAt(latest.current, event.clientX - place.left, event.clientY - place.top);
   };
-  const pin = (hit: Hit | null) =>
-    setPinned(hit?.span?.job_id ? spotOf(hit.row, hit.span, (hit.span.start + hit.span.end) / 2) : null);
+  const hold = (hit: Hit | null) =>
+    setPin(
+      hit?.span?.job_id ? spotText(spotOf(hit.row, hit.span, (hit.span.start + hit.span.end) / 2)) : null,
+    );
   const press = (event: KeyboardEvent) => {
     // Buttons of the nodes have keys of their own.
     if (isTyping(event)) return;
@@ -99,18 +105,24 @@ export function Chart(props: ChartProps) {
     if (event.shiftKey && walk.press(event.key)) event.preventDefault();
     else if (event.shiftKey && event.key.startsWith("Arrow")) return;
     else if (job && held?.span === walk.hit!.span) go(["jobs", job], { sel: walk.hit!.span!.frames ?? null });
-    else if (job) pin(walk.hit);
+    else if (job) hold(walk.hit);
     else if (event.key === "Escape") {
       walk.end();
-      setPinned(null);
+      setPin(null);
     } else if (keyed(event.key, props)) event.preventDefault();
   };
   return (
     <>
       <p class="readout chart-readout" role="status">
-        {told ? <Told {...told} jobs={rows.jobs} /> : <Legend />}
+        {told ? (
+          <Told {...told} jobs={rows.jobs} />
+        ) : pinned ? (
+          <>{rows.complete ? "The held span is not on this chart." : "Looking for the held span…"} </>
+        ) : (
+          <Legend />
+        )}
         {pinned && (
-          <button type="button" class="plain" onClick={() => setPinned(null)}>
+          <button type="button" class="plain" onClick={() => setPin(null)}>
             Let go
           </button>
         )}
@@ -154,7 +166,7 @@ export function Chart(props: ChartProps) {
               setUnder(hitAt(event));
             }}
             onPointerLeave={() => setUnder(null)}
-            onClick={(event) => pin(hitAt(event))}
+            onClick={(event) => hold(hitAt(event))}
           >
             <canvas
               ref={canvas}
@@ -215,6 +227,22 @@ function useWalk(props: ChartProps, box: { current: HTMLElement | null }, scroll
     return true;
   };
   return { spot, hit, press, end: () => setSpot(null) };
+}
+
+/** A link may hold a span of a node further down: more nodes are asked for until it is there, and it is shown. */
+function useSought(
+  rows: Rows,
+  pinned: Spot | null,
+  held: Hit | null,
+  box: { current: HTMLElement | null },
+): void {
+  const sought = useRef(pinned !== null);
+  useEffect(() => {
+    if (!sought.current) return;
+    if (pinned && !held && !rows.complete) return rows.see(0, rows.items.length + PAGE);
+    sought.current = false;
+    if (held) reveal(box.current!, rows.items.indexOf(held.row));
+  }, [pinned, held, rows.items, rows.complete]);
 }
 
 /** Scrolls a row of the chart into view. */

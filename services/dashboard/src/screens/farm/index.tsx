@@ -17,6 +17,7 @@ import { NodeList } from "./list";
 import { NodeDialog } from "./node";
 import { Plans, type Playing } from "./plans";
 import { type Rows, type Stretch, useTimeline, zoomed } from "./timeline";
+import { showing, type Spot, spotFrom } from "./walk";
 import "../../styles/farm.css";
 
 const HOUR = 3_600_000;
@@ -28,6 +29,11 @@ function tonight(): Stretch {
   if (!end) return { from: at - 2 * HOUR, to: at + HOUR };
   const ahead = Math.min(14 * 24 * HOUR, Math.max(HOUR / 12, (Date.parse(end) - at) * 1.1));
   return { from: at - ahead * 0.4, to: at + ahead };
+}
+
+/** The same, moved until a held span is in it. */
+function tonightWith(held: Spot | null): Stretch {
+  return held ? showing(tonight(), { from: held.at, to: held.at }) : tonight();
 }
 
 // Events change jobs many times a second. What this screen shows of the document changes more rarely.
@@ -154,7 +160,7 @@ function ChartView(props: { state: NodeState | ""; search: string; total: number
   const to = Number(param("to"));
   const shared = Number.isFinite(from) && Number.isFinite(to) && from > 0 && to > from;
   const [view, setLocal] = useState<Stretch>(() =>
-    shared ? { from: from * 1000, to: to * 1000 } : tonight(),
+    shared ? { from: from * 1000, to: to * 1000 } : tonightWith(spotFrom(param("pin"))),
   );
   const [playing, setPlaying] = useState<Playing>({ moves: [], played: 0 });
   const rows = useTimeline(view, props.state, props.search);

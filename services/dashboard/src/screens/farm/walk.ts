@@ -98,3 +98,14 @@ export function showing(view: Stretch, wanted: Stretch): Stretch {
   if (wanted.to > view.to) return { from: wanted.to + edge - length, to: wanted.to + edge };
   return view;
 }
+
+/** A spot as text of the address, and back. `null` if it is none. */
+export function spotText(spot: Spot): string {
+  return [spot.node, spot.job ?? "", Math.round(spot.at / 1000), spot.frames ?? ""].join("_");
+}
+
+export function spotFrom(text: string | null): Spot | null {
+  const [node, job, seconds, frames] = (text ?? "").split("_");
+  const at = Number(seconds) * 1000;
+  return node && job && at > 0 ? { node, job, frames: frames || null, at } : null;
+}

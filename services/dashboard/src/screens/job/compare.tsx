@@ -3,6 +3,7 @@
 
 import { useState } from "preact/hooks";
 import type { FrameRow, Job } from "../../api/types";
+import { numbersOf, numbersText, useAddressed } from "../../state/addressed";
 import { clean, percent, significant } from "../../ui/format";
 import { type Resource, useResource, useWidth } from "../../ui/resource";
 import { crossed, type Pixel, placeOf } from "./crosshair";
@@ -28,11 +29,13 @@ interface Compared {
 
 export function Compare(props: Compared) {
   const { job, row, left, right } = props;
-  const [split, setSplit] = useState(50);
+  const [wipe, setWipe] = useAddressed("wipe");
+  const split = Math.min(100, Math.max(0, numbersOf(wipe, 1)?.[0] ?? 50));
   const [size, setSize] = useState<[number, number] | null>(null);
   const [names, setNames] = useState(false);
   const [under, setUnder] = useState<Pixel | null>(null);
-  const [cross, setCross] = useState<Pixel | null>(null);
+  const [pixel, setPixel] = useAddressed("pixel");
+  const cross = numbersOf(pixel, 2) as Pixel | null;
   const [box, width] = useWidth<HTMLDivElement>();
   const height = size ? Math.min(640, Math.max(200, Math.round((width * size[1]) / size[0]))) : 320;
   const zoom = useZoom(box, [width, height], size, cross);
@@ -61,12 +64,12 @@ export function Compare(props: Compared) {
     ]);
   };
   const press = (event: KeyboardEvent) => {
-    if (event.key === "Escape" && cross) return setCross(null);
+    if (event.key === "Escape" && cross) return setPixel(null);
     const next = event.shiftKey && size && crossed(cross, event.key, view, [width, height], size);
     if (!next) return;
     event.preventDefault();
     setUnder(null);
-    setCross(next);
+    setPixel(numbersText(next));
     zoom.reveal(...placeOf(next, view));
   };
   return (
@@ -93,7 +96,7 @@ export function Compare(props: Compared) {
           min="0"
           max="100"
           value={split}
-          onInput={(event) => setSplit(Number(event.currentTarget.value))}
+          onInput={(event) => setWipe(event.currentTarget.value)}
         />
       </label>
       <div class="filters">

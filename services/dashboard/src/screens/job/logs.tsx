@@ -19,7 +19,12 @@ export function Logs(props: { job: Job }) {
   const chosen = param("task");
   const ordered = useMemo(() => [...tasks].sort(worstFirst), [tasks]);
   const wanted = ordered.filter((task) => frame === null || task.frame === Number(frame));
-  const task = tasks.find((one) => one.id === chosen) ?? wanted[0] ?? null;
+  const listed = wanted.length ? wanted : ordered;
+  const task = listed.find((one) => one.id === chosen) ?? listed[0] ?? null;
+  // A link shows this one, and no task that fails meanwhile takes its place.
+  useEffect(() => {
+    if (task) setQuery({ task: task.id });
+  }, [task?.id]);
   if (error) return <Trouble error={new Error(error)} />;
   if (tasks.length === 0)
     return <Waiting>Reading the job’s events. No task was handed out yet, if none appears…</Waiting>;
@@ -29,7 +34,7 @@ export function Logs(props: { job: Job }) {
         <label>
           Task{" "}
           <select value={task?.id ?? ""} onChange={(event) => setQuery({ task: event.currentTarget.value })}>
-            {(wanted.length ? wanted : ordered).slice(0, LISTED).map((one) => (
+            {listed.slice(0, LISTED).map((one) => (
               <option key={one.id} value={one.id}>
                 {glyphOf(one.state)} {taskName(one)}: {wordOf(one.state)}
               </option>

@@ -1,6 +1,7 @@
 // Zoom and pan of an image in its box: wheel, drag, two fingers, and keys.
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
+import { numbersOf, numbersText, useAddressed } from "../../state/addressed";
 import { isTyping } from "../../ui/keys";
 import { type Pixel, placeOf } from "./crosshair";
 
@@ -33,6 +34,14 @@ export function fit(room: [width: number, height: number], size: [width: number,
   return { scale, x: (room[0] - size[0] * scale) / 2, y: (room[1] - size[1] * scale) / 2 };
 }
 
+/** The view that a parameter of the address names. */
+function viewOf(text: string | null, room: [width: number, height: number]): View | null {
+  const numbers = numbersOf(text, 3);
+  if (!numbers || numbers[0]! <= 0) return null;
+  const scale = Math.min(MOST, numbers[0]!);
+  return { scale, x: room[0] / 2 - numbers[1]! * scale, y: room[1] / 2 - numbers[2]! * scale };
+}
+
 /** Zoom of an image of a size in a box with that much room. Until somebody zooms, it shows the whole image. */
 export function useZoom(
   box: { current: HTMLElement | null },
@@ -40,19 +49,26 @@ export function useZoom(
   size: [width: number, height: number] | null,
   cross: Pixel | null,
 ): Zoom {
-  const [chosen, setChosen] = useState<View | null>(null);
+  // The address has the scale, and the pixel in the middle: that means the same in a box of another size.
+  const [text, setText] = useAddressed("zoom");
   const whole = size ? fit(room, size) : { scale: 1, x: 0, y: 0 };
-  const view = chosen ?? whole;
+  const view = viewOf(text, room) ?? whole;
   const now = useRef({ view, whole, room, cross });
   now.current = { view, whole, room, cross };
 
-  const all = () => setChosen(null);
+  const all = () => setText(null);
+  const choose = ({ scale, x, y }: View) => {
+    const { room: there } = now.current;
+    const middle = [(there[0] / 2 - x) / scale, (there[1] / 2 - y) / scale];
+    // What is moved by less than a pixel of the image goes on from there.
+    setText(numbersText([scale, ...middle], 3));
+  };
   const around = (factor: number, x: number, y: number) => {
     const { view: old, whole: least } = now.current;
     const scale = Math.min(MOST, old.scale * factor);
-    if (scale <= least.scale) return setChosen(null);
+    if (scale <= least.scale) return all();
     const ratio = scale / old.scale;
-    return setChosen({ scale, x: x - (x - old.x) * ratio, y: y - (y - old.y) * ratio });
+    return choose({ scale, x: x - (x - old.x) * ratio, y: y - (y - old.y) * ratio });
   };
   const by = (factor: number) => {
     const { view: old, room: there, cross: mark } = now.current;
@@ -61,15 +77,13 @@ export function useZoom(
   };
   const pan = (x: number, y: number) => {
     const { view: old, whole: least } = now.current;
-    if (old.scale > least.scale) setChosen({ ...old, x: old.x + x, y: old.y + y });
+    if (old.scale > least.scale) choose({ ...old, x: old.x + x, y: old.y + y });
   };
 
   const reveal = (x: number, y: number) => {
     const off = (at: number, length: number) => Math.min(length - EDGE, Math.max(EDGE, at)) - at;
     pan(off(x, room[0]), off(y, room[1]));
   };
-
-  useEffect(all, [size?.[0], size?.[1]]);
 
   useEffect(() => {
     const target = box.current;
