@@ -175,3 +175,56 @@ test("keys go through the spans of a node in time, and to the span at the same t
   assert.deepEqual(showing(view, { from: 70, to: 80 }), { from: 23, to: 83 });
   assert.equal(showing(view, { from: 10, to: 30 }), view);
 });
+
+test("a stream of events goes on behind the last one after each break, and ends where the service says so", async (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const made = [];
+  class Source extends EventTarget {
+    static CLOSED = 2;
+    constructor(address) {
+      super();
+      made.push(Object.assign(this, { address, readyState: 0 }));
+    }
+    close() {
+      this.readyState = Source.CLOSED;
+    }
+    say(id) {
+      this.dispatchEvent(new MessageEvent("task_done", { data: JSON.stringify({ id }) }));
+    }
+  }
+  let status = 503;
+  const page = Object.assign(new EventTarget(), { visibilityState: "visible" });
+  const global = { EventSource: Source, document: page, fetch: async () => ({ status }) };
+  global.addEventListener = global.removeEventListener = () => undefined;
+  Object.assign(globalThis, global);
+  const { openStream } = await load("state/stream.ts");
+  const [taken, broken] = [[], []];
+  const stream = openStream({
+    address: (after) => `events?${after}`,
+    kinds: ["task_done"],
+    take: (event) => taken.push(event.id),
+    opened: () => undefined,
+    broke: (tries) => broken.push(tries),
+    ends: true,
+  });
+  const breaks = async () => {
+    made.at(-1).onerror();
+    t.mock.timers.tick(4_000);
+    await new Promise(setImmediate);
+  };
+  stream.connect();
+  for (const id of [3, 4, 4, 2]) made[0].say(id);
+  await breaks();
+  // An error status closes it for good in a browser; it is opened anew all the same.
+  await breaks();
+  made.at(-1).onopen();
+  await breaks();
+  assert.deepEqual([taken, broken], [[3, 4], [0, 1, 0]]);
+  assert.deepEqual(
+    made.map((source) => source.address),
+    ["events?null", "events?4", "events?4", "events?4"],
+  );
+  status = 204;
+  await breaks();
+  assert.deepEqual([made.length, made.at(-1).readyState], [4, Source.CLOSED]);
+});
