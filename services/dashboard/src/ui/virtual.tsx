@@ -1,5 +1,4 @@
-// Long lists and tables of rows of one height: only those in view are in the document. The window scrolls, not a
-// box.
+// Long lists and tables of rows of one height: only those in view are in the document. The window scrolls, or a box.
 
 import type { ComponentChildren } from "preact";
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
@@ -14,33 +13,40 @@ export function VirtualRows<T>(props: {
   row: (item: T, at: number) => ComponentChildren;
   /** Is told which rows are shown, also beyond the last one that is there. */
   seen?: (first: number, last: number) => void;
+  /** The box in which they scroll, if it is not the window. */
+  within?: { current: HTMLElement | null };
 }) {
   const element = useRef<HTMLDivElement>(null);
   const [range, setRange] = useState<[number, number]>([0, 60]);
   const count = props.items.length;
-  const { height, seen } = props;
+  const { height, seen, within } = props;
 
   useLayoutEffect(() => {
+    const scroller = within?.current ?? null;
     const measure = () => {
       const box = element.current?.getBoundingClientRect();
       if (!box) return;
-      const first = Math.max(0, Math.floor(-box.top / height) - MARGIN);
-      const last = Math.min(count, Math.ceil((innerHeight - box.top) / height) + MARGIN);
+      const top = box.top - (scroller?.getBoundingClientRect().top ?? 0);
+      const room = scroller?.clientHeight ?? innerHeight;
+      const first = Math.max(0, Math.min(count, Math.floor(-top / height)) - MARGIN);
+      const below = Math.max(first, Math.ceil((room - top) / height) + MARGIN);
+      const last = Math.min(count, below);
       setRange((old) => (old[0] === first && old[1] === last ? old : [first, Math.max(first, last)]));
-      seen?.(first, Math.max(first, Math.ceil((innerHeight - box.top) / height) + MARGIN));
+      seen?.(first, below);
     };
     measure();
-    addEventListener("scroll", measure, { passive: true });
+    const target = scroller ?? window;
+    target.addEventListener("scroll", measure, { passive: true });
     addEventListener("resize", measure);
     // What stands above the list may grow or go.
     const observer = new ResizeObserver(measure);
-    observer.observe(document.body);
+    observer.observe(scroller ?? document.body);
     return () => {
       observer.disconnect();
-      removeEventListener("scroll", measure);
+      target.removeEventListener("scroll", measure);
       removeEventListener("resize", measure);
     };
-  }, [count, height, seen]);
+  }, [count, height, seen, within]);
 
   const [first, last] = range;
   return (

@@ -138,7 +138,7 @@ function Jobs(props: { doc: Farm }) {
       )}
       {risks.length > 0 && (
         <Section title={`At risk or late: ${risks.length}`}>
-          <Risks jobs={risks} axis={riskAxis} />
+          <Risks jobs={risks} axis={riskAxis} narrow={width < 720} />
         </Section>
       )}
       <Section
