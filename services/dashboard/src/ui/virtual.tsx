@@ -2,11 +2,13 @@
 
 import type { ComponentChildren } from "preact";
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
+import { Behind } from "./parts";
 
 const MARGIN = 12;
 
 export function VirtualRows<T>(props: {
-  items: readonly T[];
+  /** The rows, or how many there are. */
+  items: readonly T[] | { length: number };
   height: number;
   /** Role of the container, such as `rowgroup`. */
   role?: string;
@@ -55,7 +57,7 @@ export function VirtualRows<T>(props: {
       role={props.role as never}
       style={{ height: `${count * height}px`, position: "relative" }}
     >
-      {props.items.slice(first, last).map((item, at) => (
+      {Array.from({ length: Math.max(0, Math.min(last, count) - first) }, (_, at) => (
         <div
           key={first + at}
           role="presentation"
@@ -67,7 +69,7 @@ export function VirtualRows<T>(props: {
             height: `${height}px`,
           }}
         >
-          {props.row(item, first + at)}
+          {props.row((props.items as readonly T[])[first + at]!, first + at)}
         </div>
       ))}
     </div>
@@ -107,6 +109,69 @@ export function VirtualTable<T>(props: {
           height={props.height}
           seen={props.seen}
           row={props.row}
+        />
+      </div>
+    </div>
+  );
+}
+
+const BEHIND = 24;
+
+/** The numbers behind a chart of thousands, as a table that opens. Only rows in view are made. */
+export function LongTableBehind(props: {
+  label: string;
+  head: readonly string[];
+  count: number;
+  row: (at: number) => ComponentChildren[];
+  note?: string;
+}) {
+  return (
+    <Behind label={props.label} note={props.note}>
+      <LongRows {...props} />
+    </Behind>
+  );
+}
+
+function LongRows(props: {
+  label: string;
+  head: readonly string[];
+  count: number;
+  row: (at: number) => ComponentChildren[];
+}) {
+  const box = useRef<HTMLDivElement>(null);
+  const columns = { gridTemplateColumns: `repeat(${props.head.length}, minmax(0, 1fr))` };
+  return (
+    <div class="scroll-x" ref={box} tabIndex={0} role="region" aria-label={props.label}>
+      <div
+        role="table"
+        aria-label={props.label}
+        aria-rowcount={props.count + 1}
+        class="long-table"
+        style={{ minWidth: `${props.head.length * 96}px` }}
+      >
+        <div role="rowgroup" class="long-head">
+          <div role="row" aria-rowindex={1} class="long-row" style={columns}>
+            {props.head.map((name) => (
+              <span role="columnheader" key={name}>
+                {name}
+              </span>
+            ))}
+          </div>
+        </div>
+        <VirtualRows
+          role="rowgroup"
+          items={{ length: props.count }}
+          height={BEHIND}
+          within={box}
+          row={(_, at) => (
+            <div role="row" aria-rowindex={at + 2} class="long-row" style={columns}>
+              {props.row(at).map((cell, column) => (
+                <span role="cell" key={column}>
+                  {cell}
+                </span>
+              ))}
+            </div>
+          )}
         />
       </div>
     </div>

@@ -32,7 +32,8 @@ export function nearest(spans: readonly Span[], at: number): Span | null {
   return [...spans].sort(order)[0] ?? null;
 }
 
-const seen = (row: Row, view: Stretch) =>
+/** The spans of a row that lie in a view, if only in part. */
+export const inView = (row: Row, view: Stretch): Span[] =>
   row.spans.filter((span) => span.end >= view.from && span.start <= view.to);
 
 export function spotOf(row: Row, span: Span | null, at: number): Spot {
@@ -68,13 +69,13 @@ export function walked(
   if (!from || !here) {
     const row = rows[Math.min(top, rows.length - 1)]!;
     const middle = (view.from + view.to) / 2;
-    return spotOf(row, nearest(seen(row, view), middle), middle);
+    return spotOf(row, nearest(inView(row, view), middle), middle);
   }
   const by = key === "ArrowRight" || key === "ArrowDown" ? 1 : -1;
   if (key === "ArrowUp" || key === "ArrowDown") {
     const row = rows[Math.min(rows.length - 1, Math.max(0, rows.indexOf(here.row) + by))]!;
     // The instant stays, so that the way down and up again leads back.
-    return { ...spotOf(row, nearest(seen(row, view), from.at), from.at), at: from.at };
+    return { ...spotOf(row, nearest(inView(row, view), from.at), from.at), at: from.at };
   }
   const spans = byStart(here.row);
   const place = here.span ? spans.indexOf(here.span) : -1;
