@@ -8,7 +8,7 @@ import { type Axis, AxisHead, Fan, slackWords, type Spread, spreadWords } from "
 import { clean, grouped, maybeInstant, money, percent, told, zoneAt } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Prose, Time } from "../../ui/parts";
-import { VirtualRows } from "../../ui/virtual";
+import { LongTableBehind, VirtualRows } from "../../ui/virtual";
 import { RescueDialog } from "./rescue";
 
 /** The ends of a job, as far as they are known. */
@@ -155,6 +155,28 @@ function Cost(props: { job: DashboardJob }) {
   );
 }
 
+/** The numbers of the fans. */
+export function Ends(props: { jobs: readonly DashboardJob[]; label: string }) {
+  return (
+    <LongTableBehind
+      label={props.label}
+      head={["Job", "P50", "P80", "P95", "Deadline"]}
+      count={props.jobs.length}
+      row={(at) => {
+        const job = props.jobs[at]!;
+        const spread = spreadOf(job);
+        return [
+          clean(job.name),
+          <Time at={spread.p50} />,
+          <Time at={spread.p80} />,
+          <Time at={spread.p95} />,
+          <Time at={job.deadline} />,
+        ];
+      }}
+    />
+  );
+}
+
 /** The first ones are shown with all their words. */
 const FIRST = 8;
 
@@ -185,6 +207,7 @@ export function Risks(props: { jobs: readonly DashboardJob[]; axis: Axis; narrow
           {isLong ? `Show the first ${FIRST}` : `Show all ${jobs.length}`}
         </button>
       )}
+      <Ends jobs={jobs} label="Promises at risk and late jobs, as a table" />
       {chosen && (
         <RescueDialog
           jobId={chosen.id}
