@@ -139,7 +139,7 @@ function LongRows(props: {
   row: (at: number) => ComponentChildren[];
 }) {
   const box = useRef<HTMLDivElement>(null);
-  const columns = { gridTemplateColumns: `repeat(${props.head.length}, minmax(0, 1fr))` };
+  const columns = { gridTemplateColumns: `minmax(0, 2fr) repeat(${props.head.length - 1}, minmax(0, 1fr))` };
   return (
     <div class="scroll-x" ref={box} tabIndex={0} role="region" aria-label={props.label}>
       <div
