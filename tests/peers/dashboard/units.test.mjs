@@ -177,3 +177,99 @@ test("coverage counts what was at or below each quantile", async () => {
   // Wilson's interval of 8 in 10, to three digits.
   assert.deepEqual([low.toFixed(3), high.toFixed(3)], ["0.490", "0.943"]);
 });
+
+test("keys move the crosshair by what is seen of the image, and never beside it", async () => {
+  const { crossed, placeOf } = await load("screens/job/crosshair.ts");
+  const room = [400, 200];
+  const size = [100, 50];
+  const far = { scale: 4, x: 0, y: 0 };
+  assert.deepEqual(crossed(null, "ArrowLeft", far, room, size), [50, 25]);
+  assert.deepEqual(crossed([50, 25], "ArrowRight", far, room, size), [52, 25]);
+  assert.deepEqual(crossed([99, 1], "ArrowRight", far, room, size), [99, 1]);
+  assert.deepEqual(crossed([99, 1], "ArrowUp", far, room, size), [99, 0]);
+  assert.equal(crossed([50, 25], "Enter", far, room, size), null);
+  // Where a pixel is large, a press moves by one. The first one leads to what is seen, not to the image's middle.
+  const near = { scale: 32, x: -320, y: 0 };
+  assert.deepEqual(crossed([50, 25], "ArrowDown", near, room, size), [50, 26]);
+  assert.deepEqual(crossed(null, "ArrowDown", near, room, size), [16, 3]);
+  assert.deepEqual(placeOf([16, 3], near), [208, 112]);
+});
+
+test("keys go through the spans of a node in time, and to the span at the same time of another node", async () => {
+  const { find, showing, spotFrom, spotText, walked } = await load("screens/farm/walk.ts");
+  const span = (job_id, start, end) => ({ job_id, frames: `${start}`, kind: "past", start, end, tail: end });
+  const rows = [
+    { node_id: "a", spans: [span("y", 20, 30), span("x", 0, 10), span("z", 40, 50)] },
+    { node_id: "b", spans: [span(null, 0, 60), span("w", 22, 24)] },
+    { node_id: "c", spans: [] },
+  ];
+  const view = { from: 0, to: 60 };
+  let spot = null;
+  const jobs = ["Right", "Right", "Right", "Left", "Down", "Down", "Up", "Up"].map((key) => {
+    spot = walked(rows, spot, `Arrow${key}`, view, 0);
+    const { row, span } = find(rows, spot);
+    return `${row.node_id} ${span?.job_id ?? null}`;
+  });
+  assert.deepEqual(jobs, ["a y", "a z", "a z", "a y", "b null", "c null", "b null", "a y"]);
+  assert.equal(walked(rows, spot, "Enter", view, 0), null);
+  // Asked again, the span has other frames.
+  rows[0].spans[0].frames = "20-22";
+  assert.equal(find(rows, spot).span, rows[0].spans[0]);
+  const far = { node: "a", job: "y", frames: "1,3", at: 5_000 };
+  assert.deepEqual([spotFrom(spotText(far)), spotFrom("a"), spotFrom(null)], [far, null, null]);
+  assert.deepEqual(showing(view, { from: 70, to: 80 }), { from: 23, to: 83 });
+  assert.equal(showing(view, { from: 10, to: 30 }), view);
+});
+
+test("a stream of events goes on behind the last one after each break, and ends where the service says so", async (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const made = [];
+  class Source extends EventTarget {
+    static CLOSED = 2;
+    constructor(address) {
+      super();
+      made.push(Object.assign(this, { address, readyState: 0 }));
+    }
+    close() {
+      this.readyState = Source.CLOSED;
+    }
+    say(id) {
+      this.dispatchEvent(new MessageEvent("task_done", { data: JSON.stringify({ id }) }));
+    }
+  }
+  let status = 503;
+  const page = Object.assign(new EventTarget(), { visibilityState: "visible" });
+  const global = { EventSource: Source, document: page, fetch: async () => ({ status }) };
+  global.addEventListener = global.removeEventListener = () => undefined;
+  Object.assign(globalThis, global);
+  const { openStream } = await load("state/stream.ts");
+  const [taken, broken] = [[], []];
+  const stream = openStream({
+    address: (after) => `events?${after}`,
+    kinds: ["task_done"],
+    take: (event) => taken.push(event.id),
+    opened: () => undefined,
+    broke: (tries) => broken.push(tries),
+    ends: true,
+  });
+  const breaks = async () => {
+    made.at(-1).onerror();
+    t.mock.timers.tick(4_000);
+    await new Promise(setImmediate);
+  };
+  stream.connect();
+  for (const id of [3, 4, 4, 2]) made[0].say(id);
+  await breaks();
+  // An error status closes it for good in a browser; it is opened anew all the same.
+  await breaks();
+  made.at(-1).onopen();
+  await breaks();
+  assert.deepEqual([taken, broken], [[3, 4], [0, 1, 0]]);
+  assert.deepEqual(
+    made.map((source) => source.address),
+    ["events?null", "events?4", "events?4", "events?4"],
+  );
+  status = 204;
+  await breaks();
+  assert.deepEqual([made.length, made.at(-1).readyState], [4, Source.CLOSED]);
+});

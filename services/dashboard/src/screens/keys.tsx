@@ -20,6 +20,14 @@ const KEYS: [keys: string[], does: string][] = [
   [["+", "−"], "on the farm's chart and on images: zoom"],
   [["←", "→"], "on the farm's chart: earlier, later"],
   [["0"], "on the farm's chart: tonight; on images: the whole image"],
+  [["←", "→", "↑", "↓"], "on images: move the image"],
+  [
+    ["Shift", "← → ↑ ↓"],
+    "on images: a crosshair that tells object, material and cost under it; Escape ends it",
+  ],
+  [["Shift", "← →"], "on the farm's chart: the span before, the next span of a node"],
+  [["Shift", "↑ ↓"], "on the farm's chart: the node above, the node below"],
+  [["Enter"], "on the farm's chart: hold the span that is told, and again: its job; Escape lets go"],
 ];
 
 export function KeysScreen() {

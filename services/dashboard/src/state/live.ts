@@ -1,9 +1,9 @@
-// The stream of events. It is one connection a tab, and none while the tab is hidden for long: browsers allow
-// six to a service. After a break it goes on behind the last event that was seen, so nothing is missed.
+// The stream of all events, and how the connection to the service is. It is one connection a tab.
 
 import { signal } from "@preact/signals";
 import { hooks } from "../api/client";
 import type { Event, EventKind } from "../api/types";
+import { openStream, type Stream } from "./stream";
 
 /** `live`: events arrive. `catching-up`: connecting. `lost`: the service does not answer. */
 export type Link = "live" | "catching-up" | "lost";
@@ -45,24 +45,16 @@ const KINDS: Record<EventKind, true> = {
   artifact_damaged: true,
 };
 
-const HIDDEN_FOR = 20_000;
-const RETRY = [1_000, 2_000, 4_000];
-
 type Listener = (event: Event) => void;
 
 const listeners = new Set<Listener>();
-let source: EventSource | null = null;
-let lastId: number | null = null;
-let tries = 0;
-let retry: ReturnType<typeof setTimeout> | undefined;
-let hide: ReturnType<typeof setTimeout> | undefined;
-let started = false;
+let stream: Stream | null = null;
 
 hooks.heard = () => {
   lastHeard.value = Date.now();
   if (link.peek() === "lost") {
     link.value = "catching-up";
-    connect();
+    stream?.connect();
   }
 };
 hooks.unheard = () => {
@@ -77,65 +69,27 @@ export function onEvent(listener: Listener): () => void {
 
 /** Starts behind this event. Later calls only move forward. */
 export function follow(after: number): void {
-  lastId = Math.max(after, lastId ?? after);
-  if (started) return;
-  started = true;
-  connect();
-  document.addEventListener("visibilitychange", seen);
-  addEventListener("online", connect);
+  const isNew = stream === null;
+  stream ??= openStream({
+    address: (last) => `/v1/events?last_event_id=${last}`,
+    kinds: Object.keys(KINDS),
+    take,
+    opened: () => {
+      lastHeard.value = Date.now();
+      link.value = "live";
+    },
+    broke: (tries) => (link.value = tries === 0 ? "catching-up" : "lost"),
+  });
+  stream.after(after);
+  if (isNew) stream.connect();
 }
 
 export function unfollow(): void {
-  started = false;
-  lastId = null;
-  document.removeEventListener("visibilitychange", seen);
-  removeEventListener("online", connect);
-  disconnect();
-}
-
-function seen(): void {
-  clearTimeout(hide);
-  if (document.visibilityState === "hidden") {
-    hide = setTimeout(disconnect, HIDDEN_FOR);
-  } else if (!source || source.readyState === EventSource.CLOSED) {
-    connect();
-  }
-}
-
-function disconnect(): void {
-  clearTimeout(retry);
-  source?.close();
-  source = null;
-}
-
-function connect(): void {
-  if (!started || lastId === null) return;
-  disconnect();
-  const stream = new EventSource(`/v1/events?last_event_id=${lastId}`);
-  source = stream;
-  stream.onopen = () => {
-    tries = 0;
-    lastHeard.value = Date.now();
-    link.value = "live";
-  };
-  // The browser would retry by itself, but with an address that holds an old event, and not after an error
-  // status.
-  stream.onerror = () => {
-    if (source !== stream) return;
-    disconnect();
-    link.value = tries === 0 ? "catching-up" : "lost";
-    retry = setTimeout(connect, RETRY[Math.min(tries++, RETRY.length - 1)]);
-  };
-  for (const kind of Object.keys(KINDS)) {
-    stream.addEventListener(kind, (message) =>
-      take(JSON.parse((message as MessageEvent<string>).data) as Event),
-    );
-  }
+  stream?.close();
+  stream = null;
 }
 
 function take(event: Event): void {
-  if (lastId !== null && event.id <= lastId) return;
-  lastId = event.id;
   lastHeard.value = Date.now();
   for (const listener of [...listeners]) listener(event);
 }

@@ -77,6 +77,18 @@ export function Section(props: {
   );
 }
 
+/** What is behind a chart. It is made when it is opened. */
+export function Behind(props: { label: string; note?: string; children: ComponentChildren }) {
+  const [open, setOpen] = useState(false);
+  return (
+    <details class="behind" open={open} onToggle={(event) => setOpen(event.currentTarget.open)}>
+      <summary>{props.label}</summary>
+      {open && props.children}
+      {props.note && <p class="note">{props.note}</p>}
+    </details>
+  );
+}
+
 /** The numbers behind a chart, as a table that opens. */
 export function TableBehind(props: {
   label: string;
@@ -84,13 +96,10 @@ export function TableBehind(props: {
   rows: () => ComponentChildren[][];
   note?: string;
 }) {
-  const [open, setOpen] = useState(false);
   return (
-    <details class="behind" open={open} onToggle={(event) => setOpen(event.currentTarget.open)}>
-      <summary>{props.label}</summary>
-      {open && <Rows label={props.label} head={props.head} rows={props.rows} />}
-      {props.note && <p class="note">{props.note}</p>}
-    </details>
+    <Behind label={props.label} note={props.note}>
+      <Rows label={props.label} head={props.head} rows={props.rows} />
+    </Behind>
   );
 }
 

@@ -1,46 +1,54 @@
-// Long lists and tables of rows of one height: only those in view are in the document. The window scrolls, not a
-// box.
+// Long lists and tables of rows of one height: only those in view are in the document. The window scrolls, or a box.
 
 import type { ComponentChildren } from "preact";
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
+import { Behind } from "./parts";
 
 const MARGIN = 12;
 
 export function VirtualRows<T>(props: {
-  items: readonly T[];
+  /** The rows, or how many there are. */
+  items: readonly T[] | { length: number };
   height: number;
   /** Role of the container, such as `rowgroup`. */
   role?: string;
   row: (item: T, at: number) => ComponentChildren;
   /** Is told which rows are shown, also beyond the last one that is there. */
   seen?: (first: number, last: number) => void;
+  /** The box in which they scroll, if it is not the window. */
+  within?: { current: HTMLElement | null };
 }) {
   const element = useRef<HTMLDivElement>(null);
   const [range, setRange] = useState<[number, number]>([0, 60]);
   const count = props.items.length;
-  const { height, seen } = props;
+  const { height, seen, within } = props;
 
   useLayoutEffect(() => {
+    const scroller = within?.current ?? null;
     const measure = () => {
       const box = element.current?.getBoundingClientRect();
       if (!box) return;
-      const first = Math.max(0, Math.floor(-box.top / height) - MARGIN);
-      const last = Math.min(count, Math.ceil((innerHeight - box.top) / height) + MARGIN);
+      const top = box.top - (scroller?.getBoundingClientRect().top ?? 0);
+      const room = scroller?.clientHeight ?? innerHeight;
+      const first = Math.max(0, Math.min(count, Math.floor(-top / height)) - MARGIN);
+      const below = Math.max(first, Math.ceil((room - top) / height) + MARGIN);
+      const last = Math.min(count, below);
       setRange((old) => (old[0] === first && old[1] === last ? old : [first, Math.max(first, last)]));
-      seen?.(first, Math.max(first, Math.ceil((innerHeight - box.top) / height) + MARGIN));
+      seen?.(first, below);
     };
     measure();
-    addEventListener("scroll", measure, { passive: true });
+    const target = scroller ?? window;
+    target.addEventListener("scroll", measure, { passive: true });
     addEventListener("resize", measure);
     // What stands above the list may grow or go.
     const observer = new ResizeObserver(measure);
-    observer.observe(document.body);
+    observer.observe(scroller ?? document.body);
     return () => {
       observer.disconnect();
-      removeEventListener("scroll", measure);
+      target.removeEventListener("scroll", measure);
       removeEventListener("resize", measure);
     };
-  }, [count, height, seen]);
+  }, [count, height, seen, within]);
 
   const [first, last] = range;
   return (
@@ -49,7 +57,7 @@ export function VirtualRows<T>(props: {
       role={props.role as never}
       style={{ height: `${count * height}px`, position: "relative" }}
     >
-      {props.items.slice(first, last).map((item, at) => (
+      {Array.from({ length: Math.max(0, Math.min(last, count) - first) }, (_, at) => (
         <div
           key={first + at}
           role="presentation"
@@ -61,7 +69,7 @@ export function VirtualRows<T>(props: {
             height: `${height}px`,
           }}
         >
-          {props.row(item, first + at)}
+          {props.row((props.items as readonly T[])[first + at]!, first + at)}
         </div>
       ))}
     </div>
@@ -101,6 +109,69 @@ export function VirtualTable<T>(props: {
           height={props.height}
           seen={props.seen}
           row={props.row}
+        />
+      </div>
+    </div>
+  );
+}
+
+const BEHIND = 24;
+
+/** The numbers behind a chart of thousands, as a table that opens. Only rows in view are made. */
+export function LongTableBehind(props: {
+  label: string;
+  head: readonly string[];
+  count: number;
+  row: (at: number) => ComponentChildren[];
+  note?: string;
+}) {
+  return (
+    <Behind label={props.label} note={props.note}>
+      <LongRows {...props} />
+    </Behind>
+  );
+}
+
+function LongRows(props: {
+  label: string;
+  head: readonly string[];
+  count: number;
+  row: (at: number) => ComponentChildren[];
+}) {
+  const box = useRef<HTMLDivElement>(null);
+  const columns = { gridTemplateColumns: `minmax(0, 2fr) repeat(${props.head.length - 1}, minmax(0, 1fr))` };
+  return (
+    <div class="scroll-x" ref={box} tabIndex={0} role="region" aria-label={props.label}>
+      <div
+        role="table"
+        aria-label={props.label}
+        aria-rowcount={props.count + 1}
+        class="long-table"
+        style={{ minWidth: `${props.head.length * 96}px` }}
+      >
+        <div role="rowgroup" class="long-head">
+          <div role="row" aria-rowindex={1} class="long-row" style={columns}>
+            {props.head.map((name) => (
+              <span role="columnheader" key={name}>
+                {name}
+              </span>
+            ))}
+          </div>
+        </div>
+        <VirtualRows
+          role="rowgroup"
+          items={{ length: props.count }}
+          height={BEHIND}
+          within={box}
+          row={(_, at) => (
+            <div role="row" aria-rowindex={at + 2} class="long-row" style={columns}>
+              {props.row(at).map((cell, column) => (
+                <span role="cell" key={column}>
+                  {cell}
+                </span>
+              ))}
+            </div>
+          )}
         />
       </div>
     </div>

@@ -2,14 +2,20 @@
 
 import { useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
 import { now } from "../../state/farm";
-import { href } from "../../state/route";
-import { clean, clockTime, duration, told, zoneAt } from "../../ui/format";
-import { glyphOf, Mark, toneOf, wordOf } from "../../ui/mark";
+import { useAddressed } from "../../state/addressed";
+import { go } from "../../state/route";
+import { clean } from "../../ui/format";
+import { glyphOf, toneOf, wordOf } from "../../ui/mark";
 import { Trouble, Waiting } from "../../ui/parts";
+import { isTyping } from "../../ui/keys";
+import { PAGE } from "../../ui/pages";
 import { useWidth } from "../../ui/resource";
 import { theme } from "../../ui/theme";
+import { useGestures } from "./gestures";
 import { chartColours, type Drawing, HEAD, type Move, paint, ROW, spanAt } from "./paint";
-import type { Row, Rows, Span, Stretch } from "./timeline";
+import { Legend, Told } from "./readout";
+import { type Rows, type Stretch, zoomed } from "./timeline";
+import { find, type Hit, type Spot, showing, spotFrom, spotOf, spotText, walked } from "./walk";
 
 export interface ChartProps {
   rows: Rows;
@@ -22,17 +28,6 @@ export interface ChartProps {
   played: number;
 }
 
-const SHORTEST = 2 * 60_000;
-const LONGEST = 21 * 86_400_000;
-
-/** Zooms a stretch around an instant. */
-export function zoomed(view: Stretch, factor: number, around: number): Stretch {
-  const length = Math.min(LONGEST, Math.max(SHORTEST, (view.to - view.from) / factor));
-  const share = (around - view.from) / (view.to - view.from);
-  const from = around - share * length;
-  return { from, to: from + length };
-}
-
 export function Chart(props: ChartProps) {
   const { rows, view } = props;
   const [plot, width] = useWidth<HTMLDivElement>();
@@ -40,8 +35,11 @@ export function Chart(props: ChartProps) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const [scroll, setScroll] = useState(0);
   const [boxHeight, setBoxHeight] = useState(400);
-  const [under, setUnder] = useState<{ row: Row; span: Span | null } | null>(null);
-  const [pinned, setPinned] = useState<{ row: Row; span: Span } | null>(null);
+  const [under, setUnder] = useState<Hit | null>(null);
+  const [pin, setPin] = useAddressed("pin");
+  const pinned = useMemo(() => spotFrom(pin), [pin]);
+  const walk = useWalk(props, box, scroll);
+  const held = useMemo(() => pinned && find(rows.items, pinned), [pinned, rows.items]);
   const look = theme.value;
   const colours = useMemo(() => chartColours(look === "dark"), [look]);
   const count = rows.complete ? rows.items.length : Math.max(props.total, rows.items.length);
@@ -55,7 +53,8 @@ export function Chart(props: ChartProps) {
     now: now.value,
     rows: rows.items,
     jobs: rows.jobs,
-    marked: pinned?.span.job_id ?? null,
+    marked: pinned?.job ?? null,
+    cursor: walk.hit && { row: rows.items.indexOf(walk.hit.row), span: walk.hit.span, at: walk.spot!.at },
     moves: props.moves,
     played: props.played,
   };
@@ -84,17 +83,46 @@ export function Chart(props: ChartProps) {
     [scroll, boxHeight, rows.see],
   );
 
-  useGestures(plot, latest, props);
+  useGestures(plot, latest, props.setView);
 
   const first = Math.max(0, Math.floor(scroll / ROW) - 4);
   const last = Math.min(rows.items.length, Math.ceil((scroll + boxHeight) / ROW) + 4);
-  const told = pinned ?? under;
+  useSought(rows, pinned, held, box);
+  const told = walk.hit ?? held ?? under;
+  const hitAt = (event: MouseEvent) => {
+    const place = canvas.current!.getBoundingClientRect();
+    return spanAt(latest.current, event.clientX - place.left, event.clientY - place.top);
+  };
+  const hold = (hit: Hit | null) =>
+    setPin(
+      hit?.span?.job_id ? spotText(spotOf(hit.row, hit.span, (hit.span.start + hit.span.end) / 2)) : null,
+    );
+  const press = (event: KeyboardEvent) => {
+    // Buttons of the nodes have keys of their own.
+    if (isTyping(event)) return;
+    const isHere = event.target === event.currentTarget;
+    const job = isHere && event.key === "Enter" ? walk.hit?.span?.job_id : null;
+    if (event.shiftKey && walk.press(event.key)) event.preventDefault();
+    else if (event.shiftKey && event.key.startsWith("Arrow")) return;
+    else if (job && held?.span === walk.hit!.span) go(["jobs", job], { sel: walk.hit!.span!.frames ?? null });
+    else if (job) hold(walk.hit);
+    else if (event.key === "Escape") {
+      walk.end();
+      setPin(null);
+    } else if (keyed(event.key, props)) event.preventDefault();
+  };
   return (
     <>
       <p class="readout chart-readout" role="status">
-        {told ? <Told {...told} jobs={rows.jobs} /> : <Legend />}
+        {told ? (
+          <Told {...told} jobs={rows.jobs} />
+        ) : pinned ? (
+          <>{rows.complete ? "The held span is not on this chart." : "Looking for the held span…"} </>
+        ) : (
+          <Legend />
+        )}
         {pinned && (
-          <button type="button" class="plain" onClick={() => setPinned(null)}>
+          <button type="button" class="plain" onClick={() => setPin(null)}>
             Let go
           </button>
         )}
@@ -104,9 +132,9 @@ export function Chart(props: ChartProps) {
         ref={box}
         tabIndex={0}
         role="group"
-        aria-label="Nodes and time. Arrows left and right pan, plus and minus zoom, 0 shows tonight. The view List has the same as a table."
+        aria-label="Nodes and time. Arrows left and right pan, plus and minus zoom, 0 shows tonight. Arrows with Shift go from span to span and from node to node, Enter holds one. The view List has the same as a table."
         onScroll={(event) => setScroll(event.currentTarget.scrollTop)}
-        onKeyDown={(event) => keyed(event, props)}
+        onKeyDown={press}
         style={{ height: `min(${high + 2}px, calc(100dvh - 260px))` }}
       >
         <div class="gantt-inner" style={{ height: `${high}px` }}>
@@ -133,15 +161,12 @@ export function Chart(props: ChartProps) {
             class="gantt-plot"
             ref={plot}
             onPointerMove={(event) => {
-              const place = canvas.current!.getBoundingClientRect();
-              setUnder(spanAt(latest.current, event.clientX - place.left, event.clientY - place.top));
+              // Browsers also say that the pointer moved where the page did.
+              if (event.movementX !== 0 || event.movementY !== 0) walk.end();
+              setUnder(hitAt(event));
             }}
             onPointerLeave={() => setUnder(null)}
-            onClick={(event) => {
-              const place = canvas.current!.getBoundingClientRect();
-              const hit = spanAt(latest.current, event.clientX - place.left, event.clientY - place.top);
-              setPinned(hit?.span?.job_id ? { row: hit.row, span: hit.span } : null);
-            }}
+            onClick={(event) => hold(hitAt(event))}
           >
             <canvas
               ref={canvas}
@@ -162,131 +187,68 @@ export function Chart(props: ChartProps) {
   );
 }
 
-function Legend() {
-  return (
-    <>
-      <span class="legend">
-        <span class="chip past" /> past
-      </span>
-      <span class="legend">
-        <span class="chip running" /> running
-      </span>
-      <span class="legend">
-        <span class="chip booked" /> booked at P50, whisker to P80
-      </span>
-      <span class="legend">
-        <span class="chip asleep" /> asleep
-      </span>
-      <span class="legend">
-        <span class="chip maintenance" /> maintenance
-      </span>
-    </>
-  );
-}
-
-function Told(props: { row: Row; span: Span | null; jobs: ReadonlyMap<string, string> }) {
-  const { row, span } = props;
-  if (!span) {
-    return (
-      <>
-        <strong>{clean(row.name)}</strong>: nothing here. <Mark of={row.state} />{" "}
-        {row.idle_because && `It is idle: ${told(row.idle_because)}.`}
-      </>
-    );
-  }
-  const { start, end, tail } = span;
-  const name = span.job_id ? (props.jobs.get(span.job_id) ?? "a job") : span.kind;
-  return (
-    <>
-      <strong>{clean(row.name)}</strong>:{" "}
-      {span.job_id ? (
-        <a href={href(["jobs", span.job_id], { sel: span.frames ?? null })}>{clean(name)}</a>
-      ) : (
-        name
-      )}
-      {span.frames && `, frame${/[-,]/.test(span.frames) ? "s" : ""} ${span.frames}`}, {span.kind},{" "}
-      {clockTime(start)} to {clockTime(end)}
-      {tail > end && ` (P80 ${clockTime(tail)})`} {zoneAt(start)}, {duration(end - start)}.{" "}
-    </>
-  );
-}
-
-function keyed(event: KeyboardEvent, props: ChartProps): void {
+/** What a key does to the view. */
+function keyed(key: string, props: ChartProps): boolean {
   const { view, setView } = props;
   const length = view.to - view.from;
   const middle = view.from + length / 2;
-  if (event.key === "ArrowLeft") setView({ from: view.from - length / 6, to: view.to - length / 6 });
-  else if (event.key === "ArrowRight") setView({ from: view.from + length / 6, to: view.to + length / 6 });
-  else if (event.key === "+" || event.key === "=") setView(zoomed(view, 1.5, middle));
-  else if (event.key === "-") setView(zoomed(view, 1 / 1.5, middle));
-  else if (event.key === "0") props.reset();
-  else return;
-  event.preventDefault();
+  if (key === "ArrowLeft") setView({ from: view.from - length / 6, to: view.to - length / 6 });
+  else if (key === "ArrowRight") setView({ from: view.from + length / 6, to: view.to + length / 6 });
+  else if (key === "+" || key === "=") setView(zoomed(view, 1.5, middle));
+  else if (key === "-") setView(zoomed(view, 1 / 1.5, middle));
+  else if (key === "0") props.reset();
+  else return false;
+  return true;
 }
 
-/** Wheel with Ctrl zooms, sideways pans; drag pans; two fingers zoom. */
-function useGestures(
-  plot: { current: HTMLDivElement | null },
-  latest: { current: Drawing },
-  props: ChartProps,
+interface Walk {
+  spot: Spot | null;
+  hit: Hit | null;
+  /** Whether it was a key that leads somewhere. */
+  press: (key: string) => boolean;
+  end: () => void;
+}
+
+/** The span that keys lead to. It is brought into view. */
+function useWalk(props: ChartProps, box: { current: HTMLElement | null }, scroll: number): Walk {
+  const { items } = props.rows;
+  const [spot, setSpot] = useState<Spot | null>(null);
+  const hit = useMemo(() => spot && find(items, spot), [spot, items]);
+  const press = (key: string) => {
+    const next = walked(items, spot, key, props.view, Math.ceil(scroll / ROW));
+    const there = next && find(items, next);
+    if (!next || !there) return false;
+    setSpot(next);
+    if (there.span) {
+      const view = showing(props.view, { from: there.span.start, to: there.span.end });
+      if (view !== props.view) props.setView(view);
+    }
+    reveal(box.current!, items.indexOf(there.row));
+    return true;
+  };
+  return { spot, hit, press, end: () => setSpot(null) };
+}
+
+/** A link may hold a span of a node further down: more nodes are asked for until it is there, and it is shown. */
+function useSought(
+  rows: Rows,
+  pinned: Spot | null,
+  held: Hit | null,
+  box: { current: HTMLElement | null },
 ): void {
-  const set = useRef(props.setView);
-  set.current = props.setView;
+  const sought = useRef(pinned !== null);
   useEffect(() => {
-    const target = plot.current!;
-    const fingers = new Map<number, PointerEvent>();
-    const perPixel = () =>
-      (latest.current.view.to - latest.current.view.from) / Math.max(1, latest.current.width);
-    const pan = (pixels: number) => {
-      const { view } = latest.current;
-      const by = pixels * perPixel();
-      set.current({ from: view.from - by, to: view.to - by });
-    };
-    const zoom = (factor: number, clientX: number) => {
-      const at = latest.current.view.from + (clientX - target.getBoundingClientRect().left) * perPixel();
-      set.current(zoomed(latest.current.view, factor, at));
-    };
-    const wheel = (event: WheelEvent) => {
-      if (event.ctrlKey || event.metaKey) zoom(2 ** (-event.deltaY / 300), event.clientX);
-      else if (Math.abs(event.deltaX) > Math.abs(event.deltaY)) pan(-event.deltaX);
-      else if (event.shiftKey) pan(-event.deltaY);
-      else return;
-      event.preventDefault();
-    };
-    const down = (event: PointerEvent) => {
-      if (event.pointerType === "mouse" && event.button !== 0) return;
-      fingers.set(event.pointerId, event);
-    };
-    const move = (event: PointerEvent) => {
-      const before = fingers.get(event.pointerId);
-      if (!before) return;
-      if (event.pointerType === "mouse" && event.buttons === 0) {
-        fingers.clear();
-        return;
-      }
-      if (fingers.size === 1) pan(event.clientX - before.clientX);
-      else {
-        const other = [...fingers.values()].find((finger) => finger.pointerId !== event.pointerId)!;
-        zoom(
-          Math.max(1, Math.abs(event.clientX - other.clientX)) /
-            Math.max(1, Math.abs(before.clientX - other.clientX)),
-          other.clientX,
-        );
-      }
-      fingers.set(event.pointerId, event);
-    };
-    const up = (event: PointerEvent) => fingers.delete(event.pointerId);
-    target.addEventListener("wheel", wheel, { passive: false });
-    target.addEventListener("pointerdown", down);
-    addEventListener("pointermove", move);
-    addEventListener("pointerup", up);
-    addEventListener("pointercancel", up);
-    return () => {
-      target.removeEventListener("wheel", wheel);
-      target.removeEventListener("pointerdown", down);
-      removeEventListener("pointermove", move);
-      removeEventListener("pointerup", up);
-      removeEventListener("pointercancel", up);
-    };
-  }, []);
+    if (!sought.current) return;
+    if (pinned && !held && !rows.complete) return rows.see(0, rows.items.length + PAGE);
+    sought.current = false;
+    if (held) reveal(box.current!, rows.items.indexOf(held.row));
+  }, [pinned, held, rows.items, rows.complete]);
+}
+
+/** Scrolls a row of the chart into view. */
+function reveal(box: HTMLElement, row: number): void {
+  const top = row * ROW;
+  const room = box.clientHeight - HEAD - ROW;
+  if (box.scrollTop > top) box.scrollTop = top;
+  else if (box.scrollTop < top - room) box.scrollTop = top - room;
 }

@@ -1,7 +1,6 @@
 // The farm: nodes and time, as a chart and as a list.
 
 import { computed } from "@preact/signals";
-import type { ComponentChildren } from "preact";
 import { useCallback, useEffect, useMemo, useState } from "preact/hooks";
 import type { NodeState } from "../../api/types";
 import { farm, farmError, now } from "../../state/farm";
@@ -10,13 +9,15 @@ import { mayOperate, seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
 import { clean, counted, grouped } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Choice, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
+import { Choice, Time, Trouble, Waiting } from "../../ui/parts";
+import { LongTableBehind } from "../../ui/virtual";
 import { AddNode } from "./add";
-import { Chart, zoomed } from "./chart";
+import { Chart } from "./chart";
 import { NodeList } from "./list";
 import { NodeDialog } from "./node";
 import { Plans, type Playing } from "./plans";
-import { type Rows, type Stretch, useTimeline } from "./timeline";
+import { type Rows, type Stretch, useTimeline, zoomed } from "./timeline";
+import { inView, showing, type Spot, spotFrom } from "./walk";
 import "../../styles/farm.css";
 
 const HOUR = 3_600_000;
@@ -28,6 +29,11 @@ function tonight(): Stretch {
   if (!end) return { from: at - 2 * HOUR, to: at + HOUR };
   const ahead = Math.min(14 * 24 * HOUR, Math.max(HOUR / 12, (Date.parse(end) - at) * 1.1));
   return { from: at - ahead * 0.4, to: at + ahead };
+}
+
+/** The same, moved until a held span is in it. */
+function tonightWith(held: Spot | null): Stretch {
+  return held ? showing(tonight(), { from: held.at, to: held.at }) : tonight();
 }
 
 // Events change jobs many times a second. What this screen shows of the document changes more rarely.
@@ -171,7 +177,7 @@ function ChartView(props: { state: NodeState | ""; search: string; total: number
   const to = Number(param("to"));
   const shared = Number.isFinite(from) && Number.isFinite(to) && from > 0 && to > from;
   const [view, setLocal] = useState<Stretch>(() =>
-    shared ? { from: from * 1000, to: to * 1000 } : tonight(),
+    shared ? { from: from * 1000, to: to * 1000 } : tonightWith(spotFrom(param("pin"))),
   );
   const [playing, setPlaying] = useState<Playing>({ moves: [], played: 0 });
   const rows = useTimeline(view, props.state, props.search);
@@ -235,38 +241,40 @@ function ChartView(props: { state: NodeState | ""; search: string; total: number
         moves={playing.moves}
         played={playing.played}
       />
-      <TableBehind
-        label="The chart, as a table"
-        head={["Node", "Does", "Job", "Frames", "From", "To", "P80"]}
-        rows={() => spanRows(rows, view)}
-        note={`What is in the chart's time, of the ${rows.items.length} nodes that are loaded; at most ${MOST_ROWS} lines.`}
-      />
+      <SpanTable rows={rows} view={view} />
     </>
   );
 }
 
-const MOST_ROWS = 500;
-
-function spanRows(rows: Rows, view: Stretch): ComponentChildren[][] {
-  const out: ComponentChildren[][] = [];
-  for (const row of rows.items) {
-    for (const span of row.spans) {
-      if (span.end < view.from || span.start > view.to) continue;
-      if (out.length === MOST_ROWS) return out;
-      out.push([
-        clean(row.name),
-        span.kind,
-        span.job_id ? (
-          <a href={href(["jobs", span.job_id])}>{clean(rows.jobs.get(span.job_id) ?? "a job")}</a>
-        ) : (
-          "–"
-        ),
-        span.frames ?? "–",
-        <Time at={span.start} exact />,
-        <Time at={span.end} exact />,
-        <Time at={span.tail > span.end ? span.tail : null} exact />,
-      ]);
-    }
-  }
-  return out;
+/** What is in the chart's time. */
+function SpanTable(props: { rows: Rows; view: Stretch }) {
+  const { rows, view } = props;
+  const spans = useMemo(
+    () => rows.items.flatMap((row) => inView(row, view).map((span) => ({ row, span }))),
+    [rows.items, view],
+  );
+  return (
+    <LongTableBehind
+      label="The chart, as a table"
+      head={["Node", "Does", "Job", "Frames", "From", "To", "P80"]}
+      note={`What is in the chart's time, of the ${rows.items.length} nodes that are loaded.`}
+      count={spans.length}
+      row={(at) => {
+        const { row, span } = spans[at]!;
+        return [
+          clean(row.name),
+          span.kind,
+          span.job_id ? (
+            <a href={href(["jobs", span.job_id])}>{clean(rows.jobs.get(span.job_id) ?? "a job")}</a>
+          ) : (
+            "–"
+          ),
+          span.frames ?? "–",
+          <Time at={span.start} exact />,
+          <Time at={span.end} exact />,
+          <Time at={span.tail > span.end ? span.tail : null} exact />,
+        ];
+      }}
+    />
+  );
 }

@@ -3,6 +3,7 @@
 import { clockTime } from "../../ui/format";
 import { colour } from "../../ui/theme";
 import type { Row, Span, Stretch } from "./timeline";
+import type { Hit } from "./walk";
 
 export const ROW = 24;
 export const HEAD = 24;
@@ -27,6 +28,8 @@ export interface Drawing {
   jobs: ReadonlyMap<string, string>;
   /** A job whose spans stand out. */
   marked: string | null;
+  /** Where keys lead: the place of a row, and what is there at an instant. */
+  cursor: { row: number; span: Span | null; at: number } | null;
   /** Moves of a new plan, and how far they are played, 0 to 1. */
   moves: readonly Move[];
   played: number;
@@ -116,6 +119,7 @@ export function paint(canvas: HTMLCanvasElement, drawing: Drawing, colours: Colo
     for (const span of drawing.rows[row]!.spans) paintSpan(draw, span, y, x, drawing, colours);
   }
   paintMoves(draw, drawing, x, colours);
+  paintCursor(draw, drawing, x, colours);
   const now = x(drawing.now);
   if (now >= 0 && now <= width) {
     draw.fillStyle = colours.bad;
@@ -255,8 +259,19 @@ function paintMoves(draw: CanvasRenderingContext2D, drawing: Drawing, x: X, colo
   draw.globalAlpha = 1;
 }
 
+function paintCursor(draw: CanvasRenderingContext2D, drawing: Drawing, x: X, colours: Colours): void {
+  if (!drawing.cursor) return;
+  const { row, span, at } = drawing.cursor;
+  const left = Math.max(-2, span ? x(span.start) : x(at) - 6);
+  const width = Math.min(drawing.width + 2, span ? x(span.end) : x(at) + 6) - left;
+  draw.strokeStyle = colours.text;
+  draw.lineWidth = 2;
+  const y = HEAD + row * ROW - drawing.scroll;
+  draw.strokeRect(left - 1, y + 1, Math.max(3, width) + 2, ROW - 3);
+}
+
 /** The span under a point of the chart. */
-export function spanAt(drawing: Drawing, px: number, py: number): { row: Row; span: Span | null } | null {
+export function spanAt(drawing: Drawing, px: number, py: number): Hit | null {
   const row = drawing.rows[Math.floor((py - HEAD + drawing.scroll) / ROW)];
   if (!row || py < HEAD) return null;
   const at = drawing.view.from + (px / drawing.width) * (drawing.view.to - drawing.view.from);

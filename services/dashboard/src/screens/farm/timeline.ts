@@ -12,6 +12,17 @@ export interface Stretch {
   to: number;
 }
 
+const SHORTEST = 2 * 60_000;
+const LONGEST = 21 * 86_400_000;
+
+/** Zooms a stretch around an instant. */
+export function zoomed(view: Stretch, factor: number, around: number): Stretch {
+  const length = Math.min(LONGEST, Math.max(SHORTEST, (view.to - view.from) / factor));
+  const share = (around - view.from) / (view.to - view.from);
+  const from = around - share * length;
+  return { from, to: from + length };
+}
+
 /** A span with its instants as numbers, milliseconds since 1970. */
 export interface Span extends Pick<TimelineSpan, "job_id" | "frames" | "kind"> {
   start: number;

@@ -9,9 +9,10 @@ import { Confirm } from "../../ui/dialog";
 import { clean, counted, cpuTime, money, signedPercent, work } from "../../ui/format";
 import { formatFrames, parseFrames } from "../../ui/frames";
 import { glyphOf, Mark } from "../../ui/mark";
-import { Choice, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
+import { Choice, Section, Time, Trouble, Waiting } from "../../ui/parts";
 import type { Resource } from "../../ui/resource";
 import { useResource } from "../../ui/resource";
+import { LongTableBehind } from "../../ui/virtual";
 import { Band } from "./band";
 import { fetchFrames, MOST_FETCHED } from "./fetch";
 import { STATES, Strip } from "./strip";
@@ -99,25 +100,23 @@ export function Frames(props: {
       {forecast && <Band numbers={numbers} doc={doc} quantity={quantity} hover={setCursor} />}
       {strip.error && <Trouble error={strip.error} retry={strip.reload} />}
       <Selection job={job} doc={doc} numbers={numbers} selected={selected} changed={props.changed} />
-      <TableBehind
+      <LongTableBehind
         label="Frames, as a table"
         head={["Frame", "State", "P50", "P80", "P95", "Actual", "Actual ÷ P50 − 1"]}
-        note={numbers.length > 1000 ? "The first 1,000 frames. The strip shows all of them." : ""}
-        rows={() =>
-          numbers.slice(0, 1000).map((frame, at) => {
-            const actual = doc.actual[at];
-            const p50 = doc.p50[at];
-            return [
-              frame,
-              <Mark of={STATES[doc.states[at] ?? "w"]!} />,
-              written(quantity, p50),
-              written(quantity, doc.p80[at]),
-              written(quantity, doc.p95[at]),
-              written(quantity, actual),
-              actual == null || !p50 ? "–" : signedPercent(actual / p50 - 1),
-            ];
-          })
-        }
+        count={numbers.length}
+        row={(at) => {
+          const actual = doc.actual[at];
+          const p50 = doc.p50[at];
+          return [
+            numbers[at],
+            <Mark of={STATES[doc.states[at] ?? "w"]!} />,
+            written(quantity, p50),
+            written(quantity, doc.p80[at]),
+            written(quantity, doc.p95[at]),
+            written(quantity, actual),
+            actual == null || !p50 ? "–" : signedPercent(actual / p50 - 1),
+          ];
+        }}
       />
     </Section>
   );

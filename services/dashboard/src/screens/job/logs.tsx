@@ -8,10 +8,14 @@ import { clean, counted, exactTime, fullTime, words } from "../../ui/format";
 import { glyphOf, Mark, wordOf } from "../../ui/mark";
 import { Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
+import { VirtualRows } from "../../ui/virtual";
 import { useTasks, type Task } from "./tasks";
 
 const FOLLOW = 2_000;
 const LISTED = 400;
+/** Height of a line, CSS pixels, and the room of its time and level, letters. */
+const LINE = 20;
+const PREFIX = 24;
 
 export function Logs(props: { job: Job }) {
   const { tasks, error } = useTasks(props.job.id);
@@ -19,7 +23,12 @@ export function Logs(props: { job: Job }) {
   const chosen = param("task");
   const ordered = useMemo(() => [...tasks].sort(worstFirst), [tasks]);
   const wanted = ordered.filter((task) => frame === null || task.frame === Number(frame));
-  const task = tasks.find((one) => one.id === chosen) ?? wanted[0] ?? null;
+  const listed = wanted.length ? wanted : ordered;
+  const task = listed.find((one) => one.id === chosen) ?? listed[0] ?? null;
+  // A link shows this one, and no task that fails meanwhile takes its place.
+  useEffect(() => {
+    if (task) setQuery({ task: task.id });
+  }, [task?.id]);
   if (error) return <Trouble error={new Error(error)} />;
   if (tasks.length === 0)
     return <Waiting>Reading the job’s events. No task was handed out yet, if none appears…</Waiting>;
@@ -29,14 +38,16 @@ export function Logs(props: { job: Job }) {
         <label>
           Task{" "}
           <select value={task?.id ?? ""} onChange={(event) => setQuery({ task: event.currentTarget.value })}>
-            {(wanted.length ? wanted : ordered).slice(0, LISTED).map((one) => (
+            {listed.slice(0, LISTED).map((one) => (
               <option key={one.id} value={one.id}>
                 {glyphOf(one.state)} {taskName(one)}: {wordOf(one.state)}
               </option>
             ))}
           </select>
         </label>
+        <OfFrame frame={frame} />
         <span class="muted">
+          {listed.length > LISTED && `The first ${LISTED} are listed; write a frame for others. `}
           {frame === null
             ? counted(tasks.length, "task")
             : `${counted(wanted.length, "task")} of frame ${frame}`}
@@ -55,6 +66,30 @@ export function Logs(props: { job: Job }) {
       )}
       {task && <Log task={task} key={task.id} />}
     </>
+  );
+}
+
+/** Tasks of one frame alone: so each of many thousands can be reached. */
+function OfFrame(props: { frame: string | null }) {
+  const [draft, setDraft] = useState(props.frame ?? "");
+  useEffect(() => setDraft(props.frame ?? ""), [props.frame]);
+  return (
+    <label>
+      Frame{" "}
+      <input
+        type="text"
+        inputMode="numeric"
+        size={6}
+        value={draft}
+        placeholder="any"
+        aria-invalid={!/^\d*$/.test(draft)}
+        onInput={(event) => {
+          const text = event.currentTarget.value.trim();
+          setDraft(text);
+          if (/^\d*$/.test(text)) setQuery({ frame: text, task: null });
+        }}
+      />
+    </label>
   );
 }
 
@@ -86,15 +121,18 @@ function Log(props: { task: Task }) {
   }, [task.state]);
   const kept = useRef<TaskLog | null>(null);
   if (log.data) kept.current = log.data;
-  const lines = kept.current?.lines ?? [];
+  const lines = kept.current?.lines ?? NONE;
   const atEnd = useRef(true);
   useEffect(() => {
     if (atEnd.current && box.current) box.current.scrollTop = box.current.scrollHeight;
   }, [lines.length]);
-  const found = search
-    ? lines.filter((line) => line.text.toLowerCase().includes(search.toLowerCase()))
-    : lines;
-  const errors = lines.filter((line) => line.level === "error").length;
+  const found = useMemo(
+    () => lines.filter((line) => line.text.toLowerCase().includes(search.toLowerCase())),
+    [lines, search],
+  );
+  const rows = useMemo(() => withAttempts(found), [found]);
+  const longest = useMemo(() => found.reduce((most, line) => Math.max(most, line.text.length), 0), [found]);
+  const errors = useMemo(() => lines.filter((line) => line.level === "error").length, [lines]);
   return (
     <>
       <div class="filters">
@@ -135,17 +173,41 @@ function Log(props: { task: Task }) {
                 : "The task has written nothing."}
           </p>
         )}
-        {found.map((line, at) => (
-          <div key={`${line.attempt}-${line.number}`} class={`log-line level-${line.level}`}>
-            {line.attempt !== found[at - 1]?.attempt && <div class="attempt">Attempt {line.attempt}</div>}
-            <time dateTime={line.at} title={fullTime(Date.parse(line.at))}>
-              {exactTime(Date.parse(line.at))}
-            </time>{" "}
-            {line.level !== "info" && <strong>{line.level === "error" ? "✕ error: " : "⚠ warning: "}</strong>}
-            {clean(line.text)}
-          </div>
-        ))}
+        <div style={{ minWidth: `${longest + PREFIX}ch` }}>
+          <VirtualRows
+            items={rows}
+            height={LINE}
+            within={box}
+            row={(row) =>
+              typeof row === "number" ? <div class="attempt">Attempt {row}</div> : <Line of={row} />
+            }
+          />
+        </div>
       </div>
     </>
+  );
+}
+
+type LogLine = TaskLog["lines"][number];
+
+const NONE: LogLine[] = [];
+
+/** The lines, with the number of each attempt before its first one. */
+function withAttempts(lines: readonly LogLine[]): (LogLine | number)[] {
+  return lines.flatMap((line, at) =>
+    line.attempt === lines[at - 1]?.attempt ? [line] : [line.attempt, line],
+  );
+}
+
+function Line(props: { of: LogLine }) {
+  const { level, at, text } = props.of;
+  return (
+    <div class={`log-line level-${level}`}>
+      <time dateTime={at} title={fullTime(Date.parse(at))}>
+        {exactTime(Date.parse(at))}
+      </time>{" "}
+      {level !== "info" && <strong>{level === "error" ? "✕ error: " : "⚠ warning: "}</strong>}
+      {clean(text)}
+    </div>
   );
 }

@@ -3,6 +3,7 @@
 import { signal } from "@preact/signals";
 import { useEffect, useMemo } from "preact/hooks";
 import type { Event } from "../../api/types";
+import { openStream } from "../../state/stream";
 
 export interface Task {
   id: string;
@@ -35,9 +36,7 @@ export function useTasks(job: string): { tasks: Task[]; error: string | null } {
   useEffect(() => {
     const tasks = new Map<string, Task>();
     let timer: ReturnType<typeof setTimeout> | undefined;
-    const source = new EventSource(`/v1/jobs/${job}/events`);
-    const take = (message: MessageEvent<string>) => {
-      const event = JSON.parse(message.data) as Event;
+    const take = (event: Event) => {
       const next = STATE[event.kind];
       if (!event.task_id || !next) return;
       const old = tasks.get(event.task_id);
@@ -55,16 +54,22 @@ export function useTasks(job: string): { tasks: Task[]; error: string | null } {
         state.value = { tasks: [...tasks.values()], error: null };
       }, 100);
     };
-    for (const kind of Object.keys(STATE))
-      source.addEventListener(kind, take as (message: globalThis.Event) => void);
-    source.onerror = () => {
-      if (source.readyState === EventSource.CLOSED && tasks.size === 0) {
-        state.value = { tasks: [], error: "The job’s events could not be read." };
-      }
-    };
+    const address = `/v1/jobs/${job}/events`;
+    const stream = openStream({
+      address: (after) => (after === null ? address : `${address}?last_event_id=${after}`),
+      kinds: Object.keys(STATE),
+      take,
+      opened: () => (state.value = { ...state.peek(), error: null }),
+      broke: (tries) => {
+        const error = "The job’s events could not be read. They are asked for again.";
+        if (tries > 0 && tasks.size === 0) state.value = { tasks: [], error };
+      },
+      ends: true,
+    });
+    stream.connect();
     return () => {
       clearTimeout(timer);
-      source.close();
+      stream.close();
     };
   }, [job]);
   return state.value;

@@ -1,6 +1,9 @@
 // Zoom and pan of an image in its box: wheel, drag, two fingers, and keys.
 
-import { useEffect, useRef, useState } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
+import { numbersOf, numbersText, useAddressed } from "../../state/addressed";
+import { isTyping } from "../../ui/keys";
+import { type Pixel, placeOf } from "./crosshair";
 
 export interface View {
   /** CSS pixels per pixel of the image. */
@@ -12,13 +15,18 @@ export interface View {
 
 export interface Zoom {
   view: View;
-  /** Zooms around the middle. */
+  /** Zooms around the crosshair, or around the middle. */
   by(factor: number): void;
+  /** Moves the image until a point of the box, which may lie outside of it, is well inside. */
+  reveal(x: number, y: number): void;
   /** Shows the whole image. */
   all(): void;
 }
 
 const MOST = 32;
+
+/** What is to be seen stays so far from the edge of the box, CSS pixels. */
+const EDGE = 24;
 
 /** The view that shows the whole image in the middle of a box. */
 export function fit(room: [width: number, height: number], size: [width: number, height: number]): View {
@@ -26,32 +34,56 @@ export function fit(room: [width: number, height: number], size: [width: number,
   return { scale, x: (room[0] - size[0] * scale) / 2, y: (room[1] - size[1] * scale) / 2 };
 }
 
+/** The view that a parameter of the address names. */
+function viewOf(text: string | null, room: [width: number, height: number]): View | null {
+  const numbers = numbersOf(text, 3);
+  if (!numbers || numbers[0]! <= 0) return null;
+  const scale = Math.min(MOST, numbers[0]!);
+  return { scale, x: room[0] / 2 - numbers[1]! * scale, y: room[1] / 2 - numbers[2]! * scale };
+}
+
 /** Zoom of an image of a size in a box with that much room. Until somebody zooms, it shows the whole image. */
 export function useZoom(
   box: { current: HTMLElement | null },
   room: [width: number, height: number],
   size: [width: number, height: number] | null,
+  cross: Pixel | null,
 ): Zoom {
-  const [chosen, setChosen] = useState<View | null>(null);
+  // The address has the scale, and the pixel in the middle: that means the same in a box of another size.
+  const [text, setText] = useAddressed("zoom");
   const whole = size ? fit(room, size) : { scale: 1, x: 0, y: 0 };
-  const view = chosen ?? whole;
-  const now = useRef({ view, whole, room });
-  now.current = { view, whole, room };
+  const view = viewOf(text, room) ?? whole;
+  const now = useRef({ view, whole, room, cross });
+  now.current = { view, whole, room, cross };
 
-  const all = () => setChosen(null);
+  const all = () => setText(null);
+  const choose = ({ scale, x, y }: View) => {
+    const { room: there } = now.current;
+    const middle = [(there[0] / 2 - x) / scale, (there[1] / 2 - y) / scale];
+    // What is moved by less than a pixel of the image goes on from there.
+    setText(numbersText([scale, ...middle], 3));
+  };
   const around = (factor: number, x: number, y: number) => {
     const { view: old, whole: least } = now.current;
     const scale = Math.min(MOST, old.scale * factor);
-    if (scale <= least.scale) return setChosen(null);
+    if (scale <= least.scale) return all();
     const ratio = scale / old.scale;
-    return setChosen({ scale, x: x - (x - old.x) * ratio, y: y - (y - old.y) * ratio });
+    return choose({ scale, x: x - (x - old.x) * ratio, y: y - (y - old.y) * ratio });
+  };
+  const by = (factor: number) => {
+    const { view: old, room: there, cross: mark } = now.current;
+    const at = mark && placeOf(mark, old);
+    around(factor, ...(at ?? ([there[0] / 2, there[1] / 2] as const)));
   };
   const pan = (x: number, y: number) => {
     const { view: old, whole: least } = now.current;
-    if (old.scale > least.scale) setChosen({ ...old, x: old.x + x, y: old.y + y });
+    if (old.scale > least.scale) choose({ ...old, x: old.x + x, y: old.y + y });
   };
 
-  useEffect(all, [size?.[0], size?.[1]]);
+  const reveal = (x: number, y: number) => {
+    const off = (at: number, length: number) => Math.min(length - EDGE, Math.max(EDGE, at)) - at;
+    pan(off(x, room[0]), off(y, room[1]));
+  };
 
   useEffect(() => {
     const target = box.current;
@@ -86,10 +118,12 @@ export function useZoom(
     };
     const up = (event: PointerEvent) => fingers.delete(event.pointerId);
     const press = (event: KeyboardEvent) => {
-      const middle: [number, number] = [target.clientWidth / 2, target.clientHeight / 2];
-      if (event.key === "+" || event.key === "=") around(2, ...middle);
-      else if (event.key === "-") around(0.5, ...middle);
+      if (isTyping(event)) return;
+      if (event.key === "+" || event.key === "=") by(2);
+      else if (event.key === "-") by(0.5);
       else if (event.key === "0") all();
+      // With Shift, arrows move the crosshair.
+      else if (event.shiftKey) return;
       else if (event.key === "ArrowLeft") pan(60, 0);
       else if (event.key === "ArrowRight") pan(-60, 0);
       else if (event.key === "ArrowUp") pan(0, 60);
@@ -113,5 +147,5 @@ export function useZoom(
     };
   }, [size === null]);
 
-  return { view, all, by: (factor) => around(factor, room[0] / 2, room[1] / 2) };
+  return { view, all, by, reveal };
 }

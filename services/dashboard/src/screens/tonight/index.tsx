@@ -13,7 +13,7 @@ import { PAGE, usePages } from "../../ui/pages";
 import { useWidth } from "../../ui/resource";
 import { Events } from "./events";
 import { FirstSteps } from "./first-steps";
-import { JobTable, Risks, spreadOf, troubleOf } from "./jobs";
+import { Ends, JobTable, Risks, spreadOf, troubleOf } from "./jobs";
 import { seesAll } from "../../state/session";
 import { Spend } from "./spend";
 
@@ -134,11 +134,21 @@ function Jobs(props: { doc: Farm }) {
               label={`All open jobs: ${spreadWords(finish)}`}
             />
           </div>
+          <TableBehind
+            label="When the farm finishes, as a table"
+            head={["Confidence", "All open jobs ready by"]}
+            rows={() =>
+              (["p50", "p80", "p95"] as const).map((level) => [
+                level.toUpperCase(),
+                <Time at={finish[level]} exact />,
+              ])
+            }
+          />
         </div>
       )}
       {risks.length > 0 && (
         <Section title={`At risk or late: ${risks.length}`}>
-          <Risks jobs={risks} axis={riskAxis} />
+          <Risks jobs={risks} axis={riskAxis} narrow={width < 720} />
         </Section>
       )}
       <Section
@@ -199,22 +209,7 @@ function Jobs(props: { doc: Farm }) {
             clock above.
           </p>
         )}
-        <TableBehind
-          label="Ends and deadlines, as a table"
-          head={["Job", "P50", "P80", "P95", "Deadline"]}
-          rows={() =>
-            listed.jobs.map((job) => {
-              const spread = spreadOf(job);
-              return [
-                job.name,
-                <Time at={spread.p50} />,
-                <Time at={spread.p80} />,
-                <Time at={spread.p95} />,
-                <Time at={job.deadline} />,
-              ];
-            })
-          }
-        />
+        <Ends jobs={listed.jobs} label="Ends and deadlines, as a table" />
       </Section>
     </div>
   );

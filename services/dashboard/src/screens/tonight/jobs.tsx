@@ -3,12 +3,12 @@
 import { useState } from "preact/hooks";
 import type { DashboardJob } from "../../api/types";
 import { maySubmitTo } from "../../state/session";
-import { href } from "../../state/route";
+import { href, param, setQuery } from "../../state/route";
 import { type Axis, AxisHead, Fan, slackWords, type Spread, spreadWords } from "../../ui/fan";
 import { clean, grouped, maybeInstant, money, percent, told, zoneAt } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Prose, Time } from "../../ui/parts";
-import { VirtualRows } from "../../ui/virtual";
+import { LongTableBehind, VirtualRows } from "../../ui/virtual";
 import { RescueDialog } from "./rescue";
 
 /** The ends of a job, as far as they are known. */
@@ -157,24 +157,59 @@ function Cost(props: { job: DashboardJob }) {
   );
 }
 
+/** The numbers of the fans. */
+export function Ends(props: { jobs: readonly DashboardJob[]; label: string }) {
+  return (
+    <LongTableBehind
+      label={props.label}
+      head={["Job", "P50", "P80", "P95", "Deadline"]}
+      count={props.jobs.length}
+      row={(at) => {
+        const job = props.jobs[at]!;
+        const spread = spreadOf(job);
+        return [
+          clean(job.name),
+          <Time at={spread.p50} />,
+          <Time at={spread.p80} />,
+          <Time at={spread.p95} />,
+          <Time at={job.deadline} />,
+        ];
+      }}
+    />
+  );
+}
+
+/** The first ones are shown with all their words. */
+const FIRST = 8;
+
 /** The promises at risk: each with its cheapest rescue. */
-export function Risks(props: { jobs: readonly DashboardJob[]; axis: Axis }) {
-  const [all, setAll] = useState(false);
+export function Risks(props: { jobs: readonly DashboardJob[]; axis: Axis; narrow: boolean }) {
+  const { jobs, axis } = props;
   const [open, setOpen] = useState<string | null>(null);
-  const shown = all ? props.jobs : props.jobs.slice(0, 8);
-  const chosen = props.jobs.find((job) => job.id === open);
+  const isLong = param("risks") === "all" && jobs.length > FIRST;
+  const chosen = jobs.find((job) => job.id === open);
+  const risk = (job: DashboardJob) => <Risk job={job} axis={axis} open={() => setOpen(job.id)} />;
   return (
     <>
-      <ul class="risks">
-        {shown.map((job) => (
-          <Risk key={job.id} job={job} axis={props.axis} open={() => setOpen(job.id)} />
-        ))}
-      </ul>
-      {shown.length < props.jobs.length && (
-        <button type="button" class="plain" onClick={() => setAll(true)}>
-          Show all {props.jobs.length}
+      {isLong ? (
+        <div class="risks long-risks" role="list">
+          <VirtualRows items={jobs} height={props.narrow ? 240 : 104} row={risk} />
+        </div>
+      ) : (
+        <div class="risks" role="list">
+          {jobs.slice(0, FIRST).map((job) => (
+            <div key={job.id} role="presentation">
+              {risk(job)}
+            </div>
+          ))}
+        </div>
+      )}
+      {jobs.length > FIRST && (
+        <button type="button" class="plain" onClick={() => setQuery({ risks: isLong ? null : "all" })}>
+          {isLong ? `Show the first ${FIRST}` : `Show all ${jobs.length}`}
         </button>
       )}
+      <Ends jobs={jobs} label="Promises at risk and late jobs, as a table" />
       {chosen && (
         <RescueDialog
           jobId={chosen.id}
@@ -195,7 +230,7 @@ function Risk(props: { job: DashboardJob; axis: Axis; open: () => void }) {
   const end = spread.p80 ?? spread.p50;
   const rescue = job.promise?.rescue;
   return (
-    <li class="risk">
+    <div role="listitem" class="risk">
       <div class="risk-line">
         <Mark of={troubleOf(job) ?? "risk"} />
         <a class="name" href={href(["jobs", job.id])}>
@@ -216,7 +251,7 @@ function Risk(props: { job: DashboardJob; axis: Axis; open: () => void }) {
       <Fan axis={axis} spread={spread} deadline={deadline} late label={spreadLabel(spread, deadline)} />
       <div class="risk-line">
         {rescue && (
-          <span>
+          <span class="risk-rescue" title={told(rescue.words)}>
             Cheapest rescue: <Prose text={rescue.words} bare />.
           </span>
         )}
@@ -228,6 +263,6 @@ function Risk(props: { job: DashboardJob; axis: Axis; open: () => void }) {
           <a href={href(["jobs", job.id], { tab: "price" })}>Why, and what would help</a>
         )}
       </div>
-    </li>
+    </div>
   );
 }

@@ -4,7 +4,7 @@ import { post } from "../../api/client";
 import type { BudgetForecast, MoneyForecast } from "../../api/types";
 import { clean, dayName, money, nightOf, percent, timeZone } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Money, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
+import { Money, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 
 const DAY = 86_400_000;
@@ -36,10 +36,6 @@ export function Spend(props: { version: number }) {
 
 function Nights(props: { forecast: BudgetForecast }) {
   const { forecast } = props;
-  // Of the periods to come, only those that need somebody.
-  const budgets = forecast.budgets.filter(
-    (budget) => isPresent(budget) || (budget.threatened && Date.parse(budget.from) > Date.now()),
-  );
   const most = Math.max(1, ...forecast.nights.map((night) => night.cost.p95));
   return (
     <>
@@ -58,38 +54,7 @@ function Nights(props: { forecast: BudgetForecast }) {
         {forecast.unknown.length > 0 &&
           ` Without jobs that are not booked yet: ${forecast.unknown.map(clean).join(", ")}.`}
       </p>
-      {budgets.length === 0 ? (
-        <p class="note">
-          No budget is set. <code>forelight budget set film 250 --per night</code> sets one.
-        </p>
-      ) : (
-        <ul class="budgets">
-          {budgets.map((budget) => (
-            <li key={`${budget.project}-${budget.period}-${budget.from}`}>
-              <span>
-                {clean(budget.project)}, per {budget.period === "total" ? "project" : budget.period}
-                {!isPresent(budget) && `, ${dayName(Date.parse(budget.from))}`}
-              </span>
-              <Bar
-                spent={budget.spent}
-                cost={budget.cost}
-                limit={budget.amount}
-                most={Math.max(budget.amount, budget.cost.p95)}
-              />
-              <span class="number right">
-                {money(budget.cost.p50)} of {money(budget.amount)}
-              </span>
-              <span class="right">
-                {budget.threatened ? (
-                  <Mark of="risk" word={`exceeded with ${percent(budget.probability_over)}`} />
-                ) : (
-                  <Mark of="kept" word={`exceeded with ${percent(budget.probability_over)}`} />
-                )}
-              </span>
-            </li>
-          ))}
-        </ul>
-      )}
+      <Budgets forecast={forecast} />
       <TableBehind
         label="Nights by project, as a table"
         head={["Night", "Project", "Spent", "P50", "P80", "P95"]}
@@ -104,6 +69,67 @@ function Nights(props: { forecast: BudgetForecast }) {
               <Money of={line.cost.p95} />,
             ]),
           )
+        }
+      />
+    </>
+  );
+}
+
+function Budgets(props: { forecast: BudgetForecast }) {
+  const { forecast } = props;
+  // Of the periods to come, only those that need somebody.
+  const budgets = forecast.budgets.filter(
+    (budget) => isPresent(budget) || (budget.threatened && Date.parse(budget.from) > Date.now()),
+  );
+  if (budgets.length === 0)
+    return (
+      <p class="note">
+        No budget is set. <code>forelight budget set film 250 --per night</code> sets one.
+      </p>
+    );
+  return (
+    <>
+      <ul class="budgets">
+        {budgets.map((budget) => (
+          <li key={`${budget.project}-${budget.period}-${budget.from}`}>
+            <span>
+              {clean(budget.project)}, per {budget.period === "total" ? "project" : budget.period}
+              {!isPresent(budget) && `, ${dayName(Date.parse(budget.from))}`}
+            </span>
+            <Bar
+              spent={budget.spent}
+              cost={budget.cost}
+              limit={budget.amount}
+              most={Math.max(budget.amount, budget.cost.p95)}
+            />
+            <span class="number right">
+              {money(budget.cost.p50)} of {money(budget.amount)}
+            </span>
+            <span class="right">
+              {budget.threatened ? (
+                <Mark of="risk" word={`exceeded with ${percent(budget.probability_over)}`} />
+              ) : (
+                <Mark of="kept" word={`exceeded with ${percent(budget.probability_over)}`} />
+              )}
+            </span>
+          </li>
+        ))}
+      </ul>
+      <TableBehind
+        label="Budgets, as a table"
+        head={["Project", "Per", "From", "Spent", "P50", "P80", "P95", "Budget", "Exceeded with"]}
+        rows={() =>
+          budgets.map((budget) => [
+            clean(budget.project),
+            budget.period === "total" ? "project" : budget.period,
+            <Time at={budget.from} />,
+            <Money of={budget.spent} />,
+            <Money of={budget.cost.p50} />,
+            <Money of={budget.cost.p80} />,
+            <Money of={budget.cost.p95} />,
+            <Money of={budget.amount} />,
+            percent(budget.probability_over),
+          ])
         }
       />
     </>
