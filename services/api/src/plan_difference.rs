@@ -130,14 +130,15 @@ fn words(difference: &PlanDifference) -> Vec<String> {
     if !difference.causes.is_empty() {
         words.push(format!("because {}", difference.causes.join("; ")));
     }
-    words.push(format!(
-        "{} frames moved, {} booked for the first time, {} without a booking, {} unchanged; {}",
-        count(|frame| frame.before.is_some() && frame.after.is_some()),
-        count(|frame| frame.before.is_none()),
-        count(|frame| frame.after.is_none()),
-        difference.unmoved,
-        priced(difference.added_cost.micro_units()),
-    ));
+    let moved = count(|frame| frame.before.is_some() && frame.after.is_some());
+    let kinds = [
+        (count(|frame| frame.before.is_none()), "booked for the first time"),
+        (count(|frame| frame.after.is_none()), "without a booking"),
+    ];
+    let kinds = kinds.iter().filter(|(number, _)| *number > 0);
+    let others: String = kinds.map(|(number, kind)| format!(", {number} {kind}")).collect();
+    let cost = priced(difference.added_cost.micro_units());
+    words.push(format!("{moved} frames moved{others}, {} unchanged; {cost}", difference.unmoved));
     words.extend(difference.jobs.iter().filter_map(of_job));
     let name = |job: JobId| {
         difference

@@ -158,7 +158,7 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
     await page.getByRole("button", { name: "Add it" }).click();
     await page.getByRole("button", { name: "I have kept it" }).click();
     await page.getByRole("button", { name: "Send a test" }).click();
-    await page.getByText("delivered").waitFor();
+    await page.getByText("delivered").first().waitFor();
     assert.deepEqual(told, [{ text: "a test: this webhook of forelight works" }]);
 
     await show(page, farm.address, screens(null).kept);

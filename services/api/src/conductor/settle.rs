@@ -399,6 +399,7 @@ fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, Ad
             };
             let because = match reason {
                 Reason::Behind { jobs } => behind_in_words(farm, job, jobs),
+                Reason::NoNode if farm.nodes.is_empty() => "waits because no node takes work".to_owned(),
                 reason => reason.to_string(),
             };
             let behind =

@@ -136,8 +136,8 @@ export function CancelDialog(props: { job: Job; changed: () => void; close: () =
       }}
     >
       <p>
-        {job.frames_total - job.frames_done} of {job.frames_total} frames are not done. Running ones are
-        stopped. Finished images stay.
+        {job.frames_total - job.frames_done - (job.frames_cancelled ?? 0)} of {job.frames_total} frames are
+        left. Running ones are stopped. Finished images stay.
       </p>
     </Confirm>
   );

@@ -324,9 +324,10 @@ function FetchDialog(props: { job: Job; frames: number[]; close: () => void }) {
         ]}
         choose={setKind}
       />
-      {many && (
-        <p>That is more than a browser should hold: at most {MOST_FETCHED}. In a terminal, all of them:</p>
-      )}
+      <p>
+        {many && `That is more than a browser should hold: at most ${MOST_FETCHED}. `}In a terminal, this
+        fetches all images of the job:
+      </p>
       <pre tabIndex={0}>
         <code>forelight submit --job {props.job.id} --out images/</code>
       </pre>

@@ -218,6 +218,7 @@ function JobFacts(props: { job: Job }) {
         <dt>Frames</dt>
         <dd>
           {grouped(job.frames_done)} of {grouped(job.frames_total)}
+          {job.frames_cancelled ? `, ${grouped(job.frames_cancelled)} cancelled` : ""}
         </dd>
       </div>
       <div>

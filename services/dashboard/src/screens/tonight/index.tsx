@@ -104,7 +104,7 @@ function Jobs(props: { doc: Farm }) {
   const search = param("search") ?? "";
   const [box, width] = useWidth<HTMLDivElement>();
   const listed = useListed(doc, shown, sort, search);
-  const risks = doc.jobs.filter((job) => troubleOf(job) !== null);
+  const { risks } = listed;
 
   const axis = useMemo(() => axisFor(now.value, doc.jobs.flatMap(instantsOf), 0.92), [doc.jobs, now.value]);
   const riskAxis = axisFor(now.value, risks.flatMap(instantsOf));
@@ -229,6 +229,8 @@ function none(shown: Shown, search: string, others: boolean): string {
 
 interface Listed {
   jobs: readonly DashboardJob[];
+  /** Open jobs in trouble. They are shown above the list, and without a filter not in it. */
+  risks: readonly DashboardJob[];
   total: number | null;
   loading: boolean;
   error: Error | null;
@@ -263,22 +265,27 @@ function useListed(doc: Farm, shown: Shown, sort: Sort, search: string): Listed 
     if (version !== first.current) pages.again();
   }, [version]);
 
-  const jobs = useMemo(() => {
+  const [jobs, risks] = useMemo(() => {
     const listed = new Map<string, DashboardJob>();
     if (plain) for (const job of doc.jobs) listed.set(job.id, job);
     for (const job of pages.items) if (!listed.has(job.id)) listed.set(job.id, job);
     const all = [...listed.values()];
-    return plain ? all.filter((job) => troubleOf(job) === null) : all;
+    const isInTrouble = (job: DashboardJob) => troubleOf(job) !== null;
+    return plain
+      ? [all.filter((job) => !isInTrouble(job)), all.filter(isInTrouble)]
+      : [all, doc.jobs.filter(isInTrouble)];
   }, [plain, doc.jobs, pages.items]);
 
-  // Jobs in trouble come first in the pages, and are shown above the list.
-  const above = plain ? doc.jobs.filter((job) => troubleOf(job) !== null).length : 0;
+  // Jobs in trouble come first in the pages: what follows them is asked for, however many they are.
+  const above = plain ? risks.length : 0;
+  useEffect(() => pages.see(above, above + 50), [above]);
   const see = useCallback(
     (first: number, last: number) => pages.see(first + above, last + above),
     [pages.see, above],
   );
   return {
     jobs,
+    risks,
     total: plain ? doc.jobs_open_total : null,
     loading: pages.loading,
     error: pages.error,
