@@ -79,6 +79,28 @@ async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_job_on_hold_is_quoted_says_when_it_would_end_and_is_rendered_once_it_is_accepted() {
+    let service = farm().await;
+    let (scene, data) = (shipped("corridor").display().to_string(), service.data().display().to_string());
+    let at = ["--server", service.address(), "--data", &data];
+    let job =
+        ["submit", &scene, "--frames", "0", "--width", "48", "--spp", "1", "--hold", "--follow", "--json"];
+    let quoted: Value = serde_json::from_str(&run_well(&[&job[..], &at].concat())).expect("JSON is printed");
+    assert_eq!((&quoted["job"]["state"], &quoted["job"]["plan_id"]), (&json!("quoted"), &Value::Null));
+    let id = quoted["job"]["id"].as_str().expect("an id");
+    let status = run_well(&[&["status", id][..], &at].concat());
+    assert!(status.contains("if it is accepted now"), "{status}");
+    let accepted =
+        run_well(&[&["accept", id, "--deadline", "6h", "--budget", "9.50", "--json"][..], &at].concat());
+    let accepted: Value = serde_json::from_str(&accepted).expect("JSON is printed");
+    assert_eq!((&accepted["hold"], &accepted["budget"]), (&Value::Null, &json!(9_500_000)));
+    let table = run_well(&[&["submit", "--job", id, "--follow"][..], &at].concat());
+    assert!(table.contains("delivered  1 of 1 frames"), "{table}");
+    let again = run(&[&["accept", id, "--confidence", "p50"][..], &at].concat());
+    assert_eq!(again.status.code(), Some(1), "{}", String::from_utf8_lossy(&again.stderr));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_time_for_a_shot_is_spent_frame_by_frame_where_it_pays() {
     let service = farm().await;
     let (scene, data) = (shipped("corridor").display().to_string(), service.data().display().to_string());
