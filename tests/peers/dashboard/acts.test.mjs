@@ -69,7 +69,7 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
     await page.getByLabel("Selected frames").fill("1-2");
     await press("Fetch…");
     await page.getByRole("button", { name: /^EXR/ }).click();
-    await inspect(page, "fetch-question", { phone: true });
+    await inspect(page, "fetch-question");
     const [file] = await Promise.all([page.waitForEvent("download"), press("Fetch as one zip file")]);
     assert.equal(file.suggestedFilename(), "small.zip");
     const files = unzipSync(fs.readFileSync(await file.path()));
@@ -87,7 +87,7 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
     await show(page, farm.address, screens(long)["job-accuracy"]);
     await press("Submit…", page.getByRole("row", { name: /^4 spp/ }));
     await dialog.getByRole("checkbox").check();
-    await inspect(page, "rung-question", { phone: true });
+    await inspect(page, "rung-question");
     await press("Get its quote");
     finer = await quoted();
     const [before, made] = [await job(long), await job(finer)];
@@ -100,14 +100,14 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
     const quote = page.url();
     await show(page, farm.address, screens(null).farm);
     await page.getByRole("button", { name: /node-1/ }).click();
-    await inspect(page, "node", { phone: true });
+    await inspect(page, "node");
     await dialog.getByText("Price and schedule").click();
     await press("Change the schedule", dialog);
     // It sleeps now, so that what is booked stays booked.
     const [from, to] = [2, 11].map((hours) => berlin(Date.now() + hours * HOUR));
     await dialog.getByLabel("from", { exact: true }).fill(from);
     await dialog.getByLabel("to", { exact: true }).fill(to);
-    await inspect(page, "node-schedule", { phone: true });
+    await inspect(page, "node-schedule");
     await press("Set the schedule", dialog);
     await dialog.getByText(`Awake: every day ${from} to ${to} (Europe/Berlin)`).waitFor();
     const { schedule } = await node("node-1");
@@ -153,7 +153,7 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
     // Before the nodes are awake.
     await dialog.getByLabel("Deadline").fill(minutes(Date.now() + HOUR));
     await dialog.getByText("late").first().waitFor();
-    await inspect(page, "change-question-late", { phone: true });
+    await inspect(page, "change-question-late");
     const later = Math.floor((Date.now() + 10 * HOUR) / 60_000) * 60_000;
     await dialog.getByLabel("Deadline").fill(minutes(later));
     await dialog.getByText("in time").first().waitFor();
@@ -165,7 +165,7 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
     assert.deepEqual([Date.parse(changed.deadline), changed.budget], [later, 2_500_000]);
     await page.locator(".facts").getByText("2.50").waitFor();
     await show(page, farm.address, screens(finer)["job-price"]);
-    await inspect(page, "job-price", { phone: true });
+    await inspect(page, "job-price");
   });
 
   await step("pauses a node, drains it, and takes it back", async () => {
@@ -195,7 +195,7 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
     await show(page, farm.address, [`#/farm?plan=${plan}`, ".plan-words"]);
     const chosen = page.locator(".plans select");
     await until("the plan of the address is chosen", async () => (await chosen.inputValue()) === plan);
-    await inspect(page, "plan-difference", { phone: true });
+    await inspect(page, "plan-difference");
     const picture = () => page.locator(".gantt canvas").evaluate((canvas) => canvas.toDataURL());
     const before = await picture();
     await page.getByRole("button", { name: `Play ${frames.length} moves` }).click();
@@ -223,7 +223,7 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
     );
     await Promise.all(inTabs);
     await show(page, farm.address, screens(null).keys);
-    await inspect(page, "keys", { phone: true });
+    await inspect(page, "keys");
     noFaults(page);
   });
 
@@ -245,7 +245,7 @@ test("what people do on a farm", { timeout: 240_000 }, async (t) => {
 async function asked(tab, button, name) {
   await tab.getByRole("button", { name: button }).first().click();
   await tab.locator("dialog").waitFor();
-  await inspect(tab, name, { phone: true });
+  await inspect(tab, name);
 }
 
 /** Presses a button of the question, and waits until it is gone or another one. */
@@ -261,7 +261,7 @@ async function questionsOfTokens(tab, farm) {
   await asked(tab, "Make a token…", "token-question");
   await tab.getByLabel("Name of the person or program").fill("berta");
   await answer(tab, "Make it");
-  await inspect(tab, "secret", { phone: true });
+  await inspect(tab, "secret");
   const secret = await tab.locator(".secret").textContent();
   await answer(tab, "I have kept it");
   assert.ok((await names()).includes("berta"));
@@ -321,7 +321,7 @@ async function addingNodes(tab, farm) {
   await tab.getByLabel("Name of the machine").fill("rack-8");
   await tab.getByRole("button", { name: "Make its token" }).click();
   await tab.getByText("Then start the worker there").waitFor();
-  await inspect(tab, "node-token", { phone: true });
+  await inspect(tab, "node-token");
   await answer(tab, "Done");
 }
 
@@ -350,7 +350,6 @@ async function cable(t, port) {
   t.after(() => (cut(), server.close()));
   return { address: `http://127.0.0.1:${server.address().port}`, cut, mend: () => (whole = true) };
 }
-
 
 const SMALL = ["--width", "48", "--spp", "2", "--ambient-bounces", "1"];
 

@@ -99,8 +99,10 @@ async function drawnTwice(page) {
   );
 }
 
-/** Checks the present view with axe in both themes, and keeps what it looks like. */
-export async function inspect(page, name, { phone = false } = {}) {
+/** Checks the present view with axe in both themes, and keeps what it looks like there and on a phone. */
+export async function inspect(page, name) {
+  const fullPage = (await page.locator("dialog").count()) === 0;
+  const shoot = (kind) => page.screenshot({ path: path.join(shots, `${name}-${kind}.png`), fullPage });
   for (const theme of ["light", "dark"]) {
     await page.emulateMedia({ colorScheme: theme });
     await drawnTwice(page);
@@ -110,16 +112,13 @@ export async function inspect(page, name, { phone = false } = {}) {
       (one) => `${one.id}: ${one.nodes.map((node) => node.target.join(" ")).join(", ")}`,
     );
     assert.deepEqual(told, [], `axe, ${name}, ${theme}`);
-    const fullPage = (await page.locator("dialog").count()) === 0;
-    await page.screenshot({ path: path.join(shots, `${name}-${theme}.png`), fullPage });
-    if (phone) {
-      await page.setViewportSize({ width: 390, height: 844 });
-      await drawnTwice(page);
-      const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
-      assert.ok(over <= 0, `${name} is ${over} pixels wider than a phone`);
-      await page.screenshot({ path: path.join(shots, `${name}-${theme}-phone.png`), fullPage });
-      await page.setViewportSize({ width: 1440, height: 900 });
-    }
+    await shoot(theme);
+    await page.setViewportSize({ width: 390, height: 844 });
+    await drawnTwice(page);
+    const over = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+    assert.ok(over <= 0, `${name} is ${over} pixels wider than a phone`);
+    await shoot(`${theme}-phone`);
+    await page.setViewportSize({ width: 1440, height: 900 });
   }
   await page.emulateMedia({ colorScheme: "light" });
 }
@@ -127,7 +126,7 @@ export async function inspect(page, name, { phone = false } = {}) {
 /** Tabs in which screens are inspected at the same time. */
 const TABS = 3;
 
-/** Shows and inspects screens by name, in tabs of the page's session. Those that a phone is for are also seen on one. */
+/** Shows and inspects screens by name, in tabs of the page's session. */
 export async function inspectAll(page, address, list, state) {
   const left = Object.entries(list);
   const inTab = async () => {
@@ -135,7 +134,7 @@ export async function inspectAll(page, address, list, state) {
     for (let next = left.shift(); next; next = left.shift()) {
       const [name, screen] = next;
       await show(tab, address, screen);
-      await inspect(tab, `${state}-${name}`, { phone: !name.includes("-") });
+      await inspect(tab, `${state}-${name}`);
     }
     await tab.close();
   };

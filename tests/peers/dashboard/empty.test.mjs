@@ -15,7 +15,7 @@ test("an empty farm", { timeout: 240_000 }, async (t) => {
     await page.getByLabel("Token or link").fill("forelight_0000");
     await page.getByRole("button", { name: "Sign in" }).click();
     await page.getByText("The farm does not know this token").waitFor();
-    await inspect(page, "sign-in", { phone: true });
+    await inspect(page, "sign-in");
     const link = await farm.link();
     await page.goto(link);
     await page.locator(".tonight").waitFor();

@@ -30,7 +30,7 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
     await page.getByLabel("Width").fill("48");
     await page.getByLabel("Camera samples per pixel").fill("2");
     await page.getByLabel("Bounces").fill("1");
-    await inspect(page, "submit-form", { phone: true });
+    await inspect(page, "submit-form");
     await page.getByRole("button", { name: "Get a quote" }).click();
     await page.getByText("ends before it starts").waitFor();
     await page.getByLabel("Frames").fill("0-5");
@@ -44,7 +44,7 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
       [(await farm.get(`/v1/jobs/${job}`)).state, (await farm.get("/v1/bookings")).items.length],
       ["quoted", 0],
     );
-    await inspect(page, "quote", { phone: true });
+    await inspect(page, "quote");
     await page.getByRole("button", { name: "Book it" }).click();
     await page.locator(".job-top").waitFor();
   });
@@ -114,7 +114,7 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
     await page.getByText("1 promise at risk").waitFor({ timeout: 60_000 });
     assert.match(await page.title(), /1 at risk/);
     assert.match(await page.locator("#icon").getAttribute("href"), /risk/);
-    await inspect(page, "promise-at-risk", { phone: true });
+    await inspect(page, "promise-at-risk");
     const before = (await farm.get(`/v1/jobs/${long}`)).deadline;
     await rescue(page);
     await until("the deadline is later", async () => (await farm.get(`/v1/jobs/${long}`)).deadline > before);

@@ -30,7 +30,7 @@ test("without a pointer", { timeout: 120_000 }, async (t) => {
     await told.getByText(/Pixel 24, \d+: \w+ · .* of the frame’s work/).waitFor();
     await page.keyboard.press("Shift+ArrowRight");
     await told.getByText(/Pixel 25, \d+/).waitFor();
-    await inspect(page, "crosshair", { phone: true });
+    await inspect(page, "crosshair");
   });
 
   await step("keys go from node to node on the farm's chart, and hold a span", async () => {
@@ -44,7 +44,7 @@ test("without a pointer", { timeout: 120_000 }, async (t) => {
     await told.getByText(/^node-2: kitchen, frames? .*, past/).waitFor();
     await page.keyboard.press("Enter");
     await told.getByRole("button", { name: "Let go" }).waitFor();
-    await inspect(page, "chart-cursor", { phone: true });
+    await inspect(page, "chart-cursor");
   });
 
   await step("a link shows the held span, and zoom, place, slider and crosshair of an image", async () => {

@@ -30,7 +30,10 @@ test("sets of frames are read and written as the API writes them", async () => {
 test("a session submits to the projects in which its role does", async () => {
   const { submitsTo } = await load("state/rights.ts");
   const both = { name: "anna", role: "submitter", projects: { film: "submitter", ads: "viewer" } };
-  assert.deepEqual(["film", "ads", "other"].map((project) => submitsTo(both, project)), [true, false, false]);
+  assert.deepEqual(
+    ["film", "ads", "other"].map((project) => submitsTo(both, project)),
+    [true, false, false],
+  );
   assert.equal(submitsTo({ ...both, projects: { "*": "operator", ads: "viewer" } }, "film"), true);
   assert.equal(submitsTo({ name: "all", role: "submitter" }, "film"), true);
   assert.equal(submitsTo({ name: "all", role: "viewer" }, "film"), false);
@@ -264,7 +267,13 @@ test("a stream of events goes on behind the last one after each break, and ends 
   await breaks();
   made.at(-1).onopen();
   await breaks();
-  assert.deepEqual([taken, broken], [[3, 4], [0, 1, 0]]);
+  assert.deepEqual(
+    [taken, broken],
+    [
+      [3, 4],
+      [0, 1, 0],
+    ],
+  );
   assert.deepEqual(
     made.map((source) => source.address),
     ["events?null", "events?4", "events?4", "events?4"],
