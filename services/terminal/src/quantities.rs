@@ -166,6 +166,15 @@ pub fn clock(at: forelight_protocol::Timestamp, now: forelight_protocol::Timesta
     }
 }
 
+/// A probability, rounded. One that is not certain is never 0 or 100 %.
+pub fn probability_in_words(probability: f64) -> String {
+    match (probability * 100.0).round() as u32 {
+        0 if probability > 0.0 => "< 1 %".to_owned(),
+        100 if probability < 1.0 => "> 99 %".to_owned(),
+        rounded => format!("{rounded} %"),
+    }
+}
+
 /// Formats a signed percentage with one decimal: `+3.2 %`.
 pub fn percent(fraction: f64) -> String {
     if fraction.is_finite() { format!("{:+.1} %", fraction * 100.0) } else { "-".into() }

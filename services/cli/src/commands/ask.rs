@@ -10,7 +10,9 @@ use forelight_protocol::{
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
-use forelight_terminal::quantities::{Deadline, clock, money, parse_deadline, parse_money};
+use forelight_terminal::quantities::{
+    Deadline, clock, money, parse_deadline, parse_money, probability_in_words,
+};
 use forelight_terminal::table::{Align, Table};
 use std::path::PathBuf;
 
@@ -99,12 +101,14 @@ fn heading(job: &Job, found: &AnswersDoc, at: impl Fn(Timestamp) -> String) -> S
         Some(deadline) => format!("{}, deadline {}\n", job.name, at(deadline)),
         None => format!("{}, without a deadline\n", job.name),
     };
+    if let Some(probability) = found.probability {
+        text += &format!("in time with a probability of {}\n", probability_in_words(probability));
+    }
     if let Some(waits) = &job.waits {
         text += &format!("{}\n", waits.because);
     }
     if let Some(promise) = job.promise.as_ref().filter(|promise| !promise.kept) {
-        let sure = promise.probability * 100.0;
-        text += &format!("its deadline is at risk: the job is in time with a probability of {sure:.0} %\n");
+        text += "its deadline is at risk\n";
         if let Some(rescue) = &promise.rescue {
             text += &format!("cheapest rescue: {}\n", rescue.words);
         }
@@ -163,6 +167,7 @@ fn qualities(offers: &[QualityOffer], at: impl Fn(Timestamp) -> String) -> Strin
         ("pixels", Align::Left),
         ("error", Align::Right),
         ("ready by", Align::Left),
+        ("in time", Align::Right),
         ("cost", Align::Right),
         ("", Align::Left),
     ]);
@@ -173,6 +178,7 @@ fn qualities(offers: &[QualityOffer], at: impl Fn(Timestamp) -> String) -> Strin
             format!("{} × {}", settings.width, settings.height),
             offer.error.map_or("-".into(), |error| format!("{:.1} %", error.p50 * 100.0)),
             offer.finish.map_or("never".into(), &at),
+            offer.probability.map_or("-".into(), probability_in_words),
             money(offer.cost.micro_units()),
             match (offer.asked_for, offer.fits) {
                 (true, true) => "as asked for",

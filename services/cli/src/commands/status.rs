@@ -9,7 +9,7 @@ use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::duration;
 use forelight_terminal::output;
-use forelight_terminal::quantities::{clock, seconds};
+use forelight_terminal::quantities::{clock, probability_in_words, seconds};
 use std::io::IsTerminal;
 use std::time::Duration;
 
@@ -160,7 +160,7 @@ fn report(job: &Job, now: Timestamp) -> String {
         let rescue = promise.rescue.as_ref().map_or(String::new(), |rescue| format!("; {}", rescue.words));
         line(
             "promise",
-            format!("{word}, with a probability of {:.0} %{rescue}", promise.probability * 100.0),
+            format!("{word}, with a probability of {}{rescue}", probability_in_words(promise.probability)),
         );
     } else if let Some(verdict) = job.verdict.as_ref().filter(|said| said.verdict != Verdict::OnTime) {
         verdict.reasons.iter().for_each(|reason| line("", reason.clone()));
@@ -192,7 +192,12 @@ fn ready(job: &Job, now: Timestamp) -> String {
         let late = at.micros_since(deadline);
         let word = if late > 0 { "after" } else { "before" };
         let by = seconds(late.unsigned_abs() as f64 * 1e-6);
-        format!(", {by} {word} the deadline at {}", clock(deadline, now))
+        // A promise says its probability itself.
+        let sure = job.probability.filter(|_| job.promise.is_none());
+        let sure = sure.map_or(String::new(), |sure| {
+            format!("; in time with a probability of {}", probability_in_words(sure))
+        });
+        format!(", {by} {word} the deadline at {}{sure}", clock(deadline, now))
     });
     said + &against
 }
@@ -332,8 +337,12 @@ pub(super) mod tests {
         ] {
             assert!(text.contains(said), "{said}: {text}");
         }
-        let late = Job { eta: Some(at(3660)), ..under_way.clone() };
-        assert!(report(&late, at(0)).contains("60.0 s after the deadline"));
+        let late = Job { eta: Some(at(3660)), promise: None, probability: Some(0.004), ..under_way.clone() };
+        let text = report(&late, at(0));
+        assert!(
+            text.contains("60.0 s after the deadline") && text.contains("a probability of < 1 %"),
+            "{text}"
+        );
         let done = Job { state: JobState::Done, finished_at: Some(at(1000)), progress: 1.0, ..under_way };
         let text = report(&done, at(0));
         assert!(text.contains("since ") && text.contains("43m 20s before the deadline"), "{text}");
