@@ -15,6 +15,9 @@ use crate::conductor::settle::stayed;
 
 const MOST_LINES: usize = 50;
 
+/// Most moves of frames that a difference lists.
+const MOST_MOVES: usize = 1_000;
+
 /// Compares a plan, or the part of it that somebody sees, with the bookings before it.
 pub(crate) async fn difference(store: &Store, after: Plan) -> Result<PlanDifference, StoreError> {
     let plan = after.id;
@@ -61,10 +64,13 @@ pub(crate) async fn difference(store: &Store, after: Plan) -> Result<PlanDiffere
         words: Vec::new(),
         jobs,
         frames,
+        frames_left_out: 0,
         unmoved: unmoved as u64,
         added_cost: Money(added_cost),
     };
     difference.words = words(&difference);
+    difference.frames_left_out = difference.frames.len().saturating_sub(MOST_MOVES) as u64;
+    difference.frames.truncate(MOST_MOVES);
     Ok(difference)
 }
 

@@ -116,6 +116,9 @@ pub struct DashboardCounts {
     /// Number of jobs by state.
     #[serde(default)]
     pub jobs: JobCounts,
+    /// Open jobs whose promised deadline is at risk.
+    #[serde(default)]
+    pub promises_at_risk: u64,
     /// Number of tasks by state.
     pub tasks: TaskCounts,
     /// Nodes that sent a request within the last three lease times, and are neither draining nor set aside.

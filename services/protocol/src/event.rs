@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    EventId, Job, JobId, JobState, Money, MoneyQuantiles, NodeId, NodeState, OffForecast, PlanId, Promise,
-    TaskId, TaskKind, Timestamp, Verdict,
+    EventId, FinishQuantiles, Job, JobId, JobState, Money, MoneyQuantiles, NodeId, NodeState, OffForecast,
+    PlanId, Promise, TaskId, TaskKind, Timestamp, Verdict,
 };
 
 /// Kind of an event. It is also the `event:` field of the server-sent events.
@@ -151,6 +151,9 @@ pub struct JobNews {
     /// Expected finish of the last frame, by a plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub eta: Option<Timestamp>,
+    /// When it will be finished, in the scenarios of a plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finish: Option<FinishQuantiles>,
     /// Cost of the bookings of a plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub booked_cost: Option<Money>,

@@ -132,6 +132,10 @@ pub struct BookingPage {
     pub next_page_token: Option<PageToken>,
 }
 
+fn is_none(number: &u64) -> bool {
+    *number == 0
+}
+
 /// A plan. It never changes. It contains the jobs that it books; for all others, earlier plans apply.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct Plan {
@@ -242,8 +246,11 @@ pub struct PlanDifference {
     pub words: Vec<String>,
     /// Jobs that it books and about which it says something else.
     pub jobs: Vec<VerdictChange>,
-    /// Frames that it moves, adds or removes, sorted by job and frame.
+    /// Frames that it moves, adds or removes, sorted by job and frame. At most 1,000.
     pub frames: Vec<FrameMove>,
+    /// Number of such frames that are not listed.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub frames_left_out: u64,
     /// Number of frames of its jobs that keep their bookings.
     pub unmoved: u64,
     /// Additional cost of its jobs. Negative if they cost less.

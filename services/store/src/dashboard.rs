@@ -132,6 +132,7 @@ async fn counts(
             counts.jobs_active += number;
         }
     }
+    counts.promises_at_risk = promises_at_risk(connection, projects).await?;
     counts.jobs_done = counts.jobs.done;
     counts.jobs_failed = counts.jobs.failed;
     counts.jobs_cancelled = counts.jobs.cancelled;
@@ -165,6 +166,18 @@ async fn counts(
     counts.nodes = row.nodes;
     counts.nodes_alive = row.alive;
     Ok(counts)
+}
+
+async fn promises_at_risk(connection: &mut SqliteConnection, projects: Option<&[String]>) -> Result<u64> {
+    Ok(sqlx::query_scalar!(
+        r#"SELECT count(*) AS "number!: u64" FROM jobs INDEXED BY jobs_open
+           WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering') AND at_risk = 1
+           AND json_extract(outlook, '$.promise.kept') = 0
+           AND (?1 IS NULL OR project IN (SELECT value FROM json_each(?1)))"#,
+        projects.map(Json)
+    )
+    .fetch_one(connection)
+    .await?)
 }
 
 async fn versions(connection: &mut SqliteConnection) -> Result<FarmVersions> {

@@ -213,11 +213,14 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         if fresh != Some(job_id) {
             living::update(write, job_id, Occasion::Booked, now).await?;
         }
+        let outlook = outlooks.get(&job_id);
+        let spread = outlook.and_then(|outlook| outlook.finish).zip(job.verdict.finish);
         let news = JobNews {
             verdict: Some(job.verdict.verdict),
             eta: job.verdict.finish,
+            finish: spread.map(|(spread, end)| spread.around(end, now)),
             booked_cost: job.verdict.cost,
-            probability: outlooks.get(&job_id).and_then(|outlook| outlook.probability),
+            probability: outlook.and_then(|outlook| outlook.probability),
             ..JobNews::default()
         };
         let told = Event {

@@ -1,8 +1,8 @@
 //! The audit: who did what, when, and from where.
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
+use axum::http::HeaderMap;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
@@ -12,6 +12,7 @@ use futures::stream;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
+use super::responses::tagged;
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Operator, QueryParameters, number_if_any};
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
@@ -50,19 +51,21 @@ pub(crate) struct AuditQuery {
 
 /// Who submitted, cancelled, changed or ordered what, newest first. Entries never change.
 #[utoipa::path(get, path = "/v1/audit", operation_id = "audit_list", tag = "people", params(AuditQuery),
-    responses((status = 200, description = "A page of entries", body = AuditPage), Problems))]
+    responses((status = 200, description = "A page of entries", body = AuditPage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
     _: Operator,
     QueryParameters(query): QueryParameters<AuditQuery>,
-) -> ApiResult<Json<AuditPage>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let AuditQuery { actor, action, target, project, from, to, page_token, page_size } = query;
     let page = PageQuery { page_token, page_size };
     let filter = AuditFilter { actor, action, target, project, from, to };
     let size = page.size();
     let mut items = app.store.audit(&filter, page.key("audit")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "audit", |entry| entry.id);
-    Ok(Json(AuditPage { items, next_page_token }))
+    tagged(&headers, &AuditPage { items, next_page_token })
 }
 
 /// The form of an export.

@@ -9,6 +9,7 @@ use forelight_protocol::{
 };
 
 use super::checks::{HIGHEST_SUM, check_name};
+use super::responses::tagged;
 use crate::budget_forecast::{BudgetForecastError, budget_forecast};
 use crate::costly::key;
 use crate::document::Document;
@@ -20,11 +21,16 @@ const MOST_THRESHOLDS: usize = 10;
 
 /// All budgets with their current state.
 #[utoipa::path(get, path = "/v1/budgets", operation_id = "budget_list", tag = "farm",
-    responses((status = 200, description = "The budgets", body = BudgetList), Problems))]
-pub(crate) async fn list(State(app): State<App>, Reader(caller): Reader) -> ApiResult<Json<BudgetList>> {
+    responses((status = 200, description = "The budgets", body = BudgetList),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
+pub(crate) async fn list(
+    State(app): State<App>,
+    Reader(caller): Reader,
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let mut items = app.store.budgets(app.now()).await?;
     items.retain(|budget| caller.sees(&budget.project));
-    Ok(Json(BudgetList { items }))
+    tagged(&headers, &BudgetList { items })
 }
 
 /// Sets a project's budget. Setting it again replaces it and ends the actions in force, so repeating is

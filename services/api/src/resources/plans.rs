@@ -1,6 +1,5 @@
 //! Plans and bookings.
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
@@ -43,13 +42,15 @@ pub(crate) async fn list(
 /// One plan: its bookings, and its verdict on each job.
 #[utoipa::path(get, path = "/v1/plans/{id}", operation_id = "plan_get",
     tag = "farm", params(("id" = PlanId, Path)),
-    responses((status = 200, description = "The plan", body = Plan), Problems))]
+    responses((status = 200, description = "The plan", body = Plan),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
     Reader(caller): Reader,
     Segment(plan): Segment<PlanId>,
-) -> ApiResult<Json<Plan>> {
-    Ok(Json(seen_plan(&app, &caller, plan).await?))
+    headers: HeaderMap,
+) -> ApiResult<Response> {
+    tagged(&headers, &seen_plan(&app, &caller, plan).await?)
 }
 
 /// The plan as the caller sees it.
@@ -62,14 +63,16 @@ async fn seen_plan(app: &App, caller: &Principal, plan: PlanId) -> ApiResult<Pla
 /// Changes of a plan to the bookings before it: in words, by job, and by frame.
 #[utoipa::path(get, path = "/v1/plans/{id}/difference", operation_id = "plan_difference",
     tag = "farm", params(("id" = PlanId, Path)),
-    responses((status = 200, description = "The difference", body = PlanDifference), Problems))]
+    responses((status = 200, description = "The difference", body = PlanDifference),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn changed(
     State(app): State<App>,
     Reader(caller): Reader,
     Segment(plan): Segment<PlanId>,
-) -> ApiResult<Json<PlanDifference>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let plan = seen_plan(&app, &caller, plan).await?;
-    Ok(Json(difference(&app.store, plan).await?))
+    tagged(&headers, &difference(&app.store, plan).await?)
 }
 
 /// Which bookings to list.

@@ -2,12 +2,14 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::Response;
 use forelight_protocol::{
     JobId, JobState, ProblemKind, PruneRequest, Pruned, Retention, RetentionKind, RetentionRule, Role,
 };
 
 use super::checks::check_name;
+use super::responses::tagged;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, OwnJob, Reader};
 use crate::state::App;
@@ -17,9 +19,10 @@ const MOST_DAYS: u32 = 36_500;
 
 /// How long things are kept, and what was deleted last.
 #[utoipa::path(get, path = "/v1/retention", operation_id = "retention_get", tag = "farm",
-    responses((status = 200, description = "The rules", body = Retention), Problems))]
-pub(crate) async fn get(State(app): State<App>, _: Reader) -> ApiResult<Json<Retention>> {
-    Ok(Json(app.store.retention().await?))
+    responses((status = 200, description = "The rules", body = Retention),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
+pub(crate) async fn get(State(app): State<App>, _: Reader, headers: HeaderMap) -> ApiResult<Response> {
+    tagged(&headers, &app.store.retention().await?)
 }
 
 /// Sets how long something is kept. The next night deletes by it. Setting it again replaces the rule, so

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
 use axum::http::header::CACHE_CONTROL;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{
     NewToken, Role, RotateRequest, Timestamp, Token, TokenChange, TokenId, TokenPage, TokenRequest,
@@ -13,7 +13,7 @@ use forelight_protocol::{
 use forelight_store::StoreError;
 
 use super::checks::{check_name, within};
-use super::responses::NOT_KEPT;
+use super::responses::{NOT_KEPT, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, QueryParameters, Segment};
 use crate::page::{PageQuery, cut};
@@ -46,30 +46,34 @@ pub(crate) async fn create(
 
 /// The tokens, oldest first. A token that expired is listed for thirty days more.
 #[utoipa::path(get, path = "/v1/tokens", operation_id = "token_list", tag = "people", params(PageQuery),
-    responses((status = 200, description = "A page of tokens", body = TokenPage), Problems))]
+    responses((status = 200, description = "A page of tokens", body = TokenPage),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn list(
     State(app): State<App>,
     _: Operator,
     QueryParameters(query): QueryParameters<PageQuery>,
-) -> ApiResult<Json<TokenPage>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     let size = query.size();
     app.rights.store_uses(&app.store, true, app.now()).await?;
     let mut items = app.store.tokens(query.key("tokens")?, size + 1).await?;
     let next_page_token = cut(&mut items, size, "tokens", |token| (token.created_at, token.id));
-    Ok(Json(TokenPage { items, next_page_token }))
+    tagged(&headers, &TokenPage { items, next_page_token })
 }
 
 /// One token.
 #[utoipa::path(get, path = "/v1/tokens/{id}", operation_id = "token_get", tag = "people",
     params(("id" = TokenId, Path)),
-    responses((status = 200, description = "The token", body = Token), Problems))]
+    responses((status = 200, description = "The token", body = Token),
+              (status = 304, description = "It is still that of `If-None-Match`"), Problems))]
 pub(crate) async fn get(
     State(app): State<App>,
     _: Operator,
     Segment(token): Segment<TokenId>,
-) -> ApiResult<Json<Token>> {
+    headers: HeaderMap,
+) -> ApiResult<Response> {
     app.rights.store_uses(&app.store, true, app.now()).await?;
-    Ok(Json(app.store.token(token).await?))
+    tagged(&headers, &app.store.token(token).await?)
 }
 
 /// Changes a token's name, when it expires, or which projects it reaches.
