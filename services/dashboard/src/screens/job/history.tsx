@@ -47,7 +47,7 @@ export function History(props: { job: Job; version: string }) {
   const options = () => ({
     legend: { show: false },
     cursor: { y: false },
-    axes: axes(cpuTime, true),
+    axes: axes({ words: cpuTime }),
     bands: [
       { series: [1, 2] as [number, number], fill: colour("p95") },
       { series: [2, 3] as [number, number], fill: colour("p80") },
