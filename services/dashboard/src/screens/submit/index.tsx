@@ -11,7 +11,8 @@ import { bytes, clean, counted, percent } from "../../ui/format";
 import { Trouble, Waiting } from "../../ui/parts";
 import { asError } from "../../ui/resource";
 import { droppedFiles, pack, pickedFiles, upload } from "./bundle";
-import { type Draft, draftFor, draftOf, fieldOf, Fields, requestOf } from "./form";
+import { type Draft, draftFor, draftOf, fieldOf, requestOf, type Wrong } from "./draft";
+import { Fields } from "./form";
 import { Quote } from "./quote";
 import "../../styles/job.css";
 import "../../styles/submit.css";
@@ -165,7 +166,7 @@ function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted
   const [state, setState] = useState<{
     busy: boolean;
     error: Error | null;
-    wrong: Partial<Record<keyof Draft, string>>;
+    wrong: Wrong;
   }>({ busy: false, error: null, wrong: {} });
   const submit = async (event: Event) => {
     event.preventDefault();
