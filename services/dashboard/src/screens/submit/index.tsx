@@ -119,36 +119,7 @@ function Pick(props: { got: (bundle: Bundle) => void }) {
         {state.busy ? (
           <Waiting>{state.busy}</Waiting>
         ) : (
-          <>
-            <p>
-              <strong>Drop a bundle here</strong>: a folder with <code>scene.json</code> or one glTF file, a
-              zip file of it, or a Blender file.
-            </p>
-            <div class="buttons">
-              <label class="button">
-                Pick a file
-                <input
-                  type="file"
-                  class="unseen"
-                  accept=".zip,.blend,.glb"
-                  onChange={(event) =>
-                    event.currentTarget.files && void take(pickedFiles(event.currentTarget.files))
-                  }
-                />
-              </label>
-              <label class="button">
-                Pick a folder
-                <input
-                  type="file"
-                  class="unseen"
-                  {...{ webkitdirectory: true }}
-                  onChange={(event) =>
-                    event.currentTarget.files && void take(pickedFiles(event.currentTarget.files))
-                  }
-                />
-              </label>
-            </div>
-          </>
+          <Pickers take={(files) => void take(pickedFiles(files))} />
         )}
       </div>
       {state.error && <Trouble error={state.error} />}
@@ -156,6 +127,38 @@ function Pick(props: { got: (bundle: Bundle) => void }) {
         In a terminal, the same is <code>forelight submit BUNDLE --frames 0-47 --deadline 2h --hold</code>,
         and then <code>forelight accept JOB</code>.
       </p>
+    </>
+  );
+}
+
+/** What can be dropped, and buttons that pick it. */
+function Pickers(props: { take: (files: FileList) => void }) {
+  return (
+    <>
+      <p>
+        <strong>Drop a bundle here</strong>: a folder with <code>scene.json</code> or one glTF file, a zip
+        file of it, or a Blender file.
+      </p>
+      <div class="buttons">
+        <label class="button">
+          Pick a file
+          <input
+            type="file"
+            class="unseen"
+            accept=".zip,.blend,.glb"
+            onChange={(event) => event.currentTarget.files && props.take(event.currentTarget.files)}
+          />
+        </label>
+        <label class="button">
+          Pick a folder
+          <input
+            type="file"
+            class="unseen"
+            {...{ webkitdirectory: true }}
+            onChange={(event) => event.currentTarget.files && props.take(event.currentTarget.files)}
+          />
+        </label>
+      </div>
     </>
   );
 }
