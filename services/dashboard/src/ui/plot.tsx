@@ -17,7 +17,7 @@ const GAP = 5;
 const WHOLE = Array.from({ length: 15 }, (_, power) => [1, 2, 5].map((digit) => digit * 10 ** power)).flat();
 
 /** What a vertical axis counts. */
-export interface Unit {
+interface Unit {
   /** Writes a value of an axis whose lines are so far apart. */
   words: (value: number, step: number) => string;
   /** Steps that lines may have, if not all. */

@@ -135,7 +135,7 @@ function paintState(draw: CanvasRenderingContext2D, cell: Cell, state: string, c
 }
 
 /** Cheaper than forecast is blue, as forecast is grey, dearer is amber, far dearer red. */
-export function ratioColour(ratio: number, colours: Pick<Palette, "cheap" | "mid" | "warn" | "bad">): string {
+function ratioColour(ratio: number, colours: Pick<Palette, "cheap" | "mid" | "warn" | "bad">): string {
   if (ratio < 0.9) return colours.cheap;
   if (ratio <= 1.1) return colours.mid;
   if (ratio <= 1.3) return colours.warn;
