@@ -67,7 +67,7 @@ export function axes(unit: Unit, across?: (value: number) => string): uPlot.Axis
   ];
 }
 
-/** The same for a row of frames, by their places: lines stand only at whole ones, and the row begins at `left`. */
+/** The same for a row of frames by their places, which begins at `left`: lines stand only at whole ones. */
 export function frameAxes(unit: Unit, name: (place: number) => string, left: number): uPlot.Axis[] {
   const [across, up] = axes(unit, name);
   return [

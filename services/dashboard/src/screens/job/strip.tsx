@@ -100,7 +100,7 @@ export function Strip(props: StripProps) {
   );
 }
 
-/** Selecting by drag: the cells under it, which become the selection when it ends, and what the pointer does. */
+/** Selecting by drag: the cells under it become the selection when it ends. */
 function useDrag(
   props: StripProps,
   canvas: { current: HTMLCanvasElement | null },

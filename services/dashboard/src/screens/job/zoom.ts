@@ -98,7 +98,7 @@ interface Moves {
   all(): void;
 }
 
-/** Moves by wheel, drag, two fingers, and keys. The moves of the first call count as long as the image is there. */
+/** Moves by wheel, drag, two fingers, and keys. `moves` are those of when the image appeared. */
 function useMoves(box: { current: HTMLElement | null }, isThere: boolean, moves: Moves): void {
   useEffect(() => {
     const target = box.current;
