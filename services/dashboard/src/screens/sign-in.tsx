@@ -8,17 +8,18 @@ import { titled } from "../state/tab";
 import { Field, Trouble, Waiting } from "../ui/parts";
 import { asError, useResource } from "../ui/resource";
 
+type Secret = { code: string } | { token: string };
+
 export function SignIn() {
   const code = route.value.path[0] === "sign-in" ? route.value.query.get("code") : null;
   const [state, setState] = useState<{ busy: boolean; error: Error | null }>({
     busy: code !== null,
     error: null,
   });
-  const [text, setText] = useState("");
   useEffect(() => titled("Sign in"), []);
   const ways = useResource((signal) => get("/v1/sign-in", { signal }), []);
 
-  const enter = async (secret: { code: string } | { token: string }) => {
+  const enter = async (secret: Secret) => {
     setState({ busy: true, error: null });
     try {
       await signIn(secret);
@@ -56,45 +57,53 @@ export function SignIn() {
           </a>
         </p>
       )}
-      <form
-        onSubmit={(event) => {
-          event.preventDefault();
-          const secret = text.trim();
-          const link = /[?&]code=([^&\s]+)/.exec(secret);
-          void enter(link ? { code: link[1]! } : { token: secret });
-        }}
-      >
-        <Field
-          label="Token or link"
-          hint={
-            <>
-              On a machine that has a token, <code>forelight dashboard</code> prints a link that signs you in.
-              Or paste a token of the role viewer, submitter or operator; the farm wrote the first ones into{" "}
-              <code>tokens/</code> in its data folder.
-            </>
-          }
-        >
-          {(id) => (
-            <input
-              id={id}
-              type="password"
-              autocomplete="current-password"
-              spellcheck={false}
-              required
-              autoFocus
-              value={text}
-              onInput={(event) => setText(event.currentTarget.value)}
-            />
-          )}
-        </Field>
-        {state.error && <Trouble error={state.error} />}
-        <div class="buttons">
-          <button type="submit" class="primary" disabled={state.busy || text.trim() === ""}>
-            {state.busy ? "Signing in…" : "Sign in"}
-          </button>
-        </div>
-      </form>
+      <SecretForm busy={state.busy} error={state.error} enter={(secret) => void enter(secret)} />
     </Alone>
+  );
+}
+
+/** A field for a token, or for the link that holds a code. */
+function SecretForm(props: { busy: boolean; error: Error | null; enter: (secret: Secret) => void }) {
+  const [text, setText] = useState("");
+  return (
+    <form
+      onSubmit={(event) => {
+        event.preventDefault();
+        const secret = text.trim();
+        const link = /[?&]code=([^&\s]+)/.exec(secret);
+        props.enter(link ? { code: link[1]! } : { token: secret });
+      }}
+    >
+      <Field
+        label="Token or link"
+        hint={
+          <>
+            On a machine that has a token, <code>forelight dashboard</code> prints a link that signs you in.
+            Or paste a token of the role viewer, submitter or operator; the farm wrote the first ones into{" "}
+            <code>tokens/</code> in its data folder.
+          </>
+        }
+      >
+        {(id) => (
+          <input
+            id={id}
+            type="password"
+            autocomplete="current-password"
+            spellcheck={false}
+            required
+            autoFocus
+            value={text}
+            onInput={(event) => setText(event.currentTarget.value)}
+          />
+        )}
+      </Field>
+      {props.error && <Trouble error={props.error} />}
+      <div class="buttons">
+        <button type="submit" class="primary" disabled={props.busy || text.trim() === ""}>
+          {props.busy ? "Signing in…" : "Sign in"}
+        </button>
+      </div>
+    </form>
   );
 }
 

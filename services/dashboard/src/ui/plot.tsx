@@ -3,14 +3,35 @@
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { clockTime, dayName, exactTime } from "./format";
+import { clockTime, dayName, exactTime, moneyOnAxis } from "./format";
 import { useWidth } from "./resource";
 import { colour, theme } from "./theme";
 
 export type { Options as PlotOptions, AlignedData as PlotData } from "uplot";
 
-/** Width of the vertical axis, CSS pixels. What is to stand above a plot begins here. */
-export const LEFT = 64;
+const FONT = "12px system-ui, sans-serif";
+const TICK = 4;
+const GAP = 5;
+
+/** Steps between lines where nothing is smaller than one: 1, 2, 5, 10, 20 and so on. */
+const WHOLE = Array.from({ length: 15 }, (_, power) => [1, 2, 5].map((digit) => digit * 10 ** power)).flat();
+
+/** What a vertical axis counts. */
+interface Unit {
+  /** Writes a value of an axis whose lines are so far apart. */
+  words: (value: number, step: number) => string;
+  /** Steps that lines may have, if not all. */
+  incrs?: number[];
+}
+
+/** Money in micro-units, of which there are no parts. */
+export const MONEY: Unit = { words: moneyOnAxis, incrs: WHOLE };
+
+/** The width that a vertical axis needs for its labels, CSS pixels. */
+function room(plot: uPlot, labels: string[] | null): number {
+  plot.ctx.font = FONT;
+  return TICK + 2 * GAP + Math.max(0, ...(labels ?? []).map((label) => plot.ctx.measureText(label).width));
+}
 
 /** Writes instants of a time axis whose lines are so many seconds apart. */
 function timeWords(step: number): (seconds: number) => string {
@@ -19,44 +40,40 @@ function timeWords(step: number): (seconds: number) => string {
   return (seconds) => clockTime(seconds * 1000);
 }
 
-/** Axes in the page's colours. `unit` writes a value of the vertical axis. */
-export function axes(
-  unit: (value: number, step: number) => string,
-  time: boolean,
-  across?: (value: number) => string,
-): uPlot.Axis[] {
+/** Axes in the page's colours. `across` writes a value of the horizontal axis, if it is not time. */
+export function axes(unit: Unit, across?: (value: number) => string): uPlot.Axis[] {
   const line = { stroke: colour("line"), width: 1 };
   const common = {
     stroke: colour("muted"),
-    font: "12px system-ui, sans-serif",
+    font: FONT,
     grid: line,
-    ticks: { ...line, size: 4 },
+    ticks: { ...line, size: TICK },
+    gap: GAP,
   };
   return [
     {
       ...common,
       size: 30,
       values: (_: uPlot, at: number[], __: number, ___: number, step: number) =>
-        at.map(time ? timeWords(step) : (across ?? String)),
+        at.map(across ?? timeWords(step)),
     },
     {
       ...common,
-      size: LEFT,
+      size: room,
+      ...(unit.incrs && { incrs: unit.incrs }),
       values: (_: uPlot, at: number[], __: number, ___: number, step: number) =>
-        at.map((value) => unit(value, step)),
+        at.map((value) => unit.words(value, step)),
     },
   ];
 }
 
-const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000];
-
-/** The same for a row of frames, by their places: lines stand only at whole ones. */
-export function frameAxes(
-  unit: (value: number, step: number) => string,
-  name: (place: number) => string,
-): uPlot.Axis[] {
-  const [across, up] = axes(unit, false, name);
-  return [{ ...across!, incrs: WHOLE }, up!];
+/** The same for a row of frames by their places, which begins at `left`: lines stand only at whole ones. */
+export function frameAxes(unit: Unit, name: (place: number) => string, left: number): uPlot.Axis[] {
+  const [across, up] = axes(unit, name);
+  return [
+    { ...across!, incrs: WHOLE },
+    { ...up!, size: left },
+  ];
 }
 
 export function Plot(props: {

@@ -13,8 +13,8 @@ import { useWidth } from "../../ui/resource";
 import { theme } from "../../ui/theme";
 import { useGestures } from "./gestures";
 import { chartColours, type Drawing, HEAD, type Move, paint, ROW, spanAt } from "./paint";
-import { Legend, Told } from "./readout";
-import { type Rows, type Stretch, zoomed } from "./timeline";
+import { Readout } from "./readout";
+import { type Row, type Rows, type Stretch, zoomed } from "./timeline";
 import { find, type Hit, type Spot, showing, spotFrom, spotOf, spotText, walked } from "./walk";
 
 export interface ChartProps {
@@ -31,23 +31,18 @@ export interface ChartProps {
 export function Chart(props: ChartProps) {
   const { rows, view } = props;
   const [plot, width] = useWidth<HTMLDivElement>();
-  const box = useRef<HTMLDivElement>(null);
+  const [box, height] = useHeight();
   const canvas = useRef<HTMLCanvasElement>(null);
   const [scroll, setScroll] = useState(0);
-  const [boxHeight, setBoxHeight] = useState(400);
   const [under, setUnder] = useState<Hit | null>(null);
-  const [pin, setPin] = useAddressed("pin");
-  const pinned = useMemo(() => spotFrom(pin), [pin]);
+  const pin = useHeld(rows);
+  const { pinned, held, hold } = pin;
   const walk = useWalk(props, box, scroll);
-  const held = useMemo(() => pinned && find(rows.items, pinned), [pinned, rows.items]);
-  const look = theme.value;
-  const colours = useMemo(() => chartColours(look === "dark"), [look]);
   const count = rows.complete ? rows.items.length : Math.max(props.total, rows.items.length);
   const high = HEAD + Math.max(1, count) * ROW;
-
-  const drawing: Drawing = {
+  const drawing = usePainted(canvas, {
     width,
-    height: boxHeight,
+    height,
     scroll,
     view,
     now: now.value,
@@ -57,76 +52,20 @@ export function Chart(props: ChartProps) {
     cursor: walk.hit && { row: rows.items.indexOf(walk.hit.row), span: walk.hit.span, at: walk.spot!.at },
     moves: props.moves,
     played: props.played,
-  };
-  const latest = useRef(drawing);
-  latest.current = drawing;
-  const pending = useRef(0);
-
-  useLayoutEffect(() => {
-    if (!canvas.current || width === 0) return;
-    // One drawing a frame, however many things changed.
-    cancelAnimationFrame(pending.current);
-    pending.current = requestAnimationFrame(
-      () => canvas.current && paint(canvas.current, latest.current, colours),
-    );
-  }, [...Object.values(drawing), colours]);
-
-  useEffect(() => {
-    const target = box.current!;
-    const observer = new ResizeObserver(() => setBoxHeight(target.clientHeight));
-    observer.observe(target);
-    return () => observer.disconnect();
-  }, []);
-
+  });
   useEffect(
-    () => rows.see(Math.floor(scroll / ROW), Math.ceil((scroll + boxHeight) / ROW)),
-    [scroll, boxHeight, rows.see],
+    () => rows.see(Math.floor(scroll / ROW), Math.ceil((scroll + height) / ROW)),
+    [scroll, height, rows.see],
   );
-
-  useGestures(plot, latest, props.setView);
-
-  const first = Math.max(0, Math.floor(scroll / ROW) - 4);
-  const last = Math.min(rows.items.length, Math.ceil((scroll + boxHeight) / ROW) + 4);
+  useGestures(plot, drawing, props.setView);
   useSought(rows, pinned, held, box);
-  const told = walk.hit ?? held ?? under;
   const hitAt = (event: MouseEvent) => {
     const place = canvas.current!.getBoundingClientRect();
-    return spanAt(latest.current, event.clientX - place.left, event.clientY - place.top);
-  };
-  const hold = (hit: Hit | null) =>
-    setPin(
-      hit?.span?.job_id ? spotText(spotOf(hit.row, hit.span, (hit.span.start + hit.span.end) / 2)) : null,
-    );
-  const press = (event: KeyboardEvent) => {
-    // Buttons of the nodes have keys of their own.
-    if (isTyping(event)) return;
-    const isHere = event.target === event.currentTarget;
-    const job = isHere && event.key === "Enter" ? walk.hit?.span?.job_id : null;
-    if (event.shiftKey && walk.press(event.key)) event.preventDefault();
-    else if (event.shiftKey && event.key.startsWith("Arrow")) return;
-    else if (job && held?.span === walk.hit!.span) go(["jobs", job], { sel: walk.hit!.span!.frames ?? null });
-    else if (job) hold(walk.hit);
-    else if (event.key === "Escape") {
-      walk.end();
-      setPin(null);
-    } else if (keyed(event.key, props)) event.preventDefault();
+    return spanAt(drawing.current, event.clientX - place.left, event.clientY - place.top);
   };
   return (
     <>
-      <p class="readout chart-readout" role="status">
-        {told ? (
-          <Told {...told} jobs={rows.jobs} />
-        ) : pinned ? (
-          <>{rows.complete ? "The held span is not on this chart." : "Looking for the held span…"} </>
-        ) : (
-          <Legend />
-        )}
-        {pinned && (
-          <button type="button" class="plain" onClick={() => setPin(null)}>
-            Let go
-          </button>
-        )}
-      </p>
+      <Readout hit={walk.hit ?? held ?? under} pinned={pinned} rows={rows} letGo={() => hold(null)} />
       <div
         class="gantt"
         ref={box}
@@ -134,29 +73,11 @@ export function Chart(props: ChartProps) {
         role="group"
         aria-label="Nodes and time. Arrows left and right pan, plus and minus zoom, 0 shows tonight. Arrows with Shift go from span to span and from node to node, Enter holds one. The view List has the same as a table."
         onScroll={(event) => setScroll(event.currentTarget.scrollTop)}
-        onKeyDown={press}
+        onKeyDown={(event) => pressed(event, props, walk, pin)}
         style={{ height: `min(${high + 2}px, calc(100dvh - 260px))` }}
       >
         <div class="gantt-inner" style={{ height: `${high}px` }}>
-          <div class="gantt-names">
-            <div class="gantt-corner">Node</div>
-            {rows.items.slice(first, last).map((row, at) => (
-              <button
-                type="button"
-                key={row.node_id}
-                class="gantt-name"
-                style={{ top: `${HEAD + (first + at) * ROW}px`, height: `${ROW}px` }}
-                onClick={() => props.open(row.node_id)}
-                title={`${clean(row.name)}: ${wordOf(row.state)}${row.idle_because ? `; ${row.idle_because}` : ""}`}
-              >
-                <span class={`glyph tone-${toneOf(row.state)}`} aria-hidden="true">
-                  {glyphOf(row.state)}
-                </span>
-                <span class="gantt-node">{clean(row.name)}</span>
-                <span class="gantt-state">{row.state === "working" ? "" : wordOf(row.state)}</span>
-              </button>
-            ))}
-          </div>
+          <Names rows={rows.items} from={scroll} to={scroll + height} open={props.open} />
           <div
             class="gantt-plot"
             ref={plot}
@@ -168,14 +89,47 @@ export function Chart(props: ChartProps) {
             onPointerLeave={() => setUnder(null)}
             onClick={(event) => hold(hitAt(event))}
           >
-            <canvas
-              ref={canvas}
-              aria-hidden="true"
-              style={{ width: `${width}px`, height: `${boxHeight}px` }}
-            />
+            <canvas ref={canvas} aria-hidden="true" style={{ width: `${width}px`, height: `${height}px` }} />
           </div>
         </div>
       </div>
+      <Asking rows={rows} count={count} />
+    </>
+  );
+}
+
+/** The names of the nodes between two heights of the chart, and of some more above and below. */
+function Names(props: { rows: readonly Row[]; from: number; to: number; open: (node: string) => void }) {
+  const first = Math.max(0, Math.floor(props.from / ROW) - 4);
+  const last = Math.min(props.rows.length, Math.ceil(props.to / ROW) + 4);
+  return (
+    <div class="gantt-names">
+      <div class="gantt-corner">Node</div>
+      {props.rows.slice(first, last).map((row, at) => (
+        <button
+          type="button"
+          key={row.node_id}
+          class="gantt-name"
+          style={{ top: `${HEAD + (first + at) * ROW}px`, height: `${ROW}px` }}
+          onClick={() => props.open(row.node_id)}
+          title={`${clean(row.name)}: ${wordOf(row.state)}${row.idle_because ? `; ${row.idle_because}` : ""}`}
+        >
+          <span class={`glyph tone-${toneOf(row.state)}`} aria-hidden="true">
+            {glyphOf(row.state)}
+          </span>
+          <span class="gantt-node">{clean(row.name)}</span>
+          <span class="gantt-state">{row.state === "working" ? "" : wordOf(row.state)}</span>
+        </button>
+      ))}
+    </div>
+  );
+}
+
+/** What is still asked for, or went wrong. */
+function Asking(props: { rows: Rows; count: number }) {
+  const { rows, count } = props;
+  return (
+    <>
       {rows.error && <Trouble error={rows.error} retry={rows.again} />}
       {rows.loading && rows.items.length === 0 && <Waiting>Asking what the nodes do…</Waiting>}
       {rows.loading && rows.items.length > 0 && !rows.complete && (
@@ -185,6 +139,72 @@ export function Chart(props: ChartProps) {
       )}
     </>
   );
+}
+
+/** Paints at most once a frame, however many things changed. Returns what is painted. */
+function usePainted(canvas: { current: HTMLCanvasElement | null }, drawing: Drawing): { current: Drawing } {
+  const look = theme.value;
+  const colours = useMemo(() => chartColours(look === "dark"), [look]);
+  const latest = useRef(drawing);
+  latest.current = drawing;
+  const pending = useRef(0);
+  useLayoutEffect(() => {
+    if (!canvas.current || drawing.width === 0) return;
+    cancelAnimationFrame(pending.current);
+    pending.current = requestAnimationFrame(
+      () => canvas.current && paint(canvas.current, latest.current, colours),
+    );
+  }, [...Object.values(drawing), colours]);
+  return latest;
+}
+
+/** The height of the box that the chart scrolls in. */
+function useHeight(): [{ current: HTMLDivElement | null }, number] {
+  const box = useRef<HTMLDivElement>(null);
+  const [height, setHeight] = useState(400);
+  useEffect(() => {
+    const target = box.current!;
+    const observer = new ResizeObserver(() => setHeight(target.clientHeight));
+    observer.observe(target);
+    return () => observer.disconnect();
+  }, []);
+  return [box, height];
+}
+
+interface Held {
+  /** The held span as the address names it. */
+  pinned: Spot | null;
+  /** The same on the chart, if it is there. */
+  held: Hit | null;
+  /** Holds the job's span at a place of the chart, or none. */
+  hold: (hit: Hit | null) => void;
+}
+
+function useHeld(rows: Rows): Held {
+  const [pin, setPin] = useAddressed("pin");
+  const pinned = useMemo(() => spotFrom(pin), [pin]);
+  const held = useMemo(() => pinned && find(rows.items, pinned), [pinned, rows.items]);
+  const hold = (hit: Hit | null) =>
+    setPin(
+      hit?.span?.job_id ? spotText(spotOf(hit.row, hit.span, (hit.span.start + hit.span.end) / 2)) : null,
+    );
+  return { pinned, held, hold };
+}
+
+/** What a key does. */
+function pressed(event: KeyboardEvent, props: ChartProps, walk: Walk, { held, hold }: Held): void {
+  // Buttons of the nodes have keys of their own.
+  if (isTyping(event)) return;
+  const isHere = event.target === event.currentTarget;
+  const job = isHere && event.key === "Enter" ? walk.hit?.span?.job_id : null;
+  if (event.shiftKey && walk.press(event.key)) event.preventDefault();
+  else if (event.shiftKey && event.key.startsWith("Arrow")) return;
+  else if (job && held?.span === walk.hit!.span) go(["jobs", job], { sel: walk.hit!.span!.frames ?? null });
+  else if (job) hold(walk.hit);
+  else if (event.key === "Escape") {
+    walk.end();
+    hold(null);
+  } else if (keyed(event.key, props)) event.preventDefault();
 }
 
 /** What a key does to the view. */

@@ -1,9 +1,9 @@
 // The farm: nodes and time, as a chart and as a list.
 
 import { computed } from "@preact/signals";
-import { useCallback, useEffect, useMemo, useState } from "preact/hooks";
+import { useEffect, useMemo, useState } from "preact/hooks";
 import type { NodeState } from "../../api/types";
-import { farm, farmError, now } from "../../state/farm";
+import { farm, farmError } from "../../state/farm";
 import { href, param, setQuery } from "../../state/route";
 import { mayOperate, seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
@@ -16,25 +16,10 @@ import { Chart } from "./chart";
 import { NodeList } from "./list";
 import { NodeDialog } from "./node";
 import { Plans, type Playing } from "./plans";
+import { useShown } from "./shown";
 import { type Rows, type Stretch, useTimeline, zoomed } from "./timeline";
-import { inView, showing, type Spot, spotFrom } from "./walk";
+import { inView } from "./walk";
 import "../../styles/farm.css";
-
-const HOUR = 3_600_000;
-
-/** From a little ago until the farm finishes. If nothing is booked, what was done lately. */
-function tonight(): Stretch {
-  const at = now.peek();
-  const end = farm.peek()?.finish?.p95;
-  if (!end) return { from: at - 2 * HOUR, to: at + HOUR };
-  const ahead = Math.min(14 * 24 * HOUR, Math.max(HOUR / 12, (Date.parse(end) - at) * 1.1));
-  return { from: at - ahead * 0.4, to: at + ahead };
-}
-
-/** The same, moved until a held span is in it. */
-function tonightWith(held: Spot | null): Stretch {
-  return held ? showing(tonight(), { from: held.at, to: held.at }) : tonight();
-}
 
 // Events change jobs many times a second. What this screen shows of the document changes more rarely.
 const isKnown = computed(() => farm.value !== null);
@@ -173,29 +158,9 @@ function NoNodes() {
 }
 
 function ChartView(props: { state: NodeState | ""; search: string; total: number; version: number }) {
-  const from = Number(param("from"));
-  const to = Number(param("to"));
-  const shared = Number.isFinite(from) && Number.isFinite(to) && from > 0 && to > from;
-  const [view, setLocal] = useState<Stretch>(() =>
-    shared ? { from: from * 1000, to: to * 1000 } : tonightWith(spotFrom(param("pin"))),
-  );
+  const [view, setView, reset] = useShown();
   const [playing, setPlaying] = useState<Playing>({ moves: [], played: 0 });
   const rows = useTimeline(view, props.state, props.search);
-  const setView = useCallback((next: Stretch) => setLocal(next), []);
-  const reset = useCallback(() => {
-    setLocal(tonight());
-    setQuery({ from: null, to: null });
-  }, []);
-  // The address follows when the view rests, so that a link shows the same.
-  const first = useMemo(() => view, []);
-  useEffect(() => {
-    if (view === first) return undefined;
-    const timer = setTimeout(
-      () => setQuery({ from: String(Math.round(view.from / 1000)), to: String(Math.round(view.to / 1000)) }),
-      400,
-    );
-    return () => clearTimeout(timer);
-  }, [view]);
   useEffect(() => {
     if (props.version > 0) rows.again();
   }, [props.version]);

@@ -3,9 +3,31 @@
 import { href } from "../../state/route";
 import { clean, clockTime, duration, told, zoneAt } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import type { Hit } from "./walk";
+import type { Rows } from "./timeline";
+import type { Hit, Spot } from "./walk";
 
-export function Legend() {
+/** What is told of the chart: of a span that keys lead to, that is held, or that lies under the pointer. */
+export function Readout(props: { hit: Hit | null; pinned: Spot | null; rows: Rows; letGo: () => void }) {
+  const { hit, pinned, rows } = props;
+  return (
+    <p class="readout chart-readout" role="status">
+      {hit ? (
+        <Told {...hit} jobs={rows.jobs} />
+      ) : pinned ? (
+        <>{rows.complete ? "The held span is not on this chart." : "Looking for the held span…"} </>
+      ) : (
+        <Legend />
+      )}
+      {pinned && (
+        <button type="button" class="plain" onClick={props.letGo}>
+          Let go
+        </button>
+      )}
+    </p>
+  );
+}
+
+function Legend() {
   return (
     <>
       <span class="legend">
@@ -27,7 +49,7 @@ export function Legend() {
   );
 }
 
-export function Told(props: Hit & { jobs: ReadonlyMap<string, string> }) {
+function Told(props: Hit & { jobs: ReadonlyMap<string, string> }) {
   const { row, span } = props;
   if (!span) {
     return (

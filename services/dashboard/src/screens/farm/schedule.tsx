@@ -42,8 +42,6 @@ export function Schedule(props: {
     props.schedule?.windows ?? [{ days: [], from: "20:00", until: "08:00" }],
   );
   const zone = props.schedule?.zone ?? timeZone;
-  const change = (at: number, next: Window) =>
-    setWindows(windows.map((window, index) => (index === at ? next : window)));
   return (
     <form
       class="schedule"
@@ -53,51 +51,13 @@ export function Schedule(props: {
       }}
     >
       {windows.map((window, at) => (
-        <fieldset key={at}>
-          <legend class="unseen">Window {at + 1}</legend>
-          {DAYS.map((day) => (
-            <label key={day}>
-              <input
-                type="checkbox"
-                checked={window.days?.includes(day) ?? false}
-                onChange={(event) => {
-                  const days = new Set(window.days ?? []);
-                  if (event.currentTarget.checked) days.add(day);
-                  else days.delete(day);
-                  change(at, { ...window, days: DAYS.filter((one) => days.has(one)) });
-                }}
-              />{" "}
-              {SHORT[day]}
-            </label>
-          ))}
-          <label>
-            from{" "}
-            <input
-              type="time"
-              required
-              value={window.from}
-              onInput={(event) => change(at, { ...window, from: event.currentTarget.value })}
-            />
-          </label>
-          <label>
-            to{" "}
-            <input
-              type="time"
-              required
-              value={window.until}
-              onInput={(event) => change(at, { ...window, until: event.currentTarget.value })}
-            />
-          </label>
-          {windows.length > 1 && (
-            <button
-              type="button"
-              class="plain"
-              onClick={() => setWindows(windows.filter((_, index) => index !== at))}
-            >
-              Remove
-            </button>
-          )}
-        </fieldset>
+        <WindowField
+          key={at}
+          window={window}
+          number={at + 1}
+          change={(next) => setWindows(windows.map((one, index) => (index === at ? next : one)))}
+          remove={windows.length > 1 ? () => setWindows(windows.filter((_, index) => index !== at)) : null}
+        />
       ))}
       <p class="note">
         No day chosen means every day. Times are those of {zone}. A window may end on the next day.
@@ -122,5 +82,58 @@ export function Schedule(props: {
         </button>
       </div>
     </form>
+  );
+}
+
+function WindowField(props: {
+  window: Window;
+  number: number;
+  change: (window: Window) => void;
+  /** The last one cannot be removed. */
+  remove: (() => void) | null;
+}) {
+  const { window, change } = props;
+  return (
+    <fieldset>
+      <legend class="unseen">Window {props.number}</legend>
+      {DAYS.map((day) => (
+        <label key={day}>
+          <input
+            type="checkbox"
+            checked={window.days?.includes(day) ?? false}
+            onChange={(event) => {
+              const days = new Set(window.days ?? []);
+              if (event.currentTarget.checked) days.add(day);
+              else days.delete(day);
+              change({ ...window, days: DAYS.filter((one) => days.has(one)) });
+            }}
+          />{" "}
+          {SHORT[day]}
+        </label>
+      ))}
+      <label>
+        from{" "}
+        <input
+          type="time"
+          required
+          value={window.from}
+          onInput={(event) => change({ ...window, from: event.currentTarget.value })}
+        />
+      </label>
+      <label>
+        to{" "}
+        <input
+          type="time"
+          required
+          value={window.until}
+          onInput={(event) => change({ ...window, until: event.currentTarget.value })}
+        />
+      </label>
+      {props.remove && (
+        <button type="button" class="plain" onClick={props.remove}>
+          Remove
+        </button>
+      )}
+    </fieldset>
   );
 }

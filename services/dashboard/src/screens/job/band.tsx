@@ -3,8 +3,7 @@
 import { useMemo } from "preact/hooks";
 import type uPlot from "uplot";
 import type { FrameStrip } from "../../api/types";
-import { moneyOnAxis } from "../../ui/format";
-import { frameAxes, Plot } from "../../ui/plot";
+import { frameAxes, MONEY, Plot } from "../../ui/plot";
 import { colour } from "../../ui/theme";
 import { type Quantity, written } from "./frames";
 import { MARGINS } from "./strip-layout";
@@ -35,8 +34,9 @@ export function Band(props: {
     legend: { show: false },
     cursor: { y: false, drag: { x: true, y: false }, points: { size: 7 } },
     axes: frameAxes(
-      (value, step) => (quantity === "cost" ? moneyOnAxis(value, step) : written(quantity, value)),
+      quantity === "cost" ? MONEY : { words: (value) => written(quantity, value) },
       (at) => String(numbers[at] ?? ""),
+      MARGINS.left,
     ),
     bands: [
       { series: [1, 2] as [number, number], fill: colour("p95") },

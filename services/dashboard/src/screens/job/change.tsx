@@ -34,23 +34,7 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
   const micros = budget.trim() === "" ? null : parseMoney(budget);
   const wrong = budget.trim() !== "" && micros === null;
   const until = deadline === "" ? null : new Date(deadline).toISOString();
-  const answers = useResource<AnswersDoc>(
-    (signal) =>
-      wrong
-        ? null
-        : get("/v1/jobs/{id}/answers", {
-            path: { id: job.id },
-            query: { ...(until ? { deadline: until } : {}), ...(micros === null ? {} : { budget: micros }) },
-            signal,
-          }),
-    [job.id, until, micros, wrong],
-  );
   const same = deadline === before.deadline && budget === before.budget && confidence === job.confidence;
-  // The planner is asked about other terms than the job's; it cannot be asked about none.
-  const without = [
-    deadline === "" && job.deadline != null && "deadline",
-    budget.trim() === "" && job.budget != null && "budget",
-  ].filter((term) => term !== false);
   return (
     <Confirm
       title={`Change ${clean(job.name)}`}
@@ -95,6 +79,32 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
       </div>
       <Choice label="Confidence" value={confidence} options={CONFIDENCES} choose={setConfidence} />
       <h3>What that would mean</h3>
+      <Meaning job={job} deadline={until} budget={micros} wrong={wrong} />
+    </Confirm>
+  );
+}
+
+/** What the planner says of other terms. It is not asked about what cannot be read. */
+function Meaning(props: { job: Job; deadline: string | null; budget: number | null; wrong: boolean }) {
+  const { job, deadline, budget, wrong } = props;
+  const answers = useResource<AnswersDoc>(
+    (signal) =>
+      wrong
+        ? null
+        : get("/v1/jobs/{id}/answers", {
+            path: { id: job.id },
+            query: { ...(deadline ? { deadline } : {}), ...(budget === null ? {} : { budget }) },
+            signal,
+          }),
+    [job.id, deadline, budget, wrong],
+  );
+  // The planner is asked about other terms than the job's; it cannot be asked about none.
+  const without = [
+    deadline === null && job.deadline != null && "deadline",
+    budget === null && !wrong && job.budget != null && "budget",
+  ].filter((term) => term !== false);
+  return (
+    <>
       {without.length > 0 && (
         <p class="note">
           These numbers still count with the present {without.join(" and ")}. The job is planned without it
@@ -118,7 +128,7 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
       ) : (
         <Waiting>Asking the planner…</Waiting>
       )}
-    </Confirm>
+    </>
   );
 }
 

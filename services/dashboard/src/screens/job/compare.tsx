@@ -8,7 +8,7 @@ import { clean, percent, significant } from "../../ui/format";
 import { type Resource, useResource, useWidth } from "../../ui/resource";
 import { crossed, type Pixel, placeOf } from "./crosshair";
 import { type Pixels, readPixels, type Shown } from "./pixels";
-import { useZoom, type View } from "./zoom";
+import { useZoom, type View, type Zoom } from "./zoom";
 
 export const LAYERS = [
   ["image", "Picture"],
@@ -89,34 +89,47 @@ export function Compare(props: Compared) {
         <span class="divider" style={{ left: `${split}%` }} />
         {cross && <Cross at={placeOf(cross, view)} />}
       </div>
-      <label class="wipe">
-        <span class="unseen">Where the left image ends</span>
-        <input
-          type="range"
-          min="0"
-          max="100"
-          value={split}
-          onInput={(event) => setWipe(event.currentTarget.value)}
-        />
-      </label>
+      <Wipe split={split} set={setWipe} />
       <div class="filters">
-        <span class="zooming">
-          <button type="button" aria-label="Zoom out" onClick={() => zoom.by(0.5)}>
-            −
-          </button>{" "}
-          <span class="number">{percent(view.scale)}</span>{" "}
-          <button type="button" aria-label="Zoom in" onClick={() => zoom.by(2)}>
-            +
-          </button>{" "}
-          <button type="button" onClick={zoom.all}>
-            Whole image
-          </button>
-        </span>
+        <Zooming zoom={zoom} />
         <p class="under-pointer" role="status">
           <Under at={under ?? cross} pixels={pixels} row={row} wanted={wanted} ask={() => setNames(true)} />
         </p>
       </div>
     </>
+  );
+}
+
+function Wipe(props: { split: number; set: (percent: string) => void }) {
+  return (
+    <label class="wipe">
+      <span class="unseen">Where the left image ends</span>
+      <input
+        type="range"
+        min="0"
+        max="100"
+        value={props.split}
+        onInput={(event) => props.set(event.currentTarget.value)}
+      />
+    </label>
+  );
+}
+
+function Zooming(props: { zoom: Zoom }) {
+  const { zoom } = props;
+  return (
+    <span class="zooming">
+      <button type="button" aria-label="Zoom out" onClick={() => zoom.by(0.5)}>
+        −
+      </button>{" "}
+      <span class="number">{percent(zoom.view.scale)}</span>{" "}
+      <button type="button" aria-label="Zoom in" onClick={() => zoom.by(2)}>
+        +
+      </button>{" "}
+      <button type="button" onClick={zoom.all}>
+        Whole image
+      </button>
+    </span>
   );
 }
 

@@ -15,17 +15,18 @@ export function History(props: { job: Job; version: string }) {
     [props.job.id, props.version],
   );
   const doc = answer.data;
-  const points = useMemo(() => {
-    if (!doc) return [];
-    const now = {
-      at: doc.now.at,
-      cpu_seconds: doc.now.cpu_seconds.whole,
-      cpu_spent: doc.now.cpu_seconds.spent,
-      frames_done: doc.now.frames_done,
-      finish: doc.now.finish,
-    };
-    return [...doc.points, now];
-  }, [doc]);
+  if (!doc)
+    return answer.error ? (
+      <Trouble error={answer.error} retry={answer.reload} />
+    ) : (
+      <Waiting>Asking how the estimate moved…</Waiting>
+    );
+  return <Course of={doc} />;
+}
+
+function Course(props: { of: ForecastHistory }) {
+  const doc = props.of;
+  const points = useMemo(() => pointsOf(doc), [doc]);
   const data = useMemo<PlotData>(
     () => [
       points.map((point) => Date.parse(point.at) / 1000),
@@ -33,34 +34,11 @@ export function History(props: { job: Job; version: string }) {
       points.map((point) => point.cpu_seconds.p80),
       points.map((point) => point.cpu_seconds.p50),
       points.map((point) => point.cpu_spent),
-      points.map(() => doc?.now.booked.cpu_seconds ?? null),
+      points.map(() => doc.now.booked.cpu_seconds ?? null),
     ],
     [points],
   );
-  if (!doc)
-    return answer.error ? (
-      <Trouble error={answer.error} retry={answer.reload} />
-    ) : (
-      <Waiting>Asking how the estimate moved…</Waiting>
-    );
   const { quote, whole, factor } = doc.now.cpu_seconds;
-  const options = () => ({
-    legend: { show: false },
-    cursor: { y: false },
-    axes: axes(cpuTime, true),
-    bands: [
-      { series: [1, 2] as [number, number], fill: colour("p95") },
-      { series: [2, 3] as [number, number], fill: colour("p80") },
-    ],
-    series: [
-      {},
-      { stroke: colour("p95"), width: 1, points: { show: false } },
-      { stroke: colour("p80"), width: 1, points: { show: false } },
-      { stroke: colour("p50"), width: 2, points: { show: false } },
-      { stroke: colour("good"), width: 1.5, fill: colour("sunk"), points: { show: false } },
-      { stroke: colour("text"), width: 1, dash: [5, 4], points: { show: false } },
-    ],
-  });
   return (
     <>
       <p>
@@ -101,4 +79,33 @@ export function History(props: { job: Job; version: string }) {
       />
     </>
   );
+}
+
+/** The estimates until now. */
+function pointsOf(doc: ForecastHistory) {
+  const { at, cpu_seconds, frames_done, finish } = doc.now;
+  return [
+    ...doc.points,
+    { at, cpu_seconds: cpu_seconds.whole, cpu_spent: cpu_seconds.spent, frames_done, finish },
+  ];
+}
+
+function options() {
+  return {
+    legend: { show: false },
+    cursor: { y: false },
+    axes: axes({ words: cpuTime }),
+    bands: [
+      { series: [1, 2] as [number, number], fill: colour("p95") },
+      { series: [2, 3] as [number, number], fill: colour("p80") },
+    ],
+    series: [
+      {},
+      { stroke: colour("p95"), width: 1, points: { show: false } },
+      { stroke: colour("p80"), width: 1, points: { show: false } },
+      { stroke: colour("p50"), width: 2, points: { show: false } },
+      { stroke: colour("good"), width: 1.5, fill: colour("sunk"), points: { show: false } },
+      { stroke: colour("text"), width: 1, dash: [5, 4], points: { show: false } },
+    ],
+  };
 }

@@ -5,18 +5,13 @@ import { get } from "../../api/client";
 import type { AnswersDoc, Event, Job, FrameStrip } from "../../api/types";
 import { onEvent } from "../../state/live";
 import { jobAfter } from "../../state/news";
-import { param, route, setQuery } from "../../state/route";
-import { href } from "../../state/route";
-import { maySubmitTo } from "../../state/session";
+import { href, param, route, setQuery } from "../../state/route";
 import { titled } from "../../state/tab";
-import { slackWords } from "../../ui/fan";
-import { clean, cpuTime, grouped, maybeInstant, percent } from "../../ui/format";
-import { Mark } from "../../ui/mark";
-import { Money, Prose, Time, Trouble, Waiting } from "../../ui/parts";
+import { clean } from "../../ui/format";
+import { Trouble, Waiting } from "../../ui/parts";
 import { useResource, useThrottled } from "../../ui/resource";
-import { RescueDialog } from "../tonight/rescue";
-import { CancelDialog, ChangeDialog } from "./change";
 import { Frames, QUANTITIES } from "./frames";
+import { JobHead, OVER } from "./head";
 import { History } from "./history";
 import { Images } from "./images";
 import { Ladders } from "./ladders";
@@ -35,7 +30,6 @@ const TABS = [
   ["logs", "Logs"],
 ] as const;
 
-const OVER = ["done", "failed", "cancelled"];
 const ANSWERED = ["quoted", "booked", "rendering"];
 
 export function JobScreen(props: { id: string }) {
@@ -102,190 +96,6 @@ function useNews(asked: Job | null): Job | null {
     [],
   );
   return job?.id === asked?.id ? job : asked;
-}
-
-function JobHead(props: { job: Job; changed: () => void }) {
-  const { job } = props;
-  const [asked, setAsked] = useState<"change" | "cancel" | "rescue" | null>(null);
-  const over = OVER.includes(job.state);
-  const close = () => setAsked(null);
-  return (
-    <header class="job-top">
-      <div class="job-title">
-        <h1>{clean(job.name)}</h1>
-        <Mark of={job.state} />
-        <span class="muted">
-          {clean(job.project)} · {clean(job.scene.name)} · frames {job.frames}
-          {job.renderer && ` · ${job.renderer.name} ${job.renderer.version ?? ""}`.trimEnd()}
-        </span>
-        <span class="spread" />
-        {maySubmitTo(job.project) && (
-          <span class="buttons">
-            {job.state === "quoted" && (
-              <a class="button primary" href={href(["submit"], { job: job.id })}>
-                Look at the quote
-              </a>
-            )}
-            {!over && (
-              <>
-                <button type="button" onClick={() => setAsked("change")}>
-                  Change deadline or budget…
-                </button>
-                <button type="button" class="danger" onClick={() => setAsked("cancel")}>
-                  Cancel job…
-                </button>
-              </>
-            )}
-          </span>
-        )}
-      </div>
-      <Progress job={job} />
-      <JobFacts job={job} />
-      {job.error && (
-        <p class="trouble">
-          <span class="glyph" aria-hidden="true">
-            ✕
-          </span>
-          {clean(job.error)}
-        </p>
-      )}
-      {!over && job.waits && (
-        <p>
-          It <Prose text={job.waits.because} bare />.
-        </p>
-      )}
-      {job.promise && !job.promise.kept && !over && (
-        <p class="risk">
-          <Mark of="risk" /> The newest plan does not keep the deadline
-          {job.promise.rescue ? (
-            <>
-              . Cheapest rescue: <Prose text={job.promise.rescue.words} bare />.{" "}
-            </>
-          ) : (
-            ". "
-          )}
-          {maySubmitTo(job.project) && (
-            <button type="button" class="primary" onClick={() => setAsked("rescue")}>
-              {job.promise.rescue ? "Look at the rescue…" : "Look for a way out…"}
-            </button>
-          )}
-        </p>
-      )}
-      {!over && job.verdict && job.verdict.verdict !== "on_time" && job.verdict.reasons.length > 0 && (
-        <ul class="sentences">
-          {job.verdict.reasons.map((reason) => (
-            <li key={reason}>
-              <Prose text={reason} />
-            </li>
-          ))}
-        </ul>
-      )}
-      {asked === "change" && <ChangeDialog job={job} changed={props.changed} close={close} />}
-      {asked === "cancel" && <CancelDialog job={job} changed={props.changed} close={close} />}
-      {asked === "rescue" && (
-        <RescueDialog jobId={job.id} name={job.name} rescue={job.promise?.rescue ?? null} close={close} />
-      )}
-    </header>
-  );
-}
-
-function Progress(props: { job: Job }) {
-  const { job } = props;
-  return (
-    <div
-      class="progress"
-      role="progressbar"
-      aria-label="Share of the forecast work that is done"
-      aria-valuemin={0}
-      aria-valuemax={100}
-      aria-valuenow={Math.round(job.progress * 100)}
-    >
-      <span style={{ width: `${job.progress * 100}%` }} />
-    </div>
-  );
-}
-
-function JobFacts(props: { job: Job }) {
-  const { job } = props;
-  const over = OVER.includes(job.state);
-  const eta = maybeInstant(job.finished_at ?? job.eta);
-  const deadline = maybeInstant(job.deadline);
-  const cost = job.live?.cost;
-  const cpu = job.live?.cpu_seconds;
-  return (
-    <dl class="facts">
-      <div>
-        <dt>Frames</dt>
-        <dd>
-          {grouped(job.frames_done)} of {grouped(job.frames_total)}
-          {job.frames_cancelled ? `, ${grouped(job.frames_cancelled)} cancelled` : ""}
-        </dd>
-      </div>
-      <div>
-        <dt>{over ? "Ended" : "Ready by"}</dt>
-        <dd>
-          <Time at={eta} none={over ? "–" : "not known yet"} />{" "}
-          <span class="muted">{slackWords(eta, deadline)}</span>
-        </dd>
-      </div>
-      <div>
-        <dt>Deadline</dt>
-        <dd>
-          <Time at={deadline} none="none" />
-        </dd>
-      </div>
-      {job.promise && (
-        <div>
-          <dt>Promise</dt>
-          <dd>
-            {job.promise.kept ? <Mark of="kept" /> : <Mark of="risk" />}
-            {!over && <span class="muted"> in time with {percent(job.promise.probability)}</span>}
-          </dd>
-        </div>
-      )}
-      {!job.promise && job.verdict && (
-        <div>
-          <dt>Plan</dt>
-          <dd>
-            <Mark of={job.verdict.verdict} />
-          </dd>
-        </div>
-      )}
-      <div>
-        <dt>Spent</dt>
-        <dd>
-          <Money of={job.spent} />
-        </dd>
-      </div>
-      {cost && !over && (
-        <div>
-          <dt>Expected in all, P50 to P95</dt>
-          <dd>
-            <Money of={cost.p50} /> to <Money of={cost.p95} />
-          </dd>
-        </div>
-      )}
-      <div>
-        <dt>Budget</dt>
-        <dd>
-          <Money of={job.budget} none="none" />
-        </dd>
-      </div>
-      {cpu && (
-        <div>
-          <dt>CPU time, quoted P50 and P80</dt>
-          <dd>
-            {cpuTime(cpu.quote.p50)}, {cpuTime(cpu.quote.p80)}
-            {over && <span class="muted">; it took {cpuTime(cpu.spent)}</span>}
-          </dd>
-        </div>
-      )}
-      <div>
-        <dt>Confidence</dt>
-        <dd>{job.confidence.toUpperCase()}</dd>
-      </div>
-    </dl>
-  );
 }
 
 function Tabs(props: { job: Job; strip: FrameStrip | null }) {

@@ -79,14 +79,16 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
   );
 }
 
-function Ladder(props: {
+interface Rungs {
   rungs: AccuracyRung[];
   answers: AnswersDoc | null;
   /** Whether the job has a deadline. */
   deadline: boolean;
   maySubmit: boolean;
   choose: (rung: AccuracyRung) => void;
-}) {
+}
+
+function Ladder(props: Rungs) {
   const most = Math.max(...props.rungs.map((rung) => rung.cpu_seconds.p95));
   return (
     <div class="scroll-x" tabIndex={0} role="region" aria-label={`Rungs: ${NAMES[props.rungs[0]!.ladder]}`}>
@@ -117,64 +119,63 @@ function Ladder(props: {
           </tr>
         </thead>
         <tbody>
-          {props.rungs.map((rung, at) => {
-            const offer = offerOf(rung, props.answers);
-            return (
-              <tr key={at} class={rung.asked_for ? "asked" : ""}>
-                <td>
-                  {rungName(rung)} {rung.asked_for && <strong>(this job)</strong>}{" "}
-                  {rung.worth_taking && (
-                    <span class="note" title="No other quality is both cheaper and better">
-                      worth taking
-                    </span>
-                  )}
-                </td>
-                <td class="right">{cpuTime(rung.cpu_seconds.p50)}</td>
-                <td>
-                  <span
-                    class="rung-bar"
-                    title={`P80 ${cpuTime(rung.cpu_seconds.p80)}, work ${work(rung.work.p50)}`}
-                  >
-                    <span class="bar soft" style={{ width: `${(rung.cpu_seconds.p95 / most) * 100}%` }} />
-                    <span class="bar" style={{ width: `${(rung.cpu_seconds.p50 / most) * 100}%` }} />
-                  </span>{" "}
-                  {cpuTime(rung.cpu_seconds.p95)}
-                </td>
-                <td class="right">{rung.error ? percent(rung.error.p50, 1) : "–"}</td>
-                <td>{rung.error ? `${percent(rung.error.p05, 1)} to ${percent(rung.error.p95, 1)}` : "–"}</td>
-                <td class="right">
-                  <Money of={offer?.cost} />
-                </td>
-                <td>
-                  {offer ? (
-                    <>
-                      <Time at={offer.finish} none="never" />{" "}
-                      {offer.fits ? (
-                        <Mark of="on_time" word="fits" />
-                      ) : (
-                        <Mark of="late" word="does not fit" />
-                      )}
-                    </>
-                  ) : (
-                    <span class="none">–</span>
-                  )}
-                </td>
-                {props.deadline && (
-                  <td class="right">{offer?.probability == null ? "–" : percent(offer.probability)}</td>
-                )}
-                <td>
-                  {!rung.asked_for && props.maySubmit && (
-                    <button type="button" onClick={() => props.choose(rung)}>
-                      Submit…
-                    </button>
-                  )}
-                </td>
-              </tr>
-            );
-          })}
+          {props.rungs.map((rung, at) => (
+            <Rung key={at} {...props} rung={rung} most={most} />
+          ))}
         </tbody>
       </table>
     </div>
+  );
+}
+
+/** `most`: the P95 of the dearest rung, seconds. */
+function Rung(props: Omit<Rungs, "rungs"> & { rung: AccuracyRung; most: number }) {
+  const { rung, most } = props;
+  const offer = offerOf(rung, props.answers);
+  return (
+    <tr class={rung.asked_for ? "asked" : ""}>
+      <td>
+        {rungName(rung)} {rung.asked_for && <strong>(this job)</strong>}{" "}
+        {rung.worth_taking && (
+          <span class="note" title="No other quality is both cheaper and better">
+            worth taking
+          </span>
+        )}
+      </td>
+      <td class="right">{cpuTime(rung.cpu_seconds.p50)}</td>
+      <td>
+        <span class="rung-bar" title={`P80 ${cpuTime(rung.cpu_seconds.p80)}, work ${work(rung.work.p50)}`}>
+          <span class="bar soft" style={{ width: `${(rung.cpu_seconds.p95 / most) * 100}%` }} />
+          <span class="bar" style={{ width: `${(rung.cpu_seconds.p50 / most) * 100}%` }} />
+        </span>{" "}
+        {cpuTime(rung.cpu_seconds.p95)}
+      </td>
+      <td class="right">{rung.error ? percent(rung.error.p50, 1) : "–"}</td>
+      <td>{rung.error ? `${percent(rung.error.p05, 1)} to ${percent(rung.error.p95, 1)}` : "–"}</td>
+      <td class="right">
+        <Money of={offer?.cost} />
+      </td>
+      <td>
+        {offer ? (
+          <>
+            <Time at={offer.finish} none="never" />{" "}
+            {offer.fits ? <Mark of="on_time" word="fits" /> : <Mark of="late" word="does not fit" />}
+          </>
+        ) : (
+          <span class="none">–</span>
+        )}
+      </td>
+      {props.deadline && (
+        <td class="right">{offer?.probability == null ? "–" : percent(offer.probability)}</td>
+      )}
+      <td>
+        {!rung.asked_for && props.maySubmit && (
+          <button type="button" onClick={() => props.choose(rung)}>
+            Submit…
+          </button>
+        )}
+      </td>
+    </tr>
   );
 }
 

@@ -7,7 +7,7 @@ import { param, setQuery } from "../../state/route";
 import { clean, counted, exactTime, fullTime, words } from "../../ui/format";
 import { glyphOf, Mark, wordOf } from "../../ui/mark";
 import { Trouble, Waiting } from "../../ui/parts";
-import { useResource } from "../../ui/resource";
+import { type Resource, useResource } from "../../ui/resource";
 import { VirtualRows } from "../../ui/virtual";
 import { useTasks, type Task } from "./tasks";
 
@@ -108,20 +108,8 @@ function taskName(task: Task): string {
 function Log(props: { task: Task }) {
   const { task } = props;
   const search = param("find") ?? "";
-  const [round, setRound] = useState(0);
-  const log = useResource<TaskLog>(
-    (signal) => get("/v1/tasks/{id}/log", { path: { id: task.id }, signal }),
-    [task.id, task.state, round],
-  );
+  const { log, lines } = useFollowed(task);
   const box = useRef<HTMLDivElement>(null);
-  useEffect(() => {
-    if (task.state !== "running") return undefined;
-    const timer = setInterval(() => document.visibilityState === "visible" && setRound((n) => n + 1), FOLLOW);
-    return () => clearInterval(timer);
-  }, [task.state]);
-  const kept = useRef<TaskLog | null>(null);
-  if (log.data) kept.current = log.data;
-  const lines = kept.current?.lines ?? NONE;
   const atEnd = useRef(true);
   useEffect(() => {
     if (atEnd.current && box.current) box.current.scrollTop = box.current.scrollHeight;
@@ -186,6 +174,23 @@ function Log(props: { task: Task }) {
       </div>
     </>
   );
+}
+
+/** The log of a task, which is asked again while it runs. Its lines stay on screen meanwhile. */
+function useFollowed(task: Task): { log: Resource<TaskLog>; lines: readonly LogLine[] } {
+  const [round, setRound] = useState(0);
+  const log = useResource<TaskLog>(
+    (signal) => get("/v1/tasks/{id}/log", { path: { id: task.id }, signal }),
+    [task.id, task.state, round],
+  );
+  useEffect(() => {
+    if (task.state !== "running") return undefined;
+    const timer = setInterval(() => document.visibilityState === "visible" && setRound((n) => n + 1), FOLLOW);
+    return () => clearInterval(timer);
+  }, [task.state]);
+  const kept = useRef<TaskLog | null>(null);
+  if (log.data) kept.current = log.data;
+  return { log, lines: kept.current?.lines ?? NONE };
 }
 
 type LogLine = TaskLog["lines"][number];

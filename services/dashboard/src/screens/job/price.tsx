@@ -2,8 +2,8 @@
 
 import { useMemo } from "preact/hooks";
 import type { AnswersDoc, Job, PlanEffect } from "../../api/types";
-import { axes, Plot, type PlotData } from "../../ui/plot";
-import { clean, counted, duration, moneyOnAxis } from "../../ui/format";
+import { axes, MONEY, Plot, type PlotData } from "../../ui/plot";
+import { clean, counted, duration } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Money, Prose, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import type { Resource } from "../../ui/resource";
@@ -133,7 +133,7 @@ function Curve(props: { doc: AnswersDoc }) {
   const options = () => ({
     legend: { show: false },
     cursor: { y: false },
-    axes: axes(moneyOnAxis, true),
+    axes: axes(MONEY),
     series: [
       {},
       { stroke: colour("p50"), width: 2, points: { show: true, size: 6, fill: colour("p50") } },

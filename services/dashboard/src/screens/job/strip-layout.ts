@@ -11,7 +11,7 @@ export interface StripLayout {
 }
 
 /** Room beside the row of cells that the plot needs for its axis and its edge. */
-export const MARGINS = { left: 64, right: 12 };
+export const MARGINS = { left: 72, right: 12 };
 
 const SIZES: [number, number][] = [
   [22, 26],

@@ -48,74 +48,91 @@ export function Why(props: { job: Job; version: string }) {
           </li>
         ))}
       </ul>
-      <div class="columns">
-        <Section title="Objects" level={3}>
-          <Shares
-            head="Object and material"
-            extra="× mean pixel"
-            rows={doc.objects.slice(0, 15).map((line) => ({
-              name: line.shows ? `${clean(line.shows.object)}, ${clean(line.shows.material)}` : "background",
-              share: line.share,
-              note: significant(line.times_mean_pixel, 2),
+      <Parts of={doc} />
+    </>
+  );
+}
+
+/** The shares of the whole by object, by kind of ray and by part. */
+function Parts(props: { of: Explanation }) {
+  const doc = props.of;
+  return (
+    <div class="columns">
+      <Section title="Objects" level={3}>
+        <Shares
+          head="Object and material"
+          extra="× mean pixel"
+          rows={doc.objects.slice(0, 15).map((line) => ({
+            name: line.shows ? `${clean(line.shows.object)}, ${clean(line.shows.material)}` : "background",
+            share: line.share,
+            note: significant(line.times_mean_pixel, 2),
+          }))}
+        />
+      </Section>
+      <Section title="Light" level={3}>
+        <Shares
+          head="Kind of ray"
+          extra="Rays"
+          rows={doc.rays
+            .filter((line) => line.rays > 0)
+            .map((line) => ({
+              name: line.category,
+              share: line.share_of_work ?? line.share,
+              note: work(line.rays),
             }))}
-          />
-        </Section>
-        <Section title="Light" level={3}>
-          <Shares
-            head="Kind of ray"
-            extra="Rays"
-            rows={doc.rays
-              .filter((line) => line.rays > 0)
-              .map((line) => ({
-                name: line.category,
-                share: line.share_of_work ?? line.share,
-                note: work(line.rays),
-              }))}
-          />
-        </Section>
-        <Section title="Parts" level={3}>
-          <Shares
-            head="Part"
-            extra="Work"
-            rows={doc.parts.map((line) => ({
-              name: words(line.part),
-              share: line.share,
-              note: work(line.work),
-            }))}
-          />
-        </Section>
-        <Section title="What would halve it" level={3}>
-          {doc.halving.length === 0 ? (
-            <p class="note">No single setting would.</p>
-          ) : (
-            <table class="numbers body">
-              <thead>
-                <tr>
-                  <th scope="col">Setting</th>
-                  <th scope="col" class="right">
-                    Now
-                  </th>
-                  <th scope="col" class="right">
-                    Then
-                  </th>
-                </tr>
-              </thead>
-              <tbody>
-                {doc.halving.map((line) => (
-                  <tr key={line.setting}>
-                    <td>{settingName(line.setting)}</td>
-                    <td class="right">{grouped(line.from)}</td>
-                    <td class="right">{grouped(line.to)}</td>
-                  </tr>
-                ))}
-              </tbody>
-            </table>
-          )}
-          <p class="note">
-            One camera sample more in every pixel costs {percent(doc.camera_sample, 1)} of the whole.
-          </p>
-        </Section>
-      </div>
+        />
+      </Section>
+      <Section title="Parts" level={3}>
+        <Shares
+          head="Part"
+          extra="Work"
+          rows={doc.parts.map((line) => ({
+            name: words(line.part),
+            share: line.share,
+            note: work(line.work),
+          }))}
+        />
+      </Section>
+      <Section title="What would halve it" level={3}>
+        <Halving of={doc} />
+      </Section>
+    </div>
+  );
+}
+
+function Halving(props: { of: Explanation }) {
+  const { halving, camera_sample } = props.of;
+  return (
+    <>
+      {halving.length === 0 ? (
+        <p class="note">No single setting would.</p>
+      ) : (
+        <table class="numbers body">
+          <thead>
+            <tr>
+              <th scope="col">Setting</th>
+              <th scope="col" class="right">
+                Now
+              </th>
+              <th scope="col" class="right">
+                Then
+              </th>
+            </tr>
+          </thead>
+          <tbody>
+            {halving.map((line) => (
+              <tr key={line.setting}>
+                <td>{settingName(line.setting)}</td>
+                <td class="right">{grouped(line.from)}</td>
+                <td class="right">{grouped(line.to)}</td>
+              </tr>
+            ))}
+          </tbody>
+        </table>
+      )}
+      <p class="note">
+        One camera sample more in every pixel costs {percent(camera_sample, 1)} of the whole.
+      </p>
     </>
   );
 }

@@ -85,9 +85,25 @@ export function useZoom(
     pan(off(x, room[0]), off(y, room[1]));
   };
 
+  useMoves(box, size !== null, { around, by, pan, all });
+  return { view, all, by, reveal };
+}
+
+/** How a view moves. */
+interface Moves {
+  /** Zooms around a point of the box. */
+  around(factor: number, x: number, y: number): void;
+  by(factor: number): void;
+  pan(x: number, y: number): void;
+  all(): void;
+}
+
+/** Moves by wheel, drag, two fingers, and keys. `moves` are those of when the image appeared. */
+function useMoves(box: { current: HTMLElement | null }, isThere: boolean, moves: Moves): void {
   useEffect(() => {
     const target = box.current;
     if (!target) return;
+    const { around, by, pan, all } = moves;
     const fingers = new Map<number, PointerEvent>();
     const wheel = (event: WheelEvent) => {
       if (!event.ctrlKey && !target.contains(document.activeElement)) return;
@@ -145,7 +161,5 @@ export function useZoom(
       target.removeEventListener("pointercancel", up);
       target.removeEventListener("keydown", press);
     };
-  }, [size === null]);
-
-  return { view, all, by, reveal };
+  }, [isThere]);
 }

@@ -122,7 +122,7 @@ function Coverage(props: { record: TrackRecord; measure: Measure }) {
     legend: { show: false },
     cursor: { y: false },
     scales: { y: { range: (): [number, number] => [0, 1.02] } },
-    axes: axes((value) => `${Math.round(value * 100)} %`, true),
+    axes: axes({ words: (value) => `${Math.round(value * 100)} %` }),
     series: [
       {},
       ...names.map((name) => ({

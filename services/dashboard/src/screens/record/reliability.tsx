@@ -13,9 +13,11 @@ export interface Line {
 const SIZE = 300;
 const EDGE = 36;
 
+/** Where a share lies, of the promised and of the observed ones. */
+const place = (share: number) => EDGE + share * (SIZE - EDGE - 8);
+const up = (share: number) => SIZE - EDGE - share * (SIZE - EDGE - 8);
+
 export function Reliability(props: { lines: Line[] }) {
-  const place = (share: number) => EDGE + share * (SIZE - EDGE - 8);
-  const up = (share: number) => SIZE - EDGE - share * (SIZE - EDGE - 8);
   const lines = props.lines.filter((line) => line.count > 0);
   return (
     <>
@@ -46,23 +48,7 @@ export function Reliability(props: { lines: Line[] }) {
           observed, %
         </text>
         {lines.map((line, index) => (
-          <g key={line.name} class={`series-${index}`}>
-            {LEVELS.map((level, at) => {
-              const [low, high] = wilson(line.hits[at]!, line.count);
-              const x = place(level) + (index - (lines.length - 1) / 2) * 5;
-              const y = up(line.hits[at]! / line.count);
-              return (
-                <g key={level}>
-                  <line class="whisker" x1={x} x2={x} y1={up(low)} y2={up(high)} />
-                  {index === 0 ? (
-                    <circle cx={x} cy={y} r="4" />
-                  ) : (
-                    <rect x={x - 3.5} y={y - 3.5} width="7" height="7" />
-                  )}
-                </g>
-              );
-            })}
-          </g>
+          <Points key={line.name} line={line} index={index} count={lines.length} />
         ))}
       </svg>
       <p class="note">
@@ -92,5 +78,29 @@ export function Reliability(props: { lines: Line[] }) {
         }
       />
     </>
+  );
+}
+
+/** A kind of forecasts: beside the others, so that none covers another. */
+function Points(props: { line: Line; index: number; count: number }) {
+  const { line, index, count } = props;
+  return (
+    <g class={`series-${index}`}>
+      {LEVELS.map((level, at) => {
+        const [low, high] = wilson(line.hits[at]!, line.count);
+        const x = place(level) + (index - (count - 1) / 2) * 5;
+        const y = up(line.hits[at]! / line.count);
+        return (
+          <g key={level}>
+            <line class="whisker" x1={x} x2={x} y1={up(low)} y2={up(high)} />
+            {index === 0 ? (
+              <circle cx={x} cy={y} r="4" />
+            ) : (
+              <rect x={x - 3.5} y={y - 3.5} width="7" height="7" />
+            )}
+          </g>
+        );
+      })}
+    </g>
   );
 }

@@ -64,48 +64,7 @@ export function Audit() {
   );
   const entries = usePages(ask, () => null);
   return (
-    <Section
-      title="Audit"
-      aside={
-        <div class="filters">
-          <label>
-            Who{" "}
-            <input
-              type="search"
-              id="search"
-              value={who}
-              placeholder="name of a token"
-              onChange={(event) => setQuery({ who: event.currentTarget.value })}
-            />
-          </label>
-          <label>
-            Project{" "}
-            <input
-              type="search"
-              value={about}
-              onChange={(event) => setQuery({ about: event.currentTarget.value })}
-            />
-          </label>
-          <label>
-            What{" "}
-            <select value={action} onChange={(event) => setQuery({ action: event.currentTarget.value })}>
-              <option value="">everything</option>
-              {Object.keys(ACTIONS).map((one) => (
-                <option key={one} value={one}>
-                  {words(one)}
-                </option>
-              ))}
-            </select>
-          </label>
-          <button type="button" onClick={entries.again}>
-            Ask again
-          </button>
-          <a href="/v1/audit/export?format=csv" download>
-            All as CSV
-          </a>
-        </div>
-      }
-    >
+    <Section title="Audit" aside={<Filters who={who} about={about} action={action} again={entries.again} />}>
       {entries.error && <Trouble error={entries.error} retry={entries.again} />}
       {entries.items.length === 0 &&
         (entries.loading ? (
@@ -129,6 +88,48 @@ export function Audit() {
       )}
       <p class="note">Entries never change. Point at what was done to see what was asked for.</p>
     </Section>
+  );
+}
+
+function Filters(props: { who: string; about: string; action: Action | ""; again: () => void }) {
+  return (
+    <div class="filters">
+      <label>
+        Who{" "}
+        <input
+          type="search"
+          id="search"
+          value={props.who}
+          placeholder="name of a token"
+          onChange={(event) => setQuery({ who: event.currentTarget.value })}
+        />
+      </label>
+      <label>
+        Project{" "}
+        <input
+          type="search"
+          value={props.about}
+          onChange={(event) => setQuery({ about: event.currentTarget.value })}
+        />
+      </label>
+      <label>
+        What{" "}
+        <select value={props.action} onChange={(event) => setQuery({ action: event.currentTarget.value })}>
+          <option value="">everything</option>
+          {Object.keys(ACTIONS).map((one) => (
+            <option key={one} value={one}>
+              {words(one)}
+            </option>
+          ))}
+        </select>
+      </label>
+      <button type="button" onClick={props.again}>
+        Ask again
+      </button>
+      <a href="/v1/audit/export?format=csv" download>
+        All as CSV
+      </a>
+    </div>
   );
 }
 

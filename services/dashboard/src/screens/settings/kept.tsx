@@ -26,20 +26,7 @@ const OF_PROJECTS: Rule["kind"][] = ["images", "profiles", "jobs"];
 export function Kept() {
   const rules = useResource((signal) => get("/v1/retention", { signal }), []);
   const [changing, setChanging] = useState<Rule | null>(null);
-  const [looked, setLooked] = useState<Pruned | null>(null);
-  const [looking, setLooking] = useState(false);
-  const [error, setError] = useState<Error | null>(null);
-  const [deleting, setDeleting] = useState(false);
-  const look = async () => {
-    setLooking(true);
-    try {
-      setLooked(await post("/v1/prune", { body: { dry_run: true } }));
-      setError(null);
-    } catch (failure) {
-      setError(asError(failure));
-    }
-    setLooking(false);
-  };
+  const past = usePast();
   const last = rules.data?.last;
   return (
     <Section
@@ -52,41 +39,7 @@ export function Kept() {
     >
       {rules.error && <Trouble error={rules.error} retry={rules.reload} />}
       {!rules.data && rules.loading && <Waiting>Asking how long things are kept…</Waiting>}
-      {rules.data && (
-        <div class="scroll-x" tabIndex={0} role="region" aria-label="Rules">
-          <table class="rules">
-            <thead>
-              <tr>
-                {["What", "Project", "Kept", ""].map((name) => (
-                  <th scope="col" key={name}>
-                    {name || <span class="unseen">Change</span>}
-                  </th>
-                ))}
-              </tr>
-            </thead>
-            <tbody>
-              {rules.data.items.map((rule) => (
-                <tr key={`${rule.project ?? ""} ${rule.kind}`}>
-                  <th scope="row">
-                    {words(rule.kind)} <span class="muted">{ABOUT[rule.kind]}</span>
-                  </th>
-                  <td>{rule.project ? clean(rule.project) : "all"}</td>
-                  <td>{keptWords(rule)}</td>
-                  <td>
-                    <button
-                      type="button"
-                      onClick={() => setChanging(rule)}
-                      aria-label={`Change: ${words(rule.kind)}${rule.project ? ` of ${clean(rule.project)}` : ""}`}
-                    >
-                      Change…
-                    </button>
-                  </td>
-                </tr>
-              ))}
-            </tbody>
-          </table>
-        </div>
-      )}
+      {rules.data && <Rules rules={rules.data.items} change={setChanging} />}
       <p>
         {last ? (
           <>
@@ -97,6 +50,88 @@ export function Kept() {
           "Every night the farm deletes what is past its time. It has deleted nothing yet."
         )}
       </p>
+      <PastItsTime past={past} deleted={rules.reload} />
+      {changing && (
+        <Change
+          rule={changing}
+          close={() => setChanging(null)}
+          changed={() => (rules.reload(), past.forget())}
+        />
+      )}
+    </Section>
+  );
+}
+
+function Rules(props: { rules: readonly Rule[]; change: (rule: Rule) => void }) {
+  return (
+    <div class="scroll-x" tabIndex={0} role="region" aria-label="Rules">
+      <table class="rules">
+        <thead>
+          <tr>
+            {["What", "Project", "Kept", ""].map((name) => (
+              <th scope="col" key={name}>
+                {name || <span class="unseen">Change</span>}
+              </th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {props.rules.map((rule) => (
+            <tr key={`${rule.project ?? ""} ${rule.kind}`}>
+              <th scope="row">
+                {words(rule.kind)} <span class="muted">{ABOUT[rule.kind]}</span>
+              </th>
+              <td>{rule.project ? clean(rule.project) : "all"}</td>
+              <td>{keptWords(rule)}</td>
+              <td>
+                <button
+                  type="button"
+                  onClick={() => props.change(rule)}
+                  aria-label={`Change: ${words(rule.kind)}${rule.project ? ` of ${clean(rule.project)}` : ""}`}
+                >
+                  Change…
+                </button>
+              </td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+/** What is past its time. */
+interface Past {
+  looked: Pruned | null;
+  looking: boolean;
+  error: Error | null;
+  look: () => Promise<void>;
+  forget: () => void;
+}
+
+function usePast(): Past {
+  const [looked, setLooked] = useState<Pruned | null>(null);
+  const [looking, setLooking] = useState(false);
+  const [error, setError] = useState<Error | null>(null);
+  const look = async () => {
+    setLooking(true);
+    try {
+      setLooked(await post("/v1/prune", { body: { dry_run: true } }));
+      setError(null);
+    } catch (failure) {
+      setError(asError(failure));
+    }
+    setLooking(false);
+  };
+  return { looked, looking, error, look, forget: () => setLooked(null) };
+}
+
+/** What would be deleted now, and deleting it without waiting for the night. */
+function PastItsTime(props: { past: Past; deleted: () => void }) {
+  const { looked, looking, error, look, forget } = props.past;
+  const [deleting, setDeleting] = useState(false);
+  return (
+    <>
       <div class="buttons">
         <button type="button" disabled={looking} onClick={() => void look()}>
           {looking ? "Looking…" : "What would be deleted now?"}
@@ -109,13 +144,6 @@ export function Kept() {
       </div>
       {looked && <p role="status">Now it would delete {prunedWords(looked)}.</p>}
       {error && <Trouble error={error} />}
-      {changing && (
-        <Change
-          rule={changing}
-          close={() => setChanging(null)}
-          changed={() => (rules.reload(), setLooked(null))}
-        />
-      )}
       {deleting && looked && (
         <Confirm
           title="Delete it now?"
@@ -123,15 +151,15 @@ export function Kept() {
           danger
           run={async () => {
             await post("/v1/prune", { body: { dry_run: false } });
-            setLooked(null);
-            rules.reload();
+            forget();
+            props.deleted();
           }}
           close={() => setDeleting(false)}
         >
           <p>This deletes {prunedWords(looked)}. It cannot be undone.</p>
         </Confirm>
       )}
-    </Section>
+    </>
   );
 }
 

@@ -11,7 +11,8 @@ import { bytes, clean, counted, percent } from "../../ui/format";
 import { Trouble, Waiting } from "../../ui/parts";
 import { asError } from "../../ui/resource";
 import { droppedFiles, pack, pickedFiles, upload } from "./bundle";
-import { type Draft, draftFor, draftOf, fieldOf, Fields, requestOf } from "./form";
+import { type Draft, draftFor, draftOf, fieldOf, requestOf, type Wrong } from "./draft";
+import { Fields } from "./form";
 import { Quote } from "./quote";
 import "../../styles/job.css";
 import "../../styles/submit.css";
@@ -118,36 +119,7 @@ function Pick(props: { got: (bundle: Bundle) => void }) {
         {state.busy ? (
           <Waiting>{state.busy}</Waiting>
         ) : (
-          <>
-            <p>
-              <strong>Drop a bundle here</strong>: a folder with <code>scene.json</code> or one glTF file, a
-              zip file of it, or a Blender file.
-            </p>
-            <div class="buttons">
-              <label class="button">
-                Pick a file
-                <input
-                  type="file"
-                  class="unseen"
-                  accept=".zip,.blend,.glb"
-                  onChange={(event) =>
-                    event.currentTarget.files && void take(pickedFiles(event.currentTarget.files))
-                  }
-                />
-              </label>
-              <label class="button">
-                Pick a folder
-                <input
-                  type="file"
-                  class="unseen"
-                  {...{ webkitdirectory: true }}
-                  onChange={(event) =>
-                    event.currentTarget.files && void take(pickedFiles(event.currentTarget.files))
-                  }
-                />
-              </label>
-            </div>
-          </>
+          <Pickers take={(files) => void take(pickedFiles(files))} />
         )}
       </div>
       {state.error && <Trouble error={state.error} />}
@@ -159,13 +131,45 @@ function Pick(props: { got: (bundle: Bundle) => void }) {
   );
 }
 
+/** What can be dropped, and buttons that pick it. */
+function Pickers(props: { take: (files: FileList) => void }) {
+  return (
+    <>
+      <p>
+        <strong>Drop a bundle here</strong>: a folder with <code>scene.json</code> or one glTF file, a zip
+        file of it, or a Blender file.
+      </p>
+      <div class="buttons">
+        <label class="button">
+          Pick a file
+          <input
+            type="file"
+            class="unseen"
+            accept=".zip,.blend,.glb"
+            onChange={(event) => event.currentTarget.files && props.take(event.currentTarget.files)}
+          />
+        </label>
+        <label class="button">
+          Pick a folder
+          <input
+            type="file"
+            class="unseen"
+            {...{ webkitdirectory: true }}
+            onChange={(event) => event.currentTarget.files && props.take(event.currentTarget.files)}
+          />
+        </label>
+      </div>
+    </>
+  );
+}
+
 function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted) => void }) {
   const { wanted } = props;
   const { draft, scene } = wanted;
   const [state, setState] = useState<{
     busy: boolean;
     error: Error | null;
-    wrong: Partial<Record<keyof Draft, string>>;
+    wrong: Wrong;
   }>({ busy: false, error: null, wrong: {} });
   const submit = async (event: Event) => {
     event.preventDefault();

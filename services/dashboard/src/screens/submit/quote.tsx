@@ -6,13 +6,12 @@ import { get, post } from "../../api/client";
 import type { AnswersDoc, Explanation, ForecastDoc, Job } from "../../api/types";
 import { onEvent } from "../../state/live";
 import { go, href, param } from "../../state/route";
-import { AxisHead, axisFor, Fan, slackWords, spreadWords } from "../../ui/fan";
-import { bytes, clean, counted, cpuTime, instant, maybeInstant, percent, words, work } from "../../ui/format";
+import { bytes, clean, counted, cpuTime, percent, words, work } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Money, Prose, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
+import { Money, Prose, Section, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
-import { Outlook } from "../job/price";
 import { useTasks } from "../job/tasks";
+import { When } from "./when";
 
 export function Quote(props: { id: string; edit: (job: Job) => void }) {
   const { id } = props;
@@ -293,103 +292,6 @@ function Numbers(props: { quote: ForecastDoc; own: boolean }) {
         {(quote.effects?.length ?? 0) > 0 && ` Effects: ${quote.effects!.map(words).join(", ")}.`}
       </p>
     </Section>
-  );
-}
-
-function When(props: { job: Job; doc: AnswersDoc }) {
-  const { job, doc } = props;
-  const finish = (confidence: string) =>
-    maybeInstant(doc.outlook.find((line) => line.confidence === confidence)?.finish);
-  const spread = { p50: finish("p50"), p80: finish("p80"), p95: finish("p95") };
-  const deadline = maybeInstant(job.deadline);
-  const axis = axisFor(
-    instant(doc.at),
-    [spread.p95, spread.p50, deadline].filter((at) => at !== null),
-  );
-  const line = doc.outlook.find((one) => one.confidence === job.confidence);
-  const over = job.budget != null && line !== undefined && line.cost > job.budget;
-  return (
-    <>
-      <p class="lead-words">
-        {line?.finish ? (
-          <>
-            Ready by <Time at={line.finish} /> at {job.confidence.toUpperCase()}
-            {deadline !== null && <> ({slackWords(instant(line.finish), deadline)})</>}, for{" "}
-            <Money of={line.cost} />
-            {job.budget != null && (
-              <>
-                {" "}
-                of a budget of <Money of={job.budget} />
-              </>
-            )}
-            .{" "}
-            {line.in_time === false ? (
-              <Mark of="late" word="misses its deadline" />
-            ) : over ? (
-              <Mark of="over_budget" />
-            ) : (
-              <Mark of="on_time" word="fits" />
-            )}
-            {doc.probability != null && <> Probability of the deadline: {percent(doc.probability)}.</>}
-          </>
-        ) : (
-          "No plan finishes it."
-        )}
-      </p>
-      {spread.p50 !== null && (
-        <>
-          <AxisHead axis={axis} />
-          <Fan
-            axis={axis}
-            spread={spread}
-            deadline={deadline}
-            label={spreadWords(spread)}
-            late={line?.in_time === false}
-          />
-        </>
-      )}
-      <Outlook doc={doc} />
-      {doc.why_not.map((reason) => (
-        <p key={reason}>
-          <Prose text={reason} />
-        </p>
-      ))}
-      {doc.ways_out.length > 0 && (
-        <ul class="sentences">
-          {doc.ways_out.map((way) => (
-            <li key={way.words}>
-              <Prose text={way.words} />
-            </li>
-          ))}
-        </ul>
-      )}
-      {doc.pushes_back.length > 0 && (
-        <p>
-          <Mark of="over_budget" word="It delays" />{" "}
-          {doc.pushes_back
-            .map((moved) => `${clean(moved.name)}${moved.breaks_promise ? " past its deadline" : ""}`)
-            .join(", ")}
-          .
-        </p>
-      )}
-      {doc.qualities.length > 1 && (
-        <TableBehind
-          label="Other qualities, as a table"
-          head={["Size", "Samples", "Error", "Ready by", "In time", "Cost", ""]}
-          rows={() =>
-            doc.qualities.map((offer) => [
-              `${offer.settings.width} × ${offer.settings.height}`,
-              offer.settings.spp,
-              offer.error ? percent(offer.error.p50, 1) : "–",
-              <Time at={offer.finish} none="never" />,
-              offer.probability == null ? "–" : percent(offer.probability),
-              <Money of={offer.cost} />,
-              offer.asked_for ? "as asked" : offer.fits ? "fits" : "does not fit",
-            ])
-          }
-        />
-      )}
-    </>
   );
 }
 

@@ -84,19 +84,24 @@ export function RescueDialog(props: {
           Its frames that are finished are kept with the old job, and rendered again in the new one.
         </p>
       )}
-      {!possible && (
-        <p>
-          <strong>{whatToDo(way.change)}</strong>{" "}
-          {mayOperate.value ? (
-            <a href={href(["farm"], { add: "1" })} onClick={props.close}>
-              To the Farm screen
-            </a>
-          ) : (
-            "An operator can do this."
-          )}
-        </p>
-      )}
+      {!possible && <ByHand change={way.change} close={props.close} />}
     </Confirm>
+  );
+}
+
+/** What a person has to do, since the service cannot. */
+function ByHand(props: { change: PlanEffect["change"]; close: () => void }) {
+  return (
+    <p>
+      <strong>{whatToDo(props.change)}</strong>{" "}
+      {mayOperate.value ? (
+        <a href={href(["farm"], { add: "1" })} onClick={props.close}>
+          To the Farm screen
+        </a>
+      ) : (
+        "An operator can do this."
+      )}
+    </p>
   );
 }
 

@@ -1,0 +1,213 @@
+// The head of a job's screen: how it stands, what to decide, and its facts.
+
+import { useState } from "preact/hooks";
+import type { Job } from "../../api/types";
+import { href } from "../../state/route";
+import { maySubmitTo } from "../../state/session";
+import { slackWords } from "../../ui/fan";
+import { clean, cpuTime, grouped, maybeInstant, percent } from "../../ui/format";
+import { Mark } from "../../ui/mark";
+import { Money, Prose, Time } from "../../ui/parts";
+import { RescueDialog } from "../tonight/rescue";
+import { CancelDialog, ChangeDialog } from "./change";
+
+/** States of a job that is over. */
+export const OVER = ["done", "failed", "cancelled"];
+
+export function JobHead(props: { job: Job; changed: () => void }) {
+  const { job } = props;
+  const [asked, setAsked] = useState<"change" | "cancel" | "rescue" | null>(null);
+  const over = OVER.includes(job.state);
+  const close = () => setAsked(null);
+  return (
+    <header class="job-top">
+      <div class="job-title">
+        <h1>{clean(job.name)}</h1>
+        <Mark of={job.state} />
+        <span class="muted">
+          {clean(job.project)} · {clean(job.scene.name)} · frames {job.frames}
+          {job.renderer && ` · ${job.renderer.name} ${job.renderer.version ?? ""}`.trimEnd()}
+        </span>
+        <span class="spread" />
+        {maySubmitTo(job.project) && (
+          <span class="buttons">
+            {job.state === "quoted" && (
+              <a class="button primary" href={href(["submit"], { job: job.id })}>
+                Look at the quote
+              </a>
+            )}
+            {!over && (
+              <>
+                <button type="button" onClick={() => setAsked("change")}>
+                  Change deadline or budget…
+                </button>
+                <button type="button" class="danger" onClick={() => setAsked("cancel")}>
+                  Cancel job…
+                </button>
+              </>
+            )}
+          </span>
+        )}
+      </div>
+      <Progress job={job} />
+      <JobFacts job={job} />
+      {job.error && (
+        <p class="trouble">
+          <span class="glyph" aria-hidden="true">
+            ✕
+          </span>
+          {clean(job.error)}
+        </p>
+      )}
+      {!over && job.waits && (
+        <p>
+          It <Prose text={job.waits.because} bare />.
+        </p>
+      )}
+      {job.promise && !job.promise.kept && !over && <AtRisk job={job} rescue={() => setAsked("rescue")} />}
+      {!over && job.verdict && job.verdict.verdict !== "on_time" && job.verdict.reasons.length > 0 && (
+        <ul class="sentences">
+          {job.verdict.reasons.map((reason) => (
+            <li key={reason}>
+              <Prose text={reason} />
+            </li>
+          ))}
+        </ul>
+      )}
+      {asked === "change" && <ChangeDialog job={job} changed={props.changed} close={close} />}
+      {asked === "cancel" && <CancelDialog job={job} changed={props.changed} close={close} />}
+      {asked === "rescue" && (
+        <RescueDialog jobId={job.id} name={job.name} rescue={job.promise?.rescue ?? null} close={close} />
+      )}
+    </header>
+  );
+}
+
+function AtRisk(props: { job: Job; rescue: () => void }) {
+  const { job } = props;
+  const rescue = job.promise?.rescue;
+  return (
+    <p class="risk">
+      <Mark of="risk" /> The newest plan does not keep the deadline
+      {rescue ? (
+        <>
+          . Cheapest rescue: <Prose text={rescue.words} bare />.{" "}
+        </>
+      ) : (
+        ". "
+      )}
+      {maySubmitTo(job.project) && (
+        <button type="button" class="primary" onClick={props.rescue}>
+          {rescue ? "Look at the rescue…" : "Look for a way out…"}
+        </button>
+      )}
+    </p>
+  );
+}
+
+function Progress(props: { job: Job }) {
+  const { job } = props;
+  return (
+    <div
+      class="progress"
+      role="progressbar"
+      aria-label="Share of the forecast work that is done"
+      aria-valuemin={0}
+      aria-valuemax={100}
+      aria-valuenow={Math.round(job.progress * 100)}
+    >
+      <span style={{ width: `${job.progress * 100}%` }} />
+    </div>
+  );
+}
+
+function JobFacts(props: { job: Job }) {
+  const { job } = props;
+  const over = OVER.includes(job.state);
+  const eta = maybeInstant(job.finished_at ?? job.eta);
+  const deadline = maybeInstant(job.deadline);
+  const cost = job.live?.cost;
+  const cpu = job.live?.cpu_seconds;
+  return (
+    <dl class="facts">
+      <div>
+        <dt>Frames</dt>
+        <dd>
+          {grouped(job.frames_done)} of {grouped(job.frames_total)}
+          {job.frames_cancelled ? `, ${grouped(job.frames_cancelled)} cancelled` : ""}
+        </dd>
+      </div>
+      <div>
+        <dt>{over ? "Ended" : "Ready by"}</dt>
+        <dd>
+          <Time at={eta} none={over ? "–" : "not known yet"} />{" "}
+          <span class="muted">{slackWords(eta, deadline)}</span>
+        </dd>
+      </div>
+      <div>
+        <dt>Deadline</dt>
+        <dd>
+          <Time at={deadline} none="none" />
+        </dd>
+      </div>
+      <Outcome job={job} over={over} />
+      <div>
+        <dt>Spent</dt>
+        <dd>
+          <Money of={job.spent} />
+        </dd>
+      </div>
+      {cost && !over && (
+        <div>
+          <dt>Expected in all, P50 to P95</dt>
+          <dd>
+            <Money of={cost.p50} /> to <Money of={cost.p95} />
+          </dd>
+        </div>
+      )}
+      <div>
+        <dt>Budget</dt>
+        <dd>
+          <Money of={job.budget} none="none" />
+        </dd>
+      </div>
+      {cpu && (
+        <div>
+          <dt>CPU time, quoted P50 and P80</dt>
+          <dd>
+            {cpuTime(cpu.quote.p50)}, {cpuTime(cpu.quote.p80)}
+            {over && <span class="muted">; it took {cpuTime(cpu.spent)}</span>}
+          </dd>
+        </div>
+      )}
+      <div>
+        <dt>Confidence</dt>
+        <dd>{job.confidence.toUpperCase()}</dd>
+      </div>
+    </dl>
+  );
+}
+
+/** Whether it will be ready in time: as promised, or else as planned. */
+function Outcome(props: { job: Job; over: boolean }) {
+  const { promise, verdict } = props.job;
+  if (promise)
+    return (
+      <div>
+        <dt>Promise</dt>
+        <dd>
+          {promise.kept ? <Mark of="kept" /> : <Mark of="risk" />}
+          {!props.over && <span class="muted"> in time with {percent(promise.probability)}</span>}
+        </dd>
+      </div>
+    );
+  if (!verdict) return null;
+  return (
+    <div>
+      <dt>Plan</dt>
+      <dd>
+        <Mark of={verdict.verdict} />
+      </dd>
+    </div>
+  );
+}

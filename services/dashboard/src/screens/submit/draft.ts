@@ -1,0 +1,153 @@
+// A job that is being written: from a bundle or an earlier job, and as a request.
+
+import type { Bundle, Confidence, Job, JobRequest } from "../../api/types";
+import { parseMoney } from "../../ui/format";
+import { localText } from "../job/change";
+
+export interface Draft {
+  name: string;
+  project: string;
+  frames: string;
+  width: string;
+  height: string;
+  spp: string;
+  integrator: "" | "ambient" | "path";
+  cache: "" | "on" | "off";
+  bounces: string;
+  deadline: string;
+  confidence: Confidence;
+  budget: string;
+  priority: string;
+  ladders: boolean;
+  /** Name of another renderer, and its version if one is wanted: `cycles 5.0`. Empty for our own. */
+  renderer: string;
+}
+
+/** What cannot be read or is refused, by field. */
+export type Wrong = Partial<Record<keyof Draft, string>>;
+
+export function draftFor(bundle: Bundle): Draft {
+  const { scene } = bundle;
+  return {
+    name: scene.name,
+    project: "default",
+    frames: scene.frames > 1 ? `0-${scene.frames - 1}` : "0",
+    width: "",
+    height: "",
+    spp: "",
+    integrator: "",
+    cache: "",
+    bounces: "",
+    deadline: localText(Date.now() + 12 * 3_600_000),
+    confidence: "p80",
+    budget: "",
+    priority: "",
+    ladders: false,
+    // Only Blender files are uploaded of all scenes that our own renderer cannot open.
+    renderer: scene.frames === 0 ? "cycles" : "",
+  };
+}
+
+/** A job that was asked for before, as a draft. */
+export function draftOf(job: Job): Draft {
+  const settings = job.settings as Partial<Record<string, number | string>>;
+  const text = (value: number | string | undefined | null) => (value == null ? "" : String(value));
+  return {
+    name: job.name,
+    project: job.project,
+    frames: job.frames,
+    width: text(settings["width"]),
+    height: text(settings["height"]),
+    spp: text(settings["spp"] ?? settings["samples"]),
+    integrator: (settings["integrator"] as Draft["integrator"]) ?? "",
+    cache: (settings["cache"] as Draft["cache"]) ?? "",
+    bounces: text(settings["ambient_bounces"]),
+    deadline: job.deadline ? localText(Date.parse(job.deadline)) : "",
+    confidence: job.confidence,
+    budget: job.budget == null ? "" : String(job.budget / 1e6),
+    priority: job.priority ? String(job.priority) : "",
+    ladders: job.ladders === "all",
+    renderer: job.renderer ? [job.renderer.name, job.renderer.version ?? ""].join(" ").trim() : "",
+  };
+}
+
+/** Width and height in pixels as they will be: one of them alone keeps the camera's shape. */
+export function sizeOf(draft: Draft, scene: Bundle["scene"] | null): { width: string; height: string } {
+  const [width, height] = [draft.width.trim(), draft.height.trim()];
+  if (!scene || scene.width === 0 || scene.height === 0 || (width === "") === (height === ""))
+    return { width, height };
+  const inProportion = (side: string, from: number, to: number) =>
+    /^\d{1,7}$/.test(side) ? String(Math.max(1, Math.round((Number(side) * to) / from))) : "";
+  return width === ""
+    ? { width: inProportion(height, scene.height, scene.width), height }
+    : { width, height: inProportion(width, scene.width, scene.height) };
+}
+
+/** The request of a draft, and what cannot be read in it, by field. */
+export function requestOf(
+  draft: Draft,
+  bundle: Job["bundle"],
+  scene: Bundle["scene"] | null,
+): { request: JobRequest; wrong: Wrong } {
+  const wrong: Wrong = {};
+  const settings: Record<string, number | string> = {};
+  const numbers = [
+    ["width", "width"],
+    ["height", "height"],
+    ["spp", "spp"],
+    ["bounces", "ambient_bounces"],
+  ] as const;
+  const sized = { ...draft, ...sizeOf(draft, scene) };
+  for (const [field, setting] of numbers) {
+    const text = sized[field].trim();
+    if (text === "") continue;
+    if (/^\d{1,7}$/.test(text)) settings[setting] = Number(text);
+    else wrong[field] = "Write a whole number.";
+  }
+  const [renderer, version] = draft.renderer.trim().split(/\s+/);
+  if (draft.integrator) settings["integrator"] = draft.integrator;
+  if (draft.cache) settings["cache"] = draft.cache;
+  const budget = draft.budget.trim() === "" ? null : parseMoney(draft.budget);
+  if (draft.budget.trim() !== "" && budget === null) wrong.budget = "Write an amount such as 12.50.";
+  const priority = draft.priority.trim() === "" ? 0 : Number(draft.priority);
+  if (!Number.isInteger(priority)) wrong.priority = "Write a whole number.";
+  const request: JobRequest = {
+    name: draft.name.trim(),
+    project: draft.project.trim() || "default",
+    bundle,
+    frames: draft.frames.trim(),
+    settings: settings as unknown as NonNullable<JobRequest["settings"]>,
+    deadline: draft.deadline === "" ? null : new Date(draft.deadline).toISOString(),
+    confidence: draft.confidence,
+    budget,
+    priority,
+    ladders: draft.ladders ? "all" : "own",
+    ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),
+    weight: 1,
+    samples: 256,
+    hold: true,
+  };
+  return { request: request, wrong };
+}
+
+/** Fields of the form by the pointers of the service's answers. */
+export function fieldOf(pointer: string | null): keyof Draft | null {
+  const known: Record<string, keyof Draft> = {
+    "/name": "name",
+    "/project": "project",
+    "/frames": "frames",
+    "/settings/width": "width",
+    "/settings/height": "height",
+    "/settings/spp": "spp",
+    "/settings/ambient_bounces": "bounces",
+    "/settings/integrator": "integrator",
+    "/settings/cache": "cache",
+    "/deadline": "deadline",
+    "/budget": "budget",
+    "/priority": "priority",
+    "/renderer": "renderer",
+    "/renderer/name": "renderer",
+    "/renderer/version": "renderer",
+  };
+  return pointer === null ? null : (known[pointer] ?? null);
+}
