@@ -130,7 +130,7 @@ function Screen() {
 
 function Head() {
   const here = route.value.path[0];
-  const risks = atRisk.value.length;
+  const risks = atRisk.value;
   return (
     <header class="head">
       <a class="brand" href={href(["tonight"])} aria-label="forelight, to tonight">

@@ -175,6 +175,18 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
     noFaults(page);
   });
 
+  await step("shows what events say without asking again", async () => {
+    await show(page, farm.address, screens(null).tonight);
+    await page.route("**/v1/dashboard", (route) => route.abort());
+    const small = ["--frames", "0", "--width", "16", "--spp", "1", "--samples", "16"];
+    const quoted = await farm.submit("corridor", "--name", "told-by-events", "--hold", ...small);
+    const row = page.locator(".job-row", { hasText: "told-by-events" });
+    await row.getByText("quoted").waitFor();
+    await page.unroute("**/v1/dashboard");
+    await farm.ask("POST", `/v1/jobs/${quoted}/cancel`);
+    await row.waitFor({ state: "detached" });
+  });
+
   await step("clears title and icon when no promise is at risk any more", async () => {
     await show(page, farm.address, screens(null).tonight);
     await farm.ask("POST", `/v1/jobs/${long}/cancel`);
@@ -186,13 +198,7 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
   await step("shows every screen after the service was killed and came back", async () => {
     await farm.kill();
     await farm.start("farm", ...WORKERS);
-    const list = screens(job);
-    await inspectAll(
-      page,
-      farm.address,
-      { tonight: list.tonight, job: list.job, farm: list.farm, record: list.record, submit: list.submit },
-      "restarted",
-    );
+    await inspectAll(page, farm.address, screens(job), "restarted");
     await page.locator(".connection.live").waitFor();
     noFaults(page);
   });

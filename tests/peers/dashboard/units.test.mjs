@@ -80,6 +80,8 @@ test("events change the rows of jobs and nodes, and the counts, without another 
     [busy.state, busy.activity.job, busy.activity.frame, busy.activity.progress],
     ["working", "hero", 7, 0.5],
   );
+  const late = { kind: "task_late", node_id: "n", task_id: "t", job_id: "a" };
+  assert.equal(nodeAfter(busy, [late, { ...late, kind: "task_stalled" }], names), busy);
   const ended = nodeAfter(busy, [{ kind: "task_done", task_id: "t", job_id: "a" }], names);
   assert.deepEqual([ended.state, ended.activity], ["idle", null]);
   assert.equal(nodeAfter(busy, [{ kind: "task_done", task_id: "other" }], names), busy);

@@ -5,7 +5,7 @@ import type { Job, JobChange, JobRequest, PlanChange, RenderSettings } from "../
 
 /** A request that repeats a job. */
 export function requestOf(job: Job): JobRequest {
-  const { settings, renderer, within, limits, cache, ladders } = job;
+  const { settings, renderer, within, limits, cache, ladders, division, output } = job;
   return {
     name: job.name,
     project: job.project,
@@ -24,6 +24,8 @@ export function requestOf(job: Job): JobRequest {
     ...(limits ? { limits } : {}),
     ...(cache ? { cache } : {}),
     ...(ladders ? { ladders } : {}),
+    ...(division ? { division } : {}),
+    ...(output ? { output } : {}),
   };
 }
 

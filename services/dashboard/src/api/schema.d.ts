@@ -2311,6 +2311,11 @@ export interface components {
              * @description Nodes that sent a request within the last three lease times, and are neither draining nor set aside.
              */
             nodes_alive: number;
+            /**
+             * Format: int64
+             * @description Open jobs whose promised deadline is at risk.
+             */
+            promises_at_risk?: number;
             /** @description Number of tasks by state. */
             tasks: components["schemas"]["TaskCounts"];
         };
@@ -3177,6 +3182,7 @@ export interface components {
             booked_cost?: components["schemas"]["Money"] | null;
             cost?: components["schemas"]["MoneyQuantiles"] | null;
             eta?: components["schemas"]["Timestamp"] | null;
+            finish?: components["schemas"]["FinishQuantiles"] | null;
             /**
              * Format: int32
              * @description Number of frames. Of new jobs only.
@@ -4207,8 +4213,13 @@ export interface components {
             added_cost: components["schemas"]["Money"];
             /** @description The events that led to the plan, one line each. */
             causes: string[];
-            /** @description Frames that it moves, adds or removes, sorted by job and frame. */
+            /** @description Frames that it moves, adds or removes, sorted by job and frame. At most 1,000. */
             frames: components["schemas"]["FrameMove"][];
+            /**
+             * Format: int64
+             * @description Number of such frames that are not listed.
+             */
+            frames_left_out?: number;
             /** @description Jobs that it books and about which it says something else. */
             jobs: components["schemas"]["VerdictChange"][];
             parent_id?: components["schemas"]["PlanId"] | null;
@@ -6465,6 +6476,13 @@ export interface operations {
                     "application/json": components["schemas"]["AuditPage"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -6644,6 +6662,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["BudgetList"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -9101,6 +9126,13 @@ export interface operations {
                     "application/json": components["schemas"]["Plan"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -9140,6 +9172,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["PlanDifference"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -9380,6 +9419,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["Retention"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {
@@ -9927,6 +9973,13 @@ export interface operations {
                     "application/json": components["schemas"]["TokenPage"];
                 };
             };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description The request is refused; `type` says why */
             "4XX": {
                 headers: {
@@ -10008,6 +10061,13 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["Token"];
                 };
+            };
+            /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {

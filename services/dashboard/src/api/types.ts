@@ -23,23 +23,19 @@ export type JobChange = Schemas["JobChange"];
 export type JobRequest = Schemas["JobRequest"];
 export type JobState = Schemas["JobState"];
 export type MoneyForecast = Schemas["MoneyForecast"];
-export type MoneyQuantiles = Schemas["MoneyQuantiles"];
 export type Node = Schemas["Node"];
 export type NodeChange = Schemas["NodeChange"];
 export type NodeState = Schemas["NodeState"];
 export type PlanChange = Schemas["PlanChange"];
 export type PlanDifference = Schemas["PlanDifference"];
 export type PlanEffect = Schemas["PlanEffect"];
-export type Promise_ = Schemas["Promise"];
 export type Quantiles = Schemas["Quantiles"];
 export type RenderSettings = Schemas["RenderSettings"];
 export type Session = Schemas["Session"];
 export type TaskLog = Schemas["TaskLog"];
 export type TimelineNode = Schemas["TimelineNode"];
-export type TimelinePage = Schemas["TimelinePage"];
 export type TimelineSpan = Schemas["TimelineSpan"];
 export type TrackRecord = Schemas["TrackRecord"];
-export type Waits = Schemas["Waits"];
 
 /** The dashboard's document with all that the service of this page always sends. Older ones leave fields out. */
 export type Farm = Dashboard &

@@ -16,9 +16,13 @@ export const now = signal(Date.now());
 /** The newest events, newest first. */
 export const recent = signal<Event[]>([]);
 
-export const atRisk = computed(
-  () => farm.value?.jobs.filter((job) => job.promise && !job.promise.kept) ?? [],
-);
+/** Number of promises at risk. The document has them all only on a farm that is not large. */
+export const atRisk = computed(() => {
+  const doc = farm.value;
+  if (!doc) return 0;
+  const shown = doc.jobs.filter((job) => job.promise && !job.promise.kept).length;
+  return doc.jobs_open_total > doc.jobs.length ? Math.max(shown, doc.counts.promises_at_risk) : shown;
+});
 
 const SOON = 3_000;
 const LATER = 10_000;
@@ -118,7 +122,9 @@ function flush(): void {
   const old = farm.peek();
   batch(() => {
     if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
-    if (old) farm.value = farmAfter(old, events);
+    // The document knows what happened before it.
+    const news = events.filter((event) => event.id > (old?.last_event_id ?? 0));
+    if (old) farm.value = farmAfter(old, news);
   });
   schedule(events.some((event) => ASKED_SOON.has(event.kind)) ? SOON : LATER);
 }

@@ -47,7 +47,10 @@ const KINDS: Record<EventKind, true> = {
 
 type Listener = (event: Event) => void;
 
-const listeners = new Set<Listener>();
+/** What is called for events, with what is called when some are left out. */
+const listeners = new Map<Listener, () => void>();
+/** The newest event that was heard. */
+let newest = 0;
 let stream: Stream | null = null;
 
 hooks.heard = () => {
@@ -61,15 +64,25 @@ hooks.unheard = () => {
   link.value = "lost";
 };
 
-/** Calls `listener` for each event from now on. Returns how to stop. */
-export function onEvent(listener: Listener): () => void {
-  listeners.add(listener);
+/**
+ * Calls `listener` for each event from now on, and `missed` when so many came while the page slept that they are
+ * left out. Returns how to stop.
+ */
+export function onEvent(listener: Listener, missed: () => void = () => undefined): () => void {
+  listeners.set(listener, missed);
   return () => listeners.delete(listener);
 }
 
-/** Starts behind this event. Later calls only move forward. */
+/** With more events to catch up with, screens ask again for what they show. */
+const MOST_BEHIND = 5_000;
+
+/**
+ * Starts behind this event, the newest that a document tells of. Documents may be ahead of the stream, so later
+ * calls leave nothing out, unless the stream is far behind.
+ */
 export function follow(after: number): void {
   const isNew = stream === null;
+  if (isNew) newest = after;
   stream ??= openStream({
     address: (last) => `/v1/events?last_event_id=${last}`,
     kinds: Object.keys(KINDS),
@@ -80,8 +93,12 @@ export function follow(after: number): void {
     },
     broke: (tries) => (link.value = tries === 0 ? "catching-up" : "lost"),
   });
-  stream.after(after);
-  if (isNew) stream.connect();
+  if (isNew || after - newest > MOST_BEHIND) {
+    newest = after;
+    stream.after(after);
+    if (!isNew) for (const missed of [...listeners.values()]) missed();
+    stream.connect();
+  }
 }
 
 export function unfollow(): void {
@@ -91,5 +108,6 @@ export function unfollow(): void {
 
 function take(event: Event): void {
   lastHeard.value = Date.now();
-  for (const listener of [...listeners]) listener(event);
+  newest = event.id;
+  for (const listener of [...listeners.keys()]) listener(event);
 }

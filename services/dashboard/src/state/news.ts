@@ -10,6 +10,7 @@ interface Known {
   deadline?: string | null | undefined;
   budget?: number | null | undefined;
   eta?: string | null | undefined;
+  finish?: DashboardJob["finish"] | undefined;
   probability?: number | null | undefined;
   promise?: DashboardJob["promise"] | undefined;
 }
@@ -22,7 +23,7 @@ export function jobAfter<J extends Known>(job: J, event: Event): J {
   if (event.job_state) after.state = event.job_state;
   if (event.frames_done != null) after.frames_done = event.frames_done;
   if (event.promise) Object.assign(after, { promise: event.promise, probability: event.promise.probability });
-  const { terms, eta, probability } = event.job ?? {};
+  const { terms, eta, finish, probability } = event.job ?? {};
   if (terms)
     Object.assign(after, {
       hold: terms.hold,
@@ -30,11 +31,13 @@ export function jobAfter<J extends Known>(job: J, event: Event): J {
       budget: terms.budget ?? null,
     });
   if (eta != null) after.eta = eta;
+  if (finish) after.finish = finish;
   if (probability != null) after.probability = probability;
   return Object.keys(after).length === 0 ? job : { ...job, ...after };
 }
 
-function rowAfter(row: DashboardJob, event: Event): DashboardJob {
+/** A row of a list after an event. */
+export function rowAfter(row: DashboardJob, event: Event): DashboardJob {
   const { verdict, booked_cost, cost } = event.job ?? {};
   const said = {
     ...(verdict && { verdict }),
@@ -94,6 +97,9 @@ export function farmAfter(old: Farm, events: readonly Event[]): Farm {
   };
 }
 
+/** Events that end what a node does. A task that is late goes on. */
+const ENDS = /^(task_done|task_failed|result_refused|lease_(expired|released|lost))$/;
+
 /** A node after some events of tasks, oldest first: the same object if none is about its own. */
 export function nodeAfter(old: Node, events: readonly Event[], names: ReadonlyMap<string, string>): Node {
   let node = old;
@@ -115,7 +121,7 @@ export function nodeAfter(old: Node, events: readonly Event[], names: ReadonlyMa
           started: event.at,
         },
       };
-    } else if (own) {
+    } else if (own && ENDS.test(event.kind)) {
       node = { ...node, state: node.state === "working" ? "idle" : node.state, activity: null };
     }
   }

@@ -19,7 +19,7 @@ export interface StreamOptions {
 }
 
 export interface Stream {
-  /** Goes on behind this event. Only moves forward. */
+  /** Begins behind this event, or leaves out what comes before. Only moves forward. */
   after: (id: number) => void;
   /** Connects anew, at once. */
   connect: () => void;

@@ -7,13 +7,13 @@ import { session } from "./session";
 /** What is on screen, set by the screen itself. */
 export function titled(screen: string): void {
   here = screen;
-  show(atRisk.peek().length);
+  show(atRisk.peek());
 }
 
 let here = "";
 
 export function tellTab(): void {
-  effect(() => show(session.value ? atRisk.value.length : 0));
+  effect(() => show(session.value ? atRisk.value : 0));
 }
 
 function show(risks: number): void {

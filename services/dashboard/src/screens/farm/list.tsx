@@ -172,7 +172,7 @@ function useNews(listed: Pages<Node>, again: () => void): void {
     const stop = onEvent((event) => {
       if (/^(task_|lease_)/.test(event.kind) && event.task_id) told.push(event);
       else if (event.kind.startsWith("node_")) again();
-    });
+    }, again);
     const timer = setInterval(() => {
       if (told.length === 0) return;
       const events = told;

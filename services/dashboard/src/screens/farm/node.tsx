@@ -1,21 +1,27 @@
 // One node: what it is, what it does, and orders to it.
 
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { get, patch } from "../../api/client";
 import type { Node, NodeChange } from "../../api/types";
 import { refresh } from "../../state/farm";
+import { onEvent } from "../../state/live";
 import { mayOperate } from "../../state/session";
 import { Dialog } from "../../ui/dialog";
 import { bytes, clean, money, parseMoney, significant, timeZone, told } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Field, Time, Trouble, Waiting } from "../../ui/parts";
-import { asError, useResource } from "../../ui/resource";
+import { asError, useResource, useThrottled } from "../../ui/resource";
 import { Activity } from "./activity";
 import { Schedule, scheduleWords } from "./schedule";
 
 export function NodeDialog(props: { id: string; close: () => void; changed: () => void }) {
   const node = useResource<Node>(
     (signal) => get("/v1/nodes/{id}", { path: { id: props.id }, signal }),
+    [props.id],
+  );
+  const soon = useThrottled(node.reload, 1_000);
+  useEffect(
+    () => onEvent((event) => event.node_id === props.id && event.kind !== "task_progress" && soon(), soon),
     [props.id],
   );
   const [error, setError] = useState<Error | null>(null);

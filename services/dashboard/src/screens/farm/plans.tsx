@@ -42,29 +42,21 @@ function movesOf(difference: PlanDifference, rows: readonly Row[]): Move[] {
   return out.filter((move) => move.from || move.to);
 }
 
-export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) => void }) {
-  const version = Math.floor(now.value / 20_000);
-  const chosen = param("plan");
-  // A link may name a plan that is newer than the list.
-  const plans = useResource(
-    (signal) => get("/v1/plans", { query: { page_size: 30 }, signal }),
-    [version, chosen],
-  );
-  const difference = useResource<PlanDifference>(
-    (signal) => (chosen ? get("/v1/plans/{id}/difference", { path: { id: chosen }, signal }) : null),
-    [chosen],
-  );
-  const moves = useMemo(
-    () => (difference.data ? movesOf(difference.data, props.rows) : []),
-    [difference.data, props.rows],
-  );
+/** Plays moves on the chart. Another plan ends it. */
+function usePlay(
+  moves: readonly Move[],
+  chosen: string | null,
+  shown: (playing: Playing) => void,
+): [playing: boolean, play: () => void] {
   const [playing, setPlaying] = useState(false);
   const frame = useRef(0);
-  const show = useRef(props.play);
-  show.current = props.play;
+  const ending = useRef<ReturnType<typeof setTimeout> | undefined>(undefined);
+  const show = useRef(shown);
+  show.current = shown;
 
   useEffect(() => {
     cancelAnimationFrame(frame.current);
+    clearTimeout(ending.current);
     setPlaying(false);
     show.current({ moves: [], played: 0 });
   }, [chosen]);
@@ -72,7 +64,10 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
 
   const play = () => {
     cancelAnimationFrame(frame.current);
-    const end = (after: number) => setTimeout(() => show.current({ moves: [], played: 0 }), after);
+    clearTimeout(ending.current);
+    const end = (after: number) => {
+      ending.current = setTimeout(() => show.current({ moves: [], played: 0 }), after);
+    };
     if (lessMotion()) {
       show.current({ moves, played: 1 });
       end(PLAYED_MS);
@@ -91,7 +86,26 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
     };
     frame.current = requestAnimationFrame(step);
   };
+  return [playing, play];
+}
 
+export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) => void }) {
+  const version = Math.floor(now.value / 20_000);
+  const chosen = param("plan");
+  // A link may name a plan that is newer than the list.
+  const plans = useResource(
+    (signal) => get("/v1/plans", { query: { page_size: 30 }, signal }),
+    [version, chosen],
+  );
+  const difference = useResource<PlanDifference>(
+    (signal) => (chosen ? get("/v1/plans/{id}/difference", { path: { id: chosen }, signal }) : null),
+    [chosen],
+  );
+  const moves = useMemo(
+    () => (difference.data ? movesOf(difference.data, props.rows) : []),
+    [difference.data, props.rows],
+  );
+  const [playing, play] = usePlay(moves, chosen, props.play);
   const items = plans.data?.items ?? [];
   return (
     <div class="plans">
@@ -113,6 +127,11 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
           <button type="button" onClick={play} disabled={moves.length === 0}>
             {playing ? "Playing…" : `Play ${counted(moves.length, "move")}`}
           </button>
+          {(difference.data.frames_left_out ?? 0) > 0 && (
+            <p class="note">
+              {counted(difference.data.frames_left_out!, "more frame")} moved, which the chart does not play.
+            </p>
+          )}
           <PlanWords words={difference.data.words} />
         </>
       )}

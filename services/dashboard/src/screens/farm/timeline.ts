@@ -40,10 +40,14 @@ export interface Rows extends Pages<Row> {
   jobs: ReadonlyMap<string, string>;
 }
 
+/** The longest stretch that the service answers. */
+const MOST_ANSWERED = 31 * 24 * 3_600_000;
+
 /** A stretch with room to pan in, so that small movements ask for nothing. */
 function padded(view: Stretch): Stretch {
-  const length = view.to - view.from;
-  return { from: view.from - length / 2, to: view.to + length / 2 };
+  const length = Math.min(MOST_ANSWERED, view.to - view.from);
+  const room = Math.min(length, MOST_ANSWERED - length) / 2;
+  return { from: view.from - room, to: view.from + length + room };
 }
 
 /** Whether what was asked still covers the view, and is not far more than is seen. */
@@ -104,6 +108,6 @@ export function useTimeline(view: Stretch, state: NodeState | "", search: string
   }, [view.from, view.to, pages.see]);
 
   const refresh = useThrottled(pages.again, 4_000);
-  useEffect(() => onEvent((event) => event.kind !== "task_progress" && refresh()), [refresh]);
+  useEffect(() => onEvent((event) => event.kind !== "task_progress" && refresh(), refresh), [refresh]);
   return { ...pages, see, jobs: jobs.current };
 }

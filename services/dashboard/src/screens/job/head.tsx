@@ -191,22 +191,25 @@ function JobFacts(props: { job: Job }) {
 /** Whether it will be ready in time: as promised, or else as planned. */
 function Outcome(props: { job: Job; over: boolean }) {
   const { promise, verdict } = props.job;
+  const probability = props.over ? null : (props.job.probability ?? promise?.probability ?? null);
+  const sure = probability !== null && <span class="muted"> in time with {percent(probability)}</span>;
   if (promise)
     return (
       <div>
         <dt>Promise</dt>
         <dd>
           {promise.kept ? <Mark of="kept" /> : <Mark of="risk" />}
-          {!props.over && <span class="muted"> in time with {percent(promise.probability)}</span>}
+          {sure}
         </dd>
       </div>
     );
-  if (!verdict) return null;
+  if (!verdict && !sure) return null;
   return (
     <div>
-      <dt>Plan</dt>
+      <dt>{verdict ? "Plan" : "If accepted now"}</dt>
       <dd>
-        <Mark of={verdict.verdict} />
+        {verdict && <Mark of={verdict.verdict} />}
+        {sure}
       </dd>
     </div>
   );

@@ -56,7 +56,7 @@ export function JobScreen(props: { id: string }) {
         // What these say is on screen already; money and expected ends follow.
         if (event.kind === "task_leased" || event.kind === "task_done") reloadLater();
         else reloadSoon();
-      }),
+      }, reloadSoon),
     [id],
   );
   useEffect(() => {

@@ -3,12 +3,13 @@
 import { useEffect, useMemo } from "preact/hooks";
 import { get } from "../../api/client";
 import type { TrackRecord } from "../../api/types";
+import { onEvent } from "../../state/live";
 import { param, setQuery } from "../../state/route";
 import { titled } from "../../state/tab";
 import { axes, Plot, type PlotData } from "../../ui/plot";
 import { clean, counted, grouped, percent, signedPercent } from "../../ui/format";
 import { Choice, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
-import { useResource } from "../../ui/resource";
+import { useResource, useThrottled } from "../../ui/resource";
 import { colour } from "../../ui/theme";
 import { Nights } from "./nights";
 import { type Line, Reliability } from "./reliability";
@@ -21,6 +22,8 @@ export function RecordScreen() {
     (signal) => get("/v1/forecasts/track-record", { query: { page_size: 200 }, signal }),
     [],
   );
+  const later = useThrottled(answer.reload, 60_000);
+  useEffect(() => onEvent((event) => event.kind === "task_done" && later(), later), []);
   const measure: Measure = param("in") === "work" ? "work" : "cpu";
   const asked = answer.data;
   return (

@@ -1,5 +1,6 @@
 // A job that is being written: from a bundle or an earlier job, and as a request.
 
+import { requestOf as requestThatRepeats } from "../../actions/jobs";
 import type { Bundle, Confidence, Job, JobRequest } from "../../api/types";
 import { parseMoney } from "../../ui/format";
 import { localText } from "../job/change";
@@ -21,6 +22,8 @@ export interface Draft {
   ladders: boolean;
   /** Name of another renderer, and its version if one is wanted: `cycles 5.0`. Empty for our own. */
   renderer: string;
+  /** The request that is changed. What the form does not ask stays as it was there. */
+  base: JobRequest | null;
 }
 
 /** What cannot be read or is refused, by field. */
@@ -45,6 +48,7 @@ export function draftFor(bundle: Bundle): Draft {
     ladders: false,
     // Only Blender files are uploaded of all scenes that our own renderer cannot open.
     renderer: scene.frames === 0 ? "cycles" : "",
+    base: null,
   };
 }
 
@@ -52,12 +56,15 @@ export function draftFor(bundle: Bundle): Draft {
 export function draftOf(job: Job): Draft {
   const settings = job.settings as Partial<Record<string, number | string>>;
   const text = (value: number | string | undefined | null) => (value == null ? "" : String(value));
+  const { width, height } = settings;
+  // A height that follows from the width is left to follow.
+  const follows = sizeOf({ width: text(width), height: "" }, job.scene).height === text(height);
   return {
     name: job.name,
     project: job.project,
     frames: job.frames,
-    width: text(settings["width"]),
-    height: text(settings["height"]),
+    width: text(width),
+    height: follows ? "" : text(height),
     spp: text(settings["spp"] ?? settings["samples"]),
     integrator: (settings["integrator"] as Draft["integrator"]) ?? "",
     cache: (settings["cache"] as Draft["cache"]) ?? "",
@@ -68,11 +75,15 @@ export function draftOf(job: Job): Draft {
     priority: job.priority ? String(job.priority) : "",
     ladders: job.ladders === "all",
     renderer: job.renderer ? [job.renderer.name, job.renderer.version ?? ""].join(" ").trim() : "",
+    base: requestThatRepeats(job),
   };
 }
 
 /** Width and height in pixels as they will be: one of them alone keeps the camera's shape. */
-export function sizeOf(draft: Draft, scene: Bundle["scene"] | null): { width: string; height: string } {
+export function sizeOf(
+  draft: Pick<Draft, "width" | "height">,
+  scene: Bundle["scene"] | null,
+): { width: string; height: string } {
   const [width, height] = [draft.width.trim(), draft.height.trim()];
   if (!scene || scene.width === 0 || scene.height === 0 || (width === "") === (height === ""))
     return { width, height };
@@ -90,7 +101,8 @@ export function requestOf(
   scene: Bundle["scene"] | null,
 ): { request: JobRequest; wrong: Wrong } {
   const wrong: Wrong = {};
-  const settings: Record<string, number | string> = {};
+  const { base } = draft;
+  const settings: Record<string, unknown> = base && !base.renderer ? { ...base.settings } : {};
   const numbers = [
     ["width", "width"],
     ["height", "height"],
@@ -100,18 +112,23 @@ export function requestOf(
   const sized = { ...draft, ...sizeOf(draft, scene) };
   for (const [field, setting] of numbers) {
     const text = sized[field].trim();
+    delete settings[setting];
     if (text === "") continue;
     if (/^\d{1,7}$/.test(text)) settings[setting] = Number(text);
     else wrong[field] = "Write a whole number.";
   }
   const [renderer, version] = draft.renderer.trim().split(/\s+/);
-  if (draft.integrator) settings["integrator"] = draft.integrator;
-  if (draft.cache) settings["cache"] = draft.cache;
+  for (const setting of ["integrator", "cache"] as const) {
+    if (draft[setting]) settings[setting] = draft[setting];
+    else delete settings[setting];
+  }
   const budget = draft.budget.trim() === "" ? null : parseMoney(draft.budget);
   if (draft.budget.trim() !== "" && budget === null) wrong.budget = "Write an amount such as 12.50.";
   const priority = draft.priority.trim() === "" ? 0 : Number(draft.priority);
   if (!Number.isInteger(priority)) wrong.priority = "Write a whole number.";
+  const { renderer: _, ...kept } = base ?? { weight: 1, samples: 256 };
   const request: JobRequest = {
+    ...kept,
     name: draft.name.trim(),
     project: draft.project.trim() || "default",
     bundle,
@@ -123,8 +140,6 @@ export function requestOf(
     priority,
     ladders: draft.ladders ? "all" : "own",
     ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),
-    weight: 1,
-    samples: 256,
     hold: true,
   };
   return { request: request, wrong };

@@ -56,7 +56,7 @@ export function SubmitScreen() {
               draft: draftOf(job),
               instead: job.id,
             });
-            go(["submit"]);
+            go(["submit"], { replaces: param("replaces") });
           }}
         />
       ) : wanted ? (
@@ -182,7 +182,7 @@ function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted
     try {
       const job = await post("/v1/jobs", { body: request, key: newKey() });
       if (wanted.instead) await cancelJob(wanted.instead);
-      go(["submit"], { job: job.id });
+      go(["submit"], { job: job.id, replaces: param("replaces") });
     } catch (failure) {
       const field = failure instanceof Refused ? fieldOf(failure.pointer) : null;
       setState({

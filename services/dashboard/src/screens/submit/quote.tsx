@@ -17,7 +17,10 @@ export function Quote(props: { id: string; edit: (job: Job) => void }) {
   const { id } = props;
   const job = useResource<Job>((signal) => get("/v1/jobs/{id}", { path: { id }, signal }), [id]);
   const soon = useThrottled(job.reload, 400);
-  useEffect(() => onEvent((event) => event.job_id === id && event.kind !== "task_progress" && soon()), [id]);
+  useEffect(
+    () => onEvent((event) => event.job_id === id && event.kind !== "task_progress" && soon(), soon),
+    [id],
+  );
   const doc = job.data;
   if (!doc)
     return job.error ? (
@@ -166,12 +169,13 @@ function Ready(props: { job: Job; edit: (job: Job) => void }) {
     setState({ busy: true, error: null });
     try {
       await post("/v1/jobs/{id}/accept", { path: { id: job.id }, body: {} });
-      const replaces = param("replaces");
-      if (replaces) await cancelJob(replaces);
-      go(["jobs", job.id]);
     } catch (failure) {
-      setState({ busy: false, error: asError(failure) });
+      return setState({ busy: false, error: asError(failure) });
     }
+    // It is booked now, whatever becomes of the job that it replaces: that one shows its state itself.
+    const replaces = param("replaces");
+    if (replaces) await cancelJob(replaces).catch(() => undefined);
+    return go(["jobs", job.id]);
   };
   return (
     <>

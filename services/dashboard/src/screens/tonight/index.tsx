@@ -43,7 +43,7 @@ export function Tonight() {
 /** The farm in one glance, in words. */
 function Summary(props: { doc: Farm }) {
   const { doc } = props;
-  const risks = atRisk.value.length;
+  const risks = atRisk.value;
   const late = doc.jobs.filter((job) => !job.promise && troubleOf(job) !== null).length;
   const p80 = maybeInstant(doc.finish?.p80);
   const p95 = maybeInstant(doc.finish?.p95);

@@ -4,6 +4,8 @@ import { useCallback, useEffect, useMemo, useRef } from "preact/hooks";
 import { get } from "../../api/client";
 import type { DashboardJob, Farm, Job } from "../../api/types";
 import { now } from "../../state/farm";
+import { onEvent } from "../../state/live";
+import { rowAfter } from "../../state/news";
 import { PAGE, usePages } from "../../ui/pages";
 import { troubleOf } from "./jobs";
 
@@ -56,6 +58,14 @@ export function useListed(doc: Farm, shown: Shown, sort: Sort, search: string): 
     [shown, sort, search, isNeeded],
   );
   const pages = usePages(ask, () => null);
+  useEffect(
+    () =>
+      onEvent((event) => {
+        if (event.job_id && event.kind !== "task_progress")
+          pages.change((row) => (row.id === event.job_id ? rowAfter(row, event) : row));
+      }),
+    [pages.change],
+  );
   const version = Math.floor(now.value / 20_000);
   const first = useRef(version);
   useEffect(() => {

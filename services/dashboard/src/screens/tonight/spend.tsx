@@ -1,7 +1,9 @@
 // Money: tonight and the nights after, against budgets.
 
+import { useEffect } from "preact/hooks";
 import { post } from "../../api/client";
 import type { BudgetForecast, MoneyForecast } from "../../api/types";
+import { onEvent } from "../../state/live";
 import { clean, dayName, money, nightOf, percent, timeZone } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Money, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
@@ -21,6 +23,7 @@ export function Spend(props: { version: number }) {
       }),
     [props.version],
   );
+  useEffect(() => onEvent((event) => event.kind === "budget" && forecast.reload(), forecast.reload), []);
   return (
     <Section title="Spend" class="spend">
       {forecast.data ? (
