@@ -69,9 +69,14 @@ pub(crate) async fn difference(store: &Store, after: Plan) -> Result<PlanDiffere
         added_cost: Money(added_cost),
     };
     difference.words = words(&difference);
+    Ok(shortened(difference))
+}
+
+/// With as many moves as a page can show. The words are about all.
+fn shortened(mut difference: PlanDifference) -> PlanDifference {
     difference.frames_left_out = difference.frames.len().saturating_sub(MOST_MOVES) as u64;
     difference.frames.truncate(MOST_MOVES);
-    Ok(difference)
+    difference
 }
 
 struct Places {
@@ -190,4 +195,32 @@ pub(crate) fn of_job(change: &VerdictChange) -> Option<String> {
     };
     (moved || !word.is_empty())
         .then(|| format!("{} ends {} instead of {}{word}", change.name, end(&change.after), end(before)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::PlanId;
+
+    #[test]
+    fn a_difference_lists_a_thousand_frames_and_counts_all() {
+        let job_id = JobId::new();
+        let frames =
+            (0..1101).map(|frame| FrameMove { job_id, frame, part: 0, parts: 1, before: None, after: None });
+        let mut difference = PlanDifference {
+            plan_id: PlanId::new(),
+            parent_id: None,
+            causes: Vec::new(),
+            words: Vec::new(),
+            jobs: Vec::new(),
+            frames: frames.collect(),
+            frames_left_out: 0,
+            unmoved: 7,
+            added_cost: Money(0),
+        };
+        difference.words = words(&difference);
+        let shortened = shortened(difference);
+        assert_eq!((shortened.frames.len(), shortened.frames_left_out), (1000, 101));
+        assert!(shortened.words[0].contains("1101 booked for the first time"), "{:?}", shortened.words);
+    }
 }

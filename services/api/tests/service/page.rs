@@ -67,17 +67,21 @@ async fn a_document_that_has_not_changed_is_not_sent_again() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;
     let job = farm.submit("0-1").await;
-    farm.work_off(&node, &job).await;
+    let job = farm.work_off(&node, &job).await;
     let webhook = farm.operator.post("/v1/webhooks", &json!({"url": "http://127.0.0.1:1/"})).await;
     let webhook: Webhook = webhook.parsed(StatusCode::CREATED).await;
     let tasks: TaskPage = farm.viewer.json(&format!("/v1/jobs/{}/tasks", job.id)).await;
-    let of_job = ["", "/forecast", "/frames", "/frames/0"].map(|path| format!("/v1/jobs/{}{path}", job.id));
+    let of_job =
+        ["", "/forecast", "/frames", "/frames/0", "/strip"].map(|path| format!("/v1/jobs/{}{path}", job.id));
     let of_farm = [
         format!("/v1/nodes/{}", node.id),
         format!("/v1/tasks/{}/log", tasks.items[0].id),
         format!("/v1/webhooks/{}/deliveries", webhook.id),
+        format!("/v1/plans/{}", job.plan_id.unwrap()),
+        format!("/v1/plans/{}/difference", job.plan_id.unwrap()),
     ];
-    let lists = ["/v1/nodes", "/v1/plans", "/v1/bookings", "/v1/webhooks"].map(str::to_owned);
+    let lists = ["nodes", "plans", "bookings", "webhooks", "jobs", "budgets", "retention", "audit"];
+    let lists = lists.map(|list| format!("/v1/{list}"));
     for path in of_job.into_iter().chain(of_farm).chain(lists) {
         let first = farm.operator.get(&path).await;
         let tag = first.headers()["etag"].to_str().unwrap().to_owned();

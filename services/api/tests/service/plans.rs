@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::support::{Answer, Farm};
+use crate::support::{Answer, Farm, eventually};
 use forelight_api::Clock as _;
 use forelight_protocol::{
     AnswersDoc, Dashboard, Event, EventKind, Job, JobState, Lease, Node, Plan, PlanChange, PlanDifference,
@@ -112,6 +112,11 @@ async fn a_promise_that_breaks_is_an_event_with_a_rescue_and_so_is_its_mending()
         matches!(rescue.change, PlanChange::MoreNodes { .. }) && rescue.words.contains("more node"),
         "{rescue:?}"
     );
+    eventually("the dashboard counts it", async || {
+        let shown: Dashboard = farm.viewer.json("/v1/dashboard").await;
+        (shown.counts.promises_at_risk == 1).then_some(())
+    })
+    .await;
     let verdict = late.verdict.unwrap();
     assert_eq!(verdict.verdict, Verdict::Late);
     assert!(!verdict.ways_out.is_empty() && verdict.ways_out.len() <= 3, "{verdict:?}");
