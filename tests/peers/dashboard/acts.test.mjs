@@ -15,7 +15,7 @@ const kitchen = path.join(root, "deploy/scenes/kitchen");
 const ZONE = "Europe/Berlin";
 const HOUR = 3_600_000;
 
-test("what people do on a farm", { timeout: 240_000 }, async (t) => {
+test("what people do on a farm", { timeout: 480_000 }, async (t) => {
   const { farm, page } = await farmAndPage(t);
   const step = steps(t);
   const job = (id) => farm.get(`/v1/jobs/${id}`);

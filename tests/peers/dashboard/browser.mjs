@@ -45,7 +45,7 @@ export async function sibling(page) {
 }
 
 function watched(page, faults) {
-  page.setDefaultTimeout(30_000);
+  page.setDefaultTimeout(60_000);
   page.faults = faults;
   page.on("pageerror", (error) => faults.push(error.stack ?? String(error)));
   page.on(

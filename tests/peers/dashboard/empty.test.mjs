@@ -5,7 +5,7 @@ import test from "node:test";
 import { farmAndPage, inspect, inspectAll, noFaults, screens, show, visitor } from "./browser.mjs";
 import { steps, WORKERS } from "./farm.mjs";
 
-test("an empty farm", { timeout: 240_000 }, async (t) => {
+test("an empty farm", { timeout: 480_000 }, async (t) => {
   const { farm, browser, page } = await farmAndPage(t);
   const step = steps(t);
 

@@ -8,7 +8,7 @@ import test from "node:test";
 import { farmAndPage, inspect, inspectAll, noFaults, screens, show, sibling, visitor } from "./browser.mjs";
 import { root, steps, until, WORKERS } from "./farm.mjs";
 
-test("a working farm", { timeout: 240_000 }, async (t) => {
+test("a working farm", { timeout: 480_000 }, async (t) => {
   const { folder, farm, browser, page } = await farmAndPage(t);
   let job;
   let held;
@@ -101,6 +101,18 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
     noFaults(page);
   });
 
+  await step("shows what events say without asking again", async () => {
+    await show(page, farm.address, screens(null).tonight);
+    await page.route("**/v1/dashboard", (route) => route.abort());
+    const small = ["--frames", "0", "--width", "16", "--spp", "1", "--samples", "16"];
+    const quoted = await farm.submit("corridor", "--name", "told-by-events", "--hold", ...small);
+    const row = page.locator(".job-row", { hasText: "told-by-events" });
+    await row.getByText("quoted").waitFor({ timeout: 120_000 });
+    await page.unroute("**/v1/dashboard");
+    await farm.ask("POST", `/v1/jobs/${quoted}/cancel`);
+    await row.waitFor({ state: "detached" });
+  });
+
   await step("drains a node; a promise is at risk then, and the page takes the rescue", async () => {
     long = await risky(farm, await held);
     await show(page, farm.address, screens(null).nodes);
@@ -173,18 +185,6 @@ test("a working farm", { timeout: 240_000 }, async (t) => {
     await page.getByRole("cell", { name: "token revoked" }).first().waitFor();
     await page.getByRole("cell", { name: "retention set" }).first().waitFor();
     noFaults(page);
-  });
-
-  await step("shows what events say without asking again", async () => {
-    await show(page, farm.address, screens(null).tonight);
-    await page.route("**/v1/dashboard", (route) => route.abort());
-    const small = ["--frames", "0", "--width", "16", "--spp", "1", "--samples", "16"];
-    const quoted = await farm.submit("corridor", "--name", "told-by-events", "--hold", ...small);
-    const row = page.locator(".job-row", { hasText: "told-by-events" });
-    await row.getByText("quoted").waitFor();
-    await page.unroute("**/v1/dashboard");
-    await farm.ask("POST", `/v1/jobs/${quoted}/cancel`);
-    await row.waitFor({ state: "detached" });
   });
 
   await step("clears title and icon when no promise is at risk any more", async () => {

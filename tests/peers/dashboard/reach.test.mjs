@@ -5,7 +5,7 @@ import test from "node:test";
 import { farmAndPage, inspect, noFaults, screens, show, sibling } from "./browser.mjs";
 import { steps, until, WORKERS } from "./farm.mjs";
 
-test("without a pointer", { timeout: 120_000 }, async (t) => {
+test("without a pointer", { timeout: 480_000 }, async (t) => {
   const { farm, page } = await farmAndPage(t);
   const step = steps(t);
   let job;

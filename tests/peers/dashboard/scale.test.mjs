@@ -202,7 +202,7 @@ async function serve() {
   return server;
 }
 
-test("a large farm is shown by few elements, in little memory", { timeout: 120_000 }, async (t) => {
+test("a large farm is shown by few elements, in little memory", { timeout: 480_000 }, async (t) => {
   const server = await serve();
   const browser = await launch();
   t.after(async () => {
