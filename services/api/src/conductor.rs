@@ -16,6 +16,7 @@
 
 pub(crate) mod answers;
 pub(crate) mod book;
+mod bookable;
 pub(crate) mod effects;
 pub(crate) mod farm;
 mod held_quotes;

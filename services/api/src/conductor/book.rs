@@ -10,7 +10,8 @@ use forelight_protocol::{
 use forelight_quote::{JobForecast, Quote, QuoteBasis, mean_price};
 use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCache, Store, StoreError};
 
-use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
+use super::bookable::bookable;
+use super::farm::{Farm, MOST_NODES, Snapshot};
 use super::held_quotes::foreseen;
 use super::qualities::qualities;
 use super::settle::{Settled, Unsettled, settle};

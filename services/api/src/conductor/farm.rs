@@ -11,10 +11,11 @@ use forelight_quote::JobForecast;
 use forelight_quote::division::{Parts, overhead_seconds, parts};
 use forelight_quote::living::is_news;
 use forelight_store::{
-    FarmFrame, FarmJob, HALF_LIFE, LOST, Opening, ProjectUse, Projected, Projection, Store, StoreError,
-    Wanted, free_time_of, opening, project, silence,
+    FarmFrame, FarmJob, HALF_LIFE, Opening, ProjectUse, Projected, Projection, Store, StoreError, Wanted,
+    free_time_of, opening, project,
 };
 
+use super::bookable::bookable;
 use super::numbers::number;
 
 pub(super) const MOST_NODES: u32 = 10_000;
@@ -59,14 +60,6 @@ impl Snapshot {
         let projected = project(&store.open_bookings().await?, &store.open_cache_parts().await?, now);
         Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
     }
-}
-
-/// The nodes that may be booked: they take tasks and are not lost. No node is heard of while the service is
-/// down. So for a while after its start, silence counts only up to the latest sign of any node.
-pub(crate) fn bookable(nodes: Vec<Node>, now: Timestamp, started: Timestamp) -> Vec<Node> {
-    let last_heard = nodes.iter().map(|node| node.last_seen_at).max().unwrap_or(now);
-    let until = if now.micros_since(started) <= LOST { last_heard.min(now) } else { now };
-    nodes.into_iter().filter(|node| node.takes_tasks() && silence(node, until) <= LOST).collect()
 }
 
 #[derive(Clone, Debug)]

@@ -7,7 +7,8 @@ use std::collections::BTreeSet;
 use forelight_protocol::{NodeId, PlanReason};
 use forelight_store::{NewPlan, StoreError, project};
 
-use super::farm::{Farm, MOST_NODES, Snapshot, bookable};
+use super::bookable::bookable;
+use super::farm::{Farm, MOST_NODES, Snapshot};
 use super::settle::{Settled, settle};
 use super::{ATTEMPTS, AdvanceError, Conductor, compute};
 
