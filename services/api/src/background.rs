@@ -177,7 +177,8 @@ async fn store_uses(app: &App, all: bool) {
 const BREATH: Duration = Duration::from_millis(500);
 
 /// Advances announced jobs, and sometimes all waiting ones, since a transient error may have passed, and then
-/// looks when quotes on hold would end. Makes one plan at a time; events meanwhile, or soon after, are covered by the next plan.
+/// looks when quotes on hold would end. Makes one plan at a time; events meanwhile, or soon after, are covered
+/// by the next plan.
 async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
     let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
     let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));

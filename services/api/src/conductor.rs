@@ -119,7 +119,10 @@ impl Conductor {
             JobState::Previewing => self.choose(&job).await,
             JobState::Profiling => self.forecast_and_book(&job).await,
             JobState::Quoted if !job.hold => self.book_accepted(&job).await,
-            JobState::Quoted => self.foresee(&[id]).await,
+            JobState::Quoted => {
+                self.foresee_held_quote(id).await;
+                Ok(())
+            }
             JobState::Booked
             | JobState::Rendering
             | JobState::Done

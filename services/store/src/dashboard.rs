@@ -204,9 +204,10 @@ async fn dashboard_jobs(
     for id in ids {
         let row = jobs::row(connection, id).await?;
         let quoted = quoted_cost(connection, &row).await?;
+        let expected = row.outlook.0.expected();
         let progress = progress::of_job(connection, id).await?;
         let mut job = row.job(progress)?;
-        outlooks::tell_ends(connection, &mut job, ends, now).await?;
+        expected.tell(&mut job, ends, now);
         list.push(DashboardJob {
             id: job.id,
             name: job.name,

@@ -128,7 +128,7 @@ impl JobRow {
     }
 
     /// A job from its row. Its `eta` and `finish` depend on the other work of the farm: see
-    /// [`outlooks::tell_ends`].
+    /// [`outlooks::Expected`].
     pub fn job(self, progress: Progress) -> Result<Job> {
         let frames = self.frame_set()?;
         let (state, outlook) = (self.state.0, self.outlook.0);

@@ -12,7 +12,7 @@ use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCach
 
 use super::bookable::bookable;
 use super::farm::{Farm, MOST_NODES, Snapshot};
-use super::held_quotes::foreseen;
+use super::held_quotes::{foreseen, logged};
 use super::qualities::qualities;
 use super::settle::{Settled, Unsettled, settle};
 use super::{AdvanceError, Conductor, compute};
@@ -33,8 +33,8 @@ impl Conductor {
         let (with_terms, spent) =
             (self.store.job_with_terms(job.id).await?, self.store.spent_on(job.id, now).await?);
         snapshot.jobs.push(fresh(with_terms, &kept, &forecast.frames, spent));
-        let outlook = foreseen(snapshot, vec![job.id]).await?.pop().map(|(_, outlook)| outlook);
-        let outlook = outlook.unwrap_or_default();
+        let foreseen = logged(foreseen(snapshot, vec![job.id]).await).pop();
+        let outlook = foreseen.map(|(_, outlook)| outlook).unwrap_or_default();
         self.store.keep_quote(job.id, (&kept, &outlook), &forecast.frames, basis, now).await?;
         tracing::info!(job = %job.id, "quoted");
         Ok(())

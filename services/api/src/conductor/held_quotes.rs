@@ -16,14 +16,16 @@ const MOST: u32 = 50;
 impl Conductor {
     /// Keeps the outlooks of the quotes on hold up to date.
     pub async fn foresee_held_quotes(&self) {
-        let foreseen = async { self.foresee(&self.store.held_quotes(MOST).await?).await };
-        if let Err(error) = foreseen.await {
-            tracing::warn!(%error, "when quotes on hold would end is not known; the next round tries again");
-        }
+        logged(async { self.foresee(&self.store.held_quotes(MOST).await?).await }.await);
+    }
+
+    /// Keeps the outlook of a quote up to date. The quote is good without it.
+    pub(super) async fn foresee_held_quote(&self, quote: JobId) {
+        logged(self.foresee(&[quote]).await);
     }
 
     /// Keeps the outlooks of these quotes up to date.
-    pub(super) async fn foresee(&self, quotes: &[JobId]) -> Result<(), AdvanceError> {
+    async fn foresee(&self, quotes: &[JobId]) -> Result<(), AdvanceError> {
         if quotes.is_empty() {
             return Ok(());
         }
@@ -35,6 +37,14 @@ impl Conductor {
         let outlooks = foreseen(snapshot, quotes.to_vec()).await?;
         Ok(self.store.keep_quotes_outlooks(&outlooks, now).await?)
     }
+}
+
+/// The outlook, or nothing where it failed.
+pub(super) fn logged<T: Default>(foreseen: Result<T, AdvanceError>) -> T {
+    foreseen.unwrap_or_else(|error| {
+        tracing::warn!(%error, "when quotes on hold would end is not known; the next round tries again");
+        T::default()
+    })
 }
 
 /// What would become of these quotes, which are among the jobs of the farm. Each is planned around what is booked.

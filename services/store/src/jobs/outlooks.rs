@@ -66,8 +66,7 @@ impl Store {
     }
 }
 
-/// Fills in when a job is expected to end, and how that varies.
-pub(crate) async fn tell_ends(
+async fn tell_ends(
     connection: &mut SqliteConnection,
     job: &mut Job,
     ends: &JobEnds,
@@ -79,13 +78,32 @@ pub(crate) async fn tell_ends(
     let outlook = sqlx::query_scalar!("SELECT outlook FROM jobs WHERE id = ?", job.id.0)
         .fetch_optional(connection)
         .await?;
-    let JobOutlook { finish, takes, .. } = outlook.ok_or(StoreError::NotFound("job"))?.0;
-    job.eta = match takes.filter(|_| job.state == JobState::Quoted) {
-        Some(takes) => Some(rounded_up(now.plus_micros(takes), now)),
-        None => ends.eta(job),
-    };
-    job.finish = job.eta.zip(finish).map(|(end, spread)| spread.around(end, now));
+    outlook.ok_or(StoreError::NotFound("job"))?.0.expected().tell(job, ends, now);
     Ok(())
+}
+
+/// What an outlook says of a job's end.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Expected {
+    finish: Option<FinishSpread>,
+    takes: Option<i64>,
+}
+
+impl JobOutlook {
+    pub(crate) fn expected(&self) -> Expected {
+        Expected { finish: self.finish, takes: self.takes }
+    }
+}
+
+impl Expected {
+    /// Fills in when a job that is not over is expected to end, and how that varies.
+    pub fn tell(self, job: &mut Job, ends: &JobEnds, now: Timestamp) {
+        job.eta = match self.takes.filter(|_| job.state == JobState::Quoted) {
+            Some(takes) => Some(rounded_up(now.plus_micros(takes), now)),
+            None => ends.eta(job),
+        };
+        job.finish = job.eta.zip(self.finish).map(|(end, spread)| spread.around(end, now));
+    }
 }
 
 /// How an end varies in the scenarios of a plan: quantiles less the planned end, in microseconds. Between two
