@@ -76,6 +76,21 @@ export function frameAxes(unit: Unit, name: (place: number) => string, left: num
   ];
 }
 
+/** A band of forecasts: to P95, to P80, and the line of P50. They are the first three series. */
+export function quantileBand(width: number) {
+  return {
+    bands: [
+      { series: [1, 2] as [number, number], fill: colour("p95") },
+      { series: [2, 3] as [number, number], fill: colour("p80") },
+    ],
+    series: [
+      { stroke: colour("p95"), width: 1, points: { show: false } },
+      { stroke: colour("p80"), width: 1, points: { show: false } },
+      { stroke: colour("p50"), width, points: { show: false } },
+    ],
+  };
+}
+
 export function Plot(props: {
   label: string;
   height: number;

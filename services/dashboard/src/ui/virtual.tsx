@@ -96,11 +96,7 @@ export function VirtualTable<T>(props: {
       <div role="table" aria-label={props.name} class={props.table}>
         <div role="rowgroup">
           <div role="row" class={`${props.line} ${props.head}`}>
-            {props.columns.map((name) => (
-              <span role="columnheader" key={name}>
-                {name}
-              </span>
-            ))}
+            <Columns names={props.columns} />
           </div>
         </div>
         <VirtualRows
@@ -112,6 +108,18 @@ export function VirtualTable<T>(props: {
         />
       </div>
     </div>
+  );
+}
+
+function Columns(props: { names: readonly string[] }) {
+  return (
+    <>
+      {props.names.map((name) => (
+        <span role="columnheader" key={name}>
+          {name}
+        </span>
+      ))}
+    </>
   );
 }
 
@@ -151,11 +159,7 @@ function LongRows(props: {
       >
         <div role="rowgroup" class="long-head">
           <div role="row" aria-rowindex={1} class="long-row" style={columns}>
-            {props.head.map((name) => (
-              <span role="columnheader" key={name}>
-                {name}
-              </span>
-            ))}
+            <Columns names={props.head} />
           </div>
         </div>
         <VirtualRows

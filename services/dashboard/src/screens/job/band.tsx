@@ -3,7 +3,7 @@
 import { useMemo } from "preact/hooks";
 import type uPlot from "uplot";
 import type { FrameStrip } from "../../api/types";
-import { frameAxes, MONEY, Plot } from "../../ui/plot";
+import { frameAxes, MONEY, Plot, quantileBand } from "../../ui/plot";
 import { colour } from "../../ui/theme";
 import { type Quantity, written } from "./frames";
 import { MARGINS } from "./strip-layout";
@@ -21,47 +21,45 @@ export function Band(props: {
   );
   const few = numbers.length < 90;
   const many = numbers.length > 1500;
-  const options = () => ({
-    padding: [8, MARGINS.right, 0, 0] as [number, number, number, number],
-    scales: {
-      // Each frame has the width of its cell in the strip.
-      x: {
-        time: false,
-        range: (_: uPlot, least: number, most: number): [number, number] => [least - 0.5, most + 0.5],
-      },
-      y: { range: (_: uPlot, __: number, most: number): [number, number] => [0, most * 1.06 || 1] },
-    },
-    legend: { show: false },
-    cursor: { y: false, drag: { x: true, y: false }, points: { size: 7 } },
-    axes: frameAxes(
-      quantity === "cost" ? MONEY : { words: (value) => written(quantity, value) },
-      (at) => String(numbers[at] ?? ""),
-      MARGINS.left,
-    ),
-    bands: [
-      { series: [1, 2] as [number, number], fill: colour("p95") },
-      { series: [2, 3] as [number, number], fill: colour("p80") },
-    ],
-    series: [
-      {},
-      { stroke: colour("p95"), width: 1, points: { show: false } },
-      { stroke: colour("p80"), width: 1, points: { show: false } },
-      { stroke: colour("p50"), width: many ? 1 : 2, points: { show: false } },
-      {
-        stroke: colour("text"),
-        width: 0,
-        paths: () => null,
-        // Thousands of points let the band shine through.
-        points: {
-          show: true,
-          size: few ? 6 : many ? 2 : 3,
-          fill: colour("text") + (many ? "50" : ""),
-          stroke: colour("surface"),
-          width: few ? 1 : 0,
+  const options = () => {
+    const band = quantileBand(many ? 1 : 2);
+    return {
+      padding: [8, MARGINS.right, 0, 0] as [number, number, number, number],
+      scales: {
+        // Each frame has the width of its cell in the strip.
+        x: {
+          time: false,
+          range: (_: uPlot, least: number, most: number): [number, number] => [least - 0.5, most + 0.5],
         },
+        y: { range: (_: uPlot, __: number, most: number): [number, number] => [0, most * 1.06 || 1] },
       },
-    ],
-  });
+      legend: { show: false },
+      cursor: { y: false, drag: { x: true, y: false }, points: { size: 7 } },
+      axes: frameAxes(
+        quantity === "cost" ? MONEY : { words: (value) => written(quantity, value) },
+        (at) => String(numbers[at] ?? ""),
+        MARGINS.left,
+      ),
+      bands: band.bands,
+      series: [
+        {},
+        ...band.series,
+        {
+          stroke: colour("text"),
+          width: 0,
+          paths: () => null,
+          // Thousands of points let the band shine through.
+          points: {
+            show: true,
+            size: few ? 6 : many ? 2 : 3,
+            fill: colour("text") + (many ? "50" : ""),
+            stroke: colour("surface"),
+            width: few ? 1 : 0,
+          },
+        },
+      ],
+    };
+  };
   return (
     <>
       <Plot

@@ -3,7 +3,7 @@
 import { useMemo } from "preact/hooks";
 import { get } from "../../api/client";
 import type { ForecastHistory, Job } from "../../api/types";
-import { axes, Plot, type PlotData } from "../../ui/plot";
+import { axes, Plot, type PlotData, quantileBand } from "../../ui/plot";
 import { cpuTime, percent } from "../../ui/format";
 import { TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
@@ -91,19 +91,15 @@ function pointsOf(doc: ForecastHistory) {
 }
 
 function options() {
+  const band = quantileBand(2);
   return {
     legend: { show: false },
     cursor: { y: false },
     axes: axes({ words: cpuTime }),
-    bands: [
-      { series: [1, 2] as [number, number], fill: colour("p95") },
-      { series: [2, 3] as [number, number], fill: colour("p80") },
-    ],
+    bands: band.bands,
     series: [
       {},
-      { stroke: colour("p95"), width: 1, points: { show: false } },
-      { stroke: colour("p80"), width: 1, points: { show: false } },
-      { stroke: colour("p50"), width: 2, points: { show: false } },
+      ...band.series,
       { stroke: colour("good"), width: 1.5, fill: colour("sunk"), points: { show: false } },
       { stroke: colour("text"), width: 1, dash: [5, 4], points: { show: false } },
     ],

@@ -41,14 +41,12 @@ export function JobScreen(props: { id: string }) {
     [id, quantity],
   );
   const live = useLiveStrip(strip);
-  const reloadSoon = useThrottled(() => {
+  const reload = () => {
     job.reload();
     strip.reload();
-  }, 3_000);
-  const reloadLater = useThrottled(() => {
-    job.reload();
-    strip.reload();
-  }, 10_000);
+  };
+  const reloadSoon = useThrottled(reload, 3_000);
+  const reloadLater = useThrottled(reload, 10_000);
   useEffect(
     () =>
       onEvent((event: Event) => {
@@ -60,7 +58,7 @@ export function JobScreen(props: { id: string }) {
     [id],
   );
   useEffect(() => {
-    const woken = () => document.visibilityState === "visible" && (job.reload(), strip.reload());
+    const woken = () => document.visibilityState === "visible" && reload();
     document.addEventListener("visibilitychange", woken);
     return () => document.removeEventListener("visibilitychange", woken);
   }, [id]);
@@ -73,15 +71,11 @@ export function JobScreen(props: { id: string }) {
     ) : (
       <Waiting>Asking for the job…</Waiting>
     );
-  const changed = () => {
-    job.reload();
-    strip.reload();
-  };
   return (
     <div class="job">
-      <JobHead job={doc} changed={changed} />
+      <JobHead job={doc} changed={reload} />
       {job.error && <Trouble error={job.error} retry={job.reload} />}
-      <Frames job={doc} strip={live} quantity={quantity} changed={changed} />
+      <Frames job={doc} strip={live} quantity={quantity} changed={reload} />
       <Tabs job={doc} strip={live.data} />
     </div>
   );

@@ -142,7 +142,7 @@ export function requestOf(
     ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),
     hold: true,
   };
-  return { request: request, wrong };
+  return { request, wrong };
 }
 
 /** Fields of the form by the pointers of the service's answers. */
