@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use forelight_store::{Store, StoreError};
 use parking_lot::Mutex;
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpSocket};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -93,10 +93,10 @@ impl Service {
         if extended > 0 {
             tracing::info!(leases = extended, "leases from before the start were extended");
         }
-        let (listener, address) = bind(config.listen).await?;
+        let (listener, address) = bind(config.listen)?;
         // With TLS, the processes of this machine reach the service without it, by the loopback alone.
         let at_home = match &tls {
-            Some(_) => Some(bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?),
+            Some(_) => Some(bind(SocketAddr::from(([127, 0, 0, 1], 0)))?),
             None => None,
         };
         let stopping = CancellationToken::new();
@@ -198,10 +198,19 @@ fn open_output_root(path: &Path) -> Result<OutputRoot, ServiceError> {
     OutputRoot::open(path).map_err(failed)
 }
 
+/// Connections that may wait to be accepted: a farm's workers and pages all come back at once after a restart. The
+/// system drops more, and their clients try again a second later. It lowers this to its own limit
+/// (`net.core.somaxconn`).
+const BACKLOG: u32 = 4096;
+
 /// Listens on an address. Port 0 picks a free port.
-async fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ServiceError> {
+fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ServiceError> {
     let failed = |source| ServiceError::Listen { address, source };
-    let listener = TcpListener::bind(address).await.map_err(failed)?;
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }.map_err(failed)?;
+    // A service that starts again takes its port back at once.
+    socket.set_reuseaddr(true).map_err(failed)?;
+    socket.bind(address).map_err(failed)?;
+    let listener = socket.listen(BACKLOG).map_err(failed)?;
     let bound = listener.local_addr().map_err(failed)?;
     Ok((listener, bound))
 }
