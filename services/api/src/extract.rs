@@ -4,6 +4,7 @@ mod auth;
 mod body;
 mod idempotency;
 mod json;
+mod objects;
 mod path;
 mod query;
 mod reach;

@@ -11,6 +11,7 @@ use serde_json::Value;
 use serde_path_to_error::{Path, Segment};
 
 use super::body::whole;
+use super::objects::Objects;
 use crate::error::{ApiError, ApiResult};
 use crate::state::App;
 
@@ -66,8 +67,7 @@ pub fn media_type(headers: &HeaderMap) -> String {
     sent.split(';').next().unwrap_or_default().trim().to_ascii_lowercase()
 }
 
-/// Parses a body. Invalid JSON is malformed (400); JSON of the wrong shape is invalid (422). serde would also
-/// accept a list of an object's fields, so anything but an object is refused first.
+/// Parses a body. Invalid JSON is malformed (400); JSON of the wrong shape is invalid (422).
 fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
     if bytes.iter().find(|byte| !byte.is_ascii_whitespace()) != Some(&b'{') {
         return Err(match serde_json::from_slice::<serde::de::IgnoredAny>(bytes) {
@@ -76,7 +76,7 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
         });
     }
     let mut deserializer = serde_json::Deserializer::from_slice(bytes);
-    let parsed = serde_path_to_error::deserialize(&mut deserializer);
+    let parsed = serde_path_to_error::deserialize(Objects(&mut deserializer));
     if parsed.is_err()
         && let Some(value) = with_integers(bytes)
     {
@@ -104,7 +104,7 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> ApiResult<T> {
 fn with_integers<T: DeserializeOwned>(bytes: &[u8]) -> Option<T> {
     let mut value: Value = serde_json::from_slice(bytes).ok()?;
     make_integers(&mut value).then_some(())?;
-    serde_json::from_value(value).ok()
+    T::deserialize(Objects(value)).ok()
 }
 
 /// Makes integers of fractions that are whole numbers. Returns whether there were any.
