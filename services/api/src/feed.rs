@@ -64,7 +64,14 @@ pub(crate) fn without_others(event: &Event) -> Event {
     let promise = event.promise.clone().map(|promise| Promise { rescue: None, ..promise });
     let message = event.message.clone().filter(|_| !is_of_many);
     let task_id = event.task_id.filter(|_| event.project.is_some());
-    Event { promise, message, task_id, ..event.clone() }
+    let job = event.job.clone().map(|mut news| {
+        if let Some(waits) = news.waits.as_mut().filter(|waits| !waits.behind.is_empty()) {
+            waits.behind.clear();
+            waits.because = "waits because other jobs go first".to_owned();
+        }
+        news
+    });
+    Event { promise, message, task_id, job, ..event.clone() }
 }
 
 /// An event in the form of server-sent events (https://html.spec.whatwg.org/#server-sent-events). JSON has no

@@ -5,7 +5,7 @@ use utoipa::ToSchema;
 
 use crate::{
     EventId, FinishQuantiles, Job, JobId, JobState, Money, MoneyQuantiles, NodeId, NodeState, OffForecast,
-    PlanId, Promise, TaskId, TaskKind, Timestamp, Verdict,
+    PlanId, Promise, TaskId, TaskKind, Timestamp, Verdict, Waits,
 };
 
 /// Kind of an event. It is also the `event:` field of the server-sent events.
@@ -160,6 +160,9 @@ pub struct JobNews {
     /// Probability that it meets its deadline, 0 to 1, in the scenarios of a plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
+    /// Why it waits, by a plan. A plan without this has it wait for nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub waits: Option<Waits>,
 }
 
 impl JobNews {

@@ -12,6 +12,7 @@ use forelight_protocol::{
     NodeId, PlanId, PlanReason, Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
+use uuid::Uuid;
 
 use crate::columns::Json;
 use crate::database::{Store, Write};
@@ -24,7 +25,7 @@ use crate::plans::replans::Wanted;
 use crate::policy::rebooking::{NewBooking, Rebooked, rebook};
 use crate::quotes;
 use crate::shared_cache::{self, NewSharedCache, parts};
-use crate::tasks::{Common, Finished, RenderAsked, Slot, rates};
+use crate::tasks::{Common, Finished, RenderAsked, rates};
 use crate::writing::run;
 use crate::{division, jobs, nodes};
 
@@ -221,6 +222,9 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
             finish: spread.map(|(spread, end)| spread.around(end, now)),
             booked_cost: job.verdict.cost,
             probability: outlook.and_then(|outlook| outlook.probability),
+            waits: outlook
+                .and_then(|outlook| outlook.waits.clone())
+                .filter(|waits| job.begun.is_empty() || waits.is_for_money()),
             ..JobNews::default()
         };
         let told = Event {
@@ -243,22 +247,22 @@ async fn keep_job(write: &mut Write, plan: PlanId, job: &NewJobPlan) -> Result<(
     let waiting = waiting(write, job_id).await?;
     let Rebooked { bookings, tasks } = rebook(before, &waiting, &job.bookings, &job.begun);
     book_tasks(write, job_id, tasks).await?;
-    for NewBooking { frame, node, start, end } in bookings.into_values() {
-        run!(
-            write,
-            "INSERT INTO bookings (id, plan_id, job_id, frame, part, parts, node_id, start_at, end_at) \
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            BookingId::new().0,
-            plan.0,
-            job_id.0,
-            frame.frame,
-            frame.part,
-            frame.parts,
-            node.0,
-            start.micros(),
-            end.micros()
-        );
-    }
+    // A farm books hundreds of thousands of frames anew at times, and everybody waits: so all rows are one statement.
+    let rows: Vec<_> = bookings
+        .into_values()
+        .map(|NewBooking { frame: FramePart { frame, part, parts }, node, start, end }| {
+            (hex(BookingId::new().0), frame, part, parts, hex(node.0), start.micros(), end.micros())
+        })
+        .collect();
+    run!(
+        write,
+        "INSERT INTO bookings (plan_id, job_id, id, frame, part, parts, node_id, start_at, end_at) \
+         SELECT ?, ?, unhex(b.value ->> 0), b.value ->> 1, b.value ->> 2, b.value ->> 3, unhex(b.value ->> 4), \
+         b.value ->> 5, b.value ->> 6 FROM json_each(?) b",
+        plan.0,
+        job_id.0,
+        Json(&rows)
+    );
     // Parts of a shared cache keep their bookings.
     run!(
         write,
@@ -319,30 +323,35 @@ pub(crate) async fn book_tasks(
 ) -> Result<()> {
     let of_job = rates(write.connection().await?, job).await?;
     let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
-    for (frame, booking) in tasks {
-        let mut slot = None;
-        if let Some(NewBooking { node, start, .. }) = booking {
-            let rate = match rates.get(&node) {
+    let mut rows = Vec::with_capacity(tasks.len());
+    for (FramePart { frame, part, .. }, booking) in tasks {
+        let node = booking.as_ref().map(|booking| booking.node);
+        let rate = match node {
+            Some(node) => match rates.get(&node) {
                 Some(&rate) => rate,
                 None => {
                     let rate = of_job.on(&nodes::read(write.connection().await?, node).await?);
                     rates.insert(node, rate);
                     rate
                 }
-            };
-            slot = Some(Slot { node, start, rate });
-        }
-        run!(
-            write,
-            "UPDATE tasks SET booked_node = ?, booked_at = ?, booked_rate = ? WHERE job_id = ? \
-             AND frame = ? AND booked_part = ?",
-            slot.map(|slot| slot.node.0),
-            slot.map(|slot| slot.start.micros()),
-            slot.and_then(|slot| slot.rate),
-            job.0,
-            frame.frame,
-            frame.part
-        );
+            },
+            None => None,
+        };
+        let start = booking.map(|booking| booking.start.micros());
+        rows.push((frame, part, node.map(|node| hex(node.0)), start, rate));
     }
+    run!(
+        write,
+        "UPDATE tasks SET booked_node = unhex(b.value ->> 2), booked_at = b.value ->> 3, booked_rate = b.value ->> 4 \
+         FROM json_each(?2) b WHERE tasks.id = (SELECT t.id FROM tasks t INDEXED BY tasks_of_bookings \
+         WHERE t.job_id = ?1 AND t.frame = b.value ->> 0 AND t.booked_part = b.value ->> 1)",
+        job.0,
+        Json(&rows)
+    );
     Ok(())
+}
+
+/// An id as a statement reads it from JSON.
+fn hex(id: Uuid) -> String {
+    id.simple().to_string()
 }

@@ -12,6 +12,7 @@ interface Known {
   eta?: string | null | undefined;
   finish?: DashboardJob["finish"] | undefined;
   probability?: number | null | undefined;
+  waits?: DashboardJob["waits"] | undefined;
   promise?: DashboardJob["promise"] | undefined;
 }
 
@@ -21,6 +22,7 @@ const OVER: readonly JobState[] = ["done", "failed", "cancelled"];
 export function jobAfter<J extends Known>(job: J, event: Event): J {
   const after: Partial<Known> = {};
   if (event.job_state) after.state = event.job_state;
+  if (event.job_state === "rendering") after.waits = null;
   if (event.frames_done != null) after.frames_done = event.frames_done;
   if (event.promise) Object.assign(after, { promise: event.promise, probability: event.promise.probability });
   const { terms, eta, finish, probability } = event.job ?? {};
@@ -33,6 +35,7 @@ export function jobAfter<J extends Known>(job: J, event: Event): J {
   if (eta != null) after.eta = eta;
   if (finish) after.finish = finish;
   if (probability != null) after.probability = probability;
+  if (event.kind === "plan_stored") after.waits = event.job?.waits ?? null;
   return Object.keys(after).length === 0 ? job : { ...job, ...after };
 }
 
