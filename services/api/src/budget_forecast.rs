@@ -30,6 +30,8 @@ use crate::conductor::farm::Snapshot;
 /// Most nights in one forecast.
 pub const MOST_NIGHTS: u32 = 60;
 const REMEMBERED: u32 = 400;
+/// Oldest answer that a request may allow, in seconds.
+const OLDEST: u32 = 3600;
 
 /// Computes the forecast and keeps it under its first night, replacing an earlier one. After the middle of
 /// that night it is not kept: the track record compares the night with what was known before. A forecast of
@@ -61,7 +63,7 @@ pub async fn budget_forecast(
     let basis = basis.of_its_projects();
     let mut forecast = tokio::task::spawn_blocking(move || work_out(&basis, &snapshot)).await??;
     if !is_of_all {
-        return Ok(forecast);
+        return Ok(as_asked(forecast, request));
     }
     let past = store.budget_forecasts_before(&request.zone, first.from, REMEMBERED).await?;
     let track_record = track_record(store, &past, now).await?;
@@ -74,13 +76,24 @@ pub async fn budget_forecast(
     if now < last.until {
         store.keep_budget_forecast(&kept).await?;
     }
-    Ok(forecast)
+    Ok(as_asked(forecast, request))
+}
+
+fn as_asked(mut forecast: BudgetForecast, request: &BudgetForecastRequest) -> BudgetForecast {
+    if !request.by_job {
+        forecast.nights.iter_mut().for_each(|night| night.jobs.clear());
+        forecast.changes.clear();
+    }
+    forecast
 }
 
 fn nights(request: &BudgetForecastRequest, now: Timestamp) -> Result<Vec<Night>, BudgetForecastError> {
     let invalid = |pointer, reason: String| BudgetForecastError::Invalid { pointer, reason };
     if !(1..=MOST_NIGHTS).contains(&request.days) {
         return Err(invalid("/days", format!("1 to {MOST_NIGHTS} nights can be forecast")));
+    }
+    if request.max_age > OLDEST {
+        return Err(invalid("/max_age", format!("an answer is 0 to {OLDEST} seconds old")));
     }
     let tonight = Night::of(&request.zone, now).ok_or_else(|| {
         invalid(

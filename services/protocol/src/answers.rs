@@ -195,7 +195,7 @@ pub struct ProjectList {
 #[serde(deny_unknown_fields)]
 pub struct ProjectRequest {
     /// The project: 1 to 200 characters.
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub project: String,
     /// Share relative to those of other projects, 1 to 1,000,000. The default for a project is 1.
     #[schema(minimum = 1, maximum = 1_000_000)]

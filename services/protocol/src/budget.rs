@@ -116,7 +116,7 @@ pub struct BudgetThreshold {
 #[serde(deny_unknown_fields)]
 pub struct BudgetRequest {
     /// The project: 1 to 200 characters.
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub project: String,
     /// The period.
     pub period: BudgetPeriod,
@@ -182,7 +182,7 @@ pub struct BudgetList {
 }
 
 /// Which nights to forecast.
-#[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BudgetForecastRequest {
     /// Date on which the first night begins, such as 2026-03-01. If absent: the present or, before noon, the
@@ -198,6 +198,19 @@ pub struct BudgetForecastRequest {
     #[serde(default = "utc")]
     #[schema(default = "UTC")]
     pub zone: String,
+    /// Whether to list what each job costs, and how that changed. On a farm of thousands of jobs, that is long.
+    #[serde(default = "yes")]
+    #[schema(default = true)]
+    pub by_job: bool,
+    /// An answer that is so many seconds old will do, at most an hour. On a farm of thousands of jobs, a new one
+    /// takes seconds.
+    #[serde(default)]
+    #[schema(default = 0, minimum = 0, maximum = 3600)]
+    pub max_age: u32,
+}
+
+fn yes() -> bool {
+    true
 }
 
 fn one() -> u32 {

@@ -17,11 +17,11 @@ use crate::{
 #[serde(deny_unknown_fields)]
 pub struct JobRequest {
     /// Name of the job: 1 to 200 characters.
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
     /// Project that is charged for the job: 1 to 200 characters.
     #[serde(default = "default_project")]
-    #[schema(default = "default", min_length = 1, max_length = 200)]
+    #[schema(default = "default", min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub project: String,
     /// The scene bundle to render.
     pub bundle: BundleRef,

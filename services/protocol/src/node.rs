@@ -14,7 +14,7 @@ use crate::{
 #[serde(deny_unknown_fields)]
 pub struct NodeRegistration {
     /// Name of the node, unique on the farm: 1 to 100 characters.
-    #[schema(min_length = 1, max_length = 100)]
+    #[schema(min_length = 1, max_length = 100, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
     /// Speed of one of its cores relative to the reference core: above 0, up to 1000.
     #[serde(default = "default_speed")]
@@ -69,18 +69,18 @@ pub struct Capabilities {
     pub memory_bytes: Option<u64>,
     /// Name of the processor: 1 to 200 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub processor: Option<String>,
     /// Name, kind and driver of the Vulkan adapter for previews: 1 to 200 characters. Absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub vulkan_adapter: Option<String>,
     /// Whether that adapter is a hardware GPU, not a software driver.
     #[serde(default)]
     pub gpu: bool,
     /// Version of the worker's program: 1 to 50 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 50)]
+    #[schema(min_length = 1, max_length = 50, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub version: Option<String>,
     /// Renderers, at most 50. Tasks of their jobs go only to nodes that have them. A worker lists forelight's own
     /// as `forelight`, with its version.
@@ -122,7 +122,7 @@ pub struct JoinRequest {
 #[serde(deny_unknown_fields)]
 pub struct JoinTokenRequest {
     /// Name of the machine for the token: 1 to 200 characters. It may be that of a node to replace.
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
     /// Validity in hours: 1 to 720.
     #[serde(default = "default_hours")]

@@ -10,11 +10,11 @@ use utoipa::ToSchema;
 pub struct QuotaRequest {
     /// Name of the project.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub project: Option<String>,
     /// Name of the token. Several tokens of one name share the quota.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub token: Option<String>,
     /// Most bytes of files: scenes, images, profiles and caches. At most 2⁶⁰.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -78,7 +78,7 @@ impl RetentionKind {
 pub struct RetentionRule {
     /// The project; absent for the whole farm. Projects can have rules for images, profiles and jobs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub project: Option<String>,
     /// What the rule is about.
     pub kind: RetentionKind,

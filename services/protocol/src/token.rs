@@ -70,7 +70,7 @@ pub struct NewToken {
 #[serde(deny_unknown_fields)]
 pub struct TokenRequest {
     /// Name of the person or service, 1 to 200 characters.
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
     /// Whom it belongs to.
     #[serde(default)]
@@ -93,7 +93,7 @@ pub struct TokenRequest {
 pub struct TokenChange {
     /// Another name, 1 to 200 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: Option<String>,
     /// When it expires. `null`: never.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "crate::node::given")]

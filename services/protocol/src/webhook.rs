@@ -65,7 +65,7 @@ pub struct WebhookRequest {
     pub kinds: Option<Vec<WebhookKind>>,
     /// Only jobs and budgets of this project. If absent, all, and nodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(min_length = 1, max_length = 200)]
+    #[schema(min_length = 1, max_length = 200, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub project: Option<String>,
     /// The body that it gets, as JSON. In its strings, `{text}`, `{kind}`, `{job}`, `{project}` and `{url}`
     /// are replaced. For most chat services, `{"text": "{text}"}`. If absent, the body is a `WebhookMessage`.

@@ -76,4 +76,80 @@ test("without a pointer", { timeout: 480_000 }, async (t) => {
       .waitFor();
     noFaults(page);
   });
+
+  await step("a table with the numbers opens behind each chart", async () => {
+    const held = await farm.submit(
+      "kitchen",
+      ...["--name", "held", "--frames", "0-1", "--width", "48", "--spp", "2", "--hold"],
+    );
+    await until("the quote is ready", async () => (await farm.get(`/v1/jobs/${held}`)).state === "quoted");
+    const { tonight, record, farm: chart, job: frames, "job-estimate": estimate } = screens(job);
+    const places = { tonight, record, chart, frames, estimate, price: screens(held)["job-price"] };
+    const opened = [];
+    for (const [place, screen] of Object.entries(places)) {
+      await show(page, farm.address, screen);
+      const tables = page.locator("details.behind", { hasText: "as a table" });
+      await tables.first().waitFor();
+      for (const table of await tables.all()) {
+        const label = await table.locator("summary").textContent();
+        if (!(await table.evaluate((details) => details.open))) await table.locator("summary").press("Enter");
+        await table.locator("tbody tr, [aria-rowindex='2']").first().waitFor();
+        opened.push(label.replace(", as a table", ""));
+      }
+      if (place === "frames") await inspect(page, "tables");
+    }
+    for (const chart of [
+      "The chart",
+      "Frames",
+      "The estimate over time",
+      "Price against deadline",
+      "Reliability",
+    ])
+      assert.ok(opened.includes(chart), `${chart}: ${opened}`);
+  });
+
+  await step("a log is followed to its end, searched, and names its errors", async () => {
+    const slow = await farm.submit(
+      "kitchen",
+      ...["--name", "slow", "--frames", "0", "--width", "128", "--spp", "8", "--samples", "16"],
+    );
+    await show(page, farm.address, [`#/jobs/${slow}?tab=logs`, ".tabs"]);
+    await page.getByText("followed live").waitFor();
+    await page.locator(".job-title .mark", { hasText: "done" }).waitFor({ timeout: 120_000 });
+    await page.getByText("followed live").waitFor({ state: "detached" });
+    const lines = page.locator(".log-line");
+    await lines.first().waitFor();
+    const word = (await lines.first().textContent()).split(" ").pop();
+    await page.getByLabel("Find").fill(word);
+    await page.getByText(/^\d+ of \d+ lines?/).waitFor();
+    await page.getByLabel("Find").fill("a word that no log has");
+    await page.getByText("No line has these words.").waitFor();
+    noFaults(page);
+  });
+
+  await step("nothing moves for who asked for less motion", async () => {
+    const moving = () =>
+      page.evaluate(() => {
+        const waiting = Object.assign(document.createElement("p"), { className: "waiting" });
+        document.body.append(waiting);
+        const count = document.getAnimations().length;
+        waiting.remove();
+        return count;
+      });
+    await page.emulateMedia({ reducedMotion: "no-preference" });
+    assert.equal(await moving(), 1);
+    await page.emulateMedia({ reducedMotion: "reduce" });
+    assert.equal(await moving(), 0);
+  });
+
+  await step("files of the page are kept for a year by their hashes, and compressed", async () => {
+    const index = await (await fetch(`${farm.address}/`)).text();
+    for (const [, file] of index.matchAll(/"\.\/(assets\/[^"]+\.(?:js|css))"/g)) {
+      const answer = await fetch(`${farm.address}/${file}`);
+      assert.match(answer.headers.get("cache-control"), /immutable, max-age=31536000/, file);
+      assert.equal(answer.headers.get("content-encoding"), "gzip", file);
+    }
+    const again = await fetch(`${farm.address}/`);
+    assert.equal(again.headers.get("cache-control"), "no-cache");
+  });
 });

@@ -48,18 +48,22 @@ test("events change the rows of jobs and nodes, and the counts, without another 
   const farm = { jobs: [row], jobs_open_total: 1, counts: { jobs: counts, nodes: 2 } };
   assert.equal(farmAfter(farm, [{ kind: "task_progress", job_id: "a", progress: 0.5 }]), farm);
   const created = { name: "new", frames_total: 3, terms: { hold: true, budget: 9 } };
-  const planned = { verdict: "late", eta: at, booked_cost: 7, probability: 0.2 };
+  const waits = { kind: "turn", because: "waits because hero goes first" };
+  const planned = { verdict: "late", eta: at, booked_cost: 7, probability: 0.2, waits };
+  const booked = { kind: "plan_stored", job_id: "a", job: planned };
+  assert.equal(farmAfter(farm, [booked]).jobs[0].waits, waits);
+  assert.equal(farmAfter(farm, [booked, { ...booked, job: {} }]).jobs[0].waits, null);
   const after = farmAfter(farm, [
+    booked,
     { kind: "job_state", job_id: "a", job_state: "rendering" },
     { kind: "task_done", job_id: "a", frames_done: 2 },
-    { kind: "plan_stored", job_id: "a", job: planned },
     { kind: "job_changed", job_id: "a", job: { terms: { hold: false } } },
     { kind: "job_created", job_id: "b", job_state: "previewing", project: "film", job: created },
   ]);
   const [old, fresh] = after.jobs;
   assert.deepEqual(
-    [old.state, old.frames_done, old.verdict, old.probability, old.deadline, old.budget],
-    ["rendering", 2, "late", 0.2, null, null],
+    [old.state, old.frames_done, old.verdict, old.probability, old.deadline, old.budget, old.waits],
+    ["rendering", 2, "late", 0.2, null, null, null],
   );
   assert.deepEqual(
     [fresh.name, fresh.project, fresh.hold, fresh.budget, fresh.frames_total],

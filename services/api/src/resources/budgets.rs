@@ -82,9 +82,11 @@ pub(crate) async fn forecast(
     JsonBody { value: request, hash, .. }: JsonBody<BudgetForecastRequest>,
 ) -> ApiResult<Response> {
     let now = app.now();
-    // It is kept as what was said of the night, so it is computed for each instant that it is asked for.
     let projects = caller.project_names();
-    let key = key(&("nights", hash, &projects, now));
+    // It is kept as what was said of the night, so it is computed for each instant that it is asked for, unless an
+    // older one will do.
+    let instant = now.micros() / (i64::from(request.max_age) * 1_000_000).max(1);
+    let key = key(&("nights", hash, &projects, instant));
     let costly = app.costly.clone();
     let make = async move {
         let made = budget_forecast(&app.store, &request, projects, now).await;

@@ -103,11 +103,17 @@ async fn a_night_is_forecast_by_project_job_and_class_and_asking_again_changes_n
     assert!(late.probability == Some(1.0) && late.finish[0] <= late.finish[2], "{late:?}");
     assert!(!first.threatened && first.budgets.is_empty() && first.beforehand);
     assert_eq!(forecast(&farm, &json!({"days": 2})).await, first);
+    // A screen of a large farm asks for less.
+    let screen = json!({"days": 2, "by_job": false, "max_age": 60});
+    let mut short = first.clone();
+    short.nights.iter_mut().for_each(|night| night.jobs.clear());
+    assert_eq!(forecast(&farm, &screen).await, short);
 
     let tight = set(&farm, &budget("film", cost.p50.0 / 4, json!([]))).await;
     assert_eq!((tight.spent.0 > 0, tight.action), (false, None));
     let second = forecast(&farm, &json!({"date": "2026-03-01"})).await;
     assert!(second.threatened && second.budgets[0].probability_over > 0.9, "{:?}", second.budgets);
+    assert_eq!(forecast(&farm, &screen).await, short, "the answer of this minute, without the budget");
     set(&farm, &budget("film", cost.p95.0, json!([]))).await;
     let third = forecast(&farm, &json!({})).await;
     assert!(!third.threatened && third.budgets[0].probability_over < 0.05, "{:?}", third.budgets);
@@ -285,6 +291,7 @@ async fn only_operators_set_budgets_and_every_wrong_field_is_named() {
         (json!({"date": "2026-02-30"}), "/date"),
         (json!({"date": "2020-01-01"}), "/date"),
         (json!({"zone": "Nowhere"}), "/zone"),
+        (json!({"max_age": 3601}), "/max_age"),
     ] {
         let answer = farm.viewer.post("/v1/budget-forecasts", &request).await;
         assert_eq!(answer.problem(ProblemKind::Invalid).await.pointer.as_deref(), Some(pointer), "{request}");

@@ -1712,6 +1712,11 @@ export interface components {
         /** @description Which nights to forecast. */
         BudgetForecastRequest: {
             /**
+             * @description Whether to list what each job costs, and how that changed. On a farm of thousands of jobs, that is long.
+             * @default true
+             */
+            by_job: boolean;
+            /**
              * Format: date
              * @description Date on which the first night begins, such as 2026-03-01. If absent: the present or, before noon, the
              *     ending night.
@@ -1723,6 +1728,13 @@ export interface components {
              * @default 1
              */
             days: number;
+            /**
+             * Format: int32
+             * @description An answer that is so many seconds old will do, at most an hour. On a farm of thousands of jobs, a new one
+             *     takes seconds.
+             * @default 0
+             */
+            max_age: number;
             /**
              * @description Time zone: its name in the IANA database.
              * @default UTC
@@ -3197,6 +3209,7 @@ export interface components {
             probability?: number | null;
             terms?: components["schemas"]["JobTerms"] | null;
             verdict?: components["schemas"]["Verdict"] | null;
+            waits?: components["schemas"]["Waits"] | null;
         };
         /** @description One page of jobs, newest first. */
         JobPage: {

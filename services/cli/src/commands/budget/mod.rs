@@ -148,7 +148,8 @@ pub async fn run(args: Args) -> Result<()> {
 }
 
 async fn forecast(args: Args) -> Result<()> {
-    let request = BudgetForecastRequest { date: args.date, days: args.days, zone: zone(args.zone)? };
+    let (date, days, zone) = (args.date, args.days, zone(args.zone)?);
+    let request = BudgetForecastRequest { date, days, zone, by_job: true, max_age: 0 };
     let found = match &args.place.database {
         Some(folder) => {
             let store = open(folder).await?;

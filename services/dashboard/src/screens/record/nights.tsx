@@ -14,7 +14,13 @@ export function Nights() {
   const answer = useResource<BudgetForecast>(
     (signal) =>
       post("/v1/budget-forecasts", {
-        body: { date: nightOf(Date.now() - BEFORE * 86_400_000), days: BEFORE + AHEAD, zone: timeZone },
+        body: {
+          date: nightOf(Date.now() - BEFORE * 86_400_000),
+          days: BEFORE + AHEAD,
+          zone: timeZone,
+          by_job: false,
+          max_age: 60,
+        },
         signal,
       }),
     [],

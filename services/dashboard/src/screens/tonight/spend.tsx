@@ -18,7 +18,7 @@ export function Spend(props: { version: number }) {
       // From last night on: the service keeps the forecast that it makes for the first night, and the forecast
       // of tonight, with which the record compares, must stay what it was in the evening.
       post("/v1/budget-forecasts", {
-        body: { date: nightOf(Date.now() - DAY), days: 5, zone: timeZone },
+        body: { date: nightOf(Date.now() - DAY), days: 5, zone: timeZone, by_job: false, max_age: 60 },
         signal,
       }),
     [props.version],
