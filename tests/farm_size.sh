@@ -4,6 +4,9 @@
 # the workers go on. Prints times and sizes, and asserts nothing: the sizes of documents are asserted by
 # `cargo test -p forelight-api --test farm_size`, which also fills this farm's database.
 #
+#   tests/farm_size.sh          prints the figures
+#   tests/farm_size.sh --write  also writes them into docs/benchmarks.md
+#
 #   FORELIGHT_DASHBOARD_BIN   the program, built with `--features dashboard` (default: it is built, with the
 #                             profile `demo`)
 #   FORELIGHT_FARM_SIZE       a folder to keep the farm in; one that is there is used again
@@ -37,21 +40,41 @@ kept=${FORELIGHT_FARM_SIZE:-$work/kept}
 # Each measurement has a fresh copy.
 farm() { rm -rf "$work/farm" "$work/farm.out" && cp -r "$kept" "$work/farm"; }
 
-printf 'load of the machine: %s\n' "$(cut -d' ' -f1-3 /proc/loadavg)"
-printf '\n== Heartbeats alone\n'
-farm
-"$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time "${each}s"
-printf '\n== Heartbeats beside 200 open pages\n'
-farm
-"$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time "${each}s" --pages 200
-printf '\n== The page in Chromium, beside the workers\n'
-farm
-"$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time 600s >"$work/bench" 2>&1 &
-bench=$!
-for _ in $(seq 600); do
-  grep -q 'listening on' "$work/farm.out" 2>/dev/null && break
-  sleep 0.1
-done
-address=$(sed -n 's/^listening on //p' "$work/farm.out" | head -1)
-node tests/peers/dashboard/size.mjs "$address" "$work/farm"
-printf '\nload of the machine: %s\n' "$(cut -d' ' -f1-3 /proc/loadavg)"
+measure() {
+  printf 'load of the machine: %s\n' "$(cut -d' ' -f1-3 /proc/loadavg)"
+  printf '\n== Heartbeats alone\n'
+  farm
+  "$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time "${each}s"
+  printf '\n== Heartbeats beside 200 open pages\n'
+  for _ in 1 2 3; do
+    farm
+    "$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time "${each}s" --pages 200 | sed 1d
+  done
+  printf '\n== The page in Chromium, beside the workers\n'
+  farm
+  "$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time 600s >"$work/bench" 2>&1 &
+  bench=$!
+  for _ in $(seq 600); do
+    grep -q 'listening on' "$work/farm.out" 2>/dev/null && break
+    sleep 0.1
+  done
+  address=$(sed -n 's/^listening on //p' "$work/farm.out" | head -1)
+  node tests/peers/dashboard/size.mjs "$address" "$work/farm"
+  kill "$bench"
+  printf '\nload of the machine: %s\n' "$(cut -d' ' -f1-3 /proc/loadavg)"
+}
+
+# The block of docs/benchmarks.md.
+block() {
+  processor=$(sed -n 's/^model name.*: //p' /proc/cpuinfo | head -1)
+  printf '```sh\ntests/farm_size.sh --write\n```\n\n| date | commit | processor | cores |\n| --- | --- | --- | ---: |\n'
+  printf '| %s | %s | %s | %s |\n\n' "$(date -u '+%Y-%m-%d %H:%M UTC')" "$(git rev-parse --short HEAD)" "$processor" "$(nproc)"
+  printf '```text\n%s\n```\n' "$(cat "$work/report")"
+}
+
+measure | tee "$work/report"
+if [ "${1:-}" = --write ]; then
+  block >"$work/block"
+  begin='<!-- bench farm_size -->'
+  sed -i -e "/^$begin\$/,/^<!-- end -->\$/{/^$begin\$/{p;r $work/block" -e "};/^<!-- end -->\$/!d}" docs/benchmarks.md
+fi
