@@ -1,22 +1,19 @@
 // Parts of the page that are plain functions.
 
 import assert from "node:assert/strict";
-import fs from "node:fs";
 import path from "node:path";
 import { createRequire } from "node:module";
 import test from "node:test";
 import { root } from "./farm.mjs";
 
 const sources = path.join(root, "services/dashboard/src");
-const { transform } = createRequire(path.join(root, "services/dashboard/package.json"))("esbuild");
+const { build } = createRequire(path.join(root, "services/dashboard/package.json"))("esbuild");
 
-/** A module of the page that imports nothing at run time. */
+/** A module of the page, with what it imports. */
 async function load(file) {
-  const { code } = await transform(fs.readFileSync(path.join(sources, file), "utf8"), {
-    loader: "ts",
-    format: "esm",
-  });
-  return import(`data:text/javascript;base64,${Buffer.from(code).toString("base64")}`);
+  const entryPoints = [path.join(sources, file)];
+  const { outputFiles } = await build({ entryPoints, bundle: true, format: "esm", write: false });
+  return import(`data:text/javascript;base64,${Buffer.from(outputFiles[0].contents).toString("base64")}`);
 }
 
 test("sets of frames are read and written as the API writes them", async () => {
@@ -143,6 +140,20 @@ test("every frame has a cell of its own, within the strip, and is found again un
       }
     }
   }
+});
+
+test("an axis of time has few lines however long it is, and shows the ends rather than a far deadline", async () => {
+  const { axisFor } = await load("ui/time-axis.ts");
+  const [hour, day] = [3_600_000, 86_400_000];
+  const from = Date.parse("2026-11-26T20:00:00Z");
+  for (const length of [hour / 20, hour, 9 * hour, 3 * day, 40 * day, 300 * day, 4000 * day]) {
+    const { ticks, to } = axisFor(from, [from + length]);
+    assert.ok(to > from + length && ticks.length >= 1 && ticks.length <= 5, `${length}: ${ticks.length}`);
+    assert.equal(new Set(ticks.map((tick) => tick.word)).size, ticks.length);
+  }
+  const near = axisFor(from, [from + hour], [from + 2 * hour, from + 300 * day]);
+  assert.ok(near.to > from + 2 * hour && near.to < from + 3 * hour);
+  assert.ok(axisFor(from, [], [from + 300 * day]).to > from + 300 * day, "there is nothing else to show");
 });
 
 test("coverage counts what was at or below each quantile", async () => {

@@ -13,7 +13,8 @@ pub const FRAMES: u32 = 10_000;
 
 /// Fills the database. It has one booked job of frames 0 to 5, one finished frame, and one node.
 ///
-/// Two or three frames of each copied job are being rendered, each on its own node: nearly all nodes work.
+/// Of each copied job, the same frame is finished, and two or three others are being rendered, each on its own
+/// node: nearly all nodes work.
 pub fn fill(database: &Connection, now: i64) {
     run(database, "PRAGMA foreign_keys = ON; BEGIN");
     templates(database);
@@ -60,7 +61,7 @@ fn nodes_and_jobs(database: &Connection, now: i64) {
             ("id", "e.id"),
             ("name", "printf('sq%03d_sh%04d_lighting_v%d', e.n % 90, e.n, e.n % 9)"),
             ("project", "printf('project %d', e.n % 12)"),
-            ("deadline_at", "t.deadline_at + e.n * 1000000"),
+            ("deadline_at", &format!("{now} + 5400000000 + e.n % 97 * 300000000")),
             ("outlook", "json_set(t.outlook, '$.promise.kept', json(iif(e.n % 20, 'true', 'false')))"),
             ("frames_total", &format!("iif(e.n = 1, {FRAMES}, t.frames_total)")),
             ("frames", &format!("iif(e.n = 1, '0-{}', t.frames)", FRAMES - 1)),
@@ -79,14 +80,7 @@ fn large() -> String {
 }
 
 fn frames(database: &Connection) {
-    let waits = [
-        ("actual", "NULL"),
-        ("actual_work", "NULL"),
-        ("actual_cpu", "NULL"),
-        ("artifacts", "NULL"),
-        ("finished_at", "NULL"),
-    ];
-    copy(database, "frames", OF_JOB, SMALL, &[&[("job_id", "e.id")][..], &waits].concat());
+    copy(database, "frames", OF_JOB, SMALL, &[("job_id", "e.id")]);
     // A third of the frames are done. Costs rise through the shot, and each is a little off its forecast.
     let factor = "(1 + e.n / 5000.0 + (e.n * 7919 % 101) / 2000.0)";
     let of = |column: &str| format!("t.{column} * {factor}");
@@ -127,16 +121,16 @@ fn tasks(database: &Connection, now: i64) {
     copy(
         database,
         "tasks",
-        &format!("{OF_JOB} AND t.kind = 'render' AND t.state = 'ready'"),
+        &format!("{OF_JOB} AND t.kind = 'render' AND t.state IN ('ready', 'done')"),
         SMALL,
         &[
             ("id", "randomblob(16)"),
             ("job_id", "e.id"),
-            ("state", &if_it_runs("'leased'", "'ready'")),
+            ("state", &if_it_runs("'leased'", "t.state")),
             ("fence", "1"),
             ("progress", &if_it_runs("e.n % 50 / 100.0", "0")),
-            ("node_id", &if_it_runs(&own_node, "NULL")),
-            ("started_at", &if_it_runs(&started, "NULL")),
+            ("node_id", &if_it_runs(&own_node, "t.node_id")),
+            ("started_at", &if_it_runs(&started, "t.started_at")),
             ("booked_node", &if_it_runs(&own_node, a_node)),
         ],
     );

@@ -1,31 +1,7 @@
 // An uncertain instant on a time axis: P50 to P80 to P95 as a narrowing bar, the deadline as a line.
 
 import { clockTime, exactTime, duration, zoneAt } from "./format";
-
-export interface Axis {
-  from: number;
-  to: number;
-  /** Where lines are drawn, and their words. */
-  ticks: { at: number; word: string }[];
-}
-
-const STEPS = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360, 720, 1440, 2880, 10080].map(
-  (minutes) => minutes * 60_000,
-);
-
-/** An axis from `from` on that shows this share of the instants. Later ones are drawn as arrows at its end. */
-export function axisFor(from: number, instants: number[], share = 1, ticks = 5): Axis {
-  const ahead = instants.filter((at) => at > from).sort((a, b) => a - b);
-  const reach = ahead[Math.min(ahead.length - 1, Math.floor(ahead.length * share))] ?? from + 3_600_000;
-  const to = from + Math.max(3 * 60_000, (reach - from) * 1.08);
-  const step = STEPS.find((size) => (to - from) / size <= ticks) ?? STEPS[STEPS.length - 1]!;
-  const offset = new Date(from).getTimezoneOffset() * 60_000;
-  const out: Axis["ticks"] = [];
-  for (let at = Math.ceil((from - offset) / step) * step + offset; at < to; at += step) {
-    out.push({ at, word: clockTime(at, from) });
-  }
-  return { from, to, ticks: out };
-}
+import type { Axis } from "./time-axis";
 
 export interface Spread {
   p50: number | null;

@@ -1,6 +1,6 @@
 // Draws the chart: rows of nodes, spans of jobs. Only what is in view is drawn.
 
-import { clockTime } from "../../ui/format";
+import { ticks } from "../../ui/time-axis";
 import { colour } from "../../ui/theme";
 import type { Row, Span, Stretch } from "./timeline";
 import type { Hit } from "./walk";
@@ -74,20 +74,6 @@ export function hueOf(job: string, colours: Colours): [fill: string, soft: strin
   return colours.hues[Math.abs(hash) % colours.hues.length]!;
 }
 
-const STEPS = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360, 720, 1440, 2880, 10080].map(
-  (minutes) => minutes * 60_000,
-);
-
-export function ticks(view: Stretch, width: number): number[] {
-  const most = Math.max(2, width / 90);
-  const step = STEPS.find((size) => (view.to - view.from) / size <= most) ?? STEPS[STEPS.length - 1]!;
-  const offset = new Date(view.from).getTimezoneOffset() * 60_000;
-  const out: number[] = [];
-  for (let at = Math.ceil((view.from - offset) / step) * step + offset; at < view.to; at += step)
-    out.push(at);
-  return out;
-}
-
 export function paint(canvas: HTMLCanvasElement, drawing: Drawing, colours: Colours): void {
   const { width, height, view } = drawing;
   const scale = devicePixelRatio || 1;
@@ -102,14 +88,14 @@ export function paint(canvas: HTMLCanvasElement, drawing: Drawing, colours: Colo
   draw.textBaseline = "middle";
   letter = draw.measureText("sh0120_lighting_v12 0-47").width / 24;
   const x = (at: number) => ((at - view.from) / (view.to - view.from)) * width;
-  const lines = ticks(view, width);
+  const lines = ticks(view.from, view.to, Math.max(2, width / 90), drawing.now);
 
   draw.save();
   draw.beginPath();
   draw.rect(0, HEAD, width, height - HEAD);
   draw.clip();
   draw.fillStyle = colours.line;
-  for (const at of lines) draw.fillRect(Math.round(x(at)), HEAD, 1, height);
+  for (const { at } of lines) draw.fillRect(Math.round(x(at)), HEAD, 1, height);
   const first = Math.max(0, Math.floor(drawing.scroll / ROW));
   const last = Math.min(drawing.rows.length, Math.ceil((drawing.scroll + height - HEAD) / ROW));
   for (let row = first; row < last; row++) {
@@ -132,11 +118,11 @@ export function paint(canvas: HTMLCanvasElement, drawing: Drawing, colours: Colo
   draw.fillStyle = colours.line;
   draw.fillRect(0, HEAD - 1, width, 1);
   draw.textAlign = "center";
-  for (const at of lines) {
+  for (const { at, word } of lines) {
     const place = x(at);
     if (place < 24 || place > width - 28 || Math.abs(place - now) < 34) continue;
     draw.fillStyle = colours.muted;
-    draw.fillText(clockTime(at, drawing.now), place, HEAD / 2);
+    draw.fillText(word, place, HEAD / 2);
   }
   if (now >= 0 && now <= width) {
     draw.fillStyle = colours.bad;

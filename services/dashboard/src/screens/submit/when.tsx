@@ -1,10 +1,11 @@
 // When a quoted job would be ready, and for how much.
 
 import type { AnswersDoc, Job } from "../../api/types";
-import { axisFor, AxisHead, Fan, slackWords, spreadWords } from "../../ui/fan";
+import { AxisHead, Fan, slackWords, spreadWords } from "../../ui/fan";
 import { clean, instant, maybeInstant, percent } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Money, Prose, TableBehind, Time } from "../../ui/parts";
+import { axisFor } from "../../ui/time-axis";
 import { Outlook } from "../job/price";
 
 export function When(props: { job: Job; doc: AnswersDoc }) {
@@ -13,10 +14,8 @@ export function When(props: { job: Job; doc: AnswersDoc }) {
     maybeInstant(doc.outlook.find((line) => line.confidence === confidence)?.finish);
   const spread = { p50: finish("p50"), p80: finish("p80"), p95: finish("p95") };
   const deadline = maybeInstant(job.deadline);
-  const axis = axisFor(
-    instant(doc.at),
-    [spread.p95, spread.p50, deadline].filter((at) => at !== null),
-  );
+  const ends = [spread.p95, spread.p50].filter((at) => at !== null);
+  const axis = axisFor(instant(doc.at), ends, deadline === null ? [] : [deadline]);
   const line = doc.outlook.find((one) => one.confidence === job.confidence);
   return (
     <>

@@ -6,10 +6,11 @@ import { atRisk, farm, farmError, now } from "../../state/farm";
 import { param, setQuery } from "../../state/route";
 import { seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
-import { axisFor, AxisHead, Fan, spreadWords } from "../../ui/fan";
+import { AxisHead, Fan, spreadWords } from "../../ui/fan";
 import { clockTime, counted, grouped, maybeInstant, money } from "../../ui/format";
 import { Choice, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { useWidth } from "../../ui/resource";
+import { axisFor } from "../../ui/time-axis";
 import { Events } from "./events";
 import { FirstSteps } from "./first-steps";
 import { Ends, JobTable, Risks, spreadOf, troubleOf } from "./jobs";
@@ -88,13 +89,13 @@ function Jobs(props: { doc: Farm }) {
   const listed = useListed(doc, shown, sort, search);
   const { risks } = listed;
 
-  const axis = useMemo(() => axisFor(now.value, doc.jobs.flatMap(instantsOf), 0.92), [doc.jobs, now.value]);
+  const axis = useMemo(() => axisOf(doc.jobs, now.value, 0.92), [doc.jobs, now.value]);
   return (
     <div class="main" ref={box}>
       <Finish of={doc.finish} />
       {risks.length > 0 && (
         <Section title={`At risk or late: ${risks.length}`}>
-          <Risks jobs={risks} axis={axisFor(now.value, risks.flatMap(instantsOf))} narrow={width < 720} />
+          <Risks jobs={risks} axis={axisOf(risks, now.value)} narrow={width < 720} />
         </Section>
       )}
       <Section title="Jobs" aside={<Filters shown={shown} sort={sort} search={search} />}>
@@ -193,9 +194,11 @@ function Filters(props: { shown: Shown; sort: Sort; search: string }) {
   );
 }
 
-function instantsOf(job: DashboardJob): number[] {
-  const spread = spreadOf(job);
-  return [spread.p95 ?? spread.p80 ?? spread.p50, maybeInstant(job.deadline)].filter((at) => at !== null);
+function axisOf(jobs: readonly DashboardJob[], from: number, share?: number) {
+  const ends = jobs.map(spreadOf).map((spread) => spread.p95 ?? spread.p80 ?? spread.p50);
+  const deadlines = jobs.map((job) => maybeInstant(job.deadline));
+  const known = (at: number | null) => at !== null;
+  return axisFor(from, ends.filter(known), deadlines.filter(known), share);
 }
 
 function none(shown: Shown, search: string, others: boolean): string {

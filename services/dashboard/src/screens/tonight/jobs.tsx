@@ -4,11 +4,12 @@ import { useState } from "preact/hooks";
 import type { DashboardJob } from "../../api/types";
 import { maySubmitTo } from "../../state/session";
 import { href, param, setQuery } from "../../state/route";
-import { type Axis, AxisHead, Fan, slackWords, type Spread, spreadWords } from "../../ui/fan";
+import { AxisHead, Fan, slackWords, type Spread, spreadWords } from "../../ui/fan";
 import { clean, grouped, maybeInstant, money, percent, told, zoneAt } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Prose, Time } from "../../ui/parts";
 import { LongTableBehind, VirtualRows } from "../../ui/virtual";
+import type { Axis } from "../../ui/time-axis";
 import { RescueDialog } from "./rescue";
 
 /** The ends of a job, as far as they are known. */
