@@ -180,7 +180,8 @@ const BREATH: Duration = Duration::from_millis(500);
 /// looks when quotes on hold would end. Makes one plan at a time; events meanwhile, or soon after, are covered
 /// by the next plan.
 async fn conduct(app: &App, jobs: &mut mpsc::UnboundedReceiver<JobId>) {
-    let conductor = Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone());
+    let conductor =
+        Conductor::new(app.store.clone(), app.clock.clone(), app.metrics.clone(), app.changes.clone());
     let mut again = tokio::time::interval(app.lease_ttl.max(Duration::from_secs(1)));
     let mut wanted = app.store.watch_plans();
     let mut not_before = Instant::now();

@@ -47,6 +47,7 @@ use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 use self::job_profile::JobProfile;
 use crate::clock::Clock;
 use crate::metrics::Metrics;
+use crate::shared::Changes;
 
 /// Attempts to plan a job that other plans overtake, before it waits for the next round.
 const ATTEMPTS: usize = 3;
@@ -55,6 +56,7 @@ pub(crate) struct Conductor {
     store: Store,
     clock: Arc<dyn Clock>,
     metrics: Arc<Metrics>,
+    changes: Changes,
     started: Timestamp,
     seen: Mutex<Option<BTreeSet<NodeId>>>,
 }
@@ -76,9 +78,15 @@ impl From<QuoteError> for AdvanceError {
 }
 
 impl Conductor {
-    pub fn new(store: Store, clock: Arc<dyn Clock>, metrics: Arc<Metrics>) -> Self {
+    pub fn new(store: Store, clock: Arc<dyn Clock>, metrics: Arc<Metrics>, changes: Changes) -> Self {
         let started = clock.now();
-        Self { store, clock, metrics, started, seen: Mutex::new(None) }
+        Self { store, clock, metrics, changes, started, seen: Mutex::new(None) }
+    }
+
+    /// After a plan was stored.
+    fn note_plan(&self) {
+        self.metrics.plans_stored.add(1);
+        self.changes.by_plan();
     }
 
     pub async fn advance_all(&self) {
@@ -359,7 +367,8 @@ mod tests {
         let Answered::Fresh(job) = store.create_job(&new, None, Timestamp::now()).await.unwrap() else {
             panic!()
         };
-        let conductor = Conductor::new(store.clone(), Arc::new(SystemClock::default()), Arc::default());
+        let conductor =
+            Conductor::new(store.clone(), Arc::new(SystemClock::default()), Arc::default(), Changes::new());
         let busy = AdvanceError::Store(StoreError::Conflict("later".to_owned()));
         conductor.settle(job.id, Err(busy)).await;
         assert_eq!(store.jobs_to_advance().await.unwrap(), [job.id]);

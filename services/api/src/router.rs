@@ -220,7 +220,7 @@ async fn count(State(app): State<App>, request: Request, next: Next) -> Response
     let changes = is_of_people && !matches!(*request.method(), Method::GET | Method::HEAD);
     let response = next.run(request).await;
     if changes {
-        app.note_change();
+        app.changes.by_person();
     }
     app.metrics.count_response(response.status().as_u16());
     response

@@ -6,11 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_store::{Store, StoreError};
-use parking_lot::Mutex;
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
-use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use crate::background::in_background;
@@ -25,6 +23,7 @@ use crate::oidc::{SignIn, SignInProvider};
 use crate::output_root::OutputRoot;
 use crate::quotas::Quotas;
 use crate::router::{openapi_yaml, router};
+use crate::shared::Changes;
 use crate::state::{App, InFlight};
 use crate::uploads::Reserved;
 
@@ -132,7 +131,7 @@ impl Service {
             dashboard: Arc::default(),
             projected: Arc::default(),
             record: Arc::default(),
-            last_change: Arc::new(Mutex::new(Instant::now())),
+            changes: Changes::new(),
             started: clock.now(),
             openapi: openapi_yaml().into(),
         };

@@ -18,6 +18,44 @@ const QUICK: Duration = Duration::from_millis(100);
 /// A slow document is kept for this many times the time by which it was not quick.
 const KEPT_TIMES: u32 = 10;
 
+/// When something last changed that documents must show, however short they are kept.
+#[derive(Clone)]
+pub(crate) struct Changes(Arc<parking_lot::Mutex<Times>>);
+
+#[derive(Clone, Copy)]
+struct Times {
+    people: Instant,
+    plan: Instant,
+}
+
+impl Changes {
+    pub fn new() -> Self {
+        let now = Instant::now();
+        Self(Arc::new(parking_lot::Mutex::new(Times { people: now, plan: now })))
+    }
+
+    /// A person changed something through this service. People see what they did.
+    pub fn by_person(&self) {
+        self.0.lock().people = Instant::now();
+    }
+
+    /// A plan was stored. What is said of jobs must not be half of the plan before.
+    pub fn by_plan(&self) {
+        self.0.lock().plan = Instant::now();
+    }
+
+    /// The last change by a person.
+    pub fn of_people(&self) -> Instant {
+        self.0.lock().people
+    }
+
+    /// The last change of either kind.
+    pub fn last(&self) -> Instant {
+        let Times { people, plan } = *self.0.lock();
+        people.max(plan)
+    }
+}
+
 /// A document that those share who ask at the same time.
 pub(crate) struct Shared<T>(Mutex<Option<Made<T>>>);
 
@@ -34,8 +72,8 @@ impl<T> Default for Shared<T> {
 }
 
 impl<T> Made<T> {
-    /// Whether it may be given to somebody who asked at `asked`. `changed` is when a person last changed
-    /// something through this service: people see what they did.
+    /// Whether it may be given to somebody who asked at `asked`. `changed` is when something last changed
+    /// that it must show.
     fn will_do(&self, asked: Instant, changed: Instant, now: Instant) -> bool {
         let kept_until = self.begun + self.took + self.took.saturating_sub(QUICK) * KEPT_TIMES;
         self.begun >= asked || (self.begun > changed && now < kept_until)

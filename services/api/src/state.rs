@@ -8,7 +8,6 @@ use forelight_protocol::{JobId, ProblemKind, Timestamp, TrackRecord};
 use forelight_store::tokens::Principal;
 use forelight_store::{IdempotencyKey, Projection, Store, project};
 use tokio::sync::{mpsc, watch};
-use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::Clock;
@@ -23,7 +22,7 @@ use crate::oidc::SignIn;
 use crate::output_root::OutputRoot;
 use crate::quotas::Quotas;
 use crate::rights::Rights;
-use crate::shared::Shared;
+use crate::shared::{Changes, Shared};
 use crate::sign_in::SignIns;
 use crate::uploads::Reserved;
 
@@ -70,8 +69,8 @@ pub(crate) struct App {
     pub projected: Arc<Shared<Projection>>,
     /// Totals of the track record, over all finished frames.
     pub record: Arc<Shared<TrackRecord>>,
-    /// When a person last changed something.
-    pub last_change: Arc<Mutex<Instant>>,
+    /// When a person last changed something, and when a plan was stored.
+    pub changes: Changes,
     pub started: Timestamp,
     pub openapi: Arc<str>,
 }
@@ -98,22 +97,13 @@ impl App {
         self.store.acting_for(caller.actor())
     }
 
-    /// When a person last changed something through this service.
-    pub fn changed(&self) -> Instant {
-        *self.last_change.lock()
-    }
-
-    pub fn note_change(&self) {
-        *self.last_change.lock() = Instant::now();
-    }
-
     /// Expected course of the open bookings. On a large farm, it may be a few seconds old.
     pub async fn projection(&self) -> ApiResult<Arc<Projection>> {
         let read = async {
             let (bookings, parts) = (self.store.open_bookings().await?, self.store.open_cache_parts().await?);
             Ok(project(&bookings, &parts, self.now()))
         };
-        self.projected.get(self.changed(), read).await
+        self.projected.get(self.changes.last(), read).await
     }
 }
 

@@ -95,7 +95,7 @@ impl Conductor {
             kept.cpu_seconds_on = on_calibrated(&kept, &nodes);
         }
         let plan = self.store.book(job.id, &kept, &forecast.frames, basis, &new, now).await?;
-        self.metrics.plans_stored.add(1);
+        self.note_plan();
         tracing::info!(job = %job.id, %plan, "booked");
         Ok(())
     }

@@ -56,7 +56,7 @@ impl Conductor {
             tracing::debug!(causes, "the plan is still good");
         } else {
             let plan = self.store.replan(&new, self.clock.now()).await?;
-            self.metrics.plans_stored.add(1);
+            self.note_plan();
             tracing::info!(%plan, rebooked, causes, "planned anew");
         }
         Ok(())

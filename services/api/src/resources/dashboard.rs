@@ -26,7 +26,7 @@ pub(crate) async fn get(
 ) -> ApiResult<Response> {
     let Some(projects) = caller.project_names() else {
         let make = async { written(&of_projects(&app, None).await?) };
-        return Ok(app.dashboard.get(app.changed(), make).await?.respond(&headers));
+        return Ok(app.dashboard.get(app.changes.last(), make).await?.respond(&headers));
     };
     let farm = of_projects(&app, Some(projects)).await?;
     let bookings = farm.bookings.iter().map(|booking| booking.job_id);
@@ -47,7 +47,7 @@ async fn of_projects(app: &App, projects: Option<Vec<String>>) -> ApiResult<Dash
     let projection = app.projection().await?;
     let totals = async { Ok(app.store.track_record_totals(projects.as_deref()).await?) };
     let record = match &projects {
-        None => app.record.get(app.changed(), totals).await?,
+        None => app.record.get(app.changes.of_people(), totals).await?,
         Some(_) => totals.await?.into(),
     };
     let known = (&*projection, &*record);

@@ -85,7 +85,9 @@ export async function refresh(): Promise<void> {
   try {
     const next = (await get("/v1/dashboard")) as Farm;
     if (!stop) return;
-    farm.value = next;
+    // Events that came meanwhile are newer than the document.
+    const meanwhile = recent.peek().filter((event) => event.id > next.last_event_id);
+    farm.value = farmAfter(next, meanwhile.reverse());
     farmError.value = null;
     now.value = Date.now();
     const newest = recent.peek()[0]?.id ?? 0;
