@@ -132,6 +132,9 @@ impl JobRow {
     pub fn job(self, progress: Progress) -> Result<Job> {
         let frames = self.frame_set()?;
         let (state, outlook) = (self.state.0, self.outlook.0);
+        // Until the next plan, nothing is known of new terms.
+        let is_booked = matches!(state, JobState::Booked | JobState::Rendering);
+        let is_planned = !is_booked || self.terms == self.terms_planned;
         Ok(Job {
             id: self.id.into(),
             name: self.name,
@@ -167,8 +170,8 @@ impl JobRow {
             waits: outlook
                 .waits
                 .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),
-            promise: outlook.promise,
-            probability: outlook.probability.filter(|_| !state.is_final()),
+            promise: outlook.promise.filter(|_| is_planned),
+            probability: outlook.probability.filter(|_| is_planned && !state.is_final()),
             eta: None,
             finish: None,
             spent: None,

@@ -48,6 +48,14 @@ test("events change the rows of jobs and nodes, and the counts, without another 
   const waits = { kind: "turn", because: "waits because hero goes first" };
   const planned = { verdict: "late", eta: at, booked_cost: 7, probability: 0.2, waits };
   const booked = { kind: "plan_stored", job_id: "a", job: planned };
+  const likely = { ...farm, jobs: [{ ...row, probability: 1, promise: { kept: true } }] };
+  const later = {
+    kind: "job_changed",
+    job_id: "a",
+    job: { terms: { hold: false, deadline: "2026-11-27T08:00:00Z" } },
+  };
+  const [moved] = farmAfter(likely, [later]).jobs;
+  assert.deepEqual([moved.probability, moved.promise], [null, null], "they were of another deadline");
   assert.equal(farmAfter(farm, [booked]).jobs[0].waits, waits);
   assert.equal(farmAfter(farm, [booked, { ...booked, job: {} }]).jobs[0].waits, null);
   const after = farmAfter(farm, [
@@ -60,7 +68,7 @@ test("events change the rows of jobs and nodes, and the counts, without another 
   const [old, fresh] = after.jobs;
   assert.deepEqual(
     [old.state, old.frames_done, old.verdict, old.probability, old.deadline, old.budget, old.waits],
-    ["rendering", 2, "late", 0.2, null, null, null],
+    ["rendering", 2, "late", null, null, null, null],
   );
   assert.deepEqual(
     [fresh.name, fresh.project, fresh.hold, fresh.budget, fresh.frames_total],

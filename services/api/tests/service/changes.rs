@@ -151,10 +151,11 @@ async fn a_later_deadline_rescues_a_job_that_was_late_and_the_question_before_sa
     assert_eq!(farm.job(&job).await.deadline, Some(deadline), "the question changed nothing");
     let later = deadline.plus_micros(HOUR);
     let changed: Job = patch(&farm, &job, json!({"deadline": later})).await.parsed(StatusCode::OK).await;
-    assert_eq!(changed.deadline, Some(later));
+    assert_eq!((changed.deadline, changed.probability), (Some(later), None), "0 % was of the old deadline");
+    assert!(late.probability.is_some_and(|probability| probability < 0.1) && changed.promise.is_none());
     let is_rescued = |job: &Job| job.verdict.as_ref().is_some_and(|said| said.verdict == Verdict::OnTime);
     let rescued = farm.until(&job, "the job is in time", is_rescued).await;
-    assert!(rescued.promise.is_some_and(|promise| promise.kept));
+    assert!(rescued.promise.is_some_and(|promise| promise.kept) && rescued.probability > Some(0.9));
     assert_ne!(rescued.plan_id, late.plan_id);
 }
 

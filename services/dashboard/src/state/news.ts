@@ -32,6 +32,9 @@ export function jobAfter<J extends Known>(job: J, event: Event): J {
       deadline: terms.deadline ?? null,
       budget: terms.budget ?? null,
     });
+  // What was likely of another deadline says nothing of this one.
+  if (terms && (terms.deadline ?? null) !== (job.deadline ?? null))
+    Object.assign(after, { promise: null, probability: null });
   if (eta != null) after.eta = eta;
   if (finish) after.finish = finish;
   if (probability != null) after.probability = probability;
