@@ -96,6 +96,30 @@ test("events change the rows of jobs and nodes, and the counts, without another 
   assert.equal(nodeAfter(busy, [{ kind: "task_done", task_id: "other" }], names), busy);
 });
 
+test("a rescue by quality that fails half-way makes no second job when it is tried again", async (t) => {
+  const { take } = await load("actions/jobs.ts");
+  const job = {
+    id: "a",
+    name: "hero",
+    frames: "0-9",
+    settings: { spp: 64 },
+    deadline: "2026-11-27T08:00:00Z",
+  };
+  const keys = [];
+  let cancels = 0;
+  t.mock.method(globalThis, "fetch", async (url, { method, headers }) => {
+    if (url === "/v1/jobs/a/cancel" && ++cancels === 1) throw new TypeError("the network is gone");
+    if (url === "/v1/jobs") keys.push(headers["Idempotency-Key"]);
+    return Response.json(method === "GET" ? job : { id: "b" });
+  });
+  const rung = { quality: { width: 64, height: 36, spp: 16 } };
+  await assert.rejects(take(rung, "a"), /does not answer/);
+  assert.equal(await take(rung, "a"), "b");
+  await take({ quality: { ...rung.quality, spp: 8 } }, "a");
+  assert.equal(keys[0], keys[1]);
+  assert.notEqual(keys[1], keys[2]);
+});
+
 test("amounts keep the digits that tell them apart, and are read back exactly", async () => {
   const { money, parseMoney, moneyOnAxis } = await load("ui/format.ts");
   const written = [

@@ -29,11 +29,15 @@ export function requestOf(job: Job): JobRequest {
   };
 }
 
-/** Submits the job again with other settings. Returns the new job. */
-export function submitAgain(job: Job, settings: Partial<RenderSettings>, hold = false): Promise<Job> {
+/** Submits the job again with other settings. Returns the new job: with the same `key`, the same one. */
+export function submitAgain(
+  job: Job,
+  settings: Partial<RenderSettings>,
+  { hold = false, key = newKey() } = {},
+): Promise<Job> {
   const request = requestOf(job);
   const body = { ...request, settings: { ...request.settings, ...settings }, ...(hold ? { hold } : {}) };
-  return post("/v1/jobs", { body: body as JobRequest, key: newKey() });
+  return post("/v1/jobs", { body: body as JobRequest, key });
 }
 
 /** Changes deadline, confidence or budget, and plans anew. */
@@ -67,7 +71,9 @@ export async function take(change: PlanChange, about: string): Promise<string> {
   } else if ("quality" in change) {
     const { settings, width, height, spp } = change.quality;
     const job = await get("/v1/jobs/{id}", { path: { id: about } });
-    const made = await submitAgain(job, { ...(settings ?? {}), width, height, spp });
+    // If cancelling fails, whoever tries again gets the job that was made, and not a second one.
+    const key = ["rescue", about, width, height, spp, job.deadline, job.budget].join(" ");
+    const made = await submitAgain(job, { ...(settings ?? {}), width, height, spp }, { key });
     await cancelJob(about);
     return made.id;
   }

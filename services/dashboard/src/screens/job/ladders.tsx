@@ -216,7 +216,7 @@ function SubmitRung(props: { job: Job; rung: AccuracyRung; close: () => void }) 
       act="Get its quote"
       close={props.close}
       run={async () => {
-        const made = await submitAgain(job, rung.settings, true);
+        const made = await submitAgain(job, rung.settings, { hold: true });
         go(["submit"], { job: made.id, ...(replace ? { replaces: job.id } : {}) });
       }}
     >
