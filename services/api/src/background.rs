@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use forelight_protocol::JobId;
-use forelight_store::{Store, StoreError};
+use forelight_store::StoreError;
 use futures::FutureExt as _;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -229,7 +229,7 @@ async fn sweep(app: &App, clock: &SteadyClock) {
             _ = ticks.tick() => {}
         }
         lacks_room = app.log_disk_space(lacks_room);
-        if let Err(error) = follow(&app.store, clock).await {
+        if let Err(error) = follow(app, clock).await {
             tracing::warn!(%error, "the clock was set and could not be followed; the next sweep tries again");
         }
         match app.store.sweep(app.now()).await {
@@ -253,7 +253,7 @@ async fn sweep(app: &App, clock: &SteadyClock) {
 }
 
 /// Follows a clock that was set, and moves all ends along. In this order, nothing seems to expire in between.
-async fn follow(store: &Store, clock: &SteadyClock) -> Result<(), StoreError> {
+async fn follow(app: &App, clock: &SteadyClock) -> Result<(), StoreError> {
     let micros = clock.set_by();
     if micros.unsigned_abs() < CLOCK_WAS_SET.as_micros() as u64 {
         clock.follow(micros);
@@ -263,10 +263,11 @@ async fn follow(store: &Store, clock: &SteadyClock) -> Result<(), StoreError> {
         seconds = micros as f64 * 1e-6,
         "the system's clock was set; leases go on as long as they would have"
     );
+    let _step = app.clock_steps.write().await;
     if micros < 0 {
         clock.follow(micros);
     }
-    let moved = store.clock_was_set(micros).await;
+    let moved = app.store.clock_was_set(micros).await;
     match (micros < 0, &moved) {
         (false, Ok(())) => clock.follow(micros),
         // The ends were not moved, so the clock goes back to where it was.

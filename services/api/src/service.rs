@@ -131,6 +131,7 @@ impl Service {
             dashboard: Arc::default(),
             projected: Arc::default(),
             record: Arc::default(),
+            clock_steps: Arc::default(),
             changes: Changes::new(),
             started: clock.now(),
             openapi: openapi_yaml().into(),

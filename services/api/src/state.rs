@@ -31,6 +31,9 @@ use crate::uploads::Reserved;
 pub(crate) struct App {
     pub store: Store,
     pub clock: Arc<dyn Clock>,
+    /// Held for reading from the instant that a lease's end counts from until that end is written. A step of the
+    /// clock holds it for writing, so that it moves all ends.
+    pub clock_steps: Arc<tokio::sync::RwLock<()>>,
     pub lease_ttl: Duration,
     /// Whether people reach the service over TLS.
     pub is_over_tls: bool,

@@ -83,6 +83,7 @@ pub(crate) async fn renew(
     {
         app.store.check_pixels(lease, pixels, app.now()).await?;
     }
+    let _no_step = app.clock_steps.read().await;
     let renewal = app.store.renew(lease, &request, app.lease_ttl, app.now()).await;
     Ok(Json(counted(&app, renewal)?))
 }

@@ -43,12 +43,14 @@ pub(super) async fn wait_for_task(
             app.store.check_worker(request.node_id, worker).await?;
         }
         let room = app.check_disk_space();
+        let no_step = app.clock_steps.read().await;
         let (node, ttl, now) = (request.node_id, app.lease_ttl, app.now());
         let claimed = match request.task_id {
             wanted if room.is_err() => app.store.claim_nothing_new(node, wanted, key, now).await?,
             Some(task) => app.store.claim_task(node, task, ttl, key, now).await?,
             None => app.store.claim(node, ttl, key, now).await?,
         };
+        drop(no_step);
         if let Some(lease) = claimed {
             app.metrics.leases_granted.add(u64::from(matches!(lease, Answered::Fresh(_))));
             return Ok(Claimed::Lease(Box::new(lease)));
