@@ -114,6 +114,12 @@ pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Res
     Ok(row.ok_or(StoreError::NotFound("node"))?.into())
 }
 
+/// A node that measured something. It may have been removed since.
+pub(crate) async fn that_measured(connection: &mut SqliteConnection, node: NodeId) -> Result<Node> {
+    let row = node_rows!("WHERE n.id = ?", node.0).fetch_one(connection).await?;
+    Ok(row.into())
+}
+
 pub(crate) async fn by_name(connection: &mut SqliteConnection, name: &str) -> Result<Option<Node>> {
     let row =
         node_rows!("WHERE n.name = ? AND n.removed_at IS NULL", name).fetch_optional(connection).await?;

@@ -20,7 +20,7 @@ use crate::leases::failing::{end_attempt_beside, hold_against_others};
 use crate::leases::state::LeaseState;
 use crate::leases::{LeaseRow, end, read_in, touch};
 use crate::living::{self, Occasion};
-use crate::nodes::{NodeRow, learning};
+use crate::nodes::{self, NodeRow, learning};
 use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::tasks::Finished;
@@ -173,7 +173,7 @@ impl Store {
                     "a profile task of our own renderer has settings of another one",
                 ));
             };
-            let node = self.node(node.into()).await?;
+            let node = nodes::that_measured(&mut *self.readers().acquire().await?, node.into()).await?;
             let by_class = node.corrected_speed(result.work_by_class.as_ref());
             profiles.push(MeasuredProfile::new(result, by_class.unwrap_or(node_speed), settings.spp));
         }

@@ -128,4 +128,7 @@ async fn starting_to_profile_twice_makes_each_task_once() {
         profiles.iter().map(|profile| (profile.result.frame, profile.node_speed)).collect::<Vec<_>>(),
         [(0, 2.0), (9, 2.0)]
     );
+    // The quote of a job does not wait for a node that measured for it and is no more.
+    farm.store.remove_node(node.id, false, at(1)).await.unwrap();
+    assert_eq!(farm.store.profile_results(job.id).await.unwrap(), Some(profiles));
 }
