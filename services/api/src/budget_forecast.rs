@@ -62,29 +62,23 @@ pub async fn budget_forecast(
     let basis = Basis { now, zone, nights: nights.clone(), nodes, jobs, ledger, budgets, projects };
     let basis = basis.of_its_projects();
     let mut forecast = tokio::task::spawn_blocking(move || work_out(&basis, &snapshot)).await??;
-    if !is_of_all {
-        return Ok(as_asked(forecast, request));
+    if is_of_all {
+        let past = store.budget_forecasts_before(&request.zone, first.from, REMEMBERED).await?;
+        forecast.track_record = track_record(store, &past, now).await?;
+        if let Some(before) = past.first() {
+            forecast.compared_with = Some(before.forecast.made_at);
+            forecast.changes = changes(&before.forecast, &forecast);
+        }
+        let kept = KeptNight { from: first.from, until: first.until, forecast: forecast.clone() };
+        if now < last.until {
+            store.keep_budget_forecast(&kept).await?;
+        }
     }
-    let past = store.budget_forecasts_before(&request.zone, first.from, REMEMBERED).await?;
-    let track_record = track_record(store, &past, now).await?;
-    forecast.track_record = track_record;
-    if let Some(before) = past.first() {
-        forecast.compared_with = Some(before.forecast.made_at);
-        forecast.changes = changes(&before.forecast, &forecast);
-    }
-    let kept = KeptNight { from: first.from, until: first.until, forecast: forecast.clone() };
-    if now < last.until {
-        store.keep_budget_forecast(&kept).await?;
-    }
-    Ok(as_asked(forecast, request))
-}
-
-fn as_asked(mut forecast: BudgetForecast, request: &BudgetForecastRequest) -> BudgetForecast {
     if !request.by_job {
         forecast.nights.iter_mut().for_each(|night| night.jobs.clear());
         forecast.changes.clear();
     }
-    forecast
+    Ok(forecast)
 }
 
 fn nights(request: &BudgetForecastRequest, now: Timestamp) -> Result<Vec<Night>, BudgetForecastError> {

@@ -7,10 +7,12 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use forelight_protocol::{Event, EventId, EventKind, JobId, Promise};
+use forelight_protocol::{Event, EventId, JobId};
 use forelight_store::tokens::Principal;
 use forelight_store::{Store, StoreError};
 use tokio::sync::{Mutex, watch};
+
+use crate::seen::without_others;
 
 /// Number of events read at once, and sent before a stream looks again whether it goes on.
 pub(crate) const BATCH: u32 = 200;
@@ -55,23 +57,6 @@ impl From<&Event> for Told {
             without_others: lines(&without_others(event)),
         }
     }
-}
-
-/// An event without what it may say of other projects' jobs.
-pub(crate) fn without_others(event: &Event) -> Event {
-    // What is about no project may name anything.
-    let is_of_many = event.project.is_none() || event.kind == EventKind::PlanStored;
-    let promise = event.promise.clone().map(|promise| Promise { rescue: None, ..promise });
-    let message = event.message.clone().filter(|_| !is_of_many);
-    let task_id = event.task_id.filter(|_| event.project.is_some());
-    let job = event.job.clone().map(|mut news| {
-        if let Some(waits) = news.waits.as_mut().filter(|waits| !waits.behind.is_empty()) {
-            waits.behind.clear();
-            waits.because = "waits because other jobs go first".to_owned();
-        }
-        news
-    });
-    Event { promise, message, task_id, job, ..event.clone() }
 }
 
 /// An event in the form of server-sent events (https://html.spec.whatwg.org/#server-sent-events). JSON has no

@@ -6,14 +6,13 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    AnswersDoc, Dashboard, Job, JobId, JobVerdict, Node, Plan, PlanChange, PlanEffect, Promise, Role,
-    TimelinePage, Waits,
+    AnswersDoc, Dashboard, Event, EventKind, Job, JobId, JobVerdict, Node, Plan, PlanChange, PlanEffect,
+    Promise, Role, TimelinePage, Waits,
 };
 use forelight_store::tokens::Principal;
 
 use crate::conductor::settle::IN_THE_WAY;
 use crate::error::ApiResult;
-use crate::feed::without_others;
 use crate::state::App;
 
 /// Which of some jobs a caller sees.
@@ -32,6 +31,14 @@ impl App {
     }
 }
 
+/// Leaves out of a reason to wait the jobs that are not seen. If there are any, it says only `because`.
+fn name_only_seen(waits: &mut Waits, sees: impl Fn(JobId) -> bool, because: &str) {
+    if waits.behind.iter().any(|&job| !sees(job)) {
+        waits.behind.retain(|&job| sees(job));
+        because.clone_into(&mut waits.because);
+    }
+}
+
 impl Seen {
     pub fn sees(&self, job: JobId) -> bool {
         match self {
@@ -46,11 +53,8 @@ impl Seen {
 
     /// Leaves out of a job what it says of others.
     pub fn show(&self, waits: &mut Option<Waits>, promise: &mut Option<Promise>) {
-        if let Some(waits) = waits
-            && waits.behind.iter().any(|job| !self.sees(*job))
-        {
-            waits.behind.retain(|job| self.sees(*job));
-            waits.because = "waits because jobs of other projects go first".to_owned();
+        if let Some(waits) = waits {
+            name_only_seen(waits, |job| self.sees(job), "waits because jobs of other projects go first");
         }
         if let Some(promise) = promise
             && promise.rescue.as_ref().is_some_and(|rescue| !self.sees_effect(rescue))
@@ -168,6 +172,23 @@ impl App {
         }
         Ok(nodes)
     }
+}
+
+/// An event without what it may say of other projects' jobs.
+pub(crate) fn without_others(event: &Event) -> Event {
+    // What is about no project may name anything.
+    let is_of_many = event.project.is_none() || event.kind == EventKind::PlanStored;
+    let promise = event.promise.clone().map(|promise| Promise { rescue: None, ..promise });
+    let message = event.message.clone().filter(|_| !is_of_many);
+    let task_id = event.task_id.filter(|_| event.project.is_some());
+    let job = event.job.clone().map(|mut news| {
+        if let Some(waits) = &mut news.waits {
+            // Whose jobs these are is not known here.
+            name_only_seen(waits, |_| false, "waits because other jobs go first");
+        }
+        news
+    });
+    Event { promise, message, task_id, job, ..event.clone() }
 }
 
 /// A dashboard for a caller who reaches some projects only. `jobs` are those of his that it mentions.

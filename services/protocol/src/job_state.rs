@@ -59,6 +59,11 @@ impl JobState {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
 
+    /// Whether a plan books the job.
+    pub const fn is_booked(self) -> bool {
+        matches!(self, JobState::Booked | JobState::Rendering)
+    }
+
     /// Whether the state can no longer change.
     pub const fn is_final(self) -> bool {
         matches!(self, JobState::Done | JobState::Failed | JobState::Cancelled)

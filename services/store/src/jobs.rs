@@ -127,14 +127,19 @@ impl JobRow {
         self.frames.parse().map_err(|error| corrupt("frames", error))
     }
 
+    /// Whether its terms were changed since the plan that booked it.
+    pub fn has_new_terms(&self) -> bool {
+        self.terms != self.terms_planned
+    }
+
     /// A job from its row. Its `eta` and `finish` depend on the other work of the farm: see
     /// [`outlooks::Expected`].
     pub fn job(self, progress: Progress) -> Result<Job> {
         let frames = self.frame_set()?;
-        let (state, outlook) = (self.state.0, self.outlook.0);
+        let state = self.state.0;
         // Until the next plan, nothing is known of new terms.
-        let is_booked = matches!(state, JobState::Booked | JobState::Rendering);
-        let is_planned = !is_booked || self.terms == self.terms_planned;
+        let is_planned = !(state.is_booked() && self.has_new_terms());
+        let outlook = self.outlook.0;
         Ok(Job {
             id: self.id.into(),
             name: self.name,

@@ -5,7 +5,8 @@ pub(crate) mod farm_jobs;
 pub(crate) mod reading;
 pub(crate) mod replans;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::collections::btree_map::{BTreeMap, Entry};
 
 use forelight_protocol::{
     BookingId, Event, EventKind, FrameForecast, FramePart, JobId, JobNews, JobSettings, JobState, JobVerdict,
@@ -206,7 +207,7 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         let job_id = job.verdict.job_id;
         if fresh != Some(job_id) {
             let state = jobs::state(write.connection().await?, job_id).await?;
-            if !matches!(state, JobState::Booked | JobState::Rendering) {
+            if !state.is_booked() {
                 return Err(StoreError::Conflict(format!("job {job_id} is {state} and needs no plan")));
             }
         }
@@ -326,16 +327,13 @@ pub(crate) async fn book_tasks(
     let mut rows = Vec::with_capacity(tasks.len());
     for (FramePart { frame, part, .. }, booking) in tasks {
         let node = booking.as_ref().map(|booking| booking.node);
-        let rate = match node {
-            Some(node) => match rates.get(&node) {
-                Some(&rate) => rate,
-                None => {
-                    let rate = of_job.on(&nodes::read(write.connection().await?, node).await?);
-                    rates.insert(node, rate);
-                    rate
-                }
-            },
+        let rate = match node.map(|node| rates.entry(node)) {
             None => None,
+            Some(Entry::Occupied(known)) => *known.get(),
+            Some(Entry::Vacant(new)) => {
+                let node = nodes::read(write.connection().await?, *new.key()).await?;
+                *new.insert(of_job.on(&node))
+            }
         };
         let start = booking.map(|booking| booking.start.micros());
         rows.push((frame, part, node.map(|node| hex(node.0)), start, rate));

@@ -26,15 +26,15 @@ export function jobAfter<J extends Known>(job: J, event: Event): J {
   if (event.frames_done != null) after.frames_done = event.frames_done;
   if (event.promise) Object.assign(after, { promise: event.promise, probability: event.promise.probability });
   const { terms, eta, finish, probability } = event.job ?? {};
-  if (terms)
+  if (terms) {
     Object.assign(after, {
       hold: terms.hold,
       deadline: terms.deadline ?? null,
       budget: terms.budget ?? null,
     });
-  // What was likely of another deadline says nothing of this one.
-  if (terms && (terms.deadline ?? null) !== (job.deadline ?? null))
-    Object.assign(after, { promise: null, probability: null });
+    // What was likely of another deadline says nothing of this one.
+    if (after.deadline !== (job.deadline ?? null)) Object.assign(after, { promise: null, probability: null });
+  }
   if (eta != null) after.eta = eta;
   if (finish) after.finish = finish;
   if (probability != null) after.probability = probability;

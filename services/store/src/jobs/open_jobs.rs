@@ -1,6 +1,6 @@
 //! The jobs that are not over, with the forecasts of their remaining frames.
 
-use forelight_protocol::{Job, JobId, JobState};
+use forelight_protocol::{Job, JobId};
 
 use crate::columns::Unread;
 use crate::database::Store;
@@ -47,7 +47,7 @@ impl Store {
             )
             .fetch_one(&mut *transaction)
             .await?;
-            let forecast = forecast.filter(|_| matches!(job.state, JobState::Booked | JobState::Rendering));
+            let forecast = forecast.filter(|_| job.state.is_booked());
             open.push(OpenJob {
                 forecast: forecast.map(Unread::read).transpose()?,
                 frames: frames.into_iter().map(|row| (row.frame, row.cpu_p50, row.cpu_p80)).collect(),

@@ -68,7 +68,7 @@ impl Store {
 async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Timestamp) -> Result<FarmJob> {
     let job = JobId::from(row.id);
     let (forecast, factor) = (row.forecast.take(), row.factor);
-    let (terms, has_new_terms) = (row.terms, row.terms != row.terms_planned);
+    let (terms, has_new_terms) = (row.terms, row.has_new_terms());
     let done = progress::of_job(connection, job).await?;
     // The job's frames that have a forecast, with their bookings.
     let rows = sqlx::query!(

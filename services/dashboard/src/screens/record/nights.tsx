@@ -1,30 +1,16 @@
 // The forecast of the nights to come beside what the nights before really cost.
 
-import { post } from "../../api/client";
 import type { BudgetForecast } from "../../api/types";
-import { dayName, money, nightOf, percent, timeZone } from "../../ui/format";
+import { dayName, money, percent } from "../../ui/format";
 import { Money, Prose, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
-import { Bar } from "../tonight/spend";
+import { Bar, forecastNights } from "../tonight/spend";
 
 const BEFORE = 6;
 const AHEAD = 4;
 
 export function Nights() {
-  const answer = useResource<BudgetForecast>(
-    (signal) =>
-      post("/v1/budget-forecasts", {
-        body: {
-          date: nightOf(Date.now() - BEFORE * 86_400_000),
-          days: BEFORE + AHEAD,
-          zone: timeZone,
-          by_job: false,
-          max_age: 60,
-        },
-        signal,
-      }),
-    [],
-  );
+  const answer = useResource<BudgetForecast>((signal) => forecastNights(BEFORE, BEFORE + AHEAD, signal), []);
   const doc = answer.data;
   return (
     <Section title="Nights">

@@ -12,15 +12,21 @@ import { useResource } from "../../ui/resource";
 const DAY = 86_400_000;
 const NAMES = ["Last night", "Tonight"];
 
+/** What so many nights cost, the first of them so many nights ago. What each job costs is not on any screen. */
+export function forecastNights(ago: number, days: number, signal: AbortSignal): Promise<BudgetForecast> {
+  const date = nightOf(Date.now() - ago * DAY);
+  return post("/v1/budget-forecasts", {
+    body: { date, days, zone: timeZone, by_job: false, max_age: 60 },
+    signal,
+  });
+}
+
 export function Spend(props: { version: number }) {
   const forecast = useResource(
     (signal) =>
       // From last night on: the service keeps the forecast that it makes for the first night, and the forecast
       // of tonight, with which the record compares, must stay what it was in the evening.
-      post("/v1/budget-forecasts", {
-        body: { date: nightOf(Date.now() - DAY), days: 5, zone: timeZone, by_job: false, max_age: 60 },
-        signal,
-      }),
+      forecastNights(1, 5, signal),
     [props.version],
   );
   useEffect(() => onEvent((event) => event.kind === "budget" && forecast.reload(), forecast.reload), []);
