@@ -63,11 +63,13 @@ async fn heartbeats(operator: &Http, leases: &[String]) -> Duration {
     took[took.len() * 99 / 100]
 }
 
-/// Workers are answered while two hundred people look, and all of these are told everything.
-async fn pages_and_workers(operator: &Http, leases: &[String]) {
+/// Workers are answered while two hundred people look, and all of these are told everything. The farm plans
+/// meanwhile, so all pages start after the same event.
+async fn pages_and_workers(operator: &Http, folder: &Path, leases: &[String]) {
     let (before, during) = leases.split_at(leases.len() / 2);
     let alone = heartbeats(operator, before).await;
-    let open = (0..PAGES).map(|_| Events::open(operator, "/v1/events", None));
+    let newest = database(folder).query_row("SELECT max(id) FROM events", [], |row| row.get(0)).unwrap();
+    let open = (0..PAGES).map(|_| Events::open(operator, "/v1/events", Some(newest)));
     let mut pages: Vec<Events> = join_all(open).await.into_iter().flatten().collect();
     assert_eq!(pages.len(), PAGES);
     let told = join_all(pages.iter_mut().map(|page| page.take(during.len(), Duration::from_secs(60))));
@@ -130,6 +132,6 @@ async fn documents_of_a_large_farm_are_short() {
         let strip: FrameStrip = serde_json::from_slice(&document(&operator, &path).await).unwrap();
         assert_eq!((strip.states.len(), strip.p95.len()), (FRAMES as usize, FRAMES as usize));
     }
-    pages_and_workers(&operator, &leases).await;
+    pages_and_workers(&operator, folder.path(), &leases).await;
     drop(service);
 }
