@@ -17,6 +17,7 @@
 pub(crate) mod answers;
 pub(crate) mod book;
 mod bookable;
+mod demands;
 pub(crate) mod effects;
 pub(crate) mod farm;
 mod held_quotes;

@@ -322,6 +322,7 @@ fn push_out(
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
+    use std::sync::Arc;
 
     use super::{Board, InVain, dear, exchange};
     use crate::admission::Admission;
@@ -338,7 +339,7 @@ mod tests {
         let node = |id: u64, large: u64, price: i64| Node {
             id,
             speed: 1,
-            speeds: BTreeMap::from([(1, large)]),
+            speeds: Arc::new(BTreeMap::from([(1, large)])),
             price_per_hour: price,
             calendar: vec![Interval { start: 0, end: Some(2 * HOUR) }],
             ..Node::default()

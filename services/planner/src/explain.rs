@@ -1,7 +1,7 @@
 //! Why a job waits.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -108,11 +108,15 @@ impl fmt::Display for Reason {
     }
 }
 
-/// Explains every job that starts after its release, or not at all.
+/// Explains the jobs of `which` that start after their release, or not at all.
 ///
 /// # Errors
 /// If the input is invalid.
-pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputError> {
+pub fn explain(
+    input: &Input,
+    plan: &Plan,
+    which: impl Fn(u64) -> bool,
+) -> Result<Vec<Explanation>, InputError> {
     input.check()?;
     let problem = Problem::new(input);
     let mut firsts: BTreeMap<u64, i64> = BTreeMap::new();
@@ -122,38 +126,52 @@ pub fn explain(input: &Input, plan: &Plan) -> Result<Vec<Explanation>, InputErro
             .and_modify(|first| *first = booking.start.min(*first))
             .or_insert(booking.start);
     }
-    let taken = Taken::new(&problem, plan);
+    let mut taken = Taken::new(&problem, plan);
     let mut found = Vec::new();
     for (index, work) in problem.jobs.iter().enumerate() {
         let release = work.release(input.now);
         let first = firsts.get(&work.job.id).copied();
         let is_empty = work.frames.is_empty() && work.shared_cache.is_none();
-        if is_empty || first.is_some_and(|first| first <= release) {
+        let begins = first.is_some_and(|first| first <= release);
+        if is_empty || begins || !which(work.job.id) {
             continue;
         }
-        let reason = reason(&problem, index, first, &taken);
+        let reason = reason(&problem, index, first, &mut taken);
         let waits = first.map_or(i64::MAX, |first| first.saturating_sub(release));
         found.push(Explanation { job: work.job.id, waits, reason });
     }
     Ok(found)
 }
 
-/// What takes the nodes' time.
+/// What takes the nodes' time. Thousands of jobs may wait for the same nodes. So it is kept by class of nodes,
+/// in the order of its starts, and what depends on the class and the release alone is worked out once.
 struct Taken {
     /// The jobs that take some, sorted. Spans name them by their places here.
     jobs: Vec<u64>,
-    /// By node: what is planned.
+    /// By class of nodes: what is planned.
     planned: Vec<Vec<Span>>,
-    /// By node: what is fixed.
+    /// By class of nodes: what is fixed.
     fixed: Vec<Vec<Span>>,
+    /// By class of nodes and instant.
+    openings: BTreeMap<(usize, i64), Opening>,
 }
 
 /// A stretch of a node's time.
 struct Span {
     start: i64,
     end: i64,
+    node: usize,
     /// The place of its job; `None` if it is no job's.
     job: Option<usize>,
+}
+
+/// How the nodes of a class are open from an instant on.
+#[derive(Clone, Copy)]
+struct Opening {
+    /// When the first of them is in its calendar.
+    from: Option<i64>,
+    /// Whether one is free at the instant itself.
+    is_free: bool,
 }
 
 impl Taken {
@@ -163,73 +181,102 @@ impl Taken {
         jobs.extend(fixed.iter().filter_map(|booking| booking.job));
         jobs.sort_unstable();
         jobs.dedup();
-        let nodes: BTreeMap<u64, usize> =
-            problem.nodes.iter().enumerate().map(|(place, node)| (node.id, place)).collect();
-        let by_node = |spans: &mut dyn Iterator<Item = (u64, i64, i64, Option<u64>)>| {
-            let mut lists: Vec<Vec<Span>> = nodes.iter().map(|_| Vec::new()).collect();
+        let by_class = |spans: &mut dyn Iterator<Item = (u64, i64, i64, Option<u64>)>| {
+            let mut lists: Vec<Vec<Span>> = problem.classes.iter().map(|_| Vec::new()).collect();
             for (node, start, end, job) in spans {
-                if let Some(&node) = nodes.get(&node) {
+                if let Some(node) = problem.node(node) {
                     let job = job.and_then(|job| jobs.binary_search(&job).ok());
-                    lists[node].push(Span { start, end, job });
+                    lists[problem.class_of[node]].push(Span { start, end, node, job });
                 }
             }
+            lists.iter_mut().for_each(|list| list.sort_unstable_by_key(|span| span.start));
             lists
         };
-        let planned = by_node(&mut plan.bookings.iter().map(|it| (it.node, it.start, it.end, Some(it.job))));
-        let fixed = by_node(&mut fixed.iter().map(|it| (it.node, it.start, it.end, it.job)));
-        Self { jobs, planned, fixed }
+        let planned = by_class(&mut plan.bookings.iter().map(|it| (it.node, it.start, it.end, Some(it.job))));
+        let fixed = by_class(&mut fixed.iter().map(|it| (it.node, it.start, it.end, it.job)));
+        Self { jobs, planned, fixed, openings: BTreeMap::new() }
     }
 
-    /// How much of the nodes' time each job takes between two instants, of what is planned or of what is
-    /// fixed.
-    fn by_job(&self, lists: &[Vec<Span>], able: &[usize], (from, to): (i64, i64)) -> Vec<i64> {
+    /// How these classes of nodes are open from `release` on.
+    fn opening(&mut self, problem: &Problem, classes: &[usize], release: i64) -> Opening {
+        let Self { planned, openings, .. } = self;
+        let of_class = |&class: &usize| {
+            *openings
+                .entry((class, release))
+                .or_insert_with(|| Opening::of(problem, class, &planned[class], release))
+        };
+        let all: Vec<Opening> = classes.iter().map(of_class).collect();
+        Opening {
+            from: all.iter().filter_map(|opening| opening.from).min(),
+            is_free: all.iter().any(|opening| opening.is_free),
+        }
+    }
+
+    /// How much of the time of these classes each job takes between two instants, of what is planned or of what
+    /// is fixed.
+    fn by_job(&self, lists: &[Vec<Span>], classes: &[usize], (from, to): (i64, i64)) -> Vec<i64> {
         let mut time = vec![0; self.jobs.len()];
-        for span in able.iter().flat_map(|&node| &lists[node]) {
-            let (start, end) = (span.start.max(from), span.end.min(to));
-            if let Some(job) = span.job.filter(|_| start < end) {
-                time[job] += end - start;
+        for span in within(lists, classes, (from, to)) {
+            if let Some(job) = span.job {
+                time[job] += span.end.min(to) - span.start.max(from);
             }
         }
         time
     }
 }
 
-fn reason(problem: &Problem, index: usize, first: Option<i64>, taken: &Taken) -> Reason {
+/// The spans of these classes that have time between two instants.
+fn within<'a>(
+    lists: &'a [Vec<Span>],
+    classes: &'a [usize],
+    (from, to): (i64, i64),
+) -> impl Iterator<Item = &'a Span> {
+    classes.iter().flat_map(move |&class| {
+        let list = &lists[class];
+        let before = list.partition_point(|span| span.start < to);
+        list[..before].iter().filter(move |span| span.end.min(to) > span.start.max(from))
+    })
+}
+
+impl Opening {
+    fn of(problem: &Problem, class: usize, planned: &[Span], at: i64) -> Self {
+        let before = planned.partition_point(|span| span.start <= at);
+        let booked: BTreeSet<usize> =
+            planned[..before].iter().filter(|span| span.end > at).map(|span| span.node).collect();
+        let nodes = &problem.classes[class];
+        let windows = nodes.iter().flat_map(|&node| &problem.windows[node]);
+        let from = windows.filter(|window| window.end > at).map(|window| window.start.max(at)).min();
+        let is_free = |node: &usize| {
+            let mut windows = problem.windows[*node].iter();
+            windows.any(|window| window.start <= at && at < window.end) && !booked.contains(node)
+        };
+        Self { from, is_free: nodes.iter().any(is_free) }
+    }
+}
+
+fn reason(problem: &Problem, index: usize, first: Option<i64>, taken: &mut Taken) -> Reason {
     let work = &problem.jobs[index];
     let release = work.release(problem.input.now);
     let Some(first) = first else { return Reason::NoNode };
     let classes = if work.shared_cache.is_some() { &work.shared_cache_classes } else { &work.classes };
-    let able: Vec<usize> = classes.iter().flat_map(|&class| problem.classes[class].iter().copied()).collect();
-    let opens = able
-        .iter()
-        .flat_map(|&node| &problem.windows[node])
-        .filter(|window| window.end > release)
-        .map(|window| window.start.max(release))
-        .min();
-    let is_before = |span: &Span| span.start < first && span.end > release;
-    match opens {
+    let opening = taken.opening(problem, classes, release);
+    let meanwhile = (release, first);
+    match opening.from {
         None => return Reason::NoNode,
-        Some(until)
-            if until >= first && !able.iter().any(|&node| taken.fixed[node].iter().any(is_before)) =>
-        {
+        Some(until) if until >= first && within(&taken.fixed, classes, meanwhile).next().is_none() => {
             return Reason::Calendar { until };
         }
         Some(_) => {}
     }
-    let is_free = |node: &usize| {
-        let is_open =
-            problem.windows[*node].iter().any(|window| window.start <= release && release < window.end);
-        let is_booked = |span: &Span| span.start <= release && span.end > release && release < first;
-        is_open && !taken.planned[*node].iter().any(is_booked)
-    };
-    if able.iter().any(is_free) {
+    if opening.is_free {
         return Reason::Cheaper;
     }
-    let holders = taken.by_job(&taken.planned, &able, (release, first));
-    let fixed = taken.by_job(&taken.fixed, &able, (release, first));
+    let holders = taken.by_job(&taken.planned, classes, meanwhile);
+    let fixed = taken.by_job(&taken.fixed, classes, meanwhile);
+    let names = &taken.jobs;
     let held = |time: Vec<i64>, is_fixed: bool| {
         let jobs = time.into_iter().enumerate().filter(|(_, time)| *time > 0);
-        jobs.map(move |(job, time)| (Reverse(time), taken.jobs[job], is_fixed))
+        jobs.map(move |(job, time)| (Reverse(time), names[job], is_fixed))
     };
     let mut jobs: Vec<(Reverse<i64>, u64, bool)> =
         held(holders, false).filter(|(_, job, _)| *job != work.job.id).chain(held(fixed, true)).collect();

@@ -273,7 +273,7 @@ proptest! {
         prop_assert!(found.cost_bound <= found.cost);
         let simulated = simulate(&input, &found, 3, 1).expect("a simulation");
         prop_assert_eq!(simulate(&input, &found, 3, 1), Ok(simulated));
-        prop_assert!(explain(&input, &found).is_ok());
+        prop_assert!(explain(&input, &found, |_| true).is_ok());
     }
 
     #[test]

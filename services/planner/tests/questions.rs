@@ -1,5 +1,7 @@
 //! Questions about plans, on farms with known answers.
 
+use std::sync::Arc;
+
 use forelight_planner::{
     Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, SharedCache, Task, Usage,
     Verdict, WorkTotal, difference, earliest_for_budget, explain, outlook, plan, replan, simulate, verify,
@@ -86,7 +88,7 @@ fn frames_wait_for_their_shared_cache() {
 #[test]
 fn the_class_of_work_chooses_the_node() {
     let large = node(1, 1, 9_000_000);
-    let fast = Node { speeds: [(3, 0), (7, 10)].into(), ..node(2, 1, 1_000_000) };
+    let fast = Node { speeds: Arc::new([(3, 0), (7, 10)].into()), ..node(2, 1, 1_000_000) };
     let heavy = Job { class: 3, ..job(1, Some(9), &[1]) };
     let special = Job { class: 7, ..job(2, Some(1), &[10]) };
     let found = sound(&input(vec![large, fast], vec![heavy, special]));
@@ -185,8 +187,8 @@ fn a_job_without_a_deadline_makes_way_for_one_that_would_be_late() {
 
 #[test]
 fn when_a_job_is_withdrawn_another_makes_way_for_one_that_was_late() {
-    let small = Node { speeds: [(3, 0)].into(), ..node(1, 1, 1_000_000) };
-    let large = Node { speeds: [(2, 0)].into(), ..node(2, 1, 2_000_000) };
+    let small = Node { speeds: Arc::new([(3, 0)].into()), ..node(1, 1, 1_000_000) };
+    let large = Node { speeds: Arc::new([(2, 0)].into()), ..node(2, 1, 2_000_000) };
     // The first job fits on both nodes, the second only on the small one, the third only on the large one.
     let anywhere = Job { weight: 3, ..job(1, Some(2), &[2]) };
     let on_small = Job { class: 2, ..job(2, Some(3), &[2]) };
@@ -217,7 +219,7 @@ fn projects_take_turns_by_what_they_had_for_their_share() {
     farm.projects = vec![project(1, 1, 0), project(2, 1, 3)];
     let found = sound(&farm);
     assert_eq!(first(&found, 3), 0, "the one that had three hours waits three hours");
-    let waits = explain(&farm, &found).expect("reasons");
+    let waits = explain(&farm, &found, |_| true).expect("reasons");
     assert!(waits[0].reason.to_string().contains("share"), "{}", waits[0].reason);
     farm.now = 1000 * HOUR;
     farm.half_life = HOUR;

@@ -2,6 +2,7 @@
 //! tests and for `forelight bench plan`. The planner does not know them.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use forelight_planner::chance::{between, bits, normal, uniform};
 use forelight_planner::{Confidence, Division, Frame, Input, Interval, Job, Node, SharedCache, WorkTotal};
@@ -122,10 +123,9 @@ fn studio_node(size: Size, seed: u64, id: u64, class: u64) -> Node {
         id,
         name: format!("class-{class}-{id}"),
         speed: (speed * 1e9).round() as u64,
-        speeds: [false, true]
-            .into_iter()
-            .flat_map(|on_gpu| NEEDS.map(|need| speed_for(on_gpu, need)))
-            .collect(),
+        speeds: Arc::new(
+            [false, true].into_iter().flat_map(|on_gpu| NEEDS.map(|need| speed_for(on_gpu, need))).collect(),
+        ),
         price_per_hour: (price * 4e5).round() as i64,
         calendar: vec![Interval { start: 0, end: None }],
         ..Node::default()
@@ -207,7 +207,7 @@ pub fn tiny(seed: u64, in_steps: bool) -> Input {
             id,
             speed,
             // Half of the nodes are too small for work of class 1.
-            speeds: BTreeMap::from([(1, if draw(5, 1, 2) == 2 { speed } else { 0 })]),
+            speeds: Arc::new(BTreeMap::from([(1, if draw(5, 1, 2) == 2 { speed } else { 0 })])),
             price_per_hour: draw(6, 1, 12) * 1_000_000,
             billing_step: if steps { HOUR } else { 0 },
             setup: if steps { draw(7, 0, 1) * grid } else { 0 },

@@ -16,6 +16,7 @@ use forelight_store::{
 };
 
 use super::bookable::bookable;
+use super::demands::Demands;
 use super::numbers::number;
 
 pub(super) const MOST_NODES: u32 = 10_000;
@@ -122,16 +123,22 @@ impl Farm {
         let projects: BTreeMap<&str, u64> =
             snapshot.projects.iter().map(|project| project.name.as_str()).zip(0..).collect();
         let mut places: BTreeMap<JobId, u64> = BTreeMap::new();
-        let (mut asked, mut jobs) = (Vec::new(), Vec::new());
+        let mut under_way_of: BTreeMap<JobId, Vec<&Projected>> = BTreeMap::new();
+        for frame in snapshot.projected.frames.iter().filter(|frame| frame.under_way) {
+            under_way_of.entry(frame.booking.job_id).or_default().push(frame);
+        }
+        let demands = Demands::of(&snapshot.jobs);
+        let (mut asked, mut jobs): (Vec<Asked>, Vec<planner::Job>) = (Vec::new(), Vec::new());
         for farm_job in &snapshot.jobs {
             let Some(forecast) = &farm_job.forecast else { continue };
-            let place = asked.len() as u64;
+            let (place, class) = (asked.len() as u64, demands.class(asked.len()));
             places.insert(farm_job.job.id, place);
             let factor = learned(farm_job);
-            let one = of_job(farm_job, &snapshot.projected.frames, factor, now);
+            let under_way = under_way_of.remove(&farm_job.job.id).unwrap_or_default();
+            let one = of_job(farm_job, &under_way, factor, now);
             let project = projects.get(farm_job.job.project.as_str()).copied();
             let release = snapshot.projected.cache_full_at(farm_job.job.id).unwrap_or(now);
-            jobs.push(planner_job(farm_job, forecast, &one, place, project, release));
+            jobs.push(planner_job(farm_job, forecast, &one, (place, class), project, release));
             asked.push(one);
         }
         let spare = spare_work(snapshot, &jobs);
@@ -143,7 +150,7 @@ impl Farm {
             now: now.micros(),
             nodes: nodes
                 .map(|(node, id)| planner::Node {
-                    speeds: own_speeds(node, &snapshot.jobs),
+                    speeds: demands.speeds(node),
                     ..planner_node(node, id, now, horizon, spare)
                 })
                 .collect(),
@@ -189,17 +196,16 @@ impl Farm {
     }
 }
 
-fn of_job(farm_job: &FarmJob, projected: &[Projected], factor: f64, now: Timestamp) -> Asked {
-    let under_way =
-        || projected.iter().filter(|frame| frame.under_way && frame.booking.job_id == farm_job.job.id);
+/// A job whose frames under way are these.
+fn of_job(farm_job: &FarmJob, under_way: &[&Projected], factor: f64, now: Timestamp) -> Asked {
     let deadline = farm_job.job.deadline;
-    let chances = under_way().filter_map(|frame| frame.chance(deadline?, now));
+    let chances = under_way.iter().filter_map(|frame| frame.chance(deadline?, now));
     let begun = farm_job.frames.iter().filter(|frame| !frame.waits);
     Asked {
         job: farm_job.job.clone(),
         factor,
         factor_before: farm_job.factor,
-        under_way: under_way().map(|frame| frame.end.micros()).max(),
+        under_way: under_way.iter().map(|frame| frame.end.micros()).max(),
         under_way_in_time: chances.product(),
         spent: farm_job.spent.micro_units(),
         held: farm_job.held,
@@ -219,7 +225,7 @@ fn planner_job(
     farm_job: &FarmJob,
     forecast: &JobForecast,
     asked: &Asked,
-    id: u64,
+    (id, class): (u64, u32),
     project: Option<u64>,
     release: Timestamp,
 ) -> planner::Job {
@@ -234,8 +240,8 @@ fn planner_job(
     let most_parts = forecast.most_parts.min(width.saturating_mul(height));
     planner::Job {
         id,
-        class: class(id),
-        shared_cache: forecast.cache.as_ref().filter(|_| is_new).and_then(|cache| shared_cache(cache, id)),
+        class,
+        shared_cache: forecast.cache.as_ref().filter(|_| is_new).and_then(|cache| shared_cache(cache, class)),
         name: job.name.clone(),
         project,
         release: release.micros(),
@@ -308,28 +314,10 @@ pub(crate) fn planner_project(project: &ProjectUse, id: u64) -> planner::Project
     }
 }
 
-fn class(job: u64) -> u32 {
-    // Class 0 is the node's general speed.
-    u32::try_from(job).map_or(u32::MAX, |job| job.saturating_add(1))
-}
-
-/// Speeds of a node for jobs that it does not render at its general speed. 0 without the job's renderer.
-fn own_speeds(node: &Node, jobs: &[FarmJob]) -> BTreeMap<u32, u64> {
-    let known = jobs.iter().filter_map(|job| Some((&job.job, job.forecast.as_ref()?)));
-    let speed = |((job, forecast), id): ((&Job, &JobForecast), u64)| {
-        if job.needs().is_some_and(|renderer| !node.has_renderer(&renderer)) {
-            return Some((class(id), 0));
-        }
-        let speed = node.corrected_speed(forecast.work_by_class.as_ref())?;
-        Some((class(id), units(speed * f64::from(node.cores)).max(1)))
-    };
-    known.zip(0..).filter_map(speed).collect()
-}
-
-fn shared_cache(cache: &CacheQuote, job: u64) -> Option<planner::SharedCache> {
+fn shared_cache(cache: &CacheQuote, class: u32) -> Option<planner::SharedCache> {
     let shared = cache.shared_cache.as_ref()?;
     let work = units(shared.cpu_seconds.p50).max(1);
-    Some(planner::SharedCache { class: class(job), work, parts: shared.parts })
+    Some(planner::SharedCache { class, work, parts: shared.parts })
 }
 
 fn under_way(
@@ -380,7 +368,7 @@ fn standing(
         let number = number(frame.booking.frame_part());
         let duration = work[job as usize]
             .get(&number)
-            .and_then(|&work| input.nodes[node as usize].duration(work, class(job)));
+            .and_then(|&work| input.nodes[node as usize].duration(work, input.jobs[job as usize].class));
         let Some(duration) = duration else { continue };
         let free = free_from.entry(node).or_insert(input.now);
         let start = frame.booking.start.micros().max(*free).max(input.jobs[job as usize].release);
@@ -477,7 +465,7 @@ pub(crate) fn speed(node: &Node) -> u64 {
 }
 
 /// Seconds in the planner's unit of work, saturating.
-fn units(seconds: f64) -> u64 {
+pub(super) fn units(seconds: f64) -> u64 {
     (seconds * PER_SECOND).round() as u64
 }
 

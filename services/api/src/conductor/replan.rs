@@ -93,12 +93,10 @@ impl Conductor {
         for node in &lost {
             self.store.want_plan(&format!("node {} is not responding", name(node))).await?;
         }
-        for farm_job in self.store.farm_jobs(now).await? {
-            let job = farm_job.job;
-            let promised = job.promise.as_ref().is_some_and(|promise| promise.kept);
-            let finish = projected.finish_of(job.id);
-            if promised && finish.zip(job.deadline).is_some_and(|(finish, deadline)| finish > deadline) {
-                self.store.want_plan(&format!("job {} will miss its promise", job.name)).await?;
+        let ends = projected.ends();
+        for (job, name, deadline) in self.store.kept_promises().await? {
+            if ends.finish_of(job).is_some_and(|finish| finish > deadline) {
+                self.store.want_plan(&format!("job {name} will miss its promise")).await?;
             }
         }
         Ok(())

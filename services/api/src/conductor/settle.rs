@@ -59,14 +59,16 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let whole = farm.with_standing(&standing);
     planner::verify(&whole, &plan).map_err(Unsettled::Refused)?;
     let (risks, finish) = risks(farm, &plan)?;
-    let waits = waits(farm, &plan)?;
+    let before = by_job(&farm.standing, farm.jobs.len());
+    let after = by_job(&plan.bookings, farm.jobs.len());
+    let waits = waits(farm, &plan, &after)?;
     let verdicts: Vec<JobVerdict> = (0..farm.jobs.len()).map(|job| verdict(farm, &plan, job)).collect();
     let says_new = |(job, said): (usize, &JobVerdict)| {
         let asked = &farm.jobs[job];
         let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
         let is_new =
             fresh == Some(job) || asked.has_new_terms || says_new || asked.factor != asked.factor_before;
-        is_new || has_moved(farm, &plan, job)
+        is_new || has_moved(&before[job], &after[job])
     };
     let news: Vec<bool> = verdicts.iter().enumerate().map(says_new).collect();
     let booked_anew = make_way(&farm.booked, &plan.bookings, news);
@@ -88,7 +90,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
             let within_budget = said.verdict != Verdict::OverBudget;
             said.ways_out = farm.ways_out(job, &plan.bookings, within_budget)?;
         }
-        let of_frames = plan.bookings_of(job as u64).filter(|booking| !booking.task.is_shared_cache());
+        let of_frames = after[job].iter().filter(|booking| !booking.task.is_shared_cache());
         let bookings = of_frames.map(|booking| own_booking(farm, booking)).collect::<Option<_>>();
         let bookings = bookings.ok_or_else(|| {
             AdvanceError::Hopeless("the plan books a node or frame that does not exist".to_owned())
@@ -207,14 +209,21 @@ fn make_way(booked: &[Booking], planned: &[Booking], mut anew: Vec<bool>) -> Vec
     }
 }
 
-fn has_moved(farm: &Farm, plan: &planner::Plan, job: usize) -> bool {
-    let of = |bookings: &[Booking]| -> BTreeMap<planner::Task, Booking> {
-        let own = bookings.iter().filter(|booking| booking.job == job as u64);
-        own.map(|booking| (booking.task, *booking)).collect()
-    };
-    let (before, after) = (of(&farm.standing), of(&plan.bookings));
-    let still = |task: &planner::Task, one: &Booking| after.get(task).is_some_and(|other| stayed(one, other));
-    before.len() != after.len() || !before.iter().all(|(task, booking)| still(task, booking))
+/// The bookings of each of so many jobs, in their order.
+fn by_job(bookings: &[Booking], jobs: usize) -> Vec<Vec<&Booking>> {
+    let mut of_job = vec![Vec::new(); jobs];
+    for booking in bookings {
+        of_job[booking.job as usize].push(booking);
+    }
+    of_job
+}
+
+/// Whether the bookings of a job differ, beyond the tolerance.
+fn has_moved(before: &[&Booking], after: &[&Booking]) -> bool {
+    let after: BTreeMap<planner::Task, &Booking> =
+        after.iter().map(|booking| (booking.task, *booking)).collect();
+    let still = |one: &&Booking| after.get(&one.task).is_some_and(|other| stayed(one, other));
+    before.len() != after.len() || !before.iter().all(still)
 }
 
 /// Whether a task stayed in place, within the tolerance.
@@ -371,17 +380,24 @@ fn rescued(
     Ok(end(farm, &after, job))
 }
 
-fn waits(farm: &Farm, plan: &planner::Plan) -> Result<BTreeMap<usize, Waits>, AdvanceError> {
+/// What jobs wait for. Also: the plan's bookings, by job.
+fn waits(
+    farm: &Farm,
+    plan: &planner::Plan,
+    bookings: &[Vec<&Booking>],
+) -> Result<BTreeMap<usize, Waits>, AdvanceError> {
     let mut found = BTreeMap::new();
-    let explained: BTreeMap<u64, Reason> = planner::explain(&farm.input, plan)?
-        .into_iter()
-        .map(|explanation| (explanation.job, explanation.reason))
-        .collect();
+    let may_wait = |asked: &Asked| asked.begun.is_empty() && !asked.held;
+    let explained: BTreeMap<u64, Reason> =
+        planner::explain(&farm.input, plan, |job| may_wait(&farm.jobs[job as usize]))?
+            .into_iter()
+            .map(|explanation| (explanation.job, explanation.reason))
+            .collect();
     for (job, asked) in farm.jobs.iter().enumerate() {
         if !asked.begun.is_empty() && !asked.held {
             continue;
         }
-        let first = plan.bookings_of(job as u64).map(|booking| booking.start).min();
+        let first = bookings[job].iter().map(|booking| booking.start).min();
         let until = first.map(Timestamp::from_micros);
         let share = share(farm, job);
         let waits =

@@ -7,6 +7,7 @@ mod error;
 mod values;
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use jiff::Timestamp;
 use jiff::tz::TimeZoneDatabase;
@@ -111,7 +112,7 @@ impl Description {
             id: 0,
             name: entry.name.clone(),
             speed: scaled(entry.speed, WORK_PER_SECOND, &at, "speed")?,
-            speeds: demands.speeds(entry)?,
+            speeds: Arc::new(demands.speeds(entry)?),
             price_per_hour: money(entry.price_per_hour, &at, "price_per_hour")?,
             billing_step: time(&entry.billing_step, "billing_step")?,
             minimum_booking: time(&entry.minimum_booking, "minimum_booking")?,

@@ -1,6 +1,7 @@
 //! Nodes, their time and their price.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -17,8 +18,9 @@ pub struct Node {
     pub name: String,
     /// Work per second with all cores, for classes of work that `speeds` does not name. Not zero.
     pub speed: u64,
-    /// Work per second by class of work. Zero if the node lacks the memory, cores or GPU for it.
-    pub speeds: BTreeMap<u32, u64>,
+    /// Work per second by class of work. Zero if the node lacks the memory, cores or GPU for it. Copies of a farm
+    /// share it.
+    pub speeds: Arc<BTreeMap<u32, u64>>,
     /// Price of a rented hour in micro-units. Not negative.
     pub price_per_hour: i64,
     /// Rented time is billed in multiples of this many microseconds. 0 or 1: to the microsecond.

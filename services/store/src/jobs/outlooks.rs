@@ -4,7 +4,7 @@ use forelight_protocol::{Event, FinishQuantiles, Job, JobId, JobState, Promise, 
 use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
-use crate::columns::Json;
+use crate::columns::{Json, Time};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event};
@@ -54,6 +54,19 @@ impl Store {
             }
         }
         self.commit(write).await
+    }
+
+    /// The promises that the newest plan keeps, of booked jobs: each with the job's name and deadline.
+    pub async fn kept_promises(&self) -> Result<Vec<(JobId, String, Timestamp)>> {
+        let rows = sqlx::query!(
+            r#"SELECT id, name, deadline_at AS "deadline!: Time" FROM jobs INDEXED BY jobs_open
+               WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')
+               AND state IN ('booked', 'rendering') AND deadline_at IS NOT NULL
+               AND json_extract(outlook, '$.promise.kept') = 1"#
+        )
+        .fetch_all(self.readers())
+        .await?;
+        Ok(rows.into_iter().map(|row| (row.id.into(), row.name, row.deadline.into())).collect())
     }
 
     /// Fills in when jobs are expected to end, by the expected ends of the open bookings.

@@ -261,6 +261,11 @@ impl JobEnds {
         (!waits_for_money && booked >= open as usize).then_some(end)
     }
 
+    /// As [`Projection::finish_of`].
+    pub fn finish_of(&self, job: JobId) -> Option<Timestamp> {
+        self.0.get(&job).map(|&(_, end)| end)
+    }
+
     /// The last end of all; `None` if nothing is booked.
     pub fn last(&self) -> Option<Timestamp> {
         self.0.values().map(|&(_, end)| end).max()

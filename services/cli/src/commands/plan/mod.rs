@@ -126,7 +126,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let document = Document {
         plan_id: found.id().to_string(),
-        explanations: explain(&input, &found)?,
+        explanations: explain(&input, &found, |_| true)?,
         plan: found,
         simulation,
         job,
