@@ -41,14 +41,15 @@ pub(crate) fn in_background(
     jobs: mpsc::UnboundedReceiver<JobId>,
     clock: Arc<SteadyClock>,
 ) -> Vec<JoinHandle<()>> {
+    let (others, giving_way) = (app.for_others(), app.low_priority.handle());
     vec![
-        tokio::spawn(run_conductor(app.clone(), jobs)),
         tokio::spawn(run_sweep(app.clone(), clock)),
-        tokio::spawn(run_webhooks(app.clone())),
-        tokio::spawn(run_outputs(app.clone())),
-        tokio::spawn(run_retention(app.clone())),
-        tokio::spawn(run_scrub(app.clone())),
         tokio::spawn(run_rights(app.clone())),
+        giving_way.spawn(run_conductor(others.clone(), jobs)),
+        giving_way.spawn(run_webhooks(others.clone())),
+        giving_way.spawn(run_outputs(others.clone())),
+        giving_way.spawn(run_retention(others.clone())),
+        giving_way.spawn(run_scrub(others)),
     ]
 }
 

@@ -23,6 +23,7 @@ mod error;
 mod extract;
 mod feed;
 mod inspector;
+mod low_priority;
 mod metrics;
 mod oidc;
 mod openapi;

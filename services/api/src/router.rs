@@ -26,6 +26,7 @@ use utoipa_axum::routes;
 
 use crate::document::WORTH_COMPRESSING;
 use crate::error::render_problems;
+use crate::low_priority;
 use crate::openapi::{frame, with_one_key};
 use crate::paced_body::PacedBody;
 use crate::resources::jobs::changes;
@@ -143,15 +144,19 @@ pub fn openapi_yaml() -> String {
 pub(crate) fn router(app: App, allowed_origins: &[String]) -> axum::Router {
     let limits = app.limits.uploads;
     let (of_workers, _) = routes_of_workers().with_state(app.clone()).split_for_parts();
-    let (of_people, _) = routes_of_people().with_state(app.for_people()).split_for_parts();
+    let (of_people, _) = routes_of_people().with_state(app.for_others()).split_for_parts();
+    // A right that a request itself ends is seen to end in the request's own task, after its answer.
+    let of_people = of_people
+        .layer(from_fn(end_with_right))
+        .layer(from_fn_with_state(app.low_priority.handle(), low_priority::answer));
     let router = of_workers
+        .layer(from_fn(end_with_right))
         .merge(of_people)
         .fallback(page::serve)
         .method_not_allowed_fallback(async || StatusCode::METHOD_NOT_ALLOWED)
         .layer(map_request(move |request: Request| {
             ready(request.map(|body| Body::new(PacedBody::new(body, limits))))
         }))
-        .layer(from_fn(end_with_right))
         .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
         .layer(CatchPanicLayer::custom(|_| StatusCode::INTERNAL_SERVER_ERROR.into_response()))
         .layer(from_fn(render_problems))

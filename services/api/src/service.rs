@@ -18,6 +18,7 @@ use crate::connections::{Tls, TlsError, serve};
 use crate::costly::Costly;
 use crate::feed::Feed;
 use crate::inspector::Inspector;
+use crate::low_priority::LowPriority;
 use crate::metrics::Metrics;
 use crate::oidc::{SignIn, SignInProvider};
 use crate::output_root::OutputRoot;
@@ -44,6 +45,9 @@ pub enum ServiceError {
         /// The system's error.
         source: std::io::Error,
     },
+    /// The system starts no threads.
+    #[error("cannot start threads: {0}")]
+    Threads(std::io::Error),
     /// The sign-in provider cannot be used.
     #[error("the sign-in provider: {0}")]
     SignIn(String),
@@ -88,6 +92,11 @@ impl Service {
         let output_root = config.output_root.as_deref().map(open_output_root).transpose()?;
         let clock = Arc::new(SteadyClock::new(config.clock));
         let store = Store::open_with(&config.data_dir, &config.artifacts, config.artifacts_moved).await?;
+        let low_priority = LowPriority::start().map_err(ServiceError::Threads)?;
+        store.connect().await?;
+        let others = store.for_others();
+        let connected = low_priority.handle().spawn(async move { others.connect().await }).await;
+        connected.map_err(|error| ServiceError::Threads(error.into()))??;
         let extended = store.extend_leases_after_start(config.lease_ttl, clock.now()).await?;
         if extended > 0 {
             tracing::info!(leases = extended, "leases from before the start were extended");
@@ -104,6 +113,7 @@ impl Service {
         let (conductor, jobs) = mpsc::unbounded_channel();
         let app = App {
             store: store.clone(),
+            low_priority: low_priority.clone(),
             clock: clock.clone(),
             lease_ttl: config.lease_ttl,
             is_over_tls: tls.is_some()
@@ -127,7 +137,7 @@ impl Service {
             conductor,
             in_flight: InFlight::default(),
             pruning: Arc::default(),
-            feed: Arc::new(Feed::new(store.for_people())),
+            feed: Arc::new(Feed::new(store.for_others())),
             dashboard: Arc::default(),
             projected: Arc::default(),
             record: Arc::default(),

@@ -17,6 +17,7 @@ use crate::document::Document;
 use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
 use crate::inspector::Inspector;
+use crate::low_priority::LowPriority;
 use crate::metrics::Metrics;
 use crate::oidc::SignIn;
 use crate::output_root::OutputRoot;
@@ -30,6 +31,8 @@ use crate::uploads::Reserved;
 #[derive(Clone)]
 pub(crate) struct App {
     pub store: Store,
+    /// Where everything runs that no worker waits for.
+    pub low_priority: LowPriority,
     pub clock: Arc<dyn Clock>,
     /// Held for reading from the instant that a lease's end counts from until that end is written. A step of the
     /// clock holds it for writing, so that it moves all ends.
@@ -90,9 +93,10 @@ impl App {
         }
     }
 
-    /// The same service, for what people ask: they share connections to the database that workers do not need.
-    pub fn for_people(&self) -> Self {
-        Self { store: self.store.for_people(), ..self.clone() }
+    /// The same service, for what no worker waits for: it has connections to the database that workers do not
+    /// need.
+    pub fn for_others(&self) -> Self {
+        Self { store: self.store.for_others(), ..self.clone() }
     }
 
     /// The store for changes by this caller. The audit names him.

@@ -42,11 +42,11 @@ pub struct Store {
     actor: Option<Arc<Actor>>,
 }
 
-/// Who asks. Each has connections of its own, so that what people look at never makes workers wait.
+/// Who asks. Each has connections of its own, so that nothing else makes workers wait.
 #[derive(Clone, Copy)]
 enum Asks {
-    Farm,
-    People,
+    Workers,
+    Others,
 }
 
 /// Connections for reading, and the artefacts that are looked up by them.
@@ -57,9 +57,8 @@ struct Lane {
 
 struct Inner {
     writer: Writer,
-    /// For workers, and for what the service does by itself.
-    farm: Lane,
-    people: Lane,
+    workers: Lane,
+    others: Lane,
     /// Start of the service in microseconds.
     up_since: AtomicI64,
     data: PathBuf,
@@ -137,39 +136,48 @@ impl Store {
         MIGRATIONS.run(&mut connection).await?;
         let writer = Writer::new(connection, writable.create_if_missing(false));
         let options = options.read_only(true);
-        let readers = async || {
+        let readers = || {
             SqlitePoolOptions::new()
                 .max_connections(READERS)
                 .acquire_timeout(WRITE_TURN)
                 // The database is in this process, so a connection cannot be closed by a server.
                 .test_before_acquire(false)
-                .connect_with(options.clone())
-                .await
+                .idle_timeout(None)
+                .max_lifetime(None)
+                .connect_lazy_with(options.clone())
         };
-        let farm = readers().await?;
-        let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone(), farm.clone())?;
-        let of_people = readers().await?;
-        let people = Lane { artifacts: artifacts.read_by(of_people.clone()), readers: of_people };
+        let of_workers = readers();
+        let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone(), of_workers.clone())?;
+        let of_others = readers();
+        let others = Lane { artifacts: artifacts.read_by(of_others.clone()), readers: of_others };
         let inner = Inner {
             writer,
-            farm: Lane { readers: farm, artifacts },
-            people,
+            workers: Lane { readers: of_workers, artifacts },
+            others,
             up_since: AtomicI64::new(i64::MIN),
             data: data.to_owned(),
             _lock: lock,
         };
-        Ok(Self { inner: Arc::new(inner), asks: Asks::Farm, actor: None })
+        Ok(Self { inner: Arc::new(inner), asks: Asks::Workers, actor: None })
     }
 
-    /// The same store, for what people look at.
-    pub fn for_people(&self) -> Self {
-        Self { asks: Asks::People, ..self.clone() }
+    /// The same store, for what no worker waits for: what people look at, and plans.
+    pub fn for_others(&self) -> Self {
+        Self { asks: Asks::Others, ..self.clone() }
+    }
+
+    /// Opens all connections for reading. Each has a thread, which inherits the priority of the thread that runs
+    /// this.
+    pub async fn connect(&self) -> Result<()> {
+        let connections = (0..READERS).map(|_| self.readers().acquire());
+        futures::future::try_join_all(connections).await?;
+        Ok(())
     }
 
     fn lane(&self) -> &Lane {
         match self.asks {
-            Asks::Farm => &self.inner.farm,
-            Asks::People => &self.inner.people,
+            Asks::Workers => &self.inner.workers,
+            Asks::Others => &self.inner.others,
         }
     }
 
@@ -213,8 +221,8 @@ impl Store {
 
     /// Closes all connections and waits for them. Further calls fail.
     pub async fn close(&self) {
-        self.inner.people.readers.close().await;
-        self.inner.farm.readers.close().await;
+        self.inner.others.readers.close().await;
+        self.inner.workers.readers.close().await;
         if let Err(error) = self.inner.writer.close().await {
             tracing::warn!(%error, "the database was not closed properly");
         }

@@ -34,14 +34,14 @@ async fn others_cannot_look_into_the_data_folder() {
 }
 
 #[tokio::test]
-async fn people_who_use_all_their_connections_do_not_make_workers_wait() {
+async fn others_who_use_all_their_connections_do_not_make_workers_wait() {
     let farm = Farm::new().await;
-    let people = farm.store.for_people();
+    let others = farm.store.for_others();
     let mut held = Vec::new();
     for _ in 0..4 {
-        held.push(people.read().await.unwrap());
+        held.push(others.read().await.unwrap());
     }
-    let waits = tokio::time::timeout(std::time::Duration::from_millis(50), people.ping());
+    let waits = tokio::time::timeout(std::time::Duration::from_millis(50), others.ping());
     assert!(waits.await.is_err(), "there are no more");
     farm.store.ping().await.unwrap();
     let node = farm.node("a").await;
