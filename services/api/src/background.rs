@@ -41,15 +41,16 @@ pub(crate) fn in_background(
     jobs: mpsc::UnboundedReceiver<JobId>,
     clock: Arc<SteadyClock>,
 ) -> Vec<JoinHandle<()>> {
-    let (others, giving_way) = (app.for_others(), app.low_priority.handle());
+    let (own, giving_way) =
+        (App { store: app.store.for_service(), ..app.clone() }, app.low_priority.handle());
     vec![
         tokio::spawn(run_sweep(app.clone(), clock)),
         tokio::spawn(run_rights(app.clone())),
-        giving_way.spawn(run_conductor(others.clone(), jobs)),
-        giving_way.spawn(run_webhooks(others.clone())),
-        giving_way.spawn(run_outputs(others.clone())),
-        giving_way.spawn(run_retention(others.clone())),
-        giving_way.spawn(run_scrub(others)),
+        giving_way.spawn(run_conductor(own.clone(), jobs)),
+        giving_way.spawn(run_webhooks(own.clone())),
+        giving_way.spawn(run_outputs(own.clone())),
+        giving_way.spawn(run_retention(own.clone())),
+        giving_way.spawn(run_scrub(own)),
     ]
 }
 

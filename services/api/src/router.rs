@@ -144,7 +144,7 @@ pub fn openapi_yaml() -> String {
 pub(crate) fn router(app: App, allowed_origins: &[String]) -> axum::Router {
     let limits = app.limits.uploads;
     let (of_workers, _) = routes_of_workers().with_state(app.clone()).split_for_parts();
-    let (of_people, _) = routes_of_people().with_state(app.for_others()).split_for_parts();
+    let (of_people, _) = routes_of_people().with_state(app.for_people()).split_for_parts();
     // A right that a request itself ends is seen to end in the request's own task, after its answer.
     let of_people = of_people
         .layer(from_fn(end_with_right))

@@ -94,8 +94,9 @@ impl Service {
         let store = Store::open_with(&config.data_dir, &config.artifacts, config.artifacts_moved).await?;
         let low_priority = LowPriority::start().map_err(ServiceError::Threads)?;
         store.connect().await?;
-        let others = store.for_others();
-        let connected = low_priority.handle().spawn(async move { others.connect().await }).await;
+        let others = [store.for_service(), store.for_people()];
+        let connect = async move { futures::future::try_join_all(others.iter().map(Store::connect)).await };
+        let connected = low_priority.handle().spawn(connect).await;
         connected.map_err(|error| ServiceError::Threads(error.into()))??;
         let extended = store.extend_leases_after_start(config.lease_ttl, clock.now()).await?;
         if extended > 0 {
@@ -137,7 +138,7 @@ impl Service {
             conductor,
             in_flight: InFlight::default(),
             pruning: Arc::default(),
-            feed: Arc::new(Feed::new(store.for_others())),
+            feed: Arc::new(Feed::new(store.for_people())),
             dashboard: Arc::default(),
             projected: Arc::default(),
             record: Arc::default(),

@@ -93,10 +93,9 @@ impl App {
         }
     }
 
-    /// The same service, for what no worker waits for: it has connections to the database that workers do not
-    /// need.
-    pub fn for_others(&self) -> Self {
-        Self { store: self.store.for_others(), ..self.clone() }
+    /// The same service, for what people ask: it has connections to the database that nothing else needs.
+    pub fn for_people(&self) -> Self {
+        Self { store: self.store.for_people(), ..self.clone() }
     }
 
     /// The store for changes by this caller. The audit names him.

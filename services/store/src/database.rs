@@ -42,11 +42,13 @@ pub struct Store {
     actor: Option<Arc<Actor>>,
 }
 
-/// Who asks. Each has connections of its own, so that nothing else makes workers wait.
+/// Who asks. Each has connections of its own, so that nothing else makes workers wait, and people do not make
+/// plans wait.
 #[derive(Clone, Copy)]
 enum Asks {
     Workers,
-    Others,
+    Service,
+    People,
 }
 
 /// Connections for reading, and the artefacts that are looked up by them.
@@ -58,7 +60,8 @@ struct Lane {
 struct Inner {
     writer: Writer,
     workers: Lane,
-    others: Lane,
+    service: Lane,
+    people: Lane,
     /// Start of the service in microseconds.
     up_since: AtomicI64,
     data: PathBuf,
@@ -148,12 +151,16 @@ impl Store {
         };
         let of_workers = readers();
         let artifacts = Artifacts::open(&data.join("artifacts"), at, writer.clone(), of_workers.clone())?;
-        let of_others = readers();
-        let others = Lane { artifacts: artifacts.read_by(of_others.clone()), readers: of_others };
+        let lane = || {
+            let readers = readers();
+            Lane { artifacts: artifacts.read_by(readers.clone()), readers }
+        };
+        let (service, people) = (lane(), lane());
         let inner = Inner {
             writer,
             workers: Lane { readers: of_workers, artifacts },
-            others,
+            service,
+            people,
             up_since: AtomicI64::new(i64::MIN),
             data: data.to_owned(),
             _lock: lock,
@@ -161,9 +168,14 @@ impl Store {
         Ok(Self { inner: Arc::new(inner), asks: Asks::Workers, actor: None })
     }
 
-    /// The same store, for what no worker waits for: what people look at, and plans.
-    pub fn for_others(&self) -> Self {
-        Self { asks: Asks::Others, ..self.clone() }
+    /// The same store, for what the service does by itself, such as plans.
+    pub fn for_service(&self) -> Self {
+        Self { asks: Asks::Service, ..self.clone() }
+    }
+
+    /// The same store, for what people look at.
+    pub fn for_people(&self) -> Self {
+        Self { asks: Asks::People, ..self.clone() }
     }
 
     /// Opens all connections for reading. Each has a thread, which inherits the priority of the thread that runs
@@ -177,7 +189,8 @@ impl Store {
     fn lane(&self) -> &Lane {
         match self.asks {
             Asks::Workers => &self.inner.workers,
-            Asks::Others => &self.inner.others,
+            Asks::Service => &self.inner.service,
+            Asks::People => &self.inner.people,
         }
     }
 
@@ -221,8 +234,9 @@ impl Store {
 
     /// Closes all connections and waits for them. Further calls fail.
     pub async fn close(&self) {
-        self.inner.others.readers.close().await;
-        self.inner.workers.readers.close().await;
+        for lane in [&self.inner.people, &self.inner.service, &self.inner.workers] {
+            lane.readers.close().await;
+        }
         if let Err(error) = self.inner.writer.close().await {
             tracing::warn!(%error, "the database was not closed properly");
         }

@@ -34,16 +34,17 @@ async fn others_cannot_look_into_the_data_folder() {
 }
 
 #[tokio::test]
-async fn others_who_use_all_their_connections_do_not_make_workers_wait() {
+async fn people_who_use_all_their_connections_make_neither_workers_nor_plans_wait() {
     let farm = Farm::new().await;
-    let others = farm.store.for_others();
+    let people = farm.store.for_people();
     let mut held = Vec::new();
     for _ in 0..4 {
-        held.push(others.read().await.unwrap());
+        held.push(people.read().await.unwrap());
     }
-    let waits = tokio::time::timeout(std::time::Duration::from_millis(50), others.ping());
+    let waits = tokio::time::timeout(std::time::Duration::from_millis(50), people.ping());
     assert!(waits.await.is_err(), "there are no more");
     farm.store.ping().await.unwrap();
+    farm.store.for_service().ping().await.unwrap();
     let node = farm.node("a").await;
     farm.booked_job(request("0"), node.id, at(0)).await;
     assert!(farm.claim(node.id, at(1)).await.is_some());
