@@ -41,8 +41,7 @@ pub(crate) fn in_background(
     jobs: mpsc::UnboundedReceiver<JobId>,
     clock: Arc<SteadyClock>,
 ) -> Vec<JoinHandle<()>> {
-    let (own, giving_way) =
-        (App { store: app.store.for_service(), ..app.clone() }, app.low_priority.handle());
+    let (own, giving_way) = (app.for_service(), app.low_priority.handle());
     vec![
         tokio::spawn(run_sweep(app.clone(), clock)),
         tokio::spawn(run_rights(app.clone())),

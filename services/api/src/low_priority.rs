@@ -23,26 +23,30 @@ const NICE: i32 = 5;
 
 /// The threads. They end when the last clone is dropped.
 #[derive(Clone)]
-pub(crate) struct LowPriority(Arc<Owned>);
+pub(crate) struct LowPriority {
+    handle: Handle,
+    _threads: Arc<Threads>,
+}
 
 /// `None` only while it is dropped.
-struct Owned(Option<Runtime>);
+struct Threads(Option<Runtime>);
 
 impl LowPriority {
     /// Starts the threads: as many as there are cores, and more for what blocks.
     pub fn start() -> std::io::Result<Self> {
         let mut threads = Builder::new_multi_thread();
         let runtime = threads.enable_all().thread_name("low-priority").on_thread_start(give_way).build()?;
-        Ok(Self(Arc::new(Owned(Some(runtime)))))
+        let handle = runtime.handle().clone();
+        Ok(Self { handle, _threads: Arc::new(Threads(Some(runtime))) })
     }
 
     /// The handle by which tasks are started on them. Threads that these start give way as well.
     pub fn handle(&self) -> Handle {
-        self.0.0.as_ref().map_or_else(Handle::current, |runtime| runtime.handle().clone())
+        self.handle.clone()
     }
 }
 
-impl Drop for Owned {
+impl Drop for Threads {
     fn drop(&mut self) {
         if let Some(runtime) = self.0.take() {
             // Waiting for the threads is not allowed where tasks run.

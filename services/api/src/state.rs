@@ -98,6 +98,11 @@ impl App {
         Self { store: self.store.for_people(), ..self.clone() }
     }
 
+    /// The same service, for what it does by itself, with connections to the database of its own.
+    pub fn for_service(&self) -> Self {
+        Self { store: self.store.for_service(), ..self.clone() }
+    }
+
     /// The store for changes by this caller. The audit names him.
     pub fn by(&self, caller: &Principal) -> Store {
         self.store.acting_for(caller.actor())

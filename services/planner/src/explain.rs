@@ -143,8 +143,8 @@ pub fn explain(
     Ok(found)
 }
 
-/// What takes the nodes' time. Thousands of jobs may wait for the same nodes. So it is kept by class of nodes,
-/// in the order of its starts, and what depends on the class and the release alone is worked out once.
+/// What takes the nodes' time. Thousands of jobs may wait for the same nodes. So it is kept by class of
+/// nodes, in the order of its starts, and what depends on class and release alone is worked out once.
 struct Taken {
     /// The jobs that take some, sorted. Spans name them by their places here.
     jobs: Vec<u64>,
@@ -212,8 +212,8 @@ impl Taken {
         }
     }
 
-    /// How much of the time of these classes each job takes between two instants, of what is planned or of what
-    /// is fixed.
+    /// How much of the time of these classes each job takes between two instants, of what is planned or of
+    /// what is fixed.
     fn by_job(&self, lists: &[Vec<Span>], classes: &[usize], (from, to): (i64, i64)) -> Vec<i64> {
         let mut time = vec![0; self.jobs.len()];
         for span in within(lists, classes, (from, to)) {

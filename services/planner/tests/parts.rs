@@ -45,7 +45,8 @@ fn sound(input: &Input) -> Plan {
 }
 
 fn parts_of(plan: &Plan, job: u64, frame: i64) -> Vec<Booking> {
-    plan.bookings_of(job).filter(|booking| booking.task.frame() == Some(frame)).copied().collect()
+    let is_of = |booking: &&Booking| booking.job == job && booking.task.frame() == Some(frame);
+    plan.bookings.iter().filter(is_of).copied().collect()
 }
 
 #[test]

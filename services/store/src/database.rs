@@ -178,8 +178,8 @@ impl Store {
         Self { asks: Asks::People, ..self.clone() }
     }
 
-    /// Opens all connections for reading. Each has a thread, which inherits the priority of the thread that runs
-    /// this.
+    /// Opens all connections for reading. Each has a thread, which inherits the priority of the thread that
+    /// runs this.
     pub async fn connect(&self) -> Result<()> {
         let connections = (0..READERS).map(|_| self.readers().acquire());
         futures::future::try_join_all(connections).await?;

@@ -127,11 +127,12 @@ impl Farm {
         for frame in snapshot.projected.frames.iter().filter(|frame| frame.under_way) {
             under_way_of.entry(frame.booking.job_id).or_default().push(frame);
         }
-        let demands = Demands::of(&snapshot.jobs);
-        let (mut asked, mut jobs): (Vec<Asked>, Vec<planner::Job>) = (Vec::new(), Vec::new());
+        let mut demands = Demands::default();
+        let (mut asked, mut jobs) = (Vec::new(), Vec::new());
         for farm_job in &snapshot.jobs {
             let Some(forecast) = &farm_job.forecast else { continue };
-            let (place, class) = (asked.len() as u64, demands.class(asked.len()));
+            let place = asked.len() as u64;
+            let class = demands.class(&farm_job.job, forecast.work_by_class);
             places.insert(farm_job.job.id, place);
             let factor = learned(farm_job);
             let under_way = under_way_of.remove(&farm_job.job.id).unwrap_or_default();

@@ -18,8 +18,8 @@ pub struct Node {
     pub name: String,
     /// Work per second with all cores, for classes of work that `speeds` does not name. Not zero.
     pub speed: u64,
-    /// Work per second by class of work. Zero if the node lacks the memory, cores or GPU for it. Copies of a farm
-    /// share it.
+    /// Work per second by class of work. Zero if the node lacks the memory, cores or GPU for it. Copies of
+    /// a farm share it.
     pub speeds: Arc<BTreeMap<u32, u64>>,
     /// Price of a rented hour in micro-units. Not negative.
     pub price_per_hour: i64,

@@ -65,11 +65,6 @@ impl Plan {
     pub fn job(&self, id: u64) -> Option<&JobPlan> {
         self.jobs.iter().find(|job| job.job == id)
     }
-
-    /// All bookings of a job.
-    pub fn bookings_of(&self, job: u64) -> impl Iterator<Item = &Booking> {
-        self.bookings.iter().filter(move |booking| booking.job == job)
-    }
 }
 
 /// A piece of a job that one node does in one go.
