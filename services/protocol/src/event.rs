@@ -133,9 +133,6 @@ pub struct JobTerms {
 /// What an event says of its job, so that who shows it need not ask. Absent fields stay as they were.
 #[derive(Clone, PartialEq, Debug, Default, Serialize, Deserialize, ToSchema)]
 pub struct JobNews {
-    /// Its name. Of new jobs only.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub name: Option<String>,
     /// Number of frames. Of new jobs only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames_total: Option<u32>,
@@ -185,6 +182,9 @@ pub struct Event {
     /// The job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub job_id: Option<JobId>,
+    /// The name of the job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub job_name: Option<String>,
     /// The new state of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub job_state: Option<JobState>,

@@ -82,6 +82,16 @@ impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Word<T> {
     }
 }
 
+/// An id as a statement reads it from JSON, by `unhex`.
+pub(crate) fn hex(id: Uuid) -> String {
+    id.simple().to_string()
+}
+
+/// Ids as a statement reads them: `SELECT unhex(value) FROM json_each(?)`.
+pub(crate) fn hex_list(ids: impl IntoIterator<Item = Uuid>) -> Json<Vec<String>> {
+    Json(ids.into_iter().map(hex).collect())
+}
+
 /// A decoding error with the name of the expected type.
 fn named<T>(error: serde_json::Error) -> BoxDynError {
     let name = std::any::type_name::<T>();

@@ -19,6 +19,7 @@ pub(crate) fn event(kind: EventKind, now: Timestamp) -> Event {
         at: now,
         kind,
         job_id: None,
+        job_name: None,
         job_state: None,
         task_id: None,
         task_kind: None,
@@ -82,11 +83,13 @@ pub(crate) struct EventRow {
     pub body: Json<Event>,
     /// The project of its job.
     pub project: Option<String>,
+    /// The name of its job.
+    pub job_name: Option<String>,
 }
 
 impl From<EventRow> for Event {
-    fn from(EventRow { id, body, project }: EventRow) -> Self {
-        Event { id, project: body.0.project.or(project), ..body.0 }
+    fn from(EventRow { id, body, project, job_name }: EventRow) -> Self {
+        Event { id, project: body.0.project.or(project), job_name, ..body.0 }
     }
 }
 
@@ -94,8 +97,9 @@ impl From<EventRow> for Event {
 pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>> {
     let rows = sqlx::query_as!(
         EventRow,
-        "SELECT id, body, (SELECT project FROM jobs j WHERE j.id = events.job_id) AS \"project?: String\" \
-         FROM events WHERE kind <> 'task_progress' ORDER BY id DESC LIMIT ?",
+        r#"SELECT e.id, e.body, j.project AS "project?", j.name AS "job_name?"
+           FROM events e LEFT JOIN jobs j ON j.id = e.job_id
+           WHERE e.kind <> 'task_progress' ORDER BY e.id DESC LIMIT ?"#,
         limit
     )
     .fetch_all(connection)

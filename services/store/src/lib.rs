@@ -73,7 +73,7 @@ pub use leases::LeaseInfo;
 pub use leases::sweeping::Swept;
 pub use nodes::LOST;
 pub use nodes::joining::token_hash;
-pub use nodes::listing::{NodeFilter, NodeOrder, NodePlace};
+pub use nodes::listing::{NodeFilter, NodeListing, NodeOrder, NodePlace};
 pub use nodes::unattended::Unattended;
 pub use outputs::DueOutput;
 pub use people::{Person, Rights};

@@ -47,14 +47,22 @@ pub(crate) struct NodeRow {
     task_id: Option<Id>,
 }
 
-/// Rows of nodes: `node_rows!("WHERE n.id = ?", node.0)`.
+/// Rows of nodes: `node_rows!("WHERE n.id = ?", node.0)`. With `brief` first, without what their machines can
+/// do, which is by far the most of them.
 macro_rules! node_rows {
+    (brief, $rest:literal $(, $value:expr)* $(,)?) => {
+        $crate::nodes::node_rows!(@ "'{}'" $rest $(, $value)*)
+    };
     ($rest:literal $(, $value:expr)* $(,)?) => {
+        $crate::nodes::node_rows!(@ "n.capabilities" $rest $(, $value)*)
+    };
+    (@ $capabilities:literal $rest:literal $(, $value:expr)*) => {
         sqlx::query_as!(
             $crate::nodes::NodeRow,
             "SELECT n.id, n.name, n.speed, n.speed_set, n.price_per_hour, n.price_set, n.cores, n.drain, \
-             n.pause, n.paused, n.set_aside, n.idle_reason, n.capabilities, n.learned_millionths, \
-             n.learned_jobs, n.schedule, n.schedule_set, n.terms, n.created_at, n.last_seen_at, \
+             n.pause, n.paused, n.set_aside, n.idle_reason, "
+                + $capabilities + " AS \"capabilities!: crate::columns::Json<forelight_protocol::Capabilities>\", \
+             n.learned_millionths, n.learned_jobs, n.schedule, n.schedule_set, n.terms, n.created_at, n.last_seen_at, \
              (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active' \
               ORDER BY l.granted_at DESC, l.id LIMIT 1) AS \"task_id?: crate::columns::Id\" FROM nodes n "
                 + $rest

@@ -13,9 +13,8 @@ use forelight_protocol::{
     NodeId, PlanId, PlanReason, Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
-use uuid::Uuid;
 
-use crate::columns::Json;
+use crate::columns::{Json, hex};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
@@ -347,9 +346,4 @@ pub(crate) async fn book_tasks(
         Json(&rows)
     );
     Ok(())
-}
-
-/// An id as a statement reads it from JSON.
-fn hex(id: Uuid) -> String {
-    id.simple().to_string()
 }

@@ -7,7 +7,7 @@ use forelight_protocol::{
 };
 use sqlx::SqliteConnection;
 
-use crate::columns::{Time, Word};
+use crate::columns::{Id, Time, Word, hex_list};
 use crate::database::Store;
 use crate::error::Result;
 use crate::policy::availability::free_time_of;
@@ -55,9 +55,8 @@ impl Store {
         let mut transaction = self.read().await?;
         let wanted: BTreeSet<NodeId> = nodes.iter().map(|node| node.id).collect();
         let mut stretches: BTreeMap<NodeId, Vec<Stretch>> = BTreeMap::new();
-        for node in nodes {
-            let past = past(&mut transaction, node.id, from, to.min(now)).await?;
-            stretches.entry(node.id).or_default().extend(past);
+        for (node, stretch) in past(&mut transaction, &wanted, from, to.min(now)).await? {
+            stretches.entry(node).or_default().push(stretch);
         }
         for frame in projection.frames.iter().filter(|frame| wanted.contains(&frame.node_id)) {
             if frame.start >= to || frame.end <= from {
@@ -91,20 +90,24 @@ impl Store {
     }
 }
 
-/// What a node did between two instants, and what it does now without a booking.
+/// What nodes did between two instants, and what they do now without a booking.
 async fn past(
     connection: &mut SqliteConnection,
-    node: NodeId,
+    nodes: &BTreeSet<NodeId>,
     from: Timestamp,
     to: Timestamp,
-) -> Result<Vec<Stretch>> {
+) -> Result<Vec<(NodeId, Stretch)>> {
     let rows = sqlx::query!(
-        r#"SELECT d.job_id, d.from_at, d.until_at, t.frame, t.kind AS "kind!: Word<TaskKind>"
-           FROM ledger d INDEXED BY ledger_by_node JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id
-           WHERE d.node_id = ?1 AND d.from_at < ?3 AND d.from_at >= coalesce((SELECT max(e.from_at) FROM ledger e
-                 INDEXED BY ledger_by_node WHERE e.node_id = ?1 AND e.from_at < ?2), ?2)
-           ORDER BY d.from_at"#,
-        node.0,
+        r#"WITH wanted AS MATERIALIZED (SELECT unhex(value) AS node_id FROM json_each(?1)),
+                since AS MATERIALIZED (SELECT node_id, coalesce((SELECT max(e.from_at) FROM ledger e
+                    INDEXED BY ledger_by_node WHERE e.node_id = w.node_id AND e.from_at < ?2), ?2) AS at
+                    FROM wanted w)
+           SELECT d.node_id AS "node_id!: Id", d.job_id, d.from_at, d.until_at, t.frame,
+                  t.kind AS "kind!: Word<TaskKind>"
+           FROM since CROSS JOIN ledger d INDEXED BY ledger_by_node
+                JOIN leases l ON l.id = d.lease_id JOIN tasks t ON t.id = l.task_id
+           WHERE d.node_id = since.node_id AND d.from_at < ?3 AND d.from_at >= since.at"#,
+        hex_list(nodes.iter().map(|node| node.0)),
         from.micros(),
         to.micros()
     )
@@ -123,7 +126,8 @@ async fn past(
             let is_booked =
                 kind == SpanKind::Running && matches!(row.kind.0, TaskKind::Render | TaskKind::RenderPart);
             let is_seen = end > from && !is_booked;
-            is_seen.then(|| Stretch { job: row.job_id.into(), kind, frame: row.frame, start, end })
+            let stretch = Stretch { job: row.job_id.into(), kind, frame: row.frame, start, end };
+            is_seen.then(|| (row.node_id.into(), stretch))
         })
         .collect())
 }
@@ -133,17 +137,19 @@ async fn about_jobs(
     connection: &mut SqliteConnection,
     ids: &BTreeSet<JobId>,
 ) -> Result<(Vec<JobName>, BTreeMap<JobId, Lengths>)> {
+    let rows = sqlx::query!(
+        r#"SELECT id, name, confidence, json_extract(forecast, '$.total.cpu_seconds.p50') AS "p50?: f64",
+                  json_extract(forecast, '$.total.cpu_seconds.p80') AS "p80?: f64",
+                  json_extract(forecast, '$.total.cpu_seconds.p95') AS "p95?: f64"
+           FROM jobs WHERE id IN (SELECT unhex(value) FROM json_each(?)) ORDER BY id"#,
+        hex_list(ids.iter().map(|id| id.0))
+    )
+    .fetch_all(connection)
+    .await?;
     let (mut names, mut lengths) = (Vec::with_capacity(ids.len()), BTreeMap::new());
-    for id in ids {
-        let row = sqlx::query!(
-            r#"SELECT name, confidence, json_extract(forecast, '$.total.cpu_seconds.p50') AS "p50?: f64",
-                      json_extract(forecast, '$.total.cpu_seconds.p80') AS "p80?: f64",
-                      json_extract(forecast, '$.total.cpu_seconds.p95') AS "p95?: f64" FROM jobs WHERE id = ?"#,
-            id.0
-        )
-        .fetch_one(&mut *connection)
-        .await?;
-        names.push(JobName { id: *id, name: row.name });
+    for row in rows {
+        let id = row.id.into();
+        names.push(JobName { id, name: row.name });
         if let (Some(p50), Some(p80), Some(p95)) = (row.p50, row.p80, row.p95) {
             let paid = match row.confidence.0 {
                 Confidence::P50 => p50,
@@ -151,7 +157,7 @@ async fn about_jobs(
                 Confidence::P95 => p95,
             };
             if paid > 0.0 {
-                lengths.insert(*id, Lengths { p50: p50 / paid, p80: p80 / paid });
+                lengths.insert(id, Lengths { p50: p50 / paid, p80: p80 / paid });
             }
         }
     }

@@ -154,9 +154,10 @@ impl Store {
         let last = last_id(&mut transaction).await?;
         let rows = sqlx::query_as!(
             EventRow,
-            "SELECT id, body, (SELECT project FROM jobs j WHERE j.id = events.job_id) AS \"project?: String\" \
-             FROM events WHERE id > ?1 AND id <= ?2 AND kind IN ('job_promise_at_risk', \
-             'job_promise_safe', 'job_state', 'budget', 'node_set_aside') ORDER BY id LIMIT ?3",
+            r#"SELECT e.id, e.body, j.project AS "project?", j.name AS "job_name?"
+               FROM events e LEFT JOIN jobs j ON j.id = e.job_id
+               WHERE e.id > ?1 AND e.id <= ?2 AND e.kind IN ('job_promise_at_risk', 'job_promise_safe',
+                     'job_state', 'budget', 'node_set_aside') ORDER BY e.id LIMIT ?3"#,
             seen,
             last,
             BATCH

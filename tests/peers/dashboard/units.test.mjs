@@ -44,7 +44,7 @@ test("events change the rows of jobs and nodes, and the counts, without another 
   const row = { id: "a", name: "hero", state: "booked", frames_done: 0, deadline: at, budget: 5 };
   const farm = { jobs: [row], jobs_open_total: 1, counts: { jobs: counts, nodes: 2 } };
   assert.equal(farmAfter(farm, [{ kind: "task_progress", job_id: "a", progress: 0.5 }]), farm);
-  const created = { name: "new", frames_total: 3, terms: { hold: true, budget: 9 } };
+  const created = { frames_total: 3, terms: { hold: true, budget: 9 } };
   const waits = { kind: "turn", because: "waits because hero goes first" };
   const planned = { verdict: "late", eta: at, booked_cost: 7, probability: 0.2, waits };
   const booked = { kind: "plan_stored", job_id: "a", job: planned };
@@ -63,7 +63,14 @@ test("events change the rows of jobs and nodes, and the counts, without another 
     { kind: "job_state", job_id: "a", job_state: "rendering" },
     { kind: "task_done", job_id: "a", frames_done: 2 },
     { kind: "job_changed", job_id: "a", job: { terms: { hold: false } } },
-    { kind: "job_created", job_id: "b", job_state: "previewing", project: "film", job: created },
+    {
+      kind: "job_created",
+      job_id: "b",
+      job_name: "new",
+      job_state: "previewing",
+      project: "film",
+      job: created,
+    },
   ]);
   const [old, fresh] = after.jobs;
   assert.deepEqual(
@@ -82,18 +89,25 @@ test("events change the rows of jobs and nodes, and the counts, without another 
   );
 
   const idle = { id: "n", state: "idle", activity: null };
-  const names = new Map([["a", "hero"]]);
-  const leased = { kind: "task_leased", node_id: "n", task_id: "t", job_id: "a", frame: 7, at };
-  const busy = nodeAfter(idle, [leased, { kind: "task_progress", task_id: "t", progress: 0.5 }], names);
+  const leased = {
+    kind: "task_leased",
+    node_id: "n",
+    task_id: "t",
+    job_id: "a",
+    job_name: "hero",
+    frame: 7,
+    at,
+  };
+  const busy = nodeAfter(idle, [leased, { kind: "task_progress", task_id: "t", progress: 0.5 }]);
   assert.deepEqual(
     [busy.state, busy.activity.job, busy.activity.frame, busy.activity.progress],
     ["working", "hero", 7, 0.5],
   );
   const late = { kind: "task_late", node_id: "n", task_id: "t", job_id: "a" };
-  assert.equal(nodeAfter(busy, [late, { ...late, kind: "task_stalled" }], names), busy);
-  const ended = nodeAfter(busy, [{ kind: "task_done", task_id: "t", job_id: "a" }], names);
+  assert.equal(nodeAfter(busy, [late, { ...late, kind: "task_stalled" }]), busy);
+  const ended = nodeAfter(busy, [{ kind: "task_done", task_id: "t", job_id: "a" }]);
   assert.deepEqual([ended.state, ended.activity], ["idle", null]);
-  assert.equal(nodeAfter(busy, [{ kind: "task_done", task_id: "other" }], names), busy);
+  assert.equal(nodeAfter(busy, [{ kind: "task_done", task_id: "other" }]), busy);
 });
 
 test("a rescue by quality that fails half-way makes no second job when it is tried again", async (t) => {

@@ -10,7 +10,7 @@ use forelight_protocol::{
     JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodeId, NodePage, NodeRegistration,
     NodeState, ProblemKind, Role,
 };
-use forelight_store::{NodeFilter, NodeOrder, StoreError, as_it_is};
+use forelight_store::{NodeFilter, NodeListing, NodeOrder, StoreError, as_it_is};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
@@ -163,8 +163,15 @@ pub(crate) async fn list(
     let size = page.size();
     let (order, list) = sort.unwrap_or_default().order();
     let after = page.key(list)?;
-    let (filter, times) = (NodeFilter { state, search }, (app.lease_ttl, app.now()));
-    let mut items = app.store.listed_nodes(&filter, (order, after.as_ref()), size + 1, times).await?;
+    let listing = NodeListing {
+        filter: &NodeFilter { state, search },
+        order,
+        after: after.as_ref(),
+        limit: size + 1,
+        lease_ttl: app.lease_ttl,
+        now: app.now(),
+    };
+    let mut items = app.store.listed_nodes(listing).await?;
     let next_page_token = cut(&mut items, size, list, |node| order.place(node));
     let items = app.shown_nodes(&caller, items).await?;
     tagged(&headers, &NodePage { items, next_page_token })

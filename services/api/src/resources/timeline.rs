@@ -4,7 +4,7 @@ use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
 use forelight_protocol::{NodeState, ProblemKind, TimelineNode, TimelinePage, Timestamp};
-use forelight_store::{NodeFilter, NodeOrder, Spans};
+use forelight_store::{NodeFilter, NodeListing, NodeOrder, Spans};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -70,8 +70,15 @@ pub(crate) async fn get(
     let size = page.size();
     let filter = NodeFilter { state, search };
     let (order, after) = (NodeOrder::Name, page.key("timeline")?);
-    let times = (app.lease_ttl, now);
-    let mut nodes = app.store.listed_nodes(&filter, (order, after.as_ref()), size + 1, times).await?;
+    let listing = NodeListing {
+        filter: &filter,
+        order,
+        after: after.as_ref(),
+        limit: size + 1,
+        lease_ttl: app.lease_ttl,
+        now,
+    };
+    let mut nodes = app.store.listed_nodes_in_brief(listing).await?;
     let next_page_token = cut(&mut nodes, size, "timeline", |node| order.place(node));
     let projection = app.projection().await?;
     let Spans { nodes: mut spans, jobs } = app.store.spans(&nodes, &projection, (from, to), now).await?;

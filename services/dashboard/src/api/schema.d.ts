@@ -2503,6 +2503,8 @@ export interface components {
             id: components["schemas"]["i64"];
             job?: components["schemas"]["JobNews"] | null;
             job_id?: components["schemas"]["JobId"] | null;
+            /** @description The name of the job. */
+            job_name?: string | null;
             job_state?: components["schemas"]["JobState"] | null;
             /** @description What happened. */
             kind: components["schemas"]["EventKind"];
@@ -3200,8 +3202,6 @@ export interface components {
              * @description Number of frames. Of new jobs only.
              */
             frames_total?: number | null;
-            /** @description Its name. Of new jobs only. */
-            name?: string | null;
             /**
              * Format: double
              * @description Probability that it meets its deadline, 0 to 1, in the scenarios of a plan.

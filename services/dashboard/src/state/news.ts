@@ -56,10 +56,11 @@ export function rowAfter(row: DashboardJob, event: Event): DashboardJob {
 
 /** A job that was just submitted; `null` for other events. */
 function newRow(event: Event): DashboardJob | null {
-  const { name, frames_total } = event.job ?? {};
-  if (event.kind !== "job_created" || !event.job_id || name == null || frames_total == null) return null;
+  const { job_id: id, job_name: name } = event;
+  const frames_total = event.job?.frames_total;
+  if (event.kind !== "job_created" || !id || name == null || frames_total == null) return null;
   const row: DashboardJob = {
-    id: event.job_id,
+    id,
     name,
     project: event.project ?? "",
     state: "previewing",
@@ -107,7 +108,7 @@ export function farmAfter(old: Farm, events: readonly Event[]): Farm {
 const ENDS = /^(task_done|task_failed|result_refused|lease_(expired|released|lost))$/;
 
 /** A node after some events of tasks, oldest first: the same object if none is about its own. */
-export function nodeAfter(old: Node, events: readonly Event[], names: ReadonlyMap<string, string>): Node {
+export function nodeAfter(old: Node, events: readonly Event[]): Node {
   let node = old;
   for (const event of events) {
     const own = node.activity?.task_id === event.task_id ? node.activity : null;
@@ -121,7 +122,7 @@ export function nodeAfter(old: Node, events: readonly Event[], names: ReadonlyMa
           task_id: event.task_id,
           kind: event.task_kind ?? "render",
           job_id: event.job_id,
-          job: names.get(event.job_id) ?? "",
+          job: event.job_name ?? "",
           frame: event.frame ?? null,
           progress: 0,
           started: event.at,

@@ -11,15 +11,15 @@ impl Store {
     pub async fn events_after(&self, job: Option<JobId>, after: EventId, limit: u32) -> Result<Vec<Event>> {
         macro_rules! rows {
             ($rest:literal $(, $value:expr)*) => {
-                sqlx::query_as!(EventRow, "SELECT id, body, (SELECT project FROM jobs j WHERE j.id = events.job_id) \
-                     AS \"project?: String\" FROM events WHERE " + $rest $(, $value)*)
+                sqlx::query_as!(EventRow, "SELECT e.id, e.body, j.project AS \"project?\", j.name AS \"job_name?\" \
+                     FROM events e LEFT JOIN jobs j ON j.id = e.job_id WHERE " + $rest $(, $value)*)
                     .fetch_all(self.readers())
                     .await?
             };
         }
         let rows = match job {
-            Some(job) => rows!("job_id = ? AND id > ? ORDER BY id LIMIT ?", job.0, after, limit),
-            None => rows!("id > ? ORDER BY id LIMIT ?", after, limit),
+            Some(job) => rows!("e.job_id = ? AND e.id > ? ORDER BY e.id LIMIT ?", job.0, after, limit),
+            None => rows!("e.id > ? ORDER BY e.id LIMIT ?", after, limit),
         };
         Ok(rows.into_iter().map(Event::from).collect())
     }

@@ -72,11 +72,7 @@ impl Store {
         };
         common.preview(&mut write, request.frames.iter().collect()).await?;
         let job = read(write.connection().await?, job_id).await?;
-        let news = JobNews {
-            name: Some(job.name.clone()),
-            frames_total: Some(job.frames_total),
-            ..JobNews::of_terms(&job)
-        };
+        let news = JobNews { frames_total: Some(job.frames_total), ..JobNews::of_terms(&job) };
         append(
             &mut write,
             Event {

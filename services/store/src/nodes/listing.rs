@@ -2,13 +2,14 @@
 
 use std::time::Duration;
 
-use forelight_protocol::{Node, NodeActivity, NodeId, NodeState, Timestamp};
+use forelight_protocol::{Money, Node, NodeActivity, NodeId, NodeState, Timestamp};
 use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
+use crate::columns::{Id, Json, hex_list};
 use crate::database::Store;
 use crate::error::Result;
-use crate::nodes::{NodeRow, read};
+use crate::nodes::{NodeRow, node_rows};
 use crate::policy::availability::as_it_is;
 
 /// Which nodes to list.
@@ -48,48 +49,100 @@ pub struct NodePlace {
 impl NodeOrder {
     /// The place of a node.
     pub fn place(self, node: &Node) -> NodePlace {
+        self.place_of(node.id, &node.name, node.speed, node.price_per_hour)
+    }
+
+    fn place_of(self, id: NodeId, name: &str, speed: f64, price: Money) -> NodePlace {
         let number = match self {
-            NodeOrder::Speed => node.speed,
-            NodeOrder::Price => node.price_per_hour.micro_units() as f64,
+            NodeOrder::Speed => speed,
+            NodeOrder::Price => price.micro_units() as f64,
             NodeOrder::Created | NodeOrder::Name => 0.0,
         };
-        let name = if self == NodeOrder::Name { node.name.clone() } else { String::new() };
-        NodePlace { number, name, id: node.id }
+        let name = if self == NodeOrder::Name { name.to_owned() } else { String::new() };
+        NodePlace { number, name, id }
     }
 }
 
+/// A part of a list of nodes.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeListing<'a> {
+    /// Which nodes to list.
+    pub filter: &'a NodeFilter,
+    /// Their order.
+    pub order: NodeOrder,
+    /// The place that the part begins behind.
+    pub after: Option<&'a NodePlace>,
+    /// The most nodes.
+    pub limit: u32,
+    /// How long a lease lasts: a node that is silent for longer works no more.
+    pub lease_ttl: Duration,
+    /// The present.
+    pub now: Timestamp,
+}
+
 impl Store {
-    /// The nodes after `after` that match, in this order and in the states that they are in now, at most
-    /// `limit`.
-    pub async fn listed_nodes(
-        &self,
-        filter: &NodeFilter,
-        (order, after): (NodeOrder, Option<&NodePlace>),
-        limit: u32,
-        (ttl, now): (Duration, Timestamp),
-    ) -> Result<Vec<Node>> {
+    /// The nodes of a list, in the states that they are in now.
+    pub async fn listed_nodes(&self, listing: NodeListing<'_>) -> Result<Vec<Node>> {
         let mut transaction = self.read().await?;
-        let search = filter.search.as_ref().map(|text| text.to_ascii_lowercase());
-        let mut nodes: Vec<Node> = without_capabilities(&mut transaction)
+        let ids = listing.ids(&mut transaction).await?;
+        let rows = node_rows!("WHERE n.id IN (SELECT unhex(value) FROM json_each(?))", ids);
+        let mut nodes = listing.nodes(rows.fetch_all(&mut *transaction).await?);
+        for node in &mut nodes {
+            node.activity = activity(&mut transaction, node).await?;
+        }
+        Ok(nodes)
+    }
+
+    /// The nodes of a list without their tasks and what their machines can do.
+    pub async fn listed_nodes_in_brief(&self, listing: NodeListing<'_>) -> Result<Vec<Node>> {
+        let mut transaction = self.read().await?;
+        let ids = listing.ids(&mut transaction).await?;
+        let rows = node_rows!(brief, "WHERE n.id IN (SELECT unhex(value) FROM json_each(?))", ids);
+        Ok(listing.nodes(rows.fetch_all(&mut *transaction).await?))
+    }
+}
+
+impl NodeListing<'_> {
+    /// The ids, in their order.
+    async fn ids(&self, connection: &mut SqliteConnection) -> Result<Json<Vec<String>>> {
+        let search = self.filter.search.as_ref().map(|text| text.to_ascii_lowercase());
+        let is_sought =
+            |name: &str| search.as_ref().is_none_or(|text| name.to_ascii_lowercase().contains(text.as_str()));
+        let mut places: Vec<NodePlace> = match self.filter.state {
+            // States depend on the clock and on calendars.
+            Some(state) => without_capabilities(connection)
+                .await?
+                .into_iter()
+                .filter(|node| is_sought(&node.name))
+                .map(|node| as_it_is(node, self.lease_ttl, self.now))
+                .filter(|node| node.state == state)
+                .map(|node| self.order.place(&node))
+                .collect(),
+            None => sqlx::query!(
+                r#"SELECT id AS "id: Id", name, speed, price_per_hour FROM nodes WHERE removed_at IS NULL"#
+            )
+            .fetch_all(connection)
             .await?
             .into_iter()
-            .filter(|node| {
-                search.as_ref().is_none_or(|text| node.name.to_ascii_lowercase().contains(text.as_str()))
+            .filter(|row| is_sought(&row.name))
+            .map(|row| {
+                let price = Money(row.price_per_hour);
+                self.order.place_of(row.id.into(), &row.name, row.speed, price)
             })
-            .map(|node| as_it_is(node, ttl, now))
-            .filter(|node| filter.state.is_none_or(|state| node.state == state))
-            .collect();
-        let key = |node: &Node| order.place(node);
-        nodes.sort_by(|a, b| in_order(&key(a), &key(b)));
-        let later = nodes.iter().filter(|node| after.is_none_or(|after| in_order(&key(node), after).is_gt()));
-        let ids: Vec<NodeId> = later.take(limit as usize).map(|node| node.id).collect();
-        let mut found = Vec::with_capacity(ids.len());
-        for id in ids {
-            let mut node = read(&mut transaction, id).await?;
-            node.activity = activity(&mut transaction, &node).await?;
-            found.push(as_it_is(node, ttl, now));
-        }
-        Ok(found)
+            .collect(),
+        };
+        places.retain(|place| self.after.is_none_or(|after| in_order(place, after).is_gt()));
+        places.sort_by(in_order);
+        places.truncate(self.limit as usize);
+        Ok(hex_list(places.into_iter().map(|place| place.id.0)))
+    }
+
+    /// Nodes as they are now, in their order.
+    fn nodes(&self, rows: Vec<NodeRow>) -> Vec<Node> {
+        let now = |row| as_it_is(Node::from(row), self.lease_ttl, self.now);
+        let mut nodes: Vec<Node> = rows.into_iter().map(now).collect();
+        nodes.sort_by(|a, b| in_order(&self.order.place(a), &self.order.place(b)));
+        nodes
     }
 }
 
@@ -115,20 +168,8 @@ fn in_order(a: &NodePlace, b: &NodePlace) -> std::cmp::Ordering {
     a.number.total_cmp(&b.number).then_with(|| a.name.cmp(&b.name)).then(a.id.cmp(&b.id))
 }
 
-/// All nodes without what their machines can do, which is by far the most of them. Oldest first.
+/// All nodes without their tasks and what their machines can do. Oldest first.
 pub(crate) async fn without_capabilities(connection: &mut SqliteConnection) -> Result<Vec<Node>> {
-    let rows = sqlx::query_as!(
-        NodeRow,
-        r#"SELECT n.id, n.name, n.speed, n.speed_set, n.price_per_hour, n.price_set, n.cores, n.drain,
-                  n.pause, n.paused, n.set_aside, n.idle_reason,
-                  '{}' AS "capabilities!: crate::columns::Json<forelight_protocol::Capabilities>",
-                  n.learned_millionths, n.learned_jobs, n.schedule, n.schedule_set, n.terms, n.created_at,
-                  n.last_seen_at,
-                  (SELECT l.task_id FROM leases l WHERE l.node_id = n.id AND l.state = 'active'
-                   ORDER BY l.granted_at DESC, l.id LIMIT 1) AS "task_id?: crate::columns::Id"
-           FROM nodes n WHERE n.removed_at IS NULL ORDER BY n.id"#
-    )
-    .fetch_all(connection)
-    .await?;
+    let rows = node_rows!(brief, "WHERE n.removed_at IS NULL ORDER BY n.id").fetch_all(connection).await?;
     Ok(rows.into_iter().map(Node::from).collect())
 }

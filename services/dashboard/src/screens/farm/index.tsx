@@ -9,7 +9,7 @@ import { mayOperate, seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
 import { clean, counted, grouped } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Choice, Time, Trouble, Waiting } from "../../ui/parts";
+import { Choice, Time, Trouble } from "../../ui/parts";
 import { LongTableBehind } from "../../ui/virtual";
 import { AddNode } from "./add";
 import { Chart } from "./chart";
@@ -21,21 +21,15 @@ import { type Rows, type Stretch, useTimeline, zoomed } from "./timeline";
 import { inView } from "./walk";
 import "../../styles/farm.css";
 
-// Events change jobs many times a second. What this screen shows of the document changes more rarely.
-const isKnown = computed(() => farm.value !== null);
-const nodeCounts = computed(() => farm.value!.node_counts);
-const total = computed(() => farm.value!.counts.nodes);
-const versions = computed(() => farm.value!.versions);
+// Events change jobs many times a second. What this screen shows of the document changes more rarely. The chart and
+// the list do not wait for the document.
+const nodeCounts = computed(() => farm.value?.node_counts);
+const total = computed(() => farm.value?.counts.nodes ?? null);
+const versions = computed(() => farm.value?.versions);
 
 export function FarmScreen() {
   useEffect(() => titled("Farm"), []);
-  if (!isKnown.value) {
-    return farmError.value ? (
-      <Trouble error={farmError.value} />
-    ) : (
-      <Waiting>Asking the service how the farm stands…</Waiting>
-    );
-  }
+  if (total.value === null && farmError.value) return <Trouble error={farmError.value} />;
   return <Nodes />;
 }
 
@@ -45,7 +39,7 @@ function Nodes() {
   const search = param("search") ?? "";
   const node = param("node");
   const [version, setVersion] = useState(0);
-  const { asleep, ...states } = nodeCounts.value;
+  const { asleep = 0, ...states } = nodeCounts.value ?? {};
   const counts = (Object.entries(states) as [NodeState, number][]).filter(([, count]) => count > 0);
   return (
     <div class="farm">
@@ -80,7 +74,7 @@ function Nodes() {
       </div>
       <div class="states" role="group" aria-label="Only nodes in this state">
         <button type="button" aria-pressed={state === ""} onClick={() => setQuery({ state: null })}>
-          all {grouped(total.value)}
+          all {total.value !== null && grouped(total.value)}
         </button>
         {counts.map(([name, count]) => (
           <button
@@ -94,7 +88,7 @@ function Nodes() {
         ))}
         {asleep > 0 && <Mark of="asleep" word={`${grouped(asleep)} of them asleep`} />}
       </div>
-      {total.value > 0 && <Versions />}
+      {total.value !== 0 && <Versions />}
       {total.value === 0 ? (
         <NoNodes />
       ) : list ? (
@@ -103,7 +97,7 @@ function Nodes() {
         <ChartView
           state={state}
           search={search}
-          total={state || search ? 0 : total.value}
+          total={state || search ? 0 : (total.value ?? 0)}
           version={version}
         />
       )}
@@ -119,10 +113,21 @@ function Nodes() {
   );
 }
 
+/** The states. The compiler checks that none is missing. */
+const STATES: Record<NodeState, true> = {
+  idle: true,
+  working: true,
+  pausing: true,
+  paused: true,
+  draining: true,
+  drained: true,
+  set_aside: true,
+  silent: true,
+};
+
 /** A state that the address names, or all. */
 function knownState(name: string | null): NodeState | "" {
-  const { asleep: _, ...states } = farm.peek()!.node_counts;
-  return name !== null && name in states ? (name as NodeState) : "";
+  return name !== null && Object.hasOwn(STATES, name) ? (name as NodeState) : "";
 }
 
 /** Which versions run, and whether they differ: during an upgrade, some nodes are behind. */

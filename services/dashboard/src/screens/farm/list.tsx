@@ -1,9 +1,9 @@
 // The nodes as a table: the same as the chart shows, and orders to each.
 
-import { useCallback, useEffect, useRef, useState } from "preact/hooks";
+import { useCallback, useEffect, useState } from "preact/hooks";
 import { get, patch } from "../../api/client";
 import type { Event, Node, NodeChange, NodeState } from "../../api/types";
-import { farm, refresh } from "../../state/farm";
+import { refresh } from "../../state/farm";
 import { onEvent } from "../../state/live";
 import { nodeAfter } from "../../state/news";
 import { param, setQuery } from "../../state/route";
@@ -165,8 +165,6 @@ function Does(props: { node: Node }) {
 /** What events say of the listed nodes' tasks, drawn twice a second. What they do not say is asked for. */
 function useNews(listed: Pages<Node>, again: () => void): void {
   const { change } = listed;
-  const items = useRef(listed.items);
-  items.current = listed.items;
   useEffect(() => {
     let told: Event[] = [];
     const stop = onEvent((event) => {
@@ -177,11 +175,7 @@ function useNews(listed: Pages<Node>, again: () => void): void {
       if (told.length === 0) return;
       const events = told;
       told = [];
-      const names = new Map<string, string>();
-      for (const job of farm.peek()?.jobs ?? []) names.set(job.id, job.name);
-      for (const { activity } of items.current) if (activity?.job) names.set(activity.job_id, activity.job);
-      if (events.some((event) => event.kind === "task_leased" && !names.has(event.job_id ?? ""))) again();
-      change((node) => nodeAfter(node, events, names));
+      change((node) => nodeAfter(node, events));
     }, 500);
     return () => (clearInterval(timer), stop());
   }, [change, again]);

@@ -2,7 +2,6 @@
 
 import type { Event } from "../../api/types";
 import { recent } from "../../state/farm";
-import { jobName } from "../../state/names";
 import { href } from "../../state/route";
 import { clean, told, words } from "../../ui/format";
 import { type Tone } from "../../ui/mark";
@@ -39,7 +38,6 @@ export function Events() {
         <ol class="events">
           {told.map((event) => {
             const [glyph, tone] = TOLD[event.kind]!;
-            const name = event.job_id ? jobName(event.job_id) : null;
             return (
               <li key={event.id}>
                 <span class="number muted">
@@ -49,9 +47,9 @@ export function Events() {
                   {glyph}
                 </span>
                 <span class="event-words">
-                  {event.job_id && name && (
+                  {event.job_id && event.job_name && (
                     <>
-                      <a href={href(["jobs", event.job_id])}>{clean(name)}</a>{" "}
+                      <a href={href(["jobs", event.job_id])}>{clean(event.job_name)}</a>{" "}
                     </>
                   )}
                   {eventWords(event)}
