@@ -1,6 +1,6 @@
 //! Background work of the service. One task advances jobs and plans the farm; one takes back expired leases;
 //! one tells webhooks of events; one writes images where their jobs want them; one deletes every night what
-//! is past its time.
+//! is past its time; one looks whether stored content is still what it was; one sums the farm up for streams.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -17,6 +17,7 @@ use crate::clock::SteadyClock;
 use crate::conductor::Conductor;
 use crate::outputs::write_outputs;
 use crate::state::App;
+use crate::summaries::summarize;
 use crate::webhooks::tell_webhooks;
 
 /// Pause before a loop restarts after a panic.
@@ -49,7 +50,8 @@ pub(crate) fn in_background(
         giving_way.spawn(run_webhooks(own.clone())),
         giving_way.spawn(run_outputs(own.clone())),
         giving_way.spawn(run_retention(own.clone())),
-        giving_way.spawn(run_scrub(own)),
+        giving_way.spawn(run_scrub(own.clone())),
+        giving_way.spawn(run_summaries(own)),
     ]
 }
 
@@ -63,6 +65,10 @@ async fn run_sweep(app: App, clock: Arc<SteadyClock>) {
 
 async fn run_webhooks(app: App) {
     while again_after_panic("telling webhooks", tell_webhooks(&app)).await {}
+}
+
+async fn run_summaries(app: App) {
+    while again_after_panic("summarising the farm", summarize(&app)).await {}
 }
 
 async fn run_outputs(app: App) {

@@ -43,6 +43,7 @@ mod service;
 mod shared;
 mod sign_in;
 mod state;
+mod summaries;
 mod uploads;
 mod webhooks;
 

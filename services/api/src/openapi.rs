@@ -1,6 +1,6 @@
 //! The OpenAPI document without its operations, which `router` adds.
 
-use forelight_protocol::{WebhookData, WebhookMessage};
+use forelight_protocol::{FarmSummary, WebhookData, WebhookMessage};
 use utoipa::openapi::schema::AdditionalProperties;
 use utoipa::openapi::security::{ApiKey, ApiKeyValue, Http, HttpAuthScheme, SecurityScheme};
 use utoipa::openapi::{ComponentsBuilder, Info, OpenApi, OpenApiBuilder, RefOr, Schema, SecurityRequirement};
@@ -43,6 +43,7 @@ pub(crate) fn frame() -> OpenApi {
         .schema(forelight_protocol::Problem::name(), forelight_protocol::Problem::schema())
         .schema(WebhookMessage::name(), WebhookMessage::schema())
         .schema(WebhookData::name(), WebhookData::schema())
+        .schema(FarmSummary::name(), FarmSummary::schema())
         .build();
     OpenApiBuilder::new()
         .info(info)

@@ -140,6 +140,7 @@ impl Service {
             pruning: Arc::default(),
             feed: Arc::new(Feed::new(store.for_people())),
             dashboard: Arc::default(),
+            summaries: Arc::default(),
             projected: Arc::default(),
             record: Arc::default(),
             clock_steps: Arc::default(),

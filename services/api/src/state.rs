@@ -13,7 +13,6 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::Clock;
 use crate::config::{Evidence, Limits};
 use crate::costly::Costly;
-use crate::document::Document;
 use crate::error::{ApiError, ApiResult};
 use crate::feed::Feed;
 use crate::inspector::Inspector;
@@ -22,9 +21,11 @@ use crate::metrics::Metrics;
 use crate::oidc::SignIn;
 use crate::output_root::OutputRoot;
 use crate::quotas::Quotas;
+use crate::resources::dashboard::WholeFarm;
 use crate::rights::Rights;
 use crate::shared::{Changes, Shared};
 use crate::sign_in::SignIns;
+use crate::summaries::Summaries;
 use crate::uploads::Reserved;
 
 /// State shared by all handlers. Cheap to clone.
@@ -70,7 +71,8 @@ pub(crate) struct App {
     /// Disk space that uploads have reserved.
     pub reserved: Reserved,
     pub feed: Arc<Feed>,
-    pub dashboard: Arc<Shared<Document>>,
+    pub dashboard: Arc<Shared<WholeFarm>>,
+    pub summaries: Arc<Summaries>,
     /// Expected course of the open bookings.
     pub projected: Arc<Shared<Projection>>,
     /// Totals of the track record, over all finished frames.

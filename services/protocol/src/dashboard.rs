@@ -312,3 +312,37 @@ pub struct Dashboard {
     /// Mean absolute relative error of the work forecasts. Absent without finished frames.
     pub track_work_error: Option<f64>,
 }
+
+/// The farm in figures: a [`Dashboard`] without its lists. Streams of events tell it when it changed.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct FarmSummary {
+    /// When it was made.
+    pub at: Timestamp,
+    /// Id of the newest event that is taken into account.
+    pub last_event_id: i64,
+    /// Which versions the farm runs.
+    pub versions: FarmVersions,
+    /// Counts of the farm.
+    pub counts: DashboardCounts,
+    /// Number of nodes by state.
+    pub node_counts: NodeCounts,
+    /// When the last booked frame of the farm will be finished. Absent if nothing is booked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub finish: Option<FinishQuantiles>,
+    /// Projects that have a budget or spent something tonight, by name.
+    pub spending: Vec<ProjectSpending>,
+}
+
+impl From<&Dashboard> for FarmSummary {
+    fn from(farm: &Dashboard) -> Self {
+        Self {
+            at: farm.at,
+            last_event_id: farm.last_event_id,
+            versions: farm.versions.clone(),
+            counts: farm.counts,
+            node_counts: farm.node_counts,
+            finish: farm.finish,
+            spending: farm.spending.clone(),
+        }
+    }
+}

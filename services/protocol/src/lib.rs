@@ -90,8 +90,8 @@ pub use calendar::{
 pub use calibration::{ByClass, KernelTime, NodeCalibration};
 pub use confidence::Confidence;
 pub use dashboard::{
-    Dashboard, DashboardCounts, DashboardJob, DashboardNode, FarmVersions, FinishQuantiles, JobCounts,
-    NodeActivity, NodeCounts, ProjectSpending, TaskCounts, WorkerVersion,
+    Dashboard, DashboardCounts, DashboardJob, DashboardNode, FarmSummary, FarmVersions, FinishQuantiles,
+    JobCounts, NodeActivity, NodeCounts, ProjectSpending, TaskCounts, WorkerVersion,
 };
 pub use division::{
     DivideResult, DivideSpec, Division, FinishedPart, FrameCache, FramePart, MOST_PARTS, PartCount,

@@ -38,7 +38,7 @@ test("a session submits to the projects in which its role does", async () => {
 });
 
 test("events change the rows of jobs and nodes, and the counts, without another request", async () => {
-  const { farmAfter, nodeAfter } = await load("state/news.ts");
+  const { farmAfter, farmSummed, nodeAfter } = await load("state/news.ts");
   const at = "2026-11-26T20:00:00Z";
   const counts = { previewing: 0, booked: 1, rendering: 0, done: 4 };
   const row = { id: "a", name: "hero", state: "booked", frames_done: 0, deadline: at, budget: 5 };
@@ -87,6 +87,26 @@ test("events change the rows of jobs and nodes, and the counts, without another 
     [over.jobs.map((job) => job.id), over.jobs_open_total, over.counts.jobs.done],
     [["b"], 1, 5],
   );
+
+  const summary = {
+    last_event_id: 20,
+    counts: { jobs: { ...counts, rendering: 7 }, jobs_active: 9, nodes: 3 },
+    node_counts: { idle: 3 },
+    versions: { service: "1" },
+    finish: { p50: at },
+    spending: [],
+  };
+  const summed = farmSummed(after, summary, false);
+  assert.deepEqual(
+    [summed.jobs_open_total, summed.counts.jobs.rendering, summed.counts.nodes, summed.finish.p50],
+    [9, 7, 3, at],
+  );
+  const ahead = farmSummed(after, summary, true);
+  assert.deepEqual([ahead.jobs_open_total, ahead.counts.jobs.rendering, ahead.counts.nodes], [2, 1, 3]);
+  const ends = { id: 20, kind: "job_state", job_id: "a", job_state: "done" };
+  const known = farmAfter(summed, [ends], 20);
+  assert.deepEqual([known.jobs.map((job) => job.id), known.jobs_open_total], [["b"], 9], "it is counted");
+  assert.equal(farmAfter(summed, [{ ...ends, id: 21 }], 20).jobs_open_total, 8);
 
   const idle = { id: "n", state: "idle", activity: null };
   const leased = {

@@ -1,15 +1,26 @@
 //! The document for a farm dashboard.
 
+use std::sync::Arc;
+
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::Response;
-use forelight_protocol::{Dashboard, Timestamp};
+use forelight_protocol::{Dashboard, EventId, FarmSummary, Timestamp};
 
 use crate::document::Document;
 use crate::error::{ApiResult, Problems};
 use crate::extract::Reader;
 use crate::seen::{mentioned, show_dashboard};
 use crate::state::App;
+use crate::summaries;
+
+/// The dashboard of those who reach all projects.
+pub(crate) struct WholeFarm {
+    pub document: Document,
+    pub last_event_id: EventId,
+    /// Its figures, as streams send them.
+    pub summary: Arc<str>,
+}
 
 /// The farm at one instant: counts, open jobs by risk, money, nodes, next bookings, newest events.
 ///
@@ -25,8 +36,7 @@ pub(crate) async fn get(
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     let Some(projects) = caller.project_names() else {
-        let make = async { written(&of_projects(&app, None).await?) };
-        return Ok(app.dashboard.get(app.changes.last(), make).await?.respond(&headers));
+        return Ok(of_farm(&app).await?.document.respond(&headers));
     };
     let farm = of_projects(&app, Some(projects)).await?;
     let bookings = farm.bookings.iter().map(|booking| booking.job_id);
@@ -34,6 +44,20 @@ pub(crate) async fn get(
     let mentioned = farm.jobs.iter().flat_map(|job| mentioned(&job.waits, &job.promise));
     let seen = app.seen(&caller, bookings.chain(active).chain(mentioned)).await?;
     Ok(written(&show_dashboard(farm, &caller, &seen))?.respond(&headers))
+}
+
+/// The dashboard of all projects. On a large farm, it may be a few seconds old, also if a plan was stored since:
+/// the plan's events come after its `last_event_id`.
+pub(crate) async fn of_farm(app: &App) -> ApiResult<Arc<WholeFarm>> {
+    let make = async {
+        let farm = of_projects(app, None).await?;
+        Ok(WholeFarm {
+            document: written(&farm)?,
+            last_event_id: farm.last_event_id,
+            summary: summaries::lines(&FarmSummary::from(&farm)),
+        })
+    };
+    app.dashboard.get(app.changes.of_people(), make).await
 }
 
 /// The document. The time alone is no news.

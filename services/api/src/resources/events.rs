@@ -34,6 +34,19 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// hundreds a second, and hundreds of pages are told of them.
 const TOGETHER: Duration = Duration::from_millis(100);
 
+/// Where to start, and what to tell.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct OfFarm {
+    /// The last event seen, for clients that cannot set `Last-Event-ID`. The header takes precedence.
+    pub last_event_id: Option<EventId>,
+    /// Whether the stream also has messages named `farm`, without an id: each is a `FarmSummary` as JSON, some
+    /// seconds after events. Only who reaches all projects gets them.
+    #[serde(default)]
+    pub summaries: bool,
+}
+
 /// Where to start.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -58,19 +71,20 @@ pub(crate) struct EventMessage {
 
 /// All events of the farm after `Last-Event-ID`. Without it, from now on.
 #[utoipa::path(get, path = "/v1/events", operation_id = "event_list",
-    tag = "farm", params(FromEvent, LastEventIdHeader),
+    tag = "farm", params(OfFarm, LastEventIdHeader),
     responses((status = 200, description = "The events, each an `Event` as JSON", body = EventMessage, content_type = "text/event-stream"), Problems))]
 pub(crate) async fn of_farm(
     State(app): State<App>,
     Reader(caller): Reader,
-    QueryParameters(query): QueryParameters<FromEvent>,
+    QueryParameters(query): QueryParameters<OfFarm>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let after = match start(&headers, &query)? {
+    let after = match start(&headers, query.last_event_id)? {
         Some(after) => after,
         None => app.store.last_event_id().await?,
     };
-    Ok(respond(Cursor::new(&app, caller, None, (after, false))))
+    let summaries = (query.summaries && caller.reaches_all()).then(|| app.summaries.follow());
+    Ok(respond(Cursor { summaries, ..Cursor::new(&app, caller, None, (after, false)) }))
 }
 
 /// All events of a job after `Last-Event-ID`. Without it, from its beginning.
@@ -87,7 +101,7 @@ pub(crate) async fn of_job(
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let after = start(&headers, &query)?.unwrap_or(0);
+    let after = start(&headers, query.last_event_id)?.unwrap_or(0);
     let state = app.store.job(job).await?.state;
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
@@ -95,8 +109,8 @@ pub(crate) async fn of_job(
     Ok(respond(Cursor::new(&app, caller, Some(job), (after, state.is_final()))))
 }
 
-fn start(headers: &HeaderMap, query: &FromEvent) -> ApiResult<Option<EventId>> {
-    let Some(header) = headers.get("last-event-id") else { return Ok(query.last_event_id) };
+fn start(headers: &HeaderMap, in_query: Option<EventId>) -> ApiResult<Option<EventId>> {
+    let Some(header) = headers.get("last-event-id") else { return Ok(in_query) };
     let id = header.to_str().ok().and_then(|text| text.trim().parse().ok());
     id.map(Some).ok_or_else(|| {
         ApiError::new(ProblemKind::Malformed, "Last-Event-ID is the number of an event")
@@ -122,6 +136,8 @@ struct Cursor {
     /// The last event that was read.
     after: EventId,
     changes: watch::Receiver<u64>,
+    /// Summaries of the farm, if it tells them.
+    summaries: Option<watch::Receiver<Arc<str>>>,
     stopping: CancellationToken,
     /// Whether the job is over. Existing later events, such as refusals of late workers, are still sent; none
     /// are waited for.
@@ -138,6 +154,7 @@ impl Cursor {
             job,
             after,
             changes: app.store.watch_events(),
+            summaries: None,
             stopping: app.stopping.clone(),
             over,
             caught_up: None,
@@ -167,7 +184,8 @@ impl Cursor {
             self.after = until;
             self.over |= self.job.is_some() && events.iter().any(|event| event.is_last);
             let mine = events.iter().filter_map(|event| event.lines_for(&self.caller));
-            let text: String = mine.map(String::as_str).collect();
+            let mut text: String = mine.map(String::as_str).collect();
+            text.extend(self.new_summary());
             if !text.is_empty() {
                 self.caught_up = (events.len() < BATCH as usize && !self.over).then(Instant::now);
                 return Some(text.into());
@@ -181,9 +199,16 @@ impl Cursor {
             tokio::select! {
                 changed = self.changes.changed() => changed.ok()?,
                 () = self.stopping.cancelled() => return None,
+                () = summarized(self.summaries.as_ref()) => {}
                 () = tokio::time::sleep_until(quiet_until) => return Some(Bytes::from_static(b":\n\n")),
             }
         }
+    }
+
+    /// A summary that was not told yet.
+    fn new_summary(&mut self) -> Option<Box<str>> {
+        let summaries = self.summaries.as_mut()?;
+        summaries.has_changed().ok()?.then(|| (&**summaries.borrow_and_update()).into())
     }
 
     async fn read(&self) -> Result<Batch, StoreError> {
@@ -192,5 +217,13 @@ impl Cursor {
             return self.feed.stored_after(self.job, self.after).await;
         }
         self.feed.after(self.job, self.after).await
+    }
+}
+
+/// Returns when there is a new summary, and leaves it new.
+async fn summarized(summaries: Option<&watch::Receiver<Arc<str>>>) {
+    let Some(summaries) = summaries else { return std::future::pending().await };
+    if summaries.clone().changed().await.is_err() {
+        std::future::pending().await
     }
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use crate::support::events::Events;
 use crate::support::{Answer, Farm, Http, PATIENCE};
 use forelight_protocol::{
-    BookingPage, BudgetForecast, BudgetList, Dashboard, EventKind, Job, JobPage, JobState, NewToken,
-    NodePage, PlanPage, ProblemKind, ProjectList, Role, Session, TimelinePage, Token, TrackRecord,
+    BookingPage, BudgetForecast, BudgetList, Dashboard, EventKind, FarmSummary, Job, JobPage, JobState,
+    NewToken, NodePage, PlanPage, ProblemKind, ProjectList, Role, Session, TimelinePage, Token, TrackRecord,
 };
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
@@ -226,6 +226,42 @@ async fn a_stream_of_the_farms_events_tells_of_ones_own_projects() {
     assert!(seen.iter().all(|event| event.job_id.is_none() || event.project.as_deref() == Some("film")));
     let first = all.next(PATIENCE).await.unwrap();
     assert!(first.job_id.is_some());
+}
+
+/// Reads a stream of events until it has this text, and returns what it had.
+async fn told_until(stream: &mut reqwest::Response, text: &str) -> String {
+    let mut told = String::new();
+    loop {
+        let part = tokio::time::timeout(PATIENCE, stream.chunk()).await.unwrap().unwrap();
+        told += std::str::from_utf8(&part.expect("the stream goes on")).unwrap();
+        if told.split_once(text).is_some_and(|(_, rest)| rest.contains("\n\n")) {
+            return told;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stream_sums_the_farm_up_for_those_who_reach_all_projects() {
+    let Two { farm, anna, .. } = Two::new().await;
+    let path = "/v1/events?summaries=true";
+    let (mut all, mut own) = (farm.viewer.get(path).await, anna.get(path).await);
+    farm.node("a").await;
+    let summary = loop {
+        let told = told_until(&mut all, "event: farm\ndata: ").await;
+        let (_, summary) = told.split_once("event: farm\ndata: ").unwrap();
+        let summary: FarmSummary = serde_json::from_str(summary.lines().next().unwrap()).unwrap();
+        if summary.counts.nodes == 1 {
+            break summary;
+        }
+    };
+    let dashboard: Dashboard = farm.viewer.json("/v1/dashboard").await;
+    assert_eq!(summary.node_counts.idle, 1);
+    let (at, last_event_id) = (summary.at, summary.last_event_id);
+    assert_eq!(summary, FarmSummary { at, last_event_id, ..FarmSummary::from(&dashboard) });
+    farm.node("b").await;
+    let others = told_until(&mut own, "event: node_registered").await
+        + &told_until(&mut own, "event: node_registered").await;
+    assert!(!others.contains("event: farm"), "{others}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,7 +1,7 @@
 //! Open dashboard pages beside the workers of `forelight bench workers`.
 //!
-//! Each follows the farm's events, and asks for the dashboard as the real page does: three seconds after an
-//! event, and not again while it waits for the answer.
+//! Each follows the farm's events and summaries, and asks for the dashboard as the real page does: at first, and
+//! then each half minute.
 
 use anyhow::{Context, Result};
 use forelight_protocol::Timestamp;
@@ -17,11 +17,11 @@ use tokio::time::Instant;
 
 use crate::statistics::quantile;
 
-/// How long after an event a page asks again, as in `services/dashboard/src/state/farm.ts`.
-const SOON: Duration = Duration::from_secs(3);
+/// How long after an answer a page asks again, as in `services/dashboard/src/state/farm.ts`.
+const QUIET: Duration = Duration::from_secs(30);
 
-/// What begins the time of an event in its JSON form.
-const AT: &[u8] = b"\"at\":\"";
+/// What begins the time of an event in its JSON form. Summaries have their time first.
+const AT: &[u8] = b",\"at\":\"";
 
 /// What pages saw, in milliseconds.
 #[derive(Debug, Default, Serialize)]
@@ -100,7 +100,7 @@ async fn request(address: SocketAddr, path: &str, token: &str) -> std::io::Resul
 /// Notes how late each event comes. Opens the stream anew when it ends.
 async fn follow(address: SocketAddr, token: &str, seen: &Mutex<Seen>) {
     loop {
-        if let Ok(mut socket) = request(address, "/v1/events", token).await {
+        if let Ok(mut socket) = request(address, "/v1/events?summaries=true", token).await {
             let mut text = Vec::new();
             let mut buffer = vec![0; 64 << 10];
             while let Ok(read @ 1..) = socket.read(&mut buffer).await {
@@ -148,7 +148,7 @@ async fn ask(address: SocketAddr, token: &str, seen: &Mutex<Seen>) {
                 false => seen.failures += 1,
             }
         }
-        tokio::time::sleep(SOON).await;
+        tokio::time::sleep(QUIET).await;
     }
 }
 

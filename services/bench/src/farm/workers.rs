@@ -49,7 +49,7 @@ pub struct Args {
     time: Duration,
     #[command(flatten)]
     besiegers: Besiegers,
-    /// Open dashboard pages, which follow all events and ask for the dashboard every three seconds
+    /// Open dashboard pages, which follow all events and summaries, and ask for the dashboard every half minute
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=5000))]
     pages: u32,
     /// Folder for the database, on the disk to measure [default: a temporary folder]

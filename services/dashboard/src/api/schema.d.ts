@@ -2577,6 +2577,25 @@ export interface components {
          * @enum {string}
          */
         FailureKind: "unknown" | "node" | "input" | "task";
+        /** @description The farm in figures: a [`Dashboard`] without its lists. Streams of events tell it when it changed. */
+        FarmSummary: {
+            /** @description When it was made. */
+            at: components["schemas"]["Timestamp"];
+            /** @description Counts of the farm. */
+            counts: components["schemas"]["DashboardCounts"];
+            finish?: components["schemas"]["FinishQuantiles"] | null;
+            /**
+             * Format: int64
+             * @description Id of the newest event that is taken into account.
+             */
+            last_event_id: number;
+            /** @description Number of nodes by state. */
+            node_counts: components["schemas"]["NodeCounts"];
+            /** @description Projects that have a budget or spent something tonight, by name. */
+            spending: components["schemas"]["ProjectSpending"][];
+            /** @description Which versions the farm runs. */
+            versions: components["schemas"]["FarmVersions"];
+        };
         /** @description Which versions the farm runs. */
         FarmVersions: {
             plan_id?: components["schemas"]["PlanId"] | null;
@@ -6882,6 +6901,9 @@ export interface operations {
             query?: {
                 /** @description The last event seen, for clients that cannot set `Last-Event-ID`. The header takes precedence. */
                 last_event_id?: components["schemas"]["i64"];
+                /** @description Whether the stream also has messages named `farm`, without an id: each is a `FarmSummary` as JSON, some
+                 *     seconds after events. Only who reaches all projects gets them. */
+                summaries?: boolean;
             };
             header?: {
                 /** @description The last event seen */

@@ -42,3 +42,6 @@ export type Farm = Dashboard &
   Required<Pick<Dashboard, "jobs_open_total" | "node_counts" | "spending">> & {
     counts: Required<Dashboard["counts"]>;
   };
+
+/** The same of what streams tell of the farm. */
+export type FarmSummary = Schemas["FarmSummary"] & Pick<Farm, "counts">;

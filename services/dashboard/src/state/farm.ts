@@ -1,11 +1,11 @@
-// The farm at one instant, kept fresh: events change jobs and their counts at once; what only the service can
-// compute is asked for a few seconds after events say that it moved, and now and then.
+// The farm at one instant, kept fresh: events change jobs and their counts at once. What only the service can
+// compute comes as summaries, a few seconds after events. Who gets none, asks then; and all ask now and then.
 
-import { batch, computed, signal } from "@preact/signals";
+import { batch, computed, effect, signal } from "@preact/signals";
 import { get } from "../api/client";
-import type { Event, Farm } from "../api/types";
-import { follow, onEvent, unfollow } from "./live";
-import { farmAfter } from "./news";
+import type { Event, Farm, FarmSummary } from "../api/types";
+import { follow, onEvent, summary, unfollow } from "./live";
+import { farmAfter, farmSummed } from "./news";
 
 export const farm = signal<Farm | null>(null);
 export const farmError = signal<Error | null>(null);
@@ -44,17 +44,23 @@ const ASKED_SOON: ReadonlySet<Event["kind"]> = new Set([
 ]);
 const KEPT_EVENTS = 200;
 
+/** The last event that the counts of jobs know from the service. */
+let counted = 0;
 let timer: ReturnType<typeof setTimeout> | undefined;
 let due = 0;
 let queued: Event[] = [];
 let flushing: ReturnType<typeof setTimeout> | undefined;
 let stop: (() => void) | null = null;
+let unsum: (() => void) | null = null;
 let minute: ReturnType<typeof setInterval> | undefined;
 
 /** Starts to watch the farm. */
 export function watch(): void {
   if (stop) return;
   stop = onEvent(queue);
+  unsum = effect(() => {
+    if (summary.value) sumUp(summary.value);
+  });
   minute = setInterval(() => (now.value = Date.now()), 20_000);
   document.addEventListener("visibilitychange", woken);
   void refresh();
@@ -62,7 +68,8 @@ export function watch(): void {
 
 export function unwatch(): void {
   stop?.();
-  stop = null;
+  unsum?.();
+  stop = unsum = null;
   clearInterval(minute);
   clearTimeout(timer);
   document.removeEventListener("visibilitychange", woken);
@@ -88,6 +95,7 @@ export async function refresh(): Promise<void> {
     // Events that came meanwhile are newer than the document.
     const meanwhile = recent.peek().filter((event) => event.id > next.last_event_id);
     farm.value = farmAfter(next, meanwhile.reverse());
+    counted = next.last_event_id;
     farmError.value = null;
     now.value = Date.now();
     const newest = recent.peek()[0]?.id ?? 0;
@@ -126,7 +134,18 @@ function flush(): void {
     if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
     // The document knows what happened before it.
     const news = events.filter((event) => event.id > (old?.last_event_id ?? 0));
-    if (old) farm.value = farmAfter(old, news);
+    if (old) farm.value = farmAfter(old, news, counted);
   });
-  schedule(events.some((event) => ASKED_SOON.has(event.kind)) ? SOON : LATER);
+  if (!summary.peek()) schedule(events.some((event) => ASKED_SOON.has(event.kind)) ? SOON : LATER);
+}
+
+function sumUp(told: FarmSummary): void {
+  const old = farm.peek();
+  if (!old || told.last_event_id < old.last_event_id) return;
+  const isAhead = (recent.peek()[0]?.id ?? 0) > told.last_event_id;
+  if (!isAhead) counted = told.last_event_id;
+  farm.value = farmSummed(old, told, isAhead);
+  now.value = Date.now();
+  due = Infinity;
+  schedule(QUIET);
 }

@@ -2,13 +2,16 @@
 
 import { signal } from "@preact/signals";
 import { hooks } from "../api/client";
-import type { Event, EventKind } from "../api/types";
+import type { Event, EventKind, FarmSummary } from "../api/types";
 import { openStream, type Stream } from "./stream";
 
 /** `live`: events arrive. `catching-up`: connecting. `lost`: the service does not answer. */
 export type Link = "live" | "catching-up" | "lost";
 
 export const link = signal<Link>("catching-up");
+
+/** The newest summary of the farm on this connection. Who sees some projects only, gets none. */
+export const summary = signal<FarmSummary | null>(null);
 
 /** When the service was last heard, milliseconds since 1970. */
 export const lastHeard = signal(Date.now());
@@ -84,14 +87,18 @@ export function follow(after: number): void {
   const isNew = stream === null;
   if (isNew) newest = after;
   stream ??= openStream({
-    address: (last) => `/v1/events?last_event_id=${last}`,
+    address: (last) => `/v1/events?summaries=true&last_event_id=${last}`,
     kinds: Object.keys(KINDS),
     take,
+    others: { farm: (data) => (summary.value = JSON.parse(data) as FarmSummary) },
     opened: () => {
       lastHeard.value = Date.now();
       link.value = "live";
     },
-    broke: (tries) => (link.value = tries === 0 ? "catching-up" : "lost"),
+    broke: (tries) => {
+      link.value = tries === 0 ? "catching-up" : "lost";
+      summary.value = null;
+    },
   });
   if (isNew || after - newest > MOST_BEHIND) {
     newest = after;
@@ -104,6 +111,7 @@ export function follow(after: number): void {
 export function unfollow(): void {
   stream?.close();
   stream = null;
+  summary.value = null;
 }
 
 function take(event: Event): void {

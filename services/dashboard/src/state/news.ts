@@ -1,6 +1,6 @@
 // What events say of jobs, put into documents that are on screen already. Pure.
 
-import type { DashboardJob, Event, Farm, JobState, Node } from "../api/types";
+import type { DashboardJob, Event, Farm, FarmSummary, JobState, Node } from "../api/types";
 
 /** What rows and documents of jobs share. */
 interface Known {
@@ -71,8 +71,11 @@ function newRow(event: Event): DashboardJob | null {
   return rowAfter(row, event);
 }
 
-/** The farm after some events, oldest first: the same object if they changed none of its jobs. */
-export function farmAfter(old: Farm, events: readonly Event[]): Farm {
+/**
+ * The farm after some events, oldest first: the same object if they changed none of its jobs. Its counts know the
+ * events up to `counted` already.
+ */
+export function farmAfter(old: Farm, events: readonly Event[], counted = 0): Farm {
   const rows = new Map(old.jobs.map((job) => [job.id, job]));
   const counts = { ...old.counts.jobs };
   let total = old.jobs_open_total;
@@ -83,16 +86,14 @@ export function farmAfter(old: Farm, events: readonly Event[]): Farm {
     const after = before ? rowAfter(before, event) : newRow(event);
     if (!after || after === before) continue;
     changed = true;
-    if (!before) total++;
+    const isOver = OVER.includes(after.state);
+    if (isOver) rows.delete(after.id);
+    else rows.set(after.id, after);
+    if (event.id <= counted) continue;
+    total += Number(!before) - Number(isOver);
     if (before?.state !== after.state) {
       if (before) counts[before.state]--;
       counts[after.state]++;
-    }
-    if (OVER.includes(after.state)) {
-      rows.delete(after.id);
-      total--;
-    } else {
-      rows.set(after.id, after);
     }
   }
   if (!changed) return old;
@@ -102,6 +103,14 @@ export function farmAfter(old: Farm, events: readonly Event[]): Farm {
     jobs_open_total: total,
     counts: { ...old.counts, jobs: counts },
   };
+}
+
+/** The farm after a summary. Its jobs are counted anew unless events that the summary does not know changed them. */
+export function farmSummed(old: Farm, summary: FarmSummary, isAhead: boolean): Farm {
+  const { counts, node_counts, versions, finish = null, spending } = summary;
+  const jobs = isAhead ? old.counts.jobs : counts.jobs;
+  const jobs_open_total = isAhead ? old.jobs_open_total : counts.jobs_active;
+  return { ...old, counts: { ...counts, jobs }, jobs_open_total, node_counts, versions, finish, spending };
 }
 
 /** Events that end what a node does. A task that is late goes on. */

@@ -11,6 +11,8 @@ export interface StreamOptions {
   address: (after: number | null) => string;
   kinds: readonly string[];
   take: (event: Event) => void;
+  /** What is called with the data of messages that are no events, by their names. */
+  others?: Readonly<Record<string, (data: string) => void>>;
   opened: () => void;
   /** It tries again by itself. `tries` counts the breaks since it was last open, from 0. */
   broke: (tries: number) => void;
@@ -63,6 +65,9 @@ export function openStream(options: StreamOptions): Stream {
       retry = setTimeout(() => void again(), RETRY[Math.min(tries++, RETRY.length - 1)]);
     };
     for (const kind of options.kinds) stream.addEventListener(kind, take);
+    for (const [name, other] of Object.entries(options.others ?? {})) {
+      stream.addEventListener(name, (message: MessageEvent<string>) => other(message.data));
+    }
   };
   const again = async () => {
     if (options.ends && (await hasEnded(options.address(lastId)))) close();
