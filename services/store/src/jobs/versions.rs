@@ -6,10 +6,11 @@ use crate::columns::Json;
 use crate::database::Write;
 use crate::error::Result;
 use crate::events::{append, event};
-use crate::nodes;
+use crate::living::{self, Occasion};
 use crate::plans::replans;
 use crate::policy::versions::{is_left, version_to_use, words};
 use crate::writing::run;
+use crate::{division, nodes};
 
 /// Chooses the version that renders a job of our own renderer, when it is previewed.
 pub(crate) async fn choose(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
@@ -96,10 +97,33 @@ async fn replace(
     let after = RenderedBy { version: version.to_owned(), mixed };
     run!(write, "UPDATE jobs SET rendered_by = ? WHERE id = ?", Json(&after), job.0);
     run!(write, "UPDATE tasks SET renderer = ? WHERE job_id = ? AND renderer = ?", new, job.0, old);
+    if has_begun {
+        render_parts_again(write, job, now).await?;
+    }
     let message = after.mixed.unwrap_or_else(|| format!("{why}; {new} renders it"));
     let changed = Event { job_id: Some(job), ..event(EventKind::JobChanged, now) };
     append(write, Event { message: Some(message), ..changed });
     replans::want(write, &format!("job {name} is rendered by {new}")).await?;
     write.made_work = true;
     Ok(())
+}
+
+/// Renders the parts of divided frames again that another version has rendered, or is rendering. A frame of which all
+/// parts are there only has to be put together, and stays.
+async fn render_parts_again(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    let frames = sqlx::query_scalar!(
+        r#"SELECT DISTINCT p.frame AS "frame!: u32" FROM tasks p
+           JOIN tasks r ON r.job_id = p.job_id AND r.frame = p.frame AND r.kind = 'render' AND r.state = 'waiting'
+           WHERE p.job_id = ? AND p.kind = 'render_part' AND p.state IN ('leased', 'done') ORDER BY p.frame"#,
+        job.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    if frames.is_empty() {
+        return Ok(());
+    }
+    for frame in frames {
+        division::begin_again(write, job, frame, "waiting", now).await?;
+    }
+    living::update(write, job, Occasion::Booked, now).await
 }

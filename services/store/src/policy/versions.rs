@@ -3,6 +3,7 @@
 //! A job is rendered by one version, as images and costs of others may differ. It is chosen when the job is
 //! previewed. During an upgrade, the job stays with nodes of that version. Once none is left, it goes on with
 //! another one, and says so: a deadline is worth more than equal noise, and whoever thinks otherwise can cancel.
+//! Each frame comes from one version all the same: parts of a divided frame are rendered again.
 
 use std::collections::BTreeMap;
 

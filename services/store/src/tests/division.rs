@@ -9,7 +9,7 @@ use super::*;
 impl Farm {
     /// A booked job whose first frame is divided into so many parts, all booked on `node` one after the
     /// other from second 10. Its other frames come after them.
-    async fn divided_job(&self, request: JobRequest, node: NodeId, parts: u32) -> JobId {
+    pub(super) async fn divided_job(&self, request: JobRequest, node: NodeId, parts: u32) -> JobId {
         let job = self.profiled_job(request, node).await;
         let plan = self.plan_in_parts(&job, node, parts).await;
         let frames = frame_forecasts(&job);
@@ -40,7 +40,7 @@ impl Farm {
     }
 
     /// Kind and part of the next tasks of a node, which does them.
-    async fn done(&self, node: NodeId, count: usize) -> Vec<(TaskKind, Option<u32>)> {
+    pub(super) async fn done(&self, node: NodeId, count: usize) -> Vec<(TaskKind, Option<u32>)> {
         let mut done = Vec::new();
         for _ in 0..count {
             let Some(lease) = self.claim(node, at(20)).await else { break };

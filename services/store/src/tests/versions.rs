@@ -1,6 +1,6 @@
 //! A job stays with one version of our own renderer.
 
-use forelight_protocol::{NodeChange, NodeRegistration, RendererId};
+use forelight_protocol::{NodeChange, NodeRegistration, RendererId, TaskKind};
 
 use super::*;
 use crate::nodes::LOST;
@@ -70,6 +70,24 @@ async fn a_job_whose_version_no_node_has_any_more_goes_on_with_another_and_says_
         farm.commit(&lease, at(3)).await;
     }
     assert_eq!(frames, 4);
+    assert_eq!(farm.store.job(job).await.unwrap().state, forelight_protocol::JobState::Done);
+}
+
+#[tokio::test]
+async fn a_divided_frame_comes_from_one_version() {
+    let farm = Farm::new().await;
+    let node = farm.node_with("a", 13, at(0)).await;
+    let job = farm.divided_job(request("0"), node, 3).await;
+    let part = |part| (TaskKind::RenderPart, Some(part));
+    assert_eq!(farm.done(node, 2).await, [(TaskKind::Divide, None), part(0)]);
+    let held = farm.claim(node, at(20)).await.unwrap();
+    farm.node_with("a", 14, at(21)).await;
+    farm.store.sweep(at(21)).await.unwrap();
+    assert_eq!(farm.version(job).await, Some(("tracer-14".to_owned(), true)));
+    let result = farm.result_for(&held).await;
+    let late = farm.store.commit_result(held.lease_id, held.fence, &result, at(22)).await;
+    assert!(matches!(late, Err(StoreError::LeaseLost)), "{late:?}");
+    assert_eq!(farm.done(node, 9).await, [part(0), part(1), part(2), (TaskKind::Render, None)]);
     assert_eq!(farm.store.job(job).await.unwrap().state, forelight_protocol::JobState::Done);
 }
 
