@@ -56,8 +56,9 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
 
 /// Checks that a file is an intact database of a farm, and counts its content.
 async fn check(path: &Path) -> Result<Backup> {
-    let mut connection = open(path, true).await?;
-    find_damage(&mut connection, "integrity_check").await?;
+    let (mut connection, mut other) = (open(path, true).await?, open(path, true).await?);
+    find_damage([&mut connection, &mut other], "integrity_check").await?;
+    other.close().await?;
     let row = sqlx::query!(
         r#"SELECT (SELECT count(*) FROM jobs) AS "jobs!: u64", count(*) AS "artifacts!: u64",
               coalesce(sum(size), 0) AS "bytes!: u64" FROM artifacts"#

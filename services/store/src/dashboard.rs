@@ -200,13 +200,13 @@ async fn dashboard_jobs(
 ) -> Result<Vec<DashboardJob>> {
     let open = JobFilter { open: true, projects, ..JobFilter::default() };
     let ids = listing::ids(connection, &open, (JobOrder::Risk, None), JOBS).await?;
+    let mut progress = progress::of_jobs(connection, &ids).await?;
     let mut list = Vec::with_capacity(ids.len());
-    for id in ids {
-        let row = jobs::row(connection, id).await?;
+    for row in jobs::rows(connection, &ids).await? {
         let quoted = quoted_cost(connection, &row).await?;
         let expected = row.outlook.0.expected();
-        let progress = progress::of_job(connection, id).await?;
-        let mut job = row.job(progress)?;
+        let done = progress.remove(&row.id.into()).unwrap_or_default();
+        let mut job = row.job(done)?;
         expected.tell(&mut job, ends, now);
         list.push(DashboardJob {
             id: job.id,

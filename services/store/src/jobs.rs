@@ -12,6 +12,8 @@ pub(crate) mod strip;
 pub(crate) mod submitting;
 pub(crate) mod versions;
 
+use std::collections::BTreeMap;
+
 use forelight_protocol::{
     BundleRef, BundleSource, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobSettings, JobState,
     JobVerdict, Ladders, Money, RenderedBy, RendererRequest, SceneSummary, TaskLimits, Within,
@@ -20,7 +22,7 @@ use sqlx::SqliteConnection;
 
 use self::outlooks::JobOutlook;
 use self::progress::Progress;
-use crate::columns::{Id, Json, Time, Unread, Word, corrupt};
+use crate::columns::{Id, Json, Time, Unread, Word, corrupt, hex_list};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::outputs;
@@ -119,6 +121,27 @@ pub(crate) async fn read(connection: &mut SqliteConnection, job: JobId) -> Resul
     let row = row(&mut *connection, job).await?;
     let progress = progress::of_job(connection, job).await?;
     row.job(progress)
+}
+
+/// The rows of these jobs, in this order.
+pub(crate) async fn rows(connection: &mut SqliteConnection, jobs: &[JobId]) -> Result<Vec<JobRow>> {
+    let ids = hex_list(jobs.iter().map(|job| job.0));
+    let rows =
+        job_rows!("WHERE id IN (SELECT unhex(value) FROM json_each(?))", ids).fetch_all(connection).await?;
+    let mut rows: BTreeMap<JobId, JobRow> = rows.into_iter().map(|row| (row.id.into(), row)).collect();
+    Ok(jobs.iter().filter_map(|job| rows.remove(job)).collect())
+}
+
+/// These jobs, in this order.
+pub(crate) async fn read_all(connection: &mut SqliteConnection, jobs: &[JobId]) -> Result<Vec<Job>> {
+    let rows = rows(connection, jobs).await?;
+    let mut progress = progress::of_jobs(connection, jobs).await?;
+    rows.into_iter()
+        .map(|row| {
+            let done = progress.remove(&row.id.into()).unwrap_or_default();
+            row.job(done)
+        })
+        .collect()
 }
 
 impl JobRow {

@@ -1,11 +1,13 @@
 //! The ledger: what was paid for each lease. Triggers write it (`migrations/0003_budgets.sql`), so payments
 //! are known however a lease ends.
 
+use std::collections::BTreeMap;
+
 use forelight_protocol::{JobId, LedgerLine, Money, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::budgets::past;
-use crate::columns::Time;
+use crate::columns::{Time, hex_list};
 use crate::database::Store;
 use crate::error::Result;
 use crate::policy::budgets::{self as policy, Payment};
@@ -68,35 +70,36 @@ impl Store {
     }
 }
 
-/// All ledger lines of a job as far as they are paid by now, each with its task.
+/// All ledger lines of each of these jobs as far as they are paid by now, each with its task.
 pub(crate) async fn payments(
     connection: &mut SqliteConnection,
-    job: JobId,
+    jobs: &[JobId],
     now: Timestamp,
-) -> Result<Vec<Payment>> {
+) -> Result<BTreeMap<JobId, Vec<Payment>>> {
     let rows = rows!(
         ", t.kind, t.frame, t.part, l.state = 'active' AS \"is_active!: bool\"",
-        "JOIN tasks t ON t.id = l.task_id WHERE t.job_id = ?",
-        job.0
+        "JOIN tasks t ON t.id = l.task_id WHERE t.job_id IN (SELECT unhex(value) FROM json_each(?))",
+        hex_list(jobs.iter().map(|job| job.0))
     )
     .fetch_all(connection)
     .await?;
-    Ok(rows
-        .into_iter()
-        .map(|row| Payment {
+    let mut payments: BTreeMap<JobId, Vec<Payment>> = BTreeMap::new();
+    for row in rows {
+        payments.entry(row.job_id.into()).or_default().push(Payment {
             kind: row.kind.0,
             frame: row.frame,
             part: row.part,
             is_active: row.is_active,
             line: line!(row, now),
-        })
-        .collect())
+        });
+    }
+    Ok(payments)
 }
 
 /// What a job's leases cost, including its quote, its frames and lost work. Active leases count up to now.
 pub(crate) async fn spent_on(connection: &mut SqliteConnection, job: JobId, now: Timestamp) -> Result<Money> {
-    let payments = payments(connection, job, now).await?;
-    let lines = payments.into_iter().map(|payment| payment.line);
+    let payments = payments(connection, &[job], now).await?;
+    let lines = payments.into_values().flatten().map(|payment| payment.line);
     Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN)))
 }
 

@@ -14,7 +14,8 @@ use crate::writing::run;
 /// Adds the payments of a job, whose rows are deleted next.
 pub(crate) async fn add(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
     let mut sums: BTreeMap<(String, Timestamp), (i64, i64)> = BTreeMap::new();
-    for payment in ledger::payments(write.connection().await?, job, now).await? {
+    let payments = ledger::payments(write.connection().await?, &[job], now).await?;
+    for payment in payments.into_values().flatten() {
         for (begin, cost, used) in by_quarter(&payment.line) {
             let sum = sums.entry((payment.line.project.clone(), begin)).or_default();
             *sum = (sum.0.saturating_add(cost.0), sum.1.saturating_add(used));

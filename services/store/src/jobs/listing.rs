@@ -7,7 +7,7 @@ use sqlx::SqliteConnection;
 use crate::columns::Json;
 use crate::database::Store;
 use crate::error::Result;
-use crate::jobs::read;
+use crate::jobs::read_all;
 
 /// Which jobs to list.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
@@ -140,11 +140,8 @@ impl Store {
         limit: u32,
     ) -> Result<Vec<Job>> {
         let mut transaction = self.read().await?;
-        let mut jobs = Vec::new();
-        for id in ids(&mut transaction, filter, (order, after), limit).await? {
-            jobs.push(read(&mut transaction, id).await?);
-        }
-        Ok(jobs)
+        let ids = ids(&mut transaction, filter, (order, after), limit).await?;
+        read_all(&mut transaction, &ids).await
     }
 }
 

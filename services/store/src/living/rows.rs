@@ -4,12 +4,14 @@
 //! deleted, except the first, which is the quote. So old points are sparse, recent ones are dense, and the
 //! disk space of a job is bounded.
 
+use std::collections::BTreeMap;
+
 use forelight_protocol::{ForecastHistory, HistoryPoint, JobId, JobState, LiveFigure, LiveForecast, PlanId};
 use forelight_quote::living::{Baseline, Last, Off};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row as _, SqliteConnection};
 
-use crate::columns::{Id, Json, Time, Word};
+use crate::columns::{Id, Json, Time, Word, hex_list};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::writing::{ask, later, run};
@@ -44,11 +46,17 @@ impl Store {
     }
 }
 
-pub(crate) async fn newest(connection: &mut SqliteConnection, job: JobId) -> Result<Option<LiveForecast>> {
-    let newest = sqlx::query_scalar!("SELECT body FROM live_forecasts WHERE job_id = ?", job.0)
-        .fetch_optional(connection)
-        .await?;
-    Ok(newest.map(|newest| newest.0))
+pub(crate) async fn newest(
+    connection: &mut SqliteConnection,
+    jobs: &[JobId],
+) -> Result<BTreeMap<JobId, LiveForecast>> {
+    let rows = sqlx::query!(
+        "SELECT job_id, body FROM live_forecasts WHERE job_id IN (SELECT unhex(value) FROM json_each(?))",
+        hex_list(jobs.iter().map(|job| job.0))
+    )
+    .fetch_all(connection)
+    .await?;
+    Ok(rows.into_iter().map(|row| (row.job_id.into(), row.body.0)).collect())
 }
 
 /// An estimate as stored.

@@ -1,14 +1,18 @@
-//! The farm's booked jobs, as input of a plan.
+//! The farm's booked jobs, as input of a plan. Large farms have thousands, so each statement reads the rows of
+//! all of them.
+
+use std::collections::BTreeMap;
 
 use forelight_protocol::{FramePart, Job, JobId, Money, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::budgets::ledger;
-use crate::columns::Unread;
+use crate::columns::{Unread, hex_list};
 use crate::database::Store;
 use crate::error::Result;
-use crate::jobs::{JobRow, job_rows, progress};
-use crate::policy::budgets::spent_and_under_way;
+use crate::jobs::progress::{self, Progress};
+use crate::jobs::{JobRow, job_rows};
+use crate::policy::budgets::{Payment, spent_and_under_way};
 use forelight_quote::JobForecast;
 
 /// A job that is booked and not over.
@@ -57,24 +61,42 @@ impl Store {
         let rows = job_rows!("WHERE state IN ('booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
             .await?;
+        let jobs: Vec<JobId> = rows.iter().map(|row| row.id.into()).collect();
+        let mut done = progress::of_jobs(&mut transaction, &jobs).await?;
+        let mut frames = frames_of(&mut transaction, &jobs).await?;
+        let mut payments = ledger::payments(&mut transaction, &jobs, now).await?;
         let mut found = Vec::with_capacity(rows.len());
-        for row in rows {
-            found.push(farm_job(&mut transaction, row, now).await?);
+        for (row, job) in rows.into_iter().zip(&jobs) {
+            let done = done.remove(job).unwrap_or_default();
+            let is_to_be_filled = done.shared_cache.as_ref().is_some_and(|cache| !cache.ready);
+            let for_cache = if is_to_be_filled { booked_for_cache(&mut transaction, *job).await? } else { 0 };
+            let frames = frames.remove(job).unwrap_or_default();
+            let payments = payments.remove(job).unwrap_or_default();
+            found.push(farm_job(row, done, frames, (&payments, for_cache))?);
         }
         Ok(found)
     }
 }
 
-async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Timestamp) -> Result<FarmJob> {
-    let job = JobId::from(row.id);
-    let (forecast, factor) = (row.forecast.take(), row.factor);
-    let (terms, has_new_terms) = (row.terms, row.has_new_terms());
-    let done = progress::of_job(connection, job).await?;
-    // The job's frames that have a forecast, with their bookings.
+/// A frame, or a part of one, with its booking.
+struct BookedFrame {
+    frame: FarmFrame,
+    held: bool,
+    /// What it is booked for, in micro-units.
+    cost: i64,
+}
+
+/// The frames of these jobs that have a forecast, and the parts of those that are divided, in their order.
+async fn frames_of(
+    connection: &mut SqliteConnection,
+    jobs: &[JobId],
+) -> Result<BTreeMap<JobId, Vec<BookedFrame>>> {
     let rows = sqlx::query!(
-        r#"SELECT f.frame, f.parts AS "parts!: u32", coalesce(p.part, 0) AS "part!: u32", f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
+        r#"SELECT f.job_id, f.frame, f.parts AS "parts!: u32", coalesce(p.part, 0) AS "part!: u32",
+                  f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
                   coalesce(p.state, t.state) NOT IN ('leased', 'done') AND NOT f.dropped AS "waits!: bool",
-                  coalesce(p.held, t.held) AS "held!: bool", p.id IS NULL AND t.fence = 0 AS "untouched!: bool",
+                  coalesce(p.held, t.held) AS "held!: bool",
+                  p.id IS NULL AND t.fence = 0 AS "untouched!: bool",
                   b.end_at - b.start_at AS "length?: i64",
                   coalesce(n.price_set, n.price_per_hour) AS "price?: i64"
            FROM frames f JOIN jobs j ON j.id = f.job_id
@@ -82,34 +104,47 @@ async fn farm_job(connection: &mut SqliteConnection, mut row: JobRow, now: Times
                 ON t.job_id = f.job_id AND t.kind = 'render' AND t.frame = f.frame
            LEFT JOIN tasks p INDEXED BY tasks_of_parts
                 ON p.job_id = f.job_id AND p.kind = 'render_part' AND p.frame = f.frame
-           LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame AND b.part = coalesce(p.part, 0)
+           LEFT JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = f.job_id AND b.frame = f.frame
+                AND b.part = coalesce(p.part, 0)
            LEFT JOIN nodes n ON n.id = b.node_id
-           WHERE f.job_id = ? AND f.cpu_p50 IS NOT NULL ORDER BY f.frame, p.part"#,
-        job.0
+           WHERE f.job_id IN (SELECT unhex(value) FROM json_each(?)) AND f.cpu_p50 IS NOT NULL
+           ORDER BY f.job_id, f.frame, p.part"#,
+        hex_list(jobs.iter().map(|job| job.0))
     )
-    .fetch_all(&mut *connection)
+    .fetch_all(connection)
     .await?;
-    let held = rows.iter().any(|row| row.waits && row.held);
-    let booked = rows.iter().map(|row| ((row.frame, row.part), booked_cost(row.length, row.price))).collect();
-    let frames = rows
-        .into_iter()
-        .map(|row| FarmFrame {
+    let mut frames: BTreeMap<JobId, Vec<BookedFrame>> = BTreeMap::new();
+    for row in rows {
+        let frame = FarmFrame {
             frame: FramePart { frame: row.frame, part: row.part, parts: row.parts },
             p50: row.cpu_p50,
             p80: row.cpu_p80,
             p95: row.cpu_p95,
             waits: row.waits,
             untouched: row.untouched,
-        })
-        .collect();
-    let is_to_be_filled = done.shared_cache.as_ref().is_some_and(|cache| !cache.ready);
-    let booked_cache = if is_to_be_filled { booked_for_cache(connection, job).await? } else { 0 };
-    let payments = ledger::payments(connection, job, now).await?;
+        };
+        let cost = booked_cost(row.length, row.price);
+        frames.entry(row.job_id.into()).or_default().push(BookedFrame { frame, held: row.held, cost });
+    }
+    Ok(frames)
+}
+
+/// A job of the farm, with what it paid, and what is booked for its shared irradiance cache in micro-units.
+fn farm_job(
+    mut row: JobRow,
+    done: Progress,
+    frames: Vec<BookedFrame>,
+    (payments, for_cache): (&[Payment], i64),
+) -> Result<FarmJob> {
+    let (forecast, factor) = (row.forecast.take(), row.factor);
+    let (terms, has_new_terms) = (row.terms, row.has_new_terms());
+    let held = frames.iter().any(|row| row.frame.waits && row.held);
+    let booked = frames.iter().map(|row| ((row.frame.frame.frame, row.frame.frame.part), row.cost)).collect();
     Ok(FarmJob {
         job: row.job(done)?,
         forecast: forecast.map(Unread::read).transpose()?,
-        frames,
-        spent: spent_and_under_way(&payments, &booked, booked_cache),
+        frames: frames.into_iter().map(|row| row.frame).collect(),
+        spent: spent_and_under_way(payments, &booked, for_cache),
         factor,
         held,
         terms,

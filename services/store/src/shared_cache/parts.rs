@@ -1,11 +1,13 @@
 //! The parts of shared irradiance caches: their bookings and progress.
 
+use std::collections::BTreeMap;
+
 use forelight_protocol::{
     JobId, NodeId, SharedCacheBooking, SharedCacheForecast, SharedCacheProgress, Timestamp,
 };
 use sqlx::SqliteConnection;
 
-use crate::columns::{Id, Json, Time};
+use crate::columns::{Id, Json, Time, hex_list};
 use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::policy::overdue::AttemptTimes;
@@ -150,14 +152,36 @@ pub(crate) async fn progress(
     connection: &mut SqliteConnection,
     job: JobId,
 ) -> Result<Option<SharedCacheProgress>> {
-    let forecast = sqlx::query_scalar!(
-        r#"SELECT json_extract(forecast, '$.cache.shared_cache') AS "forecast?: Json<SharedCacheForecast>"
-           FROM jobs WHERE id = ?"#,
-        job.0
+    Ok(progress_of_jobs(connection, &[job]).await?.remove(&job))
+}
+
+/// The same of each of these jobs whose frames share a cache.
+pub(crate) async fn progress_of_jobs(
+    connection: &mut SqliteConnection,
+    jobs: &[JobId],
+) -> Result<BTreeMap<JobId, SharedCacheProgress>> {
+    let rows = sqlx::query!(
+        r#"SELECT id, json_extract(forecast, '$.cache.shared_cache') AS "forecast!: Json<SharedCacheForecast>"
+           FROM jobs WHERE id IN (SELECT unhex(value) FROM json_each(?))
+           AND json_extract(forecast, '$.cache.shared_cache') IS NOT NULL"#,
+        hex_list(jobs.iter().map(|job| job.0))
     )
-    .fetch_optional(&mut *connection)
+    .fetch_all(&mut *connection)
     .await?;
-    let Some(Json(forecast)) = forecast.flatten() else { return Ok(None) };
+    let mut found = BTreeMap::new();
+    for row in rows {
+        let job = row.id.into();
+        found.insert(job, filled(connection, job, &row.forecast.0).await?);
+    }
+    Ok(found)
+}
+
+/// How far a cache with this forecast is filled.
+async fn filled(
+    connection: &mut SqliteConnection,
+    job: JobId,
+    forecast: &SharedCacheForecast,
+) -> Result<SharedCacheProgress> {
     let row = sqlx::query!(
         r#"SELECT count(*) FILTER (WHERE t.state = 'done') AS "done!: u32",
                   total(CASE t.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN t.progress ELSE 0.0 END) AS "reached!: f64",
@@ -179,5 +203,5 @@ pub(crate) async fn progress(
         work: row.work,
         cpu_nanos: row.cpu_nanos,
     };
-    Ok(Some(shared_cache::progress(&forecast, &filled)))
+    Ok(shared_cache::progress(forecast, &filled))
 }
