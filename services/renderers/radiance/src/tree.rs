@@ -96,7 +96,7 @@ impl Counter {
         while let Some(first) = scattered.first() {
             let weight = first.weight;
             let (group, others): (Vec<&Node>, Vec<&Node>) =
-                scattered.into_iter().partition(|node| (node.weight / weight - 1.0).abs() < SAME);
+                scattered.into_iter().partition(|node| (node.weight - weight).abs() <= SAME * weight.abs());
             let around = |node: &&Node| {
                 dot(&node.direction, &mirror) > AROUND || dot(&node.direction, &parent.direction) > AROUND
             };
@@ -149,7 +149,7 @@ impl Reader {
         let depth = line.iter().take_while(|&&byte| byte == b'\t').count();
         let text = std::str::from_utf8(&line[depth..]).ok()?;
         let mut words = text.split('\t');
-        let mut number = || words.next()?.parse::<f64>().ok();
+        let mut number = || words.next()?.parse::<f64>().ok().filter(|number| number.is_finite());
         let mut triple = || Some([number()?, number()?, number()?]);
         let (direction, normal) = (triple()?, triple()?);
         let node = Node { direction, normal, weight: number()? };
@@ -261,8 +261,17 @@ mod tests {
     }
 
     #[test]
+    fn rays_without_weight_are_counted() {
+        let rough = || line(1, [0.6, 0.1, 0.79], 0.0);
+        let lines = [rough(), rough(), line(0, DOWN, 1.0), "~\t\n".to_owned()];
+        assert_eq!(count(CACHED, &lines), [[1, 0, 0, 0, 0, 0, 2]]);
+    }
+
+    #[test]
     fn a_line_that_is_no_ray_is_named() {
-        let error = CACHED.reader().read(b"rtrace: help\n").unwrap_err();
-        assert!(error.contains("`rtrace: help`"), "{error}");
+        for text in ["rtrace: help", "0\t0\t-1\t0\t0\t1\tnan\tfloor\t"] {
+            let error = CACHED.reader().read(format!("{text}\n").as_bytes()).unwrap_err();
+            assert!(error.contains(&format!("`{text}`")), "{error}");
+        }
     }
 }
