@@ -101,7 +101,7 @@ fn size(text: &str) -> Result<(u32, u32), String> {
     match numbers.as_deref() {
         Some(&[side]) => Ok((side, side)),
         Some(&[width, height]) => Ok((width, height)),
-        _ => Err(format!("RESOLUTION: `{text}` is not one or two numbers of pixels")),
+        _ => Err(format!("RESOLUTION: `{}` is not one or two numbers of pixels", text.escape_debug())),
     }
 }
 
@@ -146,6 +146,7 @@ view= -vf side.vf
             (format!("illum= window.rad\n{PRINTED}"), "illum"),
             (without_views, "view: the file has none"),
             (PRINTED.replace("512 384", "large"), "RESOLUTION"),
+            (PRINTED.replace("512 384", "5\r x"), "RESOLUTION: `5\\r x` is"),
             (PRINTED.replace("-ps 3", "-zz 3"), "option -zz"),
             (PRINTED.replace("\tpfilt", "\toconv a.rad > a.oct\n\tpfilt"), "several steps"),
         ] {

@@ -119,7 +119,8 @@ impl Reader {
             line.extend_from_slice(&rest[..end]);
             rest = &rest[end + 1..];
             self.take(&line).ok_or_else(|| {
-                format!("rtrace printed `{}` where a ray was expected", String::from_utf8_lossy(&line))
+                let line = String::from_utf8_lossy(&line);
+                format!("rtrace printed `{}` where a ray was expected", line.escape_debug())
             })?;
             line.clear();
             self.line = line;
@@ -269,9 +270,9 @@ mod tests {
 
     #[test]
     fn a_line_that_is_no_ray_is_named() {
-        for text in ["rtrace: help", "0\t0\t-1\t0\t0\t1\tnan\tfloor\t"] {
+        for text in ["rtrace: help", "12\r", "0\t0\t-1\t0\t0\t1\tnan\tfloor\t"] {
             let error = CACHED.reader().read(format!("{text}\n").as_bytes()).unwrap_err();
-            assert!(error.contains(&format!("`{text}`")), "{error}");
+            assert!(error.contains(&format!("`{}`", text.escape_debug())), "{error}");
         }
     }
 }
