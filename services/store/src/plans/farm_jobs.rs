@@ -1,5 +1,5 @@
-//! The farm's booked jobs, as input of a plan. Large farms have thousands, so each statement reads the rows of
-//! all of them.
+//! The farm's booked jobs, as input of a plan. Large farms have thousands, so each statement reads all rows of
+//! its kind.
 
 use std::collections::BTreeMap;
 
