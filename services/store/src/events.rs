@@ -93,17 +93,25 @@ impl From<EventRow> for Event {
     }
 }
 
+/// Rows of events: `event_rows!("WHERE e.id > ?", after)`.
+macro_rules! event_rows {
+    ($rest:literal $(, $value:expr)* $(,)?) => {
+        sqlx::query_as!(
+            $crate::events::EventRow,
+            "SELECT e.id, e.body, j.project AS \"project?\", j.name AS \"job_name?\" \
+             FROM events e LEFT JOIN jobs j ON j.id = e.job_id "
+                + $rest
+            $(, $value)*
+        )
+    };
+}
+pub(crate) use event_rows;
+
 /// The newest events of the farm but progress, newest first.
 pub(crate) async fn newest(connection: &mut SqliteConnection, limit: u32) -> Result<Vec<Event>> {
-    let rows = sqlx::query_as!(
-        EventRow,
-        r#"SELECT e.id, e.body, j.project AS "project?", j.name AS "job_name?"
-           FROM events e LEFT JOIN jobs j ON j.id = e.job_id
-           WHERE e.kind <> 'task_progress' ORDER BY e.id DESC LIMIT ?"#,
-        limit
-    )
-    .fetch_all(connection)
-    .await?;
+    let rows = event_rows!("WHERE e.kind <> 'task_progress' ORDER BY e.id DESC LIMIT ?", limit)
+        .fetch_all(connection)
+        .await?;
     Ok(rows.into_iter().map(Event::from).collect())
 }
 

@@ -14,7 +14,7 @@ use crate::audit::{Deed, note, note_only};
 use crate::columns::{Id, Json, Time, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
-use crate::events::{EventRow, last_id};
+use crate::events::{event_rows, last_id};
 use crate::writing::run;
 
 /// How long ended deliveries are listed: thirty days, in microseconds.
@@ -152,12 +152,9 @@ impl Store {
     pub async fn events_for_webhooks(&self, seen: EventId) -> Result<(Vec<Event>, EventId)> {
         let mut transaction = self.read().await?;
         let last = last_id(&mut transaction).await?;
-        let rows = sqlx::query_as!(
-            EventRow,
-            r#"SELECT e.id, e.body, j.project AS "project?", j.name AS "job_name?"
-               FROM events e LEFT JOIN jobs j ON j.id = e.job_id
-               WHERE e.id > ?1 AND e.id <= ?2 AND e.kind IN ('job_promise_at_risk', 'job_promise_safe',
-                     'job_state', 'budget', 'node_set_aside') ORDER BY e.id LIMIT ?3"#,
+        let rows = event_rows!(
+            "WHERE e.id > ?1 AND e.id <= ?2 AND e.kind IN ('job_promise_at_risk', 'job_promise_safe', \
+             'job_state', 'budget', 'node_set_aside') ORDER BY e.id LIMIT ?3",
             seen,
             last,
             BATCH

@@ -185,7 +185,7 @@ impl Cursor {
             self.over |= self.job.is_some() && events.iter().any(|event| event.is_last);
             let mine = events.iter().filter_map(|event| event.lines_for(&self.caller));
             let mut text: String = mine.map(String::as_str).collect();
-            text.extend(self.new_summary());
+            self.add_new_summary(&mut text);
             if !text.is_empty() {
                 self.caught_up = (events.len() < BATCH as usize && !self.over).then(Instant::now);
                 return Some(text.into());
@@ -205,10 +205,13 @@ impl Cursor {
         }
     }
 
-    /// A summary that was not told yet.
-    fn new_summary(&mut self) -> Option<Box<str>> {
-        let summaries = self.summaries.as_mut()?;
-        summaries.has_changed().ok()?.then(|| (&**summaries.borrow_and_update()).into())
+    /// Adds the summary to a text, unless it was told already.
+    fn add_new_summary(&mut self, text: &mut String) {
+        if let Some(summaries) = &mut self.summaries
+            && summaries.has_changed().is_ok_and(|is_new| is_new)
+        {
+            text.push_str(&summaries.borrow_and_update());
+        }
     }
 
     async fn read(&self) -> Result<Batch, StoreError> {

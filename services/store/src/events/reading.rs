@@ -4,22 +4,22 @@ use forelight_protocol::{Event, EventId, JobId, Timestamp};
 
 use crate::database::Store;
 use crate::error::Result;
-use crate::events::{EventRow, last_id};
+use crate::events::{event_rows, last_id};
 
 impl Store {
     /// The events after the event `after`, oldest first, at most `limit`; of one job, or of the whole farm.
     pub async fn events_after(&self, job: Option<JobId>, after: EventId, limit: u32) -> Result<Vec<Event>> {
-        macro_rules! rows {
-            ($rest:literal $(, $value:expr)*) => {
-                sqlx::query_as!(EventRow, "SELECT e.id, e.body, j.project AS \"project?\", j.name AS \"job_name?\" \
-                     FROM events e LEFT JOIN jobs j ON j.id = e.job_id WHERE " + $rest $(, $value)*)
+        let rows = match job {
+            Some(job) => {
+                event_rows!("WHERE e.job_id = ? AND e.id > ? ORDER BY e.id LIMIT ?", job.0, after, limit)
                     .fetch_all(self.readers())
                     .await?
-            };
-        }
-        let rows = match job {
-            Some(job) => rows!("e.job_id = ? AND e.id > ? ORDER BY e.id LIMIT ?", job.0, after, limit),
-            None => rows!("e.id > ? ORDER BY e.id LIMIT ?", after, limit),
+            }
+            None => {
+                event_rows!("WHERE e.id > ? ORDER BY e.id LIMIT ?", after, limit)
+                    .fetch_all(self.readers())
+                    .await?
+            }
         };
         Ok(rows.into_iter().map(Event::from).collect())
     }

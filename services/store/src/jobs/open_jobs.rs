@@ -28,12 +28,13 @@ impl Store {
         let rows = job_rows!("WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering') ORDER BY id")
             .fetch_all(&mut *transaction)
             .await?;
+        let ids: Vec<JobId> = rows.iter().map(|row| row.id.into()).collect();
+        let mut done = progress::of_jobs(&mut transaction, &ids).await?;
         let mut open = Vec::with_capacity(rows.len());
         for mut row in rows {
             let job_id = JobId::from(row.id);
             let forecast = row.forecast.take();
-            let done = progress::of_job(&mut transaction, job_id).await?;
-            let job = row.job(done)?;
+            let job = row.job(done.remove(&job_id).unwrap_or_default())?;
             let frames = sqlx::query!(
                 r#"SELECT frame, cpu_p50 AS "cpu_p50!", cpu_p80 AS "cpu_p80!" FROM frames
                    WHERE job_id = ? AND finished_at IS NULL AND dropped = 0 AND cpu_p50 IS NOT NULL ORDER BY frame"#,
