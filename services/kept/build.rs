@@ -4,7 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 fn main() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    // As of now: the folder in which this program was compiled may be another one, or gone.
+    let root = std::env::var_os("CARGO_MANIFEST_DIR").unwrap_or_else(|| panic!("run this by cargo"));
+    let root = Path::new(&root).join("../..");
     let mut files =
         ["Cargo.lock", "Cargo.toml", "services/tracer/src/tree.rs"].map(|file| root.join(file)).to_vec();
     for folder in ["services/scene/src", "services/bvh/src"] {

@@ -11,7 +11,8 @@ pub(crate) mod ledger;
 pub(crate) mod nights;
 pub(crate) mod past;
 
-use std::collections::BTreeSet;
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
     AuditAction, Budget, BudgetAction, BudgetRequest, Event, EventKind, LeaseId, Money, Timestamp,
@@ -19,7 +20,7 @@ use forelight_protocol::{
 use sqlx::SqliteConnection;
 
 use crate::audit::{Deed, note};
-use crate::budgets::ledger::{committed, spent};
+use crate::budgets::ledger::{committed, spent_by_project};
 use crate::columns::{Json, corrupt};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
@@ -110,34 +111,45 @@ async fn kept(connection: &mut SqliteConnection) -> Result<Vec<Kept>> {
 }
 
 pub(crate) async fn budgets(connection: &mut SqliteConnection, now: Timestamp) -> Result<Vec<Budget>> {
-    let mut found = Vec::new();
-    for kept in kept(connection).await? {
-        found.push(as_it_stands(connection, kept, now).await?);
-    }
-    Ok(found)
+    let kept = kept(connection).await?;
+    as_they_stand(connection, kept, now).await
 }
 
-async fn as_it_stands(connection: &mut SqliteConnection, kept: Kept, now: Timestamp) -> Result<Budget> {
-    let Kept { request, action, period_at, updated_at } = kept;
-    let BudgetRequest { project, period, amount, zone, thresholds } = request;
-    let (from, until) =
-        period.bounds(&zone, now).ok_or_else(|| corrupt("zone", format!("{zone} is not a time zone")))?;
-    let spent = spent(connection, &project, from, now).await?;
-    let committed = committed(connection, &project, now).await?;
-    let action = action.filter(|_| period_at == Some(from));
-    Ok(Budget {
-        project,
-        period,
-        amount,
-        zone,
-        thresholds,
-        from,
-        until,
-        spent,
-        committed,
-        action,
-        updated_at,
-    })
+/// Budgets in the same order, with what is spent.
+async fn as_they_stand(
+    connection: &mut SqliteConnection,
+    kept: Vec<Kept>,
+    now: Timestamp,
+) -> Result<Vec<Budget>> {
+    let mut budgets = Vec::with_capacity(kept.len());
+    // Budgets of many projects begin at few instants.
+    let mut since: BTreeMap<Timestamp, BTreeMap<String, Money>> = BTreeMap::new();
+    for Kept { request, action, period_at, updated_at } in kept {
+        let BudgetRequest { project, period, amount, zone, thresholds } = request;
+        let (from, until) =
+            period.bounds(&zone, now).ok_or_else(|| corrupt("zone", format!("{zone} is not a time zone")))?;
+        let spent = match since.entry(from) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(unknown) => unknown.insert(spent_by_project(connection, from, now).await?),
+        };
+        let spent = spent.get(&project).copied().unwrap_or_default();
+        let committed = committed(connection, &project, now).await?;
+        let action = action.filter(|_| period_at == Some(from));
+        budgets.push(Budget {
+            project,
+            period,
+            amount,
+            zone,
+            thresholds,
+            from,
+            until,
+            spent,
+            committed,
+            action,
+            updated_at,
+        });
+    }
+    Ok(budgets)
 }
 
 /// The budgets whose row has to change, with the action that comes into force.
@@ -145,16 +157,14 @@ async fn due(
     connection: &mut SqliteConnection,
     now: Timestamp,
 ) -> Result<Vec<(Budget, Option<BudgetAction>)>> {
-    let mut due = Vec::new();
-    for kept in kept(connection).await? {
-        let written = (kept.action, kept.period_at);
-        let budget = as_it_stands(connection, kept, now).await?;
+    let kept = kept(connection).await?;
+    let written: Vec<_> = kept.iter().map(|kept| (kept.action, kept.period_at)).collect();
+    let budgets = as_they_stand(connection, kept, now).await?;
+    let due = budgets.into_iter().zip(written).filter_map(|(budget, written)| {
         let action = policy::action(&budget);
-        if policy::is_news(&budget, action, written) {
-            due.push((budget, action));
-        }
-    }
-    Ok(due)
+        policy::is_news(&budget, action, written).then_some((budget, action))
+    });
+    Ok(due.collect())
 }
 
 async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32> {

@@ -11,7 +11,7 @@ use forelight_protocol::{
 };
 use sqlx::SqliteConnection;
 
-use crate::budgets::{self, past};
+use crate::budgets::{self, ledger};
 use crate::columns::{Json, Word};
 use crate::database::Store;
 use crate::error::Result;
@@ -293,7 +293,7 @@ async fn spending(connection: &mut SqliteConnection, now: Timestamp) -> Result<V
     let zones: BTreeSet<String> = by_project.values().flatten().map(|budget| budget.zone.clone()).collect();
     let mut nights: BTreeMap<String, BTreeMap<String, Money>> = BTreeMap::new();
     for zone in zones.into_iter().chain(["UTC".to_owned()]) {
-        let spent = spent_since(connection, night_of(&zone, now), now).await?;
+        let spent = ledger::spent_by_project(connection, night_of(&zone, now), now).await?;
         nights.insert(zone, spent);
     }
     for project in nights.get("UTC").into_iter().flat_map(BTreeMap::keys) {
@@ -312,30 +312,4 @@ async fn spending(connection: &mut SqliteConnection, now: Timestamp) -> Result<V
 
 fn night_of(zone: &str, now: Timestamp) -> Timestamp {
     Night::of(zone, now).map_or(now, |night| night.from)
-}
-
-/// What each project's leases cost since an instant. Active leases count up to now.
-async fn spent_since(
-    connection: &mut SqliteConnection,
-    from: Timestamp,
-    now: Timestamp,
-) -> Result<BTreeMap<String, Money>> {
-    let rows = sqlx::query!(
-        r#"SELECT d.project AS "project!",
-                  total((coalesce(d.until_at, min(coalesce(l.paid_until, ?2), ?2)) - max(d.from_at, ?1))
-                        * (d.price_per_hour / 3.6e9)) AS "cost!: f64"
-           FROM ledger d JOIN leases l ON l.id = d.lease_id
-           WHERE d.until_at > ?1 OR (d.until_at IS NULL AND d.from_at < ?2) GROUP BY d.project"#,
-        from.micros(),
-        now.micros()
-    )
-    .fetch_all(&mut *connection)
-    .await?;
-    let mut spent: BTreeMap<String, Money> =
-        rows.into_iter().map(|row| (row.project, Money(row.cost.round() as i64))).collect();
-    for line in past::payments(connection, from, now).await? {
-        let sum = spent.entry(line.project.clone()).or_default();
-        *sum = Money(sum.0.saturating_add(line.cost_within(from, now).0));
-    }
-    Ok(spent)
 }

@@ -95,23 +95,31 @@ pub(crate) async fn read(connection: &mut SqliteConnection, now: Timestamp) -> R
         let entry = ProjectUse { name: row.name.clone(), share: row.share.max(1), used: Vec::new() };
         found.insert(row.name, entry);
     }
-    let rows = sqlx::query!(
-        "SELECT project, (ends_at + ?3 - 1) / ?3 AS \"hour!: i64\", sum(ends_at - from_at) AS \"used!: \
-         i64\" FROM (SELECT project, from_at, coalesce(until_at, paid_until, min(?1, expires_at)) AS \
-         ends_at FROM ledger d JOIN leases l ON l.id = d.lease_id WHERE from_at < ?1 \
-         AND (until_at IS NULL OR until_at > ?2)) GROUP BY 1, 2 ORDER BY 1, 2",
+    let since = now.plus_micros(-REMEMBERED * HALF_LIFE);
+    let ended = sqlx::query!(
+        "SELECT project, (until_at + ?3 - 1) / ?3 AS \"hour!: i64\", sum(until_at - from_at) AS \"used!: i64\" \
+         FROM ledger WHERE until_at > ?2 AND from_at < ?1 GROUP BY 1, 2 ORDER BY 1, 2",
         now.micros(),
-        now.plus_micros(-REMEMBERED * HALF_LIFE).micros(),
+        since.micros(),
         HOUR
     )
     .fetch_all(&mut *connection)
     .await?;
-    let past = past::used(connection, now.plus_micros(-REMEMBERED * HALF_LIFE), HOUR).await?;
-    let of_leases = rows.into_iter().map(|row| {
-        let hour = Timestamp::from_micros(row.hour.saturating_mul(HOUR));
-        (row.project, hour, row.used)
-    });
-    for (project, hour, used) in of_leases.chain(past) {
+    let running = sqlx::query!(
+        "SELECT project, (ends_at + ?2 - 1) / ?2 AS \"hour!: i64\", sum(ends_at - from_at) AS \"used!: i64\" \
+         FROM (SELECT project, from_at, coalesce(paid_until, min(?1, expires_at)) AS ends_at \
+         FROM ledger d JOIN leases l ON l.id = d.lease_id WHERE until_at IS NULL AND from_at < ?1) \
+         GROUP BY 1, 2 ORDER BY 1, 2",
+        now.micros(),
+        HOUR
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    let past = past::used(connection, since, HOUR).await?;
+    let hour = |hour: i64| Timestamp::from_micros(hour.saturating_mul(HOUR));
+    let ended = ended.into_iter().map(|row| (row.project, hour(row.hour), row.used));
+    let running = running.into_iter().map(|row| (row.project, hour(row.hour), row.used));
+    for (project, hour, used) in ended.chain(running).chain(past) {
         let entry = found.entry(project);
         let name = entry.key().clone();
         entry.or_insert(ProjectUse { name, share: 1, used: Vec::new() }).used.push((hour.min(now), used));

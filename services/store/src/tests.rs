@@ -35,6 +35,7 @@ mod plans;
 mod records;
 mod retention;
 mod shared_cache;
+mod spending;
 mod statements;
 mod trust;
 mod unattended;

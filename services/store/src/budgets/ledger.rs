@@ -99,23 +99,52 @@ pub(crate) async fn payments(
 /// What a job's leases cost, including its quote, its frames and lost work. Active leases count up to now.
 pub(crate) async fn spent_on(connection: &mut SqliteConnection, job: JobId, now: Timestamp) -> Result<Money> {
     let payments = payments(connection, &[job], now).await?;
-    let lines = payments.into_values().flatten().map(|payment| payment.line);
-    Ok(policy::cost_since(lines, Timestamp::from_micros(i64::MIN)))
+    let payments: Vec<Payment> = payments.into_values().flatten().collect();
+    Ok(policy::cost_since(payments.iter().map(|payment| &payment.line), Timestamp::from_micros(i64::MIN)))
 }
 
-/// What a project's leases cost since an instant. Active leases count up to now.
-pub(crate) async fn spent(
+/// What each project's leases cost since an instant, those of deleted jobs included. Active leases count up to
+/// now.
+pub(crate) async fn spent_by_project(
     connection: &mut SqliteConnection,
-    project: &str,
     from: Timestamp,
     now: Timestamp,
-) -> Result<Money> {
-    let rows =
-        rows!("", "WHERE d.project = ? AND (d.until_at IS NULL OR d.until_at > ?)", project, from.micros())
-            .fetch_all(&mut *connection)
-            .await?;
-    let open = policy::cost_since(rows.into_iter().map(|row| line!(row, now)), from);
-    Ok(Money(open.0.saturating_add(past::spent(connection, project, from).await?.0)))
+) -> Result<BTreeMap<String, Money>> {
+    // Each line is rounded up, as in `Money::for_micros_at_hourly_rate`. Time is split into hours and the rest,
+    // the price into 3,600 parts and the rest, so that nothing overflows for prices that nodes may have.
+    let ended = sqlx::query!(
+        r#"SELECT project,
+                  sum((until_at - from_at) / 3600000000 * price_per_hour
+                      + (until_at - from_at) % 3600000000 * (price_per_hour / 3600) / 1000000
+                      + ((until_at - from_at) % 3600000000 * (price_per_hour / 3600) % 1000000 * 3600
+                         + (until_at - from_at) % 3600000000 * (price_per_hour % 3600) + 3599999999)
+                      / 3600000000) AS "cost!: i64"
+           FROM ledger WHERE until_at > ?1 AND from_at >= ?1 GROUP BY project"#,
+        from.micros()
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    let rest = rows!(
+        "",
+        "WHERE d.lease_id IN (SELECT lease_id FROM ledger WHERE until_at IS NULL \
+         UNION ALL SELECT lease_id FROM ledger WHERE until_at > ?1 AND from_at < ?1)",
+        from.micros()
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    let past = past::spent(connection, from).await?;
+    let ended = ended.into_iter().map(|row| (row.project, Money(row.cost)));
+    let rest = rest.into_iter().map(|row| {
+        let line = line!(row, now);
+        let cost = policy::cost_since([&line], from);
+        (line.project, cost)
+    });
+    let mut spent: BTreeMap<String, Money> = BTreeMap::new();
+    for (project, cost) in ended.chain(rest).chain(past) {
+        let sum = spent.entry(project).or_default();
+        *sum = Money(sum.0.saturating_add(cost.0));
+    }
+    Ok(spent)
 }
 
 /// The expected rest of the cost of a project's running frames, at the median of their forecasts.

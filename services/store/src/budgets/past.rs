@@ -59,20 +59,18 @@ pub(crate) async fn payments(
     Ok(rows.into_iter().map(|row| line((row.project, row.from_at, row.cost))).collect())
 }
 
-/// What a project spent on deleted jobs since an instant.
+/// What each project spent on deleted jobs since an instant.
 pub(crate) async fn spent(
     connection: &mut SqliteConnection,
-    project: &str,
     from: Timestamp,
-) -> Result<Money> {
-    let cost = sqlx::query_scalar!(
-        r#"SELECT coalesce(sum(cost), 0) AS "cost!: i64" FROM past_payments WHERE project = ? AND from_at >= ?"#,
-        project,
+) -> Result<Vec<(String, Money)>> {
+    let rows = sqlx::query!(
+        r#"SELECT project, sum(cost) AS "cost!: i64" FROM past_payments WHERE from_at >= ? GROUP BY project"#,
         from.micros()
     )
-    .fetch_one(connection)
+    .fetch_all(connection)
     .await?;
-    Ok(Money(cost))
+    Ok(rows.into_iter().map(|row| (row.project, Money(row.cost))).collect())
 }
 
 /// Node time in microseconds that projects used for deleted jobs since an instant, by periods of `period`

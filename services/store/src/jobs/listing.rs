@@ -107,11 +107,11 @@ macro_rules! ids {
     };
 }
 
-/// The same in each order.
+/// The same in each order. SQLite would look for the newest ones by the primary key alone.
 macro_rules! ids_in_order {
-    ($asked:tt, $order:expr, $from:literal) => {
+    ($asked:tt, $order:expr, $from:literal, newest: $newest:literal) => {
         match $order {
-            JobOrder::Newest => ids!($asked, $from, "AND id < ?8 ORDER BY id DESC LIMIT ?9"),
+            JobOrder::Newest => ids!($asked, $newest, "AND id < ?8 ORDER BY id DESC LIMIT ?9"),
             JobOrder::Risk => ids!(
                 $asked,
                 $from,
@@ -121,12 +121,9 @@ macro_rules! ids_in_order {
                 ids!($asked, $from, "AND (due_at, id) > (?6, ?8) ORDER BY due_at, id LIMIT ?9")
             }
             JobOrder::Name => ids!($asked, $from, "AND (name, id) > (?7, ?8) ORDER BY name, id LIMIT ?9"),
-            JobOrder::Cost => ids!(
-                $asked,
-                $from,
-                "AND (-coalesce(json_extract(verdict, '$.cost'), -1), id) > (-?5, ?8) \
-                 ORDER BY coalesce(json_extract(verdict, '$.cost'), -1) DESC, id LIMIT ?9"
-            ),
+            JobOrder::Cost => {
+                ids!($asked, $from, "AND (by_cost, id) > (-?5, ?8) ORDER BY by_cost, id LIMIT ?9")
+            }
         }
     };
 }
@@ -164,10 +161,16 @@ pub(crate) async fn ids(
         ids_in_order!(
             (connection, filter, after, limit),
             order,
-            "INDEXED BY jobs_open WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')"
+            "INDEXED BY jobs_open WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')",
+            newest: "INDEXED BY jobs_open WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')"
         )
     } else {
-        ids_in_order!((connection, filter, after, limit), order, "WHERE 1")
+        ids_in_order!(
+            (connection, filter, after, limit),
+            order,
+            "WHERE 1",
+            newest: "INDEXED BY jobs_newest WHERE 1"
+        )
     };
     Ok(ids.into_iter().map(JobId::from).collect())
 }

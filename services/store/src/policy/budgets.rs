@@ -73,8 +73,8 @@ pub(crate) fn by_quarter(line: &LedgerLine) -> Vec<(Timestamp, Money, i64)> {
 }
 
 /// What these ledger lines cost since an instant, as far as each is paid.
-pub(crate) fn cost_since(lines: impl IntoIterator<Item = LedgerLine>, from: Timestamp) -> Money {
-    lines.into_iter().fold(Money(0), |sum, line| Money(sum.0.saturating_add(paid(&line, from).0)))
+pub(crate) fn cost_since<'a>(lines: impl IntoIterator<Item = &'a LedgerLine>, from: Timestamp) -> Money {
+    lines.into_iter().fold(Money(0), |sum, line| Money(sum.0.saturating_add(paid(line, from).0)))
 }
 
 fn paid(line: &LedgerLine, from: Timestamp) -> Money {
@@ -236,6 +236,6 @@ mod tests {
         // 300 are paid; 150 are left of frame 3's booking and 50 of the cache's.
         assert_eq!(spent_and_under_way(&payments, &booked, 150), Money(500));
         assert_eq!(spent_and_under_way(&payments, &booked, 20), Money(450));
-        assert_eq!(cost_since([line(0, Some(HOUR))], at(HOUR / 2)), Money(50));
+        assert_eq!(cost_since([&line(0, Some(HOUR))], at(HOUR / 2)), Money(50));
     }
 }
