@@ -59,6 +59,7 @@ mod problem;
 mod proof;
 mod rental;
 mod replan;
+mod rescue;
 mod schedule;
 mod score;
 mod simulate;
@@ -84,6 +85,7 @@ pub use model::{
     Verdict, WorkTotal,
 };
 pub use replan::{AtRisk, Event, Replanned, mend, replan};
+pub use rescue::Rescue;
 pub use schedule::{plan, plan_and_count, plan_quickly};
 pub use simulate::{JobRisk, Simulation, Stretch, scenarios, simulate};
 pub use verify::{Violation, verify};

@@ -5,15 +5,16 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 
 use crate::admission::Admission;
-use crate::answers::{Change, changed, find, node, own_job};
+use crate::answers::{Change, find, node, own_job};
 use crate::bound::{bound, bound_of_all};
 use crate::difference::{Difference, difference};
 use crate::lane::Prefer;
 use crate::model::{
-    Booking, Bound, FixedBooking, Input, InputError, Interval, Job, Node, Plan, PlanId, Task,
+    Booking, Bound, FixedBooking, Input, InputError, Interval, Job, JobPlan, Node, Plan, PlanId, Task,
 };
 use crate::outcome;
 use crate::problem::Problem;
+use crate::rescue::{Rescue, rescues};
 use crate::schedule::{as_early_as_possible, in_turns, place_all};
 use crate::state::{Placed, State};
 
@@ -86,8 +87,8 @@ pub struct AtRisk {
     pub job: u64,
     /// When the job would now end. `None`: never.
     pub finish: Option<i64>,
-    /// The cheapest rescue found, and its cost.
-    pub rescue: Option<(Change, i64)>,
+    /// The cheapest rescue found.
+    pub rescue: Option<Rescue>,
 }
 
 /// Makes a new plan after an event.
@@ -246,7 +247,7 @@ fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
     moving
 }
 
-fn place_in_time(state: &mut State, job: usize) -> bool {
+pub(crate) fn place_in_time(state: &mut State, job: usize) -> bool {
     let before = state.placed[job].len();
     for prefer in [Prefer::Cheap, Prefer::Early] {
         if place_all(state, job, prefer, None) {
@@ -334,15 +335,15 @@ fn takes_time_of(state: &mut State, job: usize, other: usize, (release, deadline
 
 /// Promises that were kept and now break, each with a rescue.
 fn at_risk(input: &Input, old: &Plan, new: &Plan) -> Result<Vec<AtRisk>, InputError> {
-    let mut found = Vec::new();
-    for entry in new.jobs.iter().filter(|entry| !entry.verdict.is_kept()) {
-        let was_kept = old.job(entry.job).is_none_or(|before| before.verdict.is_kept());
-        if was_kept {
-            let rescue = rescue(input, new, entry.job)?;
-            found.push(AtRisk { job: entry.job, finish: entry.verdict.finish(), rescue });
-        }
-    }
-    Ok(found)
+    let was_kept = |job: u64| old.job(job).is_none_or(|before| before.verdict.is_kept());
+    let breaks = |entry: &&JobPlan| !entry.verdict.is_kept() && was_kept(entry.job);
+    let late: Vec<&JobPlan> = new.jobs.iter().filter(breaks).collect();
+    let jobs: Vec<u64> = late.iter().map(|entry| entry.job).collect();
+    let rescues = rescues(input, new, &jobs)?;
+    let with_rescue = late.into_iter().zip(rescues);
+    Ok(with_rescue
+        .map(|(entry, rescue)| AtRisk { job: entry.job, finish: entry.verdict.finish(), rescue })
+        .collect())
 }
 
 /// A frame known to end after its job's deadline breaks the promise, whatever the plan.
@@ -351,51 +352,7 @@ fn late_by_fact(input: &Input, old: &Plan, new: &Plan, event: &Event) -> Option<
     let deadline = find(input, *job).ok()?.deadline.filter(|deadline| until > deadline)?;
     let was_kept = old.job(*job).is_some_and(|entry| entry.verdict.is_kept());
     let is_known = new.job(*job).is_none_or(|entry| !entry.verdict.is_kept());
-    let rescue = Some((Change::Later { job: *job, by: until.saturating_sub(deadline) }, 0));
+    let change = Change::Later { job: *job, by: until.saturating_sub(deadline) };
+    let rescue = Some(Rescue { change, added_cost: 0, finish: *until });
     (was_kept && !is_known).then_some(AtRisk { job: *job, finish: Some(*until), rescue })
-}
-
-/// The cheapest of a few changes with which the job is in time, around all other bookings.
-fn rescue(input: &Input, new: &Plan, job: u64) -> Result<Option<(Change, i64)>, InputError> {
-    let asked = find(input, job)?;
-    let others: Vec<Booking> = new.bookings.iter().filter(|booking| booking.job != job).copied().collect();
-    let mut able: Vec<&Node> = input.nodes.iter().filter(|node| node.speed_of(asked.class) > 0).collect();
-    able.sort_by_key(|node| {
-        (i128::from(node.price_per_hour) * 1_000_000_000 / i128::from(node.speed_of(asked.class)), node.id)
-    });
-    let cheapest = able.first().map(|node| node.id);
-    let fastest = able.iter().max_by_key(|node| (node.speed_of(asked.class), node.id)).map(|node| node.id);
-    let mut changes: Vec<Change> = Vec::new();
-    for like in [cheapest, fastest].into_iter().flatten() {
-        changes.extend([1, 2, 4, 8, 16].map(|count| Change::MoreNodes { like, count }));
-    }
-    if let (Some(finish), Some(deadline)) =
-        (new.job(job).and_then(|entry| entry.verdict.finish()), asked.deadline)
-    {
-        changes.push(Change::Later { job, by: finish.saturating_sub(deadline) });
-    }
-    let mut best: Option<(Change, i64)> = None;
-    for change in changes {
-        let trial = changed(input, &change)?;
-        let problem = Problem::new(&trial);
-        let admission = Admission::none(&problem);
-        let mut state = State::new(&problem, &admission);
-        state.keep(&others);
-        let Some(index) = problem.job(job) else { continue };
-        if !place_in_time(&mut state, index) {
-            continue;
-        }
-        let added = state.cost().saturating_sub(new.cost);
-        // More nodes are preferred to a later deadline.
-        let keeps = !matches!(change, Change::Later { .. });
-        let better = match &best {
-            None => true,
-            Some((Change::Later { .. }, _)) => true,
-            Some((_, least)) => keeps && added < *least,
-        };
-        if better {
-            best = Some((change, added));
-        }
-    }
-    Ok(best)
 }

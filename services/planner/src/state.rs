@@ -217,8 +217,13 @@ impl<'p, 'a> State<'p, 'a> {
     }
 
     pub fn cost(&self) -> i64 {
-        let rentals = self.lanes.iter().zip(&self.problem.nodes).flat_map(|(lane, node)| lane.rentals(node));
-        rentals.fold(0i64, |sum, rental| sum.saturating_add(rental.cost))
+        (0..self.lanes.len()).fold(0i64, |sum, node| sum.saturating_add(self.cost_of(node)))
+    }
+
+    /// The cost of a node's rentals.
+    pub fn cost_of(&self, node: usize) -> i64 {
+        let rentals = self.lanes[node].rentals(self.problem.nodes[node]);
+        rentals.iter().fold(0i64, |sum, rental| sum.saturating_add(rental.cost))
     }
 
     pub fn finish(&self, job: usize) -> i64 {

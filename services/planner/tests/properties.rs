@@ -346,6 +346,15 @@ proptest! {
             let told = mended.at_risk.iter().any(|risk| risk.job == entry.job);
             prop_assert!(!kept || entry.verdict.is_kept() || told, "job {} breaks its deadline without a warning", entry.job);
         }
+        // Each job's rescue is what it would be if no other promise broke.
+        for risk in &mended.at_risk {
+            let mut alone = first.clone();
+            let others = alone.jobs.iter_mut().filter(|entry| entry.job != risk.job);
+            others.for_each(|entry| entry.verdict = Verdict::Late { finish: 0, by: 1, unavoidable: false });
+            let alone = mend(&now, &alone).expect("a plan");
+            prop_assert_eq!(&alone.plan.bookings, &mended.plan.bookings);
+            prop_assert_eq!(alone.at_risk, std::slice::from_ref(risk));
+        }
     }
 
     #[test]

@@ -169,8 +169,8 @@ fn a_promise_that_breaks_comes_with_a_rescue() {
     let old = sound(&farm);
     let new = replan(&farm, &old, &Event::NodeDown { node: 2, from: HOUR, until: None }).expect("a plan");
     assert_eq!(new.at_risk.len(), 1);
-    let (rescue, _) = new.at_risk[0].rescue.clone().expect("a rescue");
-    assert!(matches!(rescue, Change::MoreNodes { .. }), "{rescue:?}");
+    let rescue = new.at_risk[0].rescue.clone().expect("a rescue");
+    assert!(matches!(rescue.change, Change::MoreNodes { .. }) && rescue.finish <= 4 * HOUR, "{rescue:?}");
     let late = Event::Takes { job: 1, task: Task::Frame(0), until: 9 * HOUR };
     let new = replan(&farm, &old, &late).expect("a plan");
     assert_eq!(new.at_risk.iter().map(|risk| risk.job).collect::<Vec<_>>(), [1]);

@@ -10,7 +10,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner as planner;
-use forelight_planner::{AtRisk, Booking, Precedence, Reason};
+use forelight_planner::{AtRisk, Booking, Precedence, Reason, Rescue};
 use forelight_protocol::{
     JobId, JobVerdict, Money, NodeId, ProjectShare, Promise, RendererRequest, Timestamp, Verdict, WaitKind,
     Waits,
@@ -78,7 +78,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     for (job, mut said) in verdicts.into_iter().enumerate() {
         let asked = &farm.jobs[job];
         let Risk { probability, finish } = risks[job];
-        let promise = promise(farm, &plan, &at_risk, probability, job)?;
+        let promise = promise(farm, &plan, &at_risk, probability, job);
         let outlook =
             JobOutlook { waits: waits.get(&job).cloned(), promise, finish, probability, takes: None };
         outlooks.push((asked.job.id, outlook));
@@ -331,14 +331,14 @@ fn promise(
     at_risk: &[AtRisk],
     probability: Option<f64>,
     job: usize,
-) -> Result<Option<Promise>, AdvanceError> {
+) -> Option<Promise> {
     let asked = &farm.jobs[job];
-    let Some((deadline, probability)) = asked.job.deadline.zip(probability) else { return Ok(None) };
+    let (deadline, probability) = asked.job.deadline.zip(probability)?;
     // A job held back by a budget has no end until the budget changes.
     let finish = end(farm, plan, job).filter(|_| !asked.held);
     let kept = asked.is_kept(finish);
     if !kept && !asked.is_promised() {
-        return Ok(None);
+        return None;
     }
     let before = asked.job.promise.as_ref().filter(|before| before.kept == kept);
     let rescue = if kept {
@@ -347,37 +347,24 @@ fn promise(
         let found = at_risk.iter().find(|risk| risk.job == job as u64).and_then(|risk| risk.rescue.clone());
         // Running frames cannot be planned, so only a later deadline helps.
         let by_time = || {
-            let by = finish?.saturating_sub(deadline.micros());
-            Some((planner::Change::Later { job: job as u64, by }, 0))
+            let finish = finish?;
+            let change =
+                planner::Change::Later { job: job as u64, by: finish.saturating_sub(deadline.micros()) };
+            Some(Rescue { change, added_cost: 0, finish })
         };
         let found =
             if plan.job(job as u64).is_some_and(|entry| entry.verdict.is_kept()) { by_time() } else { found };
-        match found {
-            Some((change, cost)) => {
-                let after = rescued(farm, plan, &change, job)?;
-                farm.told(&change, cost, after, true, &[], job)
-            }
-            None => None,
-        }
+        found.and_then(|Rescue { change, added_cost, finish }| {
+            farm.told(&change, added_cost, asked.finish(Some(finish)), true, &[], job)
+        })
     };
-    Ok(Some(Promise {
+    Some(Promise {
         kept,
         probability,
         finish: finish.map(Timestamp::from_micros),
         since: before.map_or(Timestamp::from_micros(farm.input.now), |before| before.since),
         rescue,
-    }))
-}
-
-fn rescued(
-    farm: &Farm,
-    plan: &planner::Plan,
-    change: &planner::Change,
-    job: usize,
-) -> Result<Option<i64>, AdvanceError> {
-    let around = farm.around(job, &plan.bookings);
-    let after = planner::plan(&planner::changed(&around, change)?)?;
-    Ok(end(farm, &after, job))
+    })
 }
 
 /// What jobs wait for. Also: the plan's bookings, by job.
