@@ -51,6 +51,11 @@ impl<'a> Deed<'a> {
 
 /// Writes an entry inside the write that it is about. `detail` is what was asked for, without secrets.
 pub(crate) fn note(write: &mut Write, deed: Deed<'_>, detail: Option<&impl Serialize>, now: Timestamp) {
+    debug_assert!(
+        detail.is_none_or(|detail| serde_json::to_value(detail).is_ok_and(|detail| detail.is_object())),
+        "{} has a detail that is no object",
+        deed.action.name()
+    );
     let actor = write.actor();
     let actor = actor.as_deref();
     later!(

@@ -41,6 +41,12 @@ async fn whoever_changes_a_job_is_named_with_what_he_asked_for_and_from_where() 
     assert_eq!(submitted.detail.unwrap()["frames"], "0-3");
     let of_anna = entries(&farm, "&actor=anna&action=job_changed&project=default").await;
     assert_eq!(of_anna.len(), 1);
+    let left_out = json!({"reason": "a test"});
+    let left_out =
+        farm.operator.request(Method::PUT, &format!("/v1/jobs/{}/left-out", job.id)).json(&left_out);
+    assert_eq!(left_out.send().await.unwrap().status(), StatusCode::OK);
+    let found = entries(&farm, "&action=job_left_out").await;
+    assert_eq!(found[0].detail, Some(json!({"reason": "a test"})));
 }
 
 #[tokio::test(flavor = "multi_thread")]

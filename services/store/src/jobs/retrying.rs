@@ -70,7 +70,7 @@ impl Store {
         living::update(&mut write, job, Occasion::Booked, now).await?;
         tell(&mut write, job, &format!("frames {frames} are rendered again"), now);
         let deed = Deed::new(AuditAction::FramesRetried, job).of_project(&current.project);
-        note(&mut write, deed, Some(frames), now);
+        note(&mut write, deed, Some(&serde_json::json!({ "frames": frames })), now);
         let going_on = read(write.connection().await?, job).await?;
         self.commit(write).await?;
         Ok(going_on)
@@ -105,7 +105,7 @@ impl Store {
         }
         tell(&mut write, job, &format!("frames {frames} were cancelled"), now);
         let deed = Deed::new(AuditAction::FramesCancelled, job).of_project(&current.project);
-        note(&mut write, deed, Some(frames), now);
+        note(&mut write, deed, Some(&serde_json::json!({ "frames": frames })), now);
         let is_any_left = rows.iter().filter(is_open).count() > open.len();
         if is_any_left {
             living::update(&mut write, job, Occasion::Booked, now).await?;

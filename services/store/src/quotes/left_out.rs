@@ -29,7 +29,7 @@ impl Store {
             now.micros()
         );
         let deed = Deed::new(AuditAction::JobLeftOut, job).of_project(&found.project);
-        note(&mut write, deed, Some(&reason), now);
+        note(&mut write, deed, Some(&serde_json::json!({ "reason": reason })), now);
         learn_anew(&mut write, job).await?;
         tell(&mut write, job, &format!("it was taken out of the track record: {reason}"), now);
         self.commit(write).await?;
