@@ -53,6 +53,9 @@ impl From<Row> for OpenBooking {
 }
 
 /// Rows of open bookings: `rows!("AND j.id = ? ORDER BY b.start_at, b.id", job.0)`.
+///
+/// The cross join makes SQLite begin with the job. Otherwise, it looks for the job of each booking among all
+/// jobs of the same plan.
 macro_rules! rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
@@ -60,7 +63,7 @@ macro_rules! rows {
             "SELECT b.id, b.plan_id, b.job_id, b.frame, b.part, b.parts, b.node_id, b.start_at, b.end_at, \
              t.state, t.node_id AS holder, t.started_at, t.progress, l.progress_at AS \"progress_at?\", \
              l.counts_from AS \"counts_from?\", l.p95 AS \"p95?\" FROM jobs j \
-             JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
+             CROSS JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t INDEXED BY tasks_of_bookings \
              ON t.job_id = b.job_id AND t.frame = b.frame AND t.booked_part = b.part \
              LEFT JOIN leases l ON t.state = 'leased' AND l.task_id = t.id AND l.fence = t.fence \

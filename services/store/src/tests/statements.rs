@@ -48,3 +48,13 @@ fn expressions_say_whether_they_can_be_null() {
         }
     }
 }
+
+#[tokio::test]
+async fn no_statement_looks_for_a_job_among_all_jobs_of_a_plan() {
+    let farm = Farm::new().await;
+    for query in checked() {
+        // Whether a plan has any job is found at once.
+        let steps = claims::steps_of(&farm, &query).await;
+        assert!(!steps.iter().any(|step| step.contains(" USING INDEX jobs_by_plan")), "{query}: {steps:?}");
+    }
+}
