@@ -117,11 +117,14 @@ fn bearer(parts: &Parts) -> ApiResult<&str> {
     let Some(header) = parts.headers.get(AUTHORIZATION) else {
         return Err(refused("send a token: Authorization: Bearer …"));
     };
-    let token = header.to_str().ok().and_then(|header| {
-        let (scheme, token) = header.split_once(' ')?;
-        scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
-    });
-    token.ok_or_else(|| refused("only bearer tokens are accepted: Authorization: Bearer …"))
+    // Without a token, HTTP also drops the space after the scheme.
+    let header = header.to_str().unwrap_or_default();
+    let (scheme, token) = header.split_once(' ').unwrap_or((header, ""));
+    match (scheme.eq_ignore_ascii_case("bearer"), token.trim()) {
+        (false, _) => Err(refused("only bearer tokens are accepted: Authorization: Bearer …")),
+        (true, "") => Err(refused("there is no token after `Bearer`: Authorization: Bearer …")),
+        (true, token) => Ok(token),
+    }
 }
 
 /// The caller. The request ends with the caller's right, see [`crate::rights`].

@@ -213,6 +213,13 @@ async fn addresses_methods_and_parameters_that_lead_nowhere_are_problems_too() {
     ] {
         assert_eq!(reason(path).await, said);
     }
+    for (header, said) in
+        [("Basic YTpi", "only bearer tokens"), ("Bearer", "no token"), ("Bearer ", "no token")]
+    {
+        let asked = farm.nobody.request(Method::GET, "/v1/jobs").header("authorization", header);
+        let problem = asked.send().await.unwrap().problem(ProblemKind::Unauthenticated).await;
+        assert!(problem.detail.contains(said), "{header}: {}", problem.detail);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
