@@ -306,15 +306,13 @@ impl Store {
 
 /// Looks for damage, by `quick_check` (pages, order of keys) or `integrity_check` (indexes against tables as
 /// well) on the first connection, and for rows with dangling references on the second one, to the same
-/// database, at the same time: each takes most of a second for 500 MB.
+/// database, at the same time: each takes much of a second for 500 MB.
 pub(crate) async fn find_damage(connections: [&mut SqliteConnection; 2], check: &'static str) -> Result<()> {
     let [first, second] = connections;
-    // A pragma's name cannot be a parameter, and the table of a pragma cannot be checked at compile time.
+    // A pragma's name cannot be a parameter.
     let check = sqlx::AssertSqlSafe(format!("PRAGMA {check}(10)"));
     let complaints = sqlx::query_scalar(check).fetch_all(first);
-    let dangling = sqlx::query_scalar(r#"SELECT "table" FROM pragma_foreign_key_check LIMIT 1"#);
-    let (complaints, dangling): (Result<Vec<String>, _>, Result<Option<String>, _>) =
-        tokio::join!(complaints, dangling.fetch_optional(second));
+    let (complaints, dangling): (Result<Vec<String>, _>, _) = tokio::join!(complaints, find_dangling(second));
     let complaints = complaints?;
     if complaints != ["ok"] {
         return Err(StoreError::Corrupt(complaints.join("; ")));
@@ -323,6 +321,28 @@ pub(crate) async fn find_damage(connections: [&mut SqliteConnection; 2], check: 
         None => Ok(()),
         Some(table) => Err(StoreError::Corrupt(format!("a row of {table} refers to a missing row"))),
     }
+}
+
+/// A table with a row that refers to a missing one. As `PRAGMA foreign_key_check`, which reads all rows whole;
+/// this reads indexes where there are some, and takes half the time.
+async fn find_dangling(connection: &mut SqliteConnection) -> Result<Option<String>> {
+    // The tables of a pragma cannot be checked at compile time.
+    let references: Vec<(String, String)> = sqlx::query_as(
+        r#"SELECT m.name, format(
+               'SELECT EXISTS (SELECT 1 FROM "%w" c WHERE %s AND NOT EXISTS (SELECT 1 FROM "%w" p WHERE %s))',
+               m.name, group_concat(format('c."%w" IS NOT NULL', f."from"), ' AND '),
+               f."table", group_concat(format('p."%w" = c."%w"', f."to", f."from"), ' AND '))
+           FROM sqlite_schema m, pragma_foreign_key_list(m.name) f
+           WHERE m.type = 'table' GROUP BY m.name, f.id"#,
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    for (table, dangles) in references {
+        if sqlx::query_scalar(sqlx::AssertSqlSafe(dangles)).fetch_one(&mut *connection).await? {
+            return Ok(Some(table));
+        }
+    }
+    Ok(None)
 }
 
 /// Locks that only one service can hold: of the data folder itself, and of a file in it.
