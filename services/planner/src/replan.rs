@@ -8,14 +8,13 @@ use crate::admission::Admission;
 use crate::answers::{Change, find, node, own_job};
 use crate::bound::{bound, bound_of_all};
 use crate::difference::{Difference, difference};
-use crate::lane::Prefer;
 use crate::model::{
     Booking, Bound, FixedBooking, Input, InputError, Interval, Job, JobPlan, Node, Plan, PlanId, Task,
 };
 use crate::outcome;
 use crate::problem::Problem;
 use crate::rescue::{Rescue, rescues};
-use crate::schedule::{as_early_as_possible, in_turns, place_all};
+use crate::schedule::{as_early_as_possible, in_turns, place_in_time};
 use crate::state::{Placed, State};
 
 /// The most jobs that are asked to make way for one.
@@ -245,17 +244,6 @@ fn move_what_is_late(state: &mut State, job: usize) -> Vec<Placed> {
     state.unbook_all(job, &moving);
     state.kept[job] = state.placed[job].len();
     moving
-}
-
-pub(crate) fn place_in_time(state: &mut State, job: usize) -> bool {
-    let before = state.placed[job].len();
-    for prefer in [Prefer::Cheap, Prefer::Early] {
-        if place_all(state, job, prefer, None) {
-            return true;
-        }
-        state.unbook_after(job, before);
-    }
-    false
 }
 
 /// Tries to place a job in the time of one other job, which is then placed anew. Accepts the result if the

@@ -8,7 +8,7 @@ use crate::admission::Admission;
 use crate::answers::{Change, changed, find, own_job};
 use crate::model::{Input, InputError, Node, Plan};
 use crate::problem::Problem;
-use crate::replan::place_in_time;
+use crate::schedule::place_in_time;
 use crate::state::{Placed, State};
 
 /// How many more nodes are tried.
@@ -25,30 +25,32 @@ pub struct Rescue {
     pub finish: i64,
 }
 
-/// Which rescue is better: less added cost, then a node of the cheapest kind, then fewer nodes.
-type Rank = (i64, bool, u32);
+/// Which rescue is better: less added cost, then the cheapest kind of node before the fastest, then fewer
+/// nodes.
+type Rank = (i64, usize, u32);
 
 /// A rescue for each of these jobs, as if it were the only one. More nodes are preferred to a later deadline.
 ///
 /// Each changed farm is made once, for all jobs that it may help: that takes far longer than to place a job.
 pub(crate) fn rescues(input: &Input, plan: &Plan, late: &[u64]) -> Result<Vec<Option<Rescue>>, InputError> {
     let mut models: BTreeMap<u32, Vec<u64>> = BTreeMap::new();
-    let mut helped_by: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
+    let mut helped_by: BTreeMap<u64, Vec<(usize, usize)>> = BTreeMap::new();
     for (place, &job) in late.iter().enumerate() {
         let class = find(input, job)?.class;
         let models = models.entry(class).or_insert_with(|| cheapest_and_fastest(input, class));
-        models.iter().for_each(|&model| helped_by.entry(model).or_default().push(place));
+        for (kind, &model) in models.iter().enumerate() {
+            helped_by.entry(model).or_default().push((place, kind));
+        }
     }
     let mut best: Vec<Option<(Rank, Rescue)>> = vec![None; late.len()];
-    for (&model, places) in &helped_by {
+    for (&like, helped) in &helped_by {
+        let jobs: Vec<u64> = helped.iter().map(|&(place, _)| late[place]).collect();
         for count in COUNTS {
-            let change = Change::MoreNodes { like: model, count };
-            let asked: Vec<u64> = places.iter().map(|&place| late[place]).collect();
-            let trials = trials(&changed(input, &change)?, plan, &asked);
-            for (&place, trial) in places.iter().zip(trials) {
+            let change = Change::MoreNodes { like, count };
+            let trials = trials(&changed(input, &change)?, plan, &jobs);
+            for (&(place, kind), trial) in helped.iter().zip(trials) {
                 let Some((added_cost, finish)) = trial else { continue };
-                let class = find(input, late[place])?.class;
-                let rank = (added_cost, models[&class].first() != Some(&model), count);
+                let rank = (added_cost, kind, count);
                 if best[place].as_ref().is_none_or(|(least, _)| rank < *least) {
                     best[place] = Some((rank, Rescue { change: change.clone(), added_cost, finish }));
                 }
@@ -99,8 +101,8 @@ fn with_more_time(
     Ok(rescues.collect())
 }
 
-/// Places each of these jobs anew by its deadline, with the plan's bookings of all others. For each that fits:
-/// what that adds to the cost, and its end.
+/// Places each of these jobs anew by its deadline, with the plan's bookings of all others. For each that
+/// fits: what that adds to the cost, and its end.
 fn trials(input: &Input, plan: &Plan, jobs: &[u64]) -> Vec<Option<(i64, i64)>> {
     if jobs.is_empty() {
         return Vec::new();

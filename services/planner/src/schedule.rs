@@ -224,6 +224,18 @@ pub(crate) fn place_all(
     waiting.all(|frame| place_frame(state, job, frame, (latest_end, prefer), allotment.as_deref_mut()))
 }
 
+/// As [`place_all`], cheaply or, failing that, as early as possible. On failure, nothing more is placed.
+pub(crate) fn place_in_time(state: &mut State, job: usize) -> bool {
+    let before = state.placed[job].len();
+    for prefer in [Prefer::Cheap, Prefer::Early] {
+        if place_all(state, job, prefer, None) {
+            return true;
+        }
+        state.unbook_after(job, before);
+    }
+    false
+}
+
 /// Places a frame by an instant: whole if it may be and fits, else in parts.
 fn place_frame(
     state: &mut State,

@@ -122,7 +122,7 @@ async fn a_promise_falls_while_a_frame_hangs_and_the_expected_end_does_not_slide
     etas.dedup();
     assert!(etas.len() <= 4, "{etas:?}");
     assert_eq!(farm.told(&job, EventKind::TaskLate).await.len(), 1);
-    // On a busy machine, the plans that the loop called for are made at once after it. Time goes on until then.
+    // On a busy machine, the plans that the loop called for are made at once after it. Time goes on.
     let promise = eventually("the promise is at risk", async || {
         clock.advance_micros(SECOND);
         farm.heartbeat(&lease, 0.0).await;

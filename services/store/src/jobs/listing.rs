@@ -109,6 +109,9 @@ macro_rules! ids {
 
 /// The same in each order. SQLite would look for the newest ones by the primary key alone.
 macro_rules! ids_in_order {
+    ($asked:tt, $order:expr, $from:literal) => {
+        ids_in_order!($asked, $order, $from, newest: $from)
+    };
     ($asked:tt, $order:expr, $from:literal, newest: $newest:literal) => {
         match $order {
             JobOrder::Newest => ids!($asked, $newest, "AND id < ?8 ORDER BY id DESC LIMIT ?9"),
@@ -161,8 +164,7 @@ pub(crate) async fn ids(
         ids_in_order!(
             (connection, filter, after, limit),
             order,
-            "INDEXED BY jobs_open WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')",
-            newest: "INDEXED BY jobs_open WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')"
+            "INDEXED BY jobs_open WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')"
         )
     } else {
         ids_in_order!(

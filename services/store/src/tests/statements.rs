@@ -58,3 +58,35 @@ async fn no_statement_looks_for_a_job_among_all_jobs_of_a_plan() {
         assert!(!steps.iter().any(|step| step.contains(" USING INDEX jobs_by_plan")), "{query}: {steps:?}");
     }
 }
+
+#[tokio::test]
+async fn lists_and_sums_read_indexes_and_sort_nothing() {
+    let farm = Farm::new().await;
+    let checked = checked();
+    let steps = async |parts: &[&str]| {
+        let found: Vec<_> =
+            checked.iter().filter(|query| parts.iter().all(|part| query.contains(part))).collect();
+        let [query] = found[..] else { panic!("{} statements have {parts:?}", found.len()) };
+        claims::steps_of(&farm, query).await
+    };
+    for (order, index) in [
+        ("ORDER BY id DESC", "INDEX jobs_newest"),
+        ("ORDER BY at_risk DESC, due_at, id", "INDEX jobs_by_risk"),
+        ("ORDER BY due_at, id", "INDEX jobs_by_deadline"),
+        ("ORDER BY name, id", "INDEX jobs_by_name"),
+        ("ORDER BY by_cost, id", "INDEX jobs_by_cost"),
+    ] {
+        let steps = steps(&["SELECT id FROM jobs", "WHERE 1", order, "instr(lower(name)"]).await;
+        assert!(steps[0].contains(index), "{order}: {steps:?}");
+        assert!(!steps.iter().any(|step| step.contains("TEMP B-TREE")), "{order}: {steps:?}");
+    }
+    for sum in [
+        ["FROM ledger WHERE until_at > ?1 AND from_at >= ?1", "sum("],
+        ["FROM ledger WHERE until_at > ?2", "sum("],
+        ["SELECT lease_id FROM ledger WHERE until_at > ?1 AND from_at < ?1", "UNION ALL"],
+    ] {
+        let steps = steps(&sum).await;
+        let by_index = steps.iter().any(|step| step.contains("COVERING INDEX ledger_ended (until_at>?)"));
+        assert!(by_index && !steps.iter().any(|step| step.starts_with("SCAN d")), "{sum:?}: {steps:?}");
+    }
+}
