@@ -46,6 +46,24 @@ wait_for 60 grep -q registered "$work/without.log"
 submit() { "$FORELIGHT_BIN" submit "$1" --server "http://127.0.0.1:$port" --data "$work/data" "${@:2}"; }
 ended() { is "SELECT state FROM jobs WHERE name = '$1'" "$2"; }
 rendered() { at_least "SELECT count(*) FROM frames f JOIN jobs j ON j.id = f.job_id WHERE j.name = 'shot' AND f.actual IS NOT NULL" "$1"; }
+# same_image A B: equal channels, but for the time that pixels took.
+same_image() {
+  "$environment/bin/python" - "$1" "$2" <<'PYTHON' || fail "$2 is another image than $1"
+import sys
+import numpy
+import OpenEXR
+
+def channels(path):
+    with OpenEXR.File(path, separate_channels=True) as file:
+        return {name: channel.pixels for part in file.parts for name, channel in part.channels.items() if "Render Time" not in name}
+
+ours, theirs = map(channels, sys.argv[1:])
+assert ours.keys() == theirs.keys() and len(ours) > 4, (ours.keys(), theirs.keys())
+worst = max(float(numpy.abs(ours[n] - theirs[n]).max() / max(numpy.abs(ours[n]).mean(), 1e-12)) for n in ours)
+print(f"  {sys.argv[2].rsplit('/', 1)[1]}: largest difference {worst:.1e} of the mean")
+assert worst <= 1e-5
+PYTHON
+}
 # Blender processes that the worker of this name has started.
 blenders() { pgrep -P "${workers[$1]}" -f driver.py; }
 
@@ -84,21 +102,7 @@ echo 'frames have the bits of `forelight render`, with and without samples of th
 for frame in 5 "$(ask "SELECT max(t.frame) FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE j.name = 'shot' AND t.kind = 'profile'")"; do
   FORELIGHT_BPY_PYTHON=$environment/bin/python "$FORELIGHT_BIN" render "$work/scenes/kitchen.blend" --frame "$frame" \
     "${size[@]}" --threads 1 --out "$work/$frame.exr" >"$work/render.log" 2>&1 || fail "frame $frame cannot be rendered here"
-  "$environment/bin/python" - "$work/$frame.exr" "$work/images/frame-$(printf %04d "$frame").exr" <<'PYTHON'
-import sys
-import numpy
-import OpenEXR
-
-def channels(path):
-    with OpenEXR.File(path, separate_channels=True) as file:
-        return {name: channel.pixels for part in file.parts for name, channel in part.channels.items() if "Render Time" not in name}
-
-ours, theirs = map(channels, sys.argv[1:])
-assert ours.keys() == theirs.keys() and len(ours) > 4, (ours.keys(), theirs.keys())
-worst = max(float(numpy.abs(ours[n] - theirs[n]).max() / max(numpy.abs(ours[n]).mean(), 1e-12)) for n in ours)
-print(f"  {sys.argv[2].rsplit('/', 1)[1]}: largest difference {worst:.1e} of the mean")
-assert worst <= 1e-5
-PYTHON
+  same_image "$work/$frame.exr" "$work/images/frame-$(printf %04d "$frame").exr"
 done
 
 echo 'a missing texture is named before anything is rendered'
@@ -121,6 +125,21 @@ echo 'a script in an uploaded file that never ends is not run'
 submit "$work/scenes/script.blend" --frames 1 --spp 1 --width 32 --name script >/dev/null
 wait_for 60 ended script 'done'
 [ ! -e "$work/scenes/script-was-run" ] || fail 'the script was run'
+
+echo 'an uploaded file takes its textures along; a second submission finds them on the farm'
+for name in packed again; do
+  FORELIGHT_BPY_PYTHON=$environment/bin/python submit "$work/scenes/kitchen.blend" --frames 5 "${size[@]}" --name $name \
+    --out "$work/$name" >"$work/$name.log" 2>&1 || fail "the job $name was not delivered"
+  same_image "$work/5.exr" "$work/$name/frame-0005.exr"
+done
+is "SELECT count(DISTINCT b.hash) FROM bundles b JOIN jobs j ON j.bundle_id = b.id WHERE j.name IN ('packed', 'again')" 1 ||
+  fail 'the second submission has another file'
+for python in "$environment/bin/python" /nowhere/python; do
+  status=0
+  FORELIGHT_BPY_PYTHON=$python submit "$work/scenes/missing.blend" >"$work/refused" 2>&1 || status=$?
+  [ $status = 2 ] || fail "exit code $status for a file that is missing"
+  cat "$work/refused"
+done | grep -c -e 'missing assets: image wood' -e 'it is not on this machine' | grep -qx 2 || fail 'missing files are not told'
 
 echo 'a frame that is cancelled ends, and no process is left behind'
 submit "$work/scenes/kitchen.blend" --shared --frames 0 --width 512 --spp 4096 --profile-frames 1 --name long >"$work/long"

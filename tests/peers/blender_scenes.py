@@ -1,8 +1,13 @@
 """Turns scene bundles into Blender files: `blender_scenes.py OUT BUNDLE…`. Needs the module `bpy`.
 
-Beside each NAME.blend, NAME.json says what is in it, as a renderer should describe it. The files `missing.blend`
-and `script.blend` are small: the one refers to a texture that does not exist, the other holds a script that
-writes a file when it is run.
+Beside each NAME.blend, NAME.json says what is in it, as a renderer should describe it. Other files are small:
+
+| file | what is special |
+| --- | --- |
+| `missing.blend` | it refers to a texture that does not exist |
+| `script.blend` | it holds a script that writes a file when it is run |
+| `linked.blend` | it has an object of `script.blend` |
+| `sequence.blend` | it refers to a sequence of images, which cannot be inside a file |
 
 Materials are Principled, lights are surfaces that emit. The camera and translations of objects are animated.
 Coordinates stay as they are, with y up.
@@ -171,6 +176,20 @@ def missing_texture():
     nodes_of(bpy.data.materials["Material"]).nodes.new("ShaderNodeTexImage").image = image
 
 
+def linked(library):
+    with bpy.data.libraries.load(str(library), link=True) as (_, target):
+        target.objects = ["Cube"]
+    bpy.context.scene.collection.objects.link(target.objects[0])
+
+
+def sequence(file):
+    image = bpy.data.images.new("sea", 4, 4)
+    image.filepath_raw, image.file_format = str(file), "PNG"
+    image.save()
+    image.source = "SEQUENCE"
+    nodes_of(bpy.data.materials["Material"]).nodes.new("ShaderNodeTexImage").image = image
+
+
 def script(mark):
     """A script that Blender would run when it opens the file, and a Python driver."""
     text = bpy.data.texts.new("startup.py")
@@ -186,6 +205,8 @@ def main():
         convert(folder, out)
     small(out, "missing", missing_texture)
     small(out, "script", lambda: script(out / "script-was-run"))
+    small(out, "linked", lambda: linked(out / "script.blend"))
+    small(out, "sequence", lambda: sequence(out / "sea-0001.png"))
 
 
 if __name__ == "__main__":

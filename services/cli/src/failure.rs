@@ -10,6 +10,7 @@
 use forelight_api::ServiceError;
 use forelight_client::ClientError;
 use forelight_protocol::{Problem, ProblemKind};
+use forelight_renderer::door::RendererError;
 use forelight_renderer_own::RenderError;
 use forelight_store::StoreError;
 use forelight_terminal::failure::{BadInput, Interrupted};
@@ -30,13 +31,14 @@ impl std::error::Error for Threatened {}
 
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<Interrupted>() {
+        if cause.is::<Interrupted>() || matches!(cause.downcast_ref(), Some(RendererError::Cancelled)) {
             return 130;
         }
         if cause.is::<Threatened>() {
             return 3;
         }
-        if cause.is::<BadInput>() || is_bad_bundle(cause) || is_refused_request(cause) {
+        if cause.is::<BadInput>() || is_bad_bundle(cause) || is_bad_scene(cause) || is_refused_request(cause)
+        {
             return 2;
         }
     }
@@ -79,6 +81,11 @@ fn is_bad_bundle(cause: &(dyn std::error::Error + 'static)) -> bool {
     }
 }
 
+/// Whether the scene of another renderer, or what is asked of it, is invalid.
+fn is_bad_scene(cause: &(dyn std::error::Error + 'static)) -> bool {
+    cause.downcast_ref().is_some_and(RendererError::is_permanent)
+}
+
 /// Whether the service rejected the content of the request, not its token or its time.
 fn is_refused_request(cause: &(dyn std::error::Error + 'static)) -> bool {
     let problem = cause.downcast_ref::<ClientError>().and_then(ClientError::problem);
@@ -96,6 +103,9 @@ fn hint(error: &anyhow::Error) -> Option<String> {
                  place, and start again (see `forelight backup --help`)"
             ));
         }
+        if let Some(error) = cause.downcast_ref() {
+            return scene_hint(error).map(str::to_owned);
+        }
         match cause.downcast_ref::<ClientError>()? {
             ClientError::Unreachable { .. } => {
                 Some("is the service running? start it with `forelight farm`, or set its address with --server".into())
@@ -104,6 +114,18 @@ fn hint(error: &anyhow::Error) -> Option<String> {
             _ => None,
         }
     })
+}
+
+fn scene_hint(error: &RendererError) -> Option<&'static str> {
+    match error {
+        RendererError::MissingAssets(_) => {
+            Some("put the files back, or render without them: --set allow_missing=true")
+        }
+        RendererError::NotPacked(_) => {
+            Some("put the scene on storage that all workers share, and submit it with --shared")
+        }
+        _ => None,
+    }
 }
 
 fn problem_hint(problem: &Problem) -> Option<String> {
@@ -135,6 +157,15 @@ mod tests {
         assert_eq!(exit_code(&refused(ProblemKind::Busy)), 1);
         assert_eq!(exit_code(&anyhow::anyhow!("disk full")), 1);
         assert_eq!(exit_code(&anyhow::Error::from(Interrupted).context("rendering")), 130);
+    }
+
+    #[test]
+    fn a_scene_that_lacks_files_is_wrong_input_and_the_hint_says_what_to_do() {
+        let missing = anyhow::Error::from(RendererError::MissingAssets(Vec::new())).context("quote");
+        assert_eq!(exit_code(&missing), 2);
+        assert!(describe(&missing).contains("hint: put the files back"), "{}", describe(&missing));
+        assert_eq!(exit_code(&RendererError::OutOfMemory("x".into()).into()), 1);
+        assert_eq!(exit_code(&RendererError::Cancelled.into()), 130);
     }
 
     #[test]

@@ -86,7 +86,7 @@ pub fn thread_pool(threads: Option<u16>) -> Result<rayon::ThreadPool> {
 }
 
 /// The folder of kept scenes in the user's cache folder. `None` if there can be none.
-fn kept_scenes(keep: Keep) -> Option<Folder> {
+pub fn kept_scenes(keep: Keep) -> Option<Folder> {
     let user = etcetera::choose_base_strategy().ok().filter(|_| keep == Keep::On)?;
     let folder = user.cache_dir().join("forelight/scenes");
     let made = Folder::new(&folder);

@@ -38,6 +38,9 @@ pub enum RendererError {
     /// The scene refers to files that do not exist.
     #[error("missing assets: {}", names(.0))]
     MissingAssets(Vec<Asset>),
+    /// Files that the scene refers to cannot be inside it.
+    #[error("cannot be packed into the scene: {}", names(.0))]
+    NotPacked(Vec<Asset>),
     /// The renderer did not find a file.
     #[error("missing file: {0}")]
     MissingFile(String),
@@ -109,6 +112,7 @@ impl RendererError {
             self,
             Self::Scene { .. }
                 | Self::MissingAssets(_)
+                | Self::NotPacked(_)
                 | Self::MissingFile(_)
                 | Self::Settings(_)
                 | Self::Unsupported(_)

@@ -117,6 +117,16 @@ pub trait Shot: Send + Sync {
         (object, material)
     }
 
+    /// Writes a copy of the scene that holds all files that it refers to. `false`: it holds them already, and
+    /// nothing is written.
+    ///
+    /// # Errors
+    /// If files are missing or cannot be inside a scene, or the renderer has no such scenes.
+    fn pack(&self, settings: &Settings, out: &Path, run: &Run<'_>) -> Result<bool, RendererError> {
+        let _ = (settings, out, run);
+        Err(RendererError::Unsupported("the renderer has no scenes that hold all of their files".to_owned()))
+    }
+
     /// What every pixel of these frames shows, as counts, in the order of `frames`.
     ///
     /// # Errors

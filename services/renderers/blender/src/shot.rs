@@ -5,7 +5,7 @@ use crate::image::{Image, Share, merge};
 use crate::installation::Cycles;
 use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_renderer::door::{
-    Artefact, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
+    Artefact, Asset, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
     PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot, StratumCost, TakenOver,
 };
 use parking_lot::Mutex;
@@ -33,6 +33,13 @@ struct Costs {
     fixed: FixedCosts,
     #[serde(default)]
     pieces: Vec<PieceCost>,
+}
+
+/// Answer of the driver to the wish for a copy.
+#[derive(Deserialize)]
+struct Packed {
+    /// Files that are not inside.
+    outside: Vec<Asset>,
 }
 
 impl BlenderShot {
@@ -185,6 +192,15 @@ impl Shot for BlenderShot {
             all.remove(&Capability::MeasureSamples);
         }
         all
+    }
+
+    fn pack(&self, settings: &Settings, out: &Path, run: &Run<'_>) -> Result<bool, RendererError> {
+        self.check(settings)?;
+        if !self.description.has_files_outside() {
+            return Ok(false);
+        }
+        let Packed { outside } = self.ask(&json!({"do": "pack", "out": out}), run)?;
+        if outside.is_empty() { Ok(true) } else { Err(RendererError::NotPacked(outside)) }
     }
 
     fn preview(

@@ -224,6 +224,48 @@ fn a_missing_texture_is_named_before_anything_is_rendered() {
 
 #[test]
 #[ignore = "tests/peers/blender.sh makes its files"]
+fn a_packed_copy_has_textures_and_libraries_inside_and_renders_the_same_image() {
+    for name in names().into_iter().chain(["linked".to_owned()]) {
+        ask(&name, |shot, run| {
+            let mut settings = shot.description().settings.clone();
+            settings.common.samples = 1;
+            let copy = run.scratch.join("copy.blend");
+            assert!(shot.pack(&settings, &copy, run).unwrap(), "{name} refers to files outside");
+            let packed = CYCLES.open(&copy, run).unwrap();
+            assert!(packed.description().assets.iter().all(|asset| asset.state == AssetState::Packed));
+            assert!(!packed.pack(&settings, &run.scratch.join("again.blend"), run).unwrap());
+            let image = |shot: &dyn Shot| {
+                let rendered = shot.render(0, &settings, &[], run).unwrap();
+                let mut found = channels(&rendered.files[0]);
+                found.retain(|name, _| !name.contains("Render Time"));
+                found
+            };
+            assert!(image(shot) == image(&*packed), "{name}");
+        });
+    }
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
+fn what_cannot_be_inside_a_file_is_named() {
+    ask("sequence", |shot, run| {
+        let settings = shot.description().settings.clone();
+        let error = shot.pack(&settings, &run.scratch.join("copy.blend"), run).unwrap_err();
+        assert!(matches!(error, RendererError::NotPacked(_)) && error.is_permanent());
+        assert!(
+            error.to_string().contains("image sea (") && error.to_string().contains("sea-0001.png"),
+            "{error}"
+        );
+    });
+    ask("missing", |shot, run| {
+        let settings = shot.description().settings.clone();
+        let error = shot.pack(&settings, &run.scratch.join("copy.blend"), run).unwrap_err();
+        assert!(matches!(error, RendererError::MissingAssets(_)), "{error}");
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
 fn scripts_of_a_file_are_not_run_and_said() {
     ask("script", |shot, run| {
         assert!(

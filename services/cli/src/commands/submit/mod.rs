@@ -1,6 +1,7 @@
 //! `forelight submit`: a job for the farm, followed to its images.
 
 mod follow;
+mod foreign;
 mod images;
 mod report;
 
@@ -15,11 +16,8 @@ use forelight_protocol::{
     MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest, RendererRequest, SceneSummary,
     Timestamp, Within,
 };
-use forelight_renderer::scene_name;
 use forelight_terminal::failure::BadInput;
-use forelight_terminal::foreign::{
-    OwnSetting, is_blend, is_foreign, is_radiance, own_setting, refuse_own_settings, shot_request,
-};
+use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::options::{QualityOptions, duration};
@@ -42,8 +40,9 @@ Examples:
   forelight submit --job 0192f0c1-7a3b-7c55-8f00-0123456789ab --follow --out images/
 
 Without --follow and --out, the command prints the job's id and ends. A folder is packed and uploaded, unless the farm \
-already has this bundle. Files that a .blend file refers to are not uploaded: pack them, or use --shared. With \
---follow or --out, the exit code is 0 only if all frames were delivered.
+already has this bundle. Of a .blend file, Blender on this machine packs a copy that holds all files that it refers \
+to; without Blender here, pack them yourself, or use --shared. With --follow or --out, the exit code is 0 only if all \
+frames were delivered.
 
 With --hold, the job waits with its complete quote, and nothing is booked. `forelight accept` books it; `forelight \
 cancel` drops it.")]
@@ -170,7 +169,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let client = connect(&args.connection)?;
     let job = match (args.job, &args.bundle) {
         (Some(id), _) => client.job(id).await.with_context(|| format!("cannot follow job {id}"))?,
-        (None, Some(bundle)) => submit(&args, bundle, &client, &bars).await?,
+        (None, Some(bundle)) => submit(&args, bundle, &client, &bars, &interrupt).await?,
         (None, None) => return Err(BadInput::new("name a bundle, or a job by --job").into()),
     };
     if !args.follow && args.out.is_none() {
@@ -212,10 +211,16 @@ async fn show_quote(client: &Client, job: &Job, as_json: bool) -> Result<()> {
     output::print(&report::quoted(job, &forecast, &answers, Timestamp::now()))
 }
 
-async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Result<Job> {
+async fn submit(
+    args: &Args,
+    bundle: &Path,
+    client: &Client,
+    bars: &Bars,
+    interrupt: &Interrupt,
+) -> Result<Job> {
     let key = args.idempotency_key.unwrap_or_else(Uuid::now_v7);
     if is_foreign(bundle) || args.renderer.is_some() {
-        let request = foreign_request(args, bundle, client, key, bars).await?;
+        let request = foreign::request(args, bundle, client, (key, bars, interrupt)).await?;
         return client.submit(&request, key).await.context("cannot submit the job");
     }
     refuse_own_settings(&args.own)?;
@@ -234,43 +239,6 @@ async fn submit(args: &Args, bundle: &Path, client: &Client, bars: &Bars) -> Res
 /// Key of the upload. It differs from the submission's, and both follow from the user's key, if there is one.
 pub(super) fn upload_key(key: Uuid) -> Uuid {
     Uuid::from_u128(key.as_u128() ^ 1)
-}
-
-/// A job of another renderer. The service does not open its scene.
-async fn foreign_request(
-    args: &Args,
-    scene: &Path,
-    client: &Client,
-    key: Uuid,
-    bars: &Bars,
-) -> Result<JobRequest> {
-    let settings = shot_request(&args.quality, &args.own)?;
-    let known = if is_radiance(scene) { "radiance" } else { "cycles" };
-    if is_radiance(scene) && !args.shared {
-        let reason = format!("{}: a scene of Radiance needs --shared", scene.display());
-        let hint = "it has several files, which stay on storage that all workers share";
-        return Err(BadInput::new(reason).hint(hint).into());
-    }
-    let stays = args.shared && (args.renderer.is_some() || is_radiance(scene));
-    if !is_blend(scene) && !stays {
-        let reason = format!("{}: this scene needs --shared and --renderer", scene.display());
-        let hint = "--shared leaves it on storage that all workers share; --renderer names the renderer, which a \
-                    worker's --command file describes";
-        return Err(BadInput::new(reason).hint(hint).into());
-    }
-    let Some(frames) = args.frames.clone() else {
-        let reason = "--frames: only its renderer knows the frames of this scene";
-        return Err(BadInput::new(reason).hint("give them, such as --frames 1-250").into());
-    };
-    let renderer = args.renderer.clone().unwrap_or(RendererRequest { name: known.to_owned(), version: None });
-    let name = scene_name(scene);
-    let reference = if args.shared {
-        on_shared_storage(scene)?
-    } else {
-        upload(scene, client, upload_key(key), bars).await?.0
-    };
-    let request = request(args, reference, name, frames, settings)?;
-    Ok(JobRequest { renderer: Some(renderer), ..request })
 }
 
 fn request(

@@ -92,6 +92,10 @@ def answer(question):
     todo = question.pop("do")
     if todo == "open":
         return open_scene(**question)
+    if todo == "pack":
+        import forelight_pack
+
+        return forelight_pack.pack(**question)
     import forelight_render
 
     ask = {
