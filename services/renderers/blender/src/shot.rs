@@ -117,9 +117,14 @@ impl BlenderShot {
         regions: &[Region],
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
-        let mut question = question("regions", frame, settings, run.scratch, run);
+        let path = run.scratch.join(format!("frame-{frame:04}-regions.exr"));
+        let mut question = question("regions", frame, settings, &path, run);
         question["regions"] = json!(regions);
         let Costs { cost, fixed, pieces } = self.ask(&question, run)?;
+        // Only the first frame is written.
+        if path.exists() {
+            std::fs::remove_file(&path).map_err(RendererError::io(&path))?;
+        }
         Ok(Measured { cost, fixed, pieces, strata: Vec::new(), blocks: None, artefact: None })
     }
 

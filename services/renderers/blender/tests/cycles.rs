@@ -193,12 +193,18 @@ fn previews_count_pixels_and_regions_have_costs() {
             settings.common.samples = 4;
             let regions: Vec<Region> =
                 (0..4).map(|i| Region { x: 48 * (i % 2), y: 48 * (i / 2), width: 48, height: 48 }).collect();
-            let measured = shot.measure(0, &settings, &Part::Regions(regions.clone()), run).unwrap();
-            assert!(measured.pieces.iter().map(|p| p.region).eq(regions));
+            let parts = Part::Regions(regions.clone());
+            let measured = shot.measure(0, &settings, &parts, run).unwrap();
+            assert!(measured.pieces.iter().map(|p| p.region).eq(regions.iter().copied()));
+            assert!(measured.fixed.keys().eq(["prepare", "write"]), "{:?}", measured.fixed);
             let sum: u64 = measured.pieces.iter().map(|p| p.cpu_nanos).sum();
             let whole = shot.render(0, &settings, &[], run).unwrap();
             let sampled = whole.cost.cpu_nanos - whole.fixed.values().sum::<u64>();
             println!("{name}: four quarters cost {:.2} of the frame", sum as f64 / sampled as f64);
+            settings.own.insert("denoise".to_owned(), true.into());
+            let denoised = shot.measure(0, &settings, &parts, run).unwrap();
+            println!("{name}: denoising takes {:.3} CPU s", seconds(denoised.fixed["finish"]));
+            assert!(denoised.fixed["finish"] > 10_000_000, "{:?}", denoised.fixed);
             let outside = Part::Regions(vec![Region { x: 90, y: 0, width: 8, height: 8 }]);
             assert!(matches!(shot.measure(0, &settings, &outside, run), Err(RendererError::Unsupported(_))));
         });

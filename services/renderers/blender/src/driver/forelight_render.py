@@ -5,6 +5,8 @@ when all samples are done. The CPU time at these two moments divides a cost into
 writing.
 """
 
+import contextlib
+import json
 import time
 
 import bpy
@@ -140,41 +142,53 @@ def samples(frame, settings, threads, out, progress, offset=None, count=None):
     return clock.cost()
 
 
+@contextlib.contextmanager
+def changed(block, **values):
+    """Settings of Blender that are others for a while."""
+    before = {name: getattr(block, name) for name in values}
+    try:
+        for name, value in values.items():
+            setattr(block, name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(block, name, value)
+
+
+def one_sample(cycles):
+    """One sample without bounces: the least light that Cycles can be told to trace."""
+    return changed(cycles, samples=1, max_bounces=0, use_adaptive_sampling=False)
+
+
 def ids(frame, settings, threads, out, progress):
-    """Object and material of every pixel at one sample, with as little light as Cycles can be told to trace.
+    """Object and material of every pixel at one sample.
 
     The scene stays in memory for the next frame, so that only what moves is prepared again.
     """
     with Clock() as clock:
         scene = prepare(frame, settings, threads)
         cycles, render = scene.cycles, scene.render
-        before = [
-            (cycles, name, getattr(cycles, name))
-            for name in ("max_bounces", "direct_light_sampling_type", "filter_width")
-        ]
-        cycles.samples, cycles.max_bounces = 1, 0
-        cycles.use_adaptive_sampling = cycles.use_denoising = False
-        render.use_compositing = False
+        cycles.use_denoising = render.use_compositing = False
         render.use_motion_blur = False
-        # The one sample of a pixel is close to its centre.
-        cycles.filter_width = 0.01
         render.use_persistent_data = True
-        try:
+        # The one sample of a pixel is close to its centre.
+        with one_sample(cycles), changed(cycles, filter_width=0.01):
             write(scene, out)
-        finally:
-            for block, name, value in before:
-                setattr(block, name, value)
     progress(1.0)
     return clock.cost()
 
 
 def regions(frame, settings, threads, out, progress, regions):
-    """All samples of rectangles, one by one. The scene is prepared once."""
+    """All samples of rectangles, one by one. The scene is prepared once.
+
+    Regions are neither denoised nor composited. What that costs for the whole image is measured apart.
+    """
     whole = Clock()
     pieces = []
     with whole:
         scene = prepare(frame, settings, threads)
         render, cycles = scene.render, scene.cycles
+        finish = {"use_denoising": cycles.use_denoising}, {"use_compositing": render.use_compositing}
         cycles.use_denoising = render.use_compositing = False
         render.use_persistent_data = True
         render.use_border = render.use_crop_to_border = True
@@ -192,8 +206,38 @@ def regions(frame, settings, threads, out, progress, regions):
                 prepared = time.process_time_ns() - whole.cpu - whole.sampling
             pieces.append({"region": region, "cpu_nanos": whole.sampling - before})
             progress((index + 1) / len(regions))
+        render.use_border = render.use_crop_to_border = False
+        fixed = {"prepare": max(0, prepared), **finishing(scene, out, settings, *finish)}
+        render.use_persistent_data = False
     answer = whole.cost()
-    answer["fixed"] = {"prepare": max(0, prepared)}
+    answer["fixed"] = fixed
     answer["pieces"] = pieces
-    render.use_border = render.use_crop_to_border = render.use_persistent_data = False
     return answer
+
+
+def finishing(scene, out, settings, of_cycles, of_render):
+    """What it costs to denoise and to composite a whole image, by two renders of one sample, and to write it.
+
+    Frames of the same size cost the same, so only the first one is measured.
+    """
+    known = FINISHING.get(key := json.dumps(settings, sort_keys=True))
+    if known is not None:
+        return known
+
+    def cost():
+        with Clock() as clock:
+            write(scene, out)
+        return clock.end - clock.cpu, clock.cost()["fixed"].get("write", 0)
+
+    with one_sample(scene.cycles):
+        plain, written = cost()
+        found = {"write": written}
+        if any((*of_cycles.values(), *of_render.values())):
+            with changed(scene.cycles, **of_cycles), changed(scene.render, **of_render):
+                found["finish"] = max(0, cost()[0] - plain)
+    FINISHING[key] = found
+    return found
+
+
+# Costs that `finishing` has measured, by settings.
+FINISHING = {}
