@@ -2,6 +2,8 @@
 # Blender Cycles (https://www.blender.org) behind the renderer's door: descriptions, previews, costs of shares of
 # the samples, and merged images against one render, of bundles that become Blender files here.
 #
+#   FORELIGHT_BPY_VERSION   version of Blender (default: 5.0.1). 4.2.23 and 4.5.15 pass too.
+#
 # Needs Python 3.11 with venv, and the network for pip. Where they are missing it is reported as not run; in CI
 # it fails.
 set -euo pipefail

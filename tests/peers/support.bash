@@ -33,15 +33,16 @@ python_with() {
   touch "$ready"
 }
 
-# Sets `environment` to one with Blender as a Python module.
+# Sets `environment` to one with Blender as a Python module, of version FORELIGHT_BPY_VERSION.
 blender_module() {
+  local version=${FORELIGHT_BPY_VERSION:-5.0.1}
   command -v python3 >/dev/null || skip 'no python3'
   # The module bpy is compiled for one version of Python.
-  python3 -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || skip 'bpy 5.0 needs Python 3.11'
+  python3 -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || skip 'bpy needs Python 3.11'
   # Libraries that the module bpy is linked to.
   deploy/packages.sh libgl1 libice6 libsm6 libx11-6 libxext6 libxfixes3 libxi6 libxkbcommon0 libxrender1 ||
     skip 'the libraries of Blender cannot be installed (no network?)'
-  PIP_NO_CACHE_DIR=1 python_with blender bpy==5.0.1 'numpy>=1.26,<3' 'OpenEXR>=3.3,<4'
+  PIP_NO_CACHE_DIR=1 python_with "blender${FORELIGHT_BPY_VERSION:+-$version}" "bpy==$version" 'numpy>=1.26,<3' 'OpenEXR>=3.3,<4'
 }
 
 # workspace VERB…: cargo, for the whole workspace and with the features of tests/run.sh. For single packages,

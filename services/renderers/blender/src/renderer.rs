@@ -21,11 +21,11 @@ impl Renderer for Cycles {
             Capability::MeasureSamples,
             Capability::MeasureRegions,
             Capability::MeasureManyRegions,
-            Capability::TakeOverSamples,
         ]);
-        if locates_costs(&self.id.version) {
-            all.insert(Capability::LocateCosts);
-        }
+        // What came with which version of Blender.
+        let since = [(Capability::TakeOverSamples, (4, 4)), (Capability::LocateCosts, (5, 0))];
+        let version = release(&self.id.version);
+        all.extend(since.iter().filter(|(_, first)| version >= *first).map(|(capability, _)| *capability));
         all
     }
 
@@ -34,17 +34,20 @@ impl Renderer for Cycles {
     }
 }
 
-/// Whether Cycles writes the time of each pixel: since Blender 5.0.
-fn locates_costs(version: &str) -> bool {
-    version.split('.').next().and_then(|major| major.parse().ok()).is_some_and(|major: u32| major >= 5)
+/// First and second number of a version. Zeros if it has none.
+fn release(version: &str) -> (u32, u32) {
+    let mut numbers = version.split('.').map(|number| number.parse().unwrap_or(0));
+    (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::locates_costs;
+    use super::release;
 
     #[test]
-    fn costs_are_located_from_blender_5_on() {
-        assert!(locates_costs("5.0.1") && !locates_costs("4.5.15"));
+    fn versions_are_compared_as_numbers() {
+        assert_eq!(release("4.5.15"), (4, 5));
+        assert!(release("4.2.23") < (4, 4) && release("4.10") > (4, 4) && release("5.0.1") >= (5, 0));
+        assert_eq!(release("unknown"), (0, 0));
     }
 }

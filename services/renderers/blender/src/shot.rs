@@ -67,6 +67,15 @@ impl BlenderShot {
         if is_on(settings, "allow_missing") { Ok(()) } else { self.description.require_assets() }
     }
 
+    /// Why shares of the samples do not add up to one render. `None` if they do.
+    fn why_indivisible(&self, settings: &Settings) -> Option<&'static str> {
+        if self.cycles.capabilities().contains(&Capability::TakeOverSamples) {
+            why_indivisible(settings)
+        } else {
+            Some("Blender renders shares of the samples since version 4.4")
+        }
+    }
+
     /// Renders a frame, or with (offset, count) a share of its samples, into a file.
     fn samples(
         &self,
@@ -99,7 +108,7 @@ impl BlenderShot {
         // is fixed, so that a line through two shares knows.
         let is_processed = is_on(settings, "denoise") || is_on(settings, "compositing");
         let fixed = if is_processed { FixedCosts::new() } else { with_images(fixed, &cost, &strata) };
-        let artefact = if why_indivisible(settings).is_none() {
+        let artefact = if self.why_indivisible(settings).is_none() {
             let renderer = self.cycles.id().clone();
             let part = Part::Samples { offset, count };
             Some(Artefact { renderer, frame, settings: settings.clone(), part, path })
@@ -139,7 +148,7 @@ impl BlenderShot {
         let mut parts = Vec::new();
         for artefact in from {
             artefact.check(self.cycles.id(), frame, settings)?;
-            if let Some(reason) = why_indivisible(settings) {
+            if let Some(reason) = self.why_indivisible(settings) {
                 return Err(artefact.unusable(reason));
             }
             let Part::Samples { offset, count } = artefact.part else {
@@ -189,7 +198,7 @@ impl Shot for BlenderShot {
 
     fn capabilities(&self, settings: &Settings) -> Capabilities {
         let mut all = self.cycles.capabilities();
-        if why_indivisible(settings).is_some() {
+        if self.why_indivisible(settings).is_some() {
             all.remove(&Capability::TakeOverSamples);
         }
         if is_on(settings, "adaptive_sampling") {

@@ -83,7 +83,9 @@ def prepare(frame, settings, threads):
     cycles.samples = settings["samples"]
     cycles.seed = settings["seed"]
     cycles.time_limit = 0
-    cycles.use_sample_subset = False
+    if has_subsets(cycles):
+        cycles.use_sample_subset = False
+    cycles.sample_offset = 0
     cycles.use_denoising = own.get("denoise", cycles.use_denoising)
     cycles.max_bounces = own.get("max_bounces", cycles.max_bounces)
     cycles.use_adaptive_sampling = own.get("adaptive_sampling", cycles.use_adaptive_sampling)
@@ -112,6 +114,11 @@ def prepare(frame, settings, threads):
     return scene
 
 
+def has_subsets(cycles):
+    """Whether Blender can render a share of the samples: since 4.4."""
+    return "use_sample_subset" in cycles.bl_rna.properties
+
+
 def multilayer(image):
     if hasattr(image, "media_type"):
         image.media_type = "MULTI_LAYER_IMAGE"
@@ -136,8 +143,12 @@ def samples(frame, settings, threads, out, progress, offset=None, count=None):
         scene = prepare(frame, settings, threads)
         if count is not None:
             cycles = scene.cycles
-            cycles.use_sample_subset = True
-            cycles.sample_offset, cycles.sample_subset_length = offset, count
+            cycles.sample_offset = offset
+            if has_subsets(cycles):
+                cycles.use_sample_subset, cycles.sample_subset_length = True, count
+            else:
+                # Other samples than those of one render, for the same cost.
+                cycles.samples = count
         write(scene, out)
     return clock.cost()
 
