@@ -105,6 +105,11 @@ for frame in 5 "$(ask "SELECT max(t.frame) FROM tasks t JOIN jobs j ON j.id = t.
   same_image "$work/$frame.exr" "$work/images/frame-$(printf %04d "$frame").exr"
 done
 
+echo 'a quote says which objects it is for'
+FORELIGHT_BPY_PYTHON=$environment/bin/python "$FORELIGHT_BIN" forecast "$work/scenes/kitchen.blend" --frames 0,12 "${size[@]}" \
+  --explain >"$work/why.log" 2>&1 || fail 'no explanation'
+for text in 'of CPU time)' 'floor, floor_tiles' 'to halve the work: '; do grep -q "$text" "$work/why.log" || fail "not told: $text"; done
+
 echo 'a missing texture is named before anything is rendered'
 submit "$work/scenes/missing.blend" --shared --frames 1 --spp 1 --name missing >/dev/null
 wait_for 60 ended missing failed

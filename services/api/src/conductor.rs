@@ -45,7 +45,7 @@ use forelight_quote::{
 };
 use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 
-use self::job_profile::JobProfile;
+use self::job_profile::{JobProfile, of_pixels};
 use crate::clock::Clock;
 use crate::metrics::Metrics;
 use crate::shared::Changes;
@@ -171,16 +171,13 @@ impl Conductor {
                 .map(|renderer| QuoteKind::of_pixels(renderer)),
         };
         let experience = self.experience(kind.as_ref()).await?;
-        let spp = job.settings.samples().unwrap_or(1);
+        let samples = job.settings.samples();
         let quote = compute(move || {
             let corrections = experience.corrections();
             Ok(match profiles {
                 ShotProfiles::Samples(profiles) => quote_sampled(&preview, &profiles, corrections.as_ref())?,
                 ShotProfiles::Pixels(profiles) => {
-                    let profiles = profiles.into_iter();
-                    let profiles: Vec<MeasuredProfile> = profiles
-                        .map(|(result, speed)| MeasuredProfile::of_renderer(result, speed, spp))
-                        .collect();
+                    let profiles = of_pixels(profiles, samples);
                     Measured::new(&preview, &profiles).quote(corrections.as_ref())?
                 }
             })

@@ -83,39 +83,57 @@ fn as_work(cpu_nanos: &Quantity) -> Quantiles {
     quantiles(cpu_nanos, 1e-3)
 }
 
-fn forecast(
+/// The frames that were measured, as the forecast has them.
+pub(crate) struct MeasuredCosts {
+    /// Index of the frame.
+    pub frame: usize,
+    costs: Vec<SampleCost>,
+    /// Time of each stratum. Empty if the renderer does not say.
+    pub times: Vec<f64>,
+}
+
+impl MeasuredCosts {
+    /// Those of all profiles. CPU time is that of a node of speed 1.
+    pub fn of(
+        strata: &[Stratum],
+        frames: &[FramePopulation],
+        profiles: &[SampledProfile],
+    ) -> Result<Vec<Self>, QuoteError> {
+        // The background is the last stratum.
+        let background = strata.len() - 1;
+        let of: BTreeMap<(u32, u32), usize> = strata[..background]
+            .iter()
+            .enumerate()
+            .map(|(at, stratum)| ((stratum.object, stratum.material), at))
+            .collect();
+        let measured = |SampledProfile { result, node_speed }: &SampledProfile| {
+            let number = i64::from(result.frame);
+            let frame = frames.iter().position(|frame| frame.number == number);
+            let frame = frame.ok_or(QuoteError::NotPreviewed(result.frame))?;
+            let cost = |cost: &forelight_protocol::SampleCost| SampleCost {
+                samples: cost.amount,
+                cpu_nanos: at_speed_one(cost.cpu_nanos, *node_speed),
+            };
+            let mut times = vec![0.0; strata.len()];
+            for time in &result.strata {
+                let stratum = stratum_key(time.object, time.material).and_then(|key| of.get(&key).copied());
+                times[stratum.unwrap_or(background)] += time.nanos as f64;
+            }
+            let is_known = times.iter().any(|&time| time > 0.0);
+            let times = if is_known { times } else { Vec::new() };
+            Ok(Self { frame, costs: result.costs.iter().map(cost).collect(), times })
+        };
+        profiles.iter().map(measured).collect()
+    }
+}
+
+/// The forecast of all frames.
+pub(crate) fn forecast(
     strata: &[Stratum],
     frames: &[FramePopulation],
     profiles: &[SampledProfile],
 ) -> Result<SampledShotForecast, QuoteError> {
-    // The background is the last stratum.
-    let background = strata.len() - 1;
-    let of: BTreeMap<(u32, u32), usize> = strata[..background]
-        .iter()
-        .enumerate()
-        .map(|(at, stratum)| ((stratum.object, stratum.material), at))
-        .collect();
-    let mut inputs = Vec::with_capacity(profiles.len());
-    for SampledProfile { result, node_speed } in profiles {
-        let number = i64::from(result.frame);
-        let frame = frames.iter().position(|frame| frame.number == number);
-        let frame = frame.ok_or(QuoteError::NotPreviewed(result.frame))?;
-        let costs: Vec<SampleCost> = result
-            .costs
-            .iter()
-            .map(|cost| SampleCost {
-                samples: cost.amount,
-                cpu_nanos: at_speed_one(cost.cpu_nanos, *node_speed),
-            })
-            .collect();
-        let mut times = vec![0.0; strata.len()];
-        for time in &result.strata {
-            let stratum = stratum_key(time.object, time.material).and_then(|key| of.get(&key).copied());
-            times[stratum.unwrap_or(background)] += time.nanos as f64;
-        }
-        let is_known = times.iter().any(|&time| time > 0.0);
-        inputs.push((frame, costs, if is_known { times } else { Vec::new() }));
-    }
+    let mut inputs = MeasuredCosts::of(strata, frames, profiles)?;
     let whole = profiles.first().map_or(1, |profile| profile.result.whole);
     if let Some(other) = profiles.iter().find(|profile| profile.result.whole != whole) {
         return Err(QuoteError::Measured {
@@ -125,13 +143,13 @@ fn forecast(
         });
     }
     if profiles.iter().all(|profile| profile.result.varied == Varied::Size) {
-        let costs: Vec<&[SampleCost]> = inputs.iter().map(|(_, costs, _)| costs.as_slice()).collect();
+        let costs: Vec<&[SampleCost]> = inputs.iter().map(|input| input.costs.as_slice()).collect();
         let power = size_power(&costs);
-        inputs.iter_mut().for_each(|(_, costs, _)| *costs = straightened(costs, whole, power));
+        inputs.iter_mut().for_each(|input| input.costs = straightened(&input.costs, whole, power));
     }
     let sampled: Vec<SampledFrame<'_>> = inputs
         .iter()
-        .map(|(frame, costs, times)| SampledFrame { frame: *frame, costs, stratum_times: times })
+        .map(|input| SampledFrame { frame: input.frame, costs: &input.costs, stratum_times: &input.times })
         .collect();
     forecast_sampled_shot(strata, frames, &sampled, whole, Calibration::NONE).map_err(QuoteError::Forecast)
 }

@@ -3,8 +3,9 @@
 use crate::*;
 use forelight_forecast::{Correction, Corrections, Strategy};
 use forelight_protocol::{
-    ArtifactHash, CacheSample, FixedCosts, FrameStrata, LeftOut, PreviewBackend, PreviewResult, ProcessCosts,
-    ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles, Spent, Stratum, StratumName,
+    ArtifactHash, CacheSample, FixedCosts, FrameStrata, LeftOut, MeasuredFrame, PreviewBackend,
+    PreviewResult, ProcessCosts, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles,
+    RendererId, SampleCost, ShotSettings, Spent, Stratum, StratumName, StratumTime, Varied,
 };
 
 fn stratum(object: u32) -> Stratum {
@@ -218,4 +219,54 @@ fn profiles_of_several_renderers_are_of_no_kind() {
         (None, None)
     );
     assert_eq!(QuoteKind::of(&[], &settings), None);
+}
+
+#[test]
+fn cpu_time_of_another_renderer_is_divided_by_what_a_frame_shows() {
+    // Microseconds of a sample: 2 for a pixel of the wall, 6 for one of the vase. 100 are fixed.
+    let preview = preview(&[(0, &[80, 10], 10), (1, &[40, 50], 10)]);
+    let cost = |amount, micros: u64| SampleCost { amount, cpu_nanos: (100 + micros) * 1000 };
+    let measured = |frame, wall: u64, vase: u64, varied| {
+        let time = |object, nanos| StratumTime { object: Some(object), material: Some(0), nanos };
+        let result = MeasuredFrame {
+            frame,
+            renderer: RendererId { name: "cycles".to_owned(), version: "5.0.1".to_owned() },
+            varied,
+            whole: 64,
+            costs: vec![cost(1, wall + vase), cost(0, 0)],
+            strata: vec![time(0, wall), time(1, vase)],
+            shares: Vec::new(),
+            spent: Spent::default(),
+            peak_memory_bytes: 0,
+        };
+        SampledProfile { result, node_speed: 1.0 }
+    };
+    let profiles = |varied| [measured(0, 160, 60, varied), measured(1, 80, 300, varied)];
+    let size = |side| Some(side);
+    let settings =
+        ShotSettings { width: size(10), height: size(10), samples: size(64), ..Default::default() };
+    let explained = explain_sampled(&preview, &profiles(Varied::Samples), &settings, Some(1)).unwrap();
+    assert!((explained.work / (100.0 + 64.0 * 380.0) - 1.0).abs() < 1e-9, "{explained:?}");
+    let objects: Vec<(&str, u64, f64)> = explained
+        .objects
+        .iter()
+        .map(|o| (o.shows.as_ref().unwrap().object.as_str(), o.pixels, o.work.round()))
+        .collect();
+    assert_eq!(objects, [("vase", 50, 64.0 * 300.0), ("wall", 40, 64.0 * 80.0)]);
+    assert_eq!(explained.parts.iter().map(|part| part.work.round()).collect::<Vec<_>>(), [24_320.0, 100.0]);
+    assert_eq!(explained.halving.iter().map(|way| (&*way.setting, way.to)).next(), Some(("spp", 32.0)));
+    assert!(
+        explained.words[1].starts_with("vase, paint: 78.6 % of the work, 50.0 % of the pixels"),
+        "{:?}",
+        explained.words
+    );
+
+    // Both frames have the work of their quotes. With adaptive sampling, samples are no way to halve it.
+    let all = explain_sampled(&preview, &profiles(Varied::Samples), &settings, None).unwrap();
+    assert!((all.work / (200.0 + 64.0 * 600.0) - 1.0).abs() < 1e-9);
+    assert_eq!(all.objects.iter().map(|o| o.pixels).sum::<u64>(), 180);
+    let adaptive = explain_sampled(&preview, &profiles(Varied::Regions), &settings, None).unwrap();
+    assert!(adaptive.halving.iter().all(|way| way.setting == "width") && adaptive.camera_sample == 0.0);
+    let absent = explain_sampled(&preview, &profiles(Varied::Samples), &settings, Some(7));
+    assert!(matches!(absent, Err(QuoteError::NoFrame(7))));
 }

@@ -1,8 +1,10 @@
 //! Measurements of a job, and the answers about its cost that need nothing else.
 
-use forelight_protocol::{AccuracyDoc, AccuracyRung, Explanation, Job, PreviewResult, RenderSettings};
-use forelight_quote::{Measured, MeasuredProfile, with_samples};
-use forelight_store::{PlannedCache, Store, StoreError};
+use forelight_protocol::{
+    AccuracyDoc, AccuracyRung, Explanation, Job, JobSettings, PreviewResult, ProfileResult, RenderSettings,
+};
+use forelight_quote::{Measured, MeasuredProfile, common_settings, explain_sampled, with_samples};
+use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 
 use super::{AdvanceError, compute};
 
@@ -50,8 +52,41 @@ impl JobProfile {
             }
         }
     }
+}
 
-    pub async fn explanation(self, frame: Option<u32>) -> Result<Explanation, AdvanceError> {
-        compute(move || Ok(self.measured().explain(&self.settings, frame)?)).await
-    }
+/// Why a job, or one of its frames, costs what it costs. `None` until the job is profiled.
+pub(crate) async fn explanation(
+    store: &Store,
+    job: &Job,
+    frame: Option<u32>,
+) -> Result<Option<Explanation>, AdvanceError> {
+    let settings = match &job.settings {
+        JobSettings::Own(_) => {
+            let Some(profile) = JobProfile::read(store, job).await? else { return Ok(None) };
+            let explain = move || Ok(Some(profile.measured().explain(&profile.settings, frame)?));
+            return compute(explain).await;
+        }
+        JobSettings::Shot(settings) => settings.clone(),
+    };
+    let Some(preview) = store.preview_result(job.id).await? else { return Ok(None) };
+    let Some(profiles) = store.shot_profiles(job.id).await? else { return Ok(None) };
+    compute(move || {
+        Ok(match profiles {
+            ShotProfiles::Samples(profiles) if profiles.is_empty() => None,
+            ShotProfiles::Samples(profiles) => Some(explain_sampled(&preview, &profiles, &settings, frame)?),
+            ShotProfiles::Pixels(profiles) => {
+                let profiles = of_pixels(profiles, settings.samples);
+                let measured = Measured::new(&preview, &profiles);
+                Some(measured.explain(&common_settings(&settings), frame)?)
+            }
+        })
+    })
+    .await
+}
+
+/// Pixels that another renderer profiled.
+pub(crate) fn of_pixels(profiles: Vec<(ProfileResult, f64)>, samples: Option<u32>) -> Vec<MeasuredProfile> {
+    let spp = samples.unwrap_or(1);
+    let profile = |(result, speed)| MeasuredProfile::of_renderer(result, speed, spp);
+    profiles.into_iter().map(profile).collect()
 }

@@ -15,7 +15,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use crate::conductor::AdvanceError;
-use crate::conductor::job_profile::JobProfile;
+use crate::conductor::job_profile::{JobProfile, explanation};
 use crate::costly::key;
 use crate::document::Document;
 use crate::error::{ApiError, ApiResult, Problems};
@@ -87,7 +87,8 @@ pub(crate) struct ExplanationQuery {
 ///
 /// Work is given by parts, by what the pixels show and by kinds of rays, with the number of profiled pixels.
 /// It adds up to the quote without a shared irradiance cache, which has its own line there. Nothing is
-/// traced.
+/// traced. With another renderer, work is CPU time in microseconds on a node of speed 1, and objects are
+/// listed if the renderer says where in the image time goes.
 #[utoipa::path(get, path = "/v1/jobs/{id}/explanation", operation_id = "job_explanation",
     tag = "jobs", params(("id" = JobId, Path), ExplanationQuery),
     responses((status = 200, description = "The explanation", body = Explanation),
@@ -105,8 +106,8 @@ pub(crate) async fn explanation_of_job(
     let key = key(&("explanation", id, frame, app.store.profile_version(id).await?));
     let costly = app.costly.clone();
     let make = async move {
-        let measured = profile(&app, &job).await?;
-        Document::json(&measured.explanation(frame).await.map_err(uncovered)?)
+        let explained = explanation(&app.store, &job, frame).await.map_err(uncovered)?;
+        Document::json(&explained.ok_or_else(|| not_profiled(&job))?)
     };
     Ok(costly.answer(key, make).await?.respond(&headers))
 }
@@ -115,10 +116,14 @@ async fn profile(app: &App, job: &Job) -> ApiResult<JobProfile> {
     JobProfile::read(&app.store, job).await?.ok_or_else(|| {
         let reason = match &job.renderer {
             Some(renderer) => format!("{renderer} profiles samples of frames; this needs profiled pixels"),
-            None => format!("the job is {} and not profiled yet", job.state),
+            None => return not_profiled(job),
         };
         ApiError::new(ProblemKind::Conflict, reason)
     })
+}
+
+fn not_profiled(job: &Job) -> ApiError {
+    ApiError::new(ProblemKind::Conflict, format!("the job is {} and not profiled yet", job.state))
 }
 
 /// The job's estimate over time, from the quote to the actual cost, with the booking. 409 until it is booked.

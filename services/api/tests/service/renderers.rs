@@ -3,8 +3,8 @@
 use crate::support::made_up::another_renderer;
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    Bundle, ForecastDoc, FrameForecast, Job, JobPage, JobState, Lease, Node, Plan, ProblemKind, TaskKind,
-    TaskSpec,
+    Bundle, Explanation, ForecastDoc, FrameForecast, Job, JobPage, JobState, Lease, Node, Plan, ProblemKind,
+    TaskKind, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -73,9 +73,25 @@ async fn a_job_of_another_renderer_is_described_measured_booked_and_rendered_whe
     farm.finish(&first).await;
     let done = farm.work_off(&blender, &job).await;
     assert_eq!((done.state, done.frames_done), (JobState::Done, 10));
-    let explanation = farm.viewer.get(&format!("/v1/jobs/{}/explanation", job.id)).await;
-    let problem = explanation.problem(ProblemKind::Conflict).await;
+    assert_explained(&farm, &job).await;
+    let ladders = farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await;
+    let problem = ladders.problem(ProblemKind::Conflict).await;
     assert!(problem.detail.contains("cycles 5.0.1"), "{problem:?}");
+}
+
+/// Asserts that the explanation divides the quote's CPU time by object and by what samples have a share in.
+async fn assert_explained(farm: &Farm, job: &Job) {
+    let path = format!("/v1/jobs/{}/explanation", job.id);
+    let why: Explanation = farm.viewer.json(&path).await;
+    let samples: f64 = (0..10).map(|frame| 32.0 * (2_000.0 + 20.0 * f64::from(frame))).sum();
+    let close = |value: f64, truth: f64| assert!((value / truth - 1.0).abs() < 0.01, "{value} {why:?}");
+    close(why.work, samples + 10.0 * 10_000.0);
+    close(why.objects[0].work, samples);
+    close(why.camera_sample, samples / 32.0 / why.work);
+    let one: Explanation = farm.viewer.json(&format!("{path}?frame=9")).await;
+    assert_eq!(one.frame, Some(9));
+    close(one.work, 10_000.0 + 32.0 * 2_180.0);
+    assert!(one.words.iter().any(|line| line.contains("camera samples per pixel instead of 32")), "{one:?}");
 }
 
 /// Asserts that the quote is the known line in the samples, and that its work is CPU time.
@@ -228,6 +244,8 @@ async fn a_renderer_that_measures_single_pixels_is_quoted_by_them_and_takes_them
     assert_eq!(render.profile.is_some(), profiled.contains(&render.frame));
     let quote: ForecastDoc =
         farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let why: Explanation = farm.viewer.json(&format!("/v1/jobs/{}/explanation", job.id)).await;
+    assert!((why.work / quote.total.work.mean - 1.0).abs() < 1e-3 && why.rays.len() > 1, "{why:?}");
     for FrameForecast { frame, cpu_seconds, work, rays, .. } in &quote.frames {
         let truth = 0.005 + 48.0 * (0.001 + 0.000_01 * f64::from(*frame)) + 16.0 * 0.000_01;
         assert!((cpu_seconds.mean / truth - 1.0).abs() < 0.01, "frame {frame}: {cpu_seconds:?}, {truth}");

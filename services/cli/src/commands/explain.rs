@@ -1,7 +1,7 @@
 //! `forelight forecast --explain`: the reasons for the cost of the frames.
 
-use forelight_protocol::{Explanation, ObjectShare, RayShare};
-use forelight_terminal::quantities::count;
+use forelight_protocol::{Explanation, ForecastDoc, ObjectShare, RayShare};
+use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 
 /// Number of objects in the table. The JSON has all objects with at least 1 % of the pixels' work.
@@ -10,6 +10,15 @@ const SHOWN: usize = 10;
 /// The meaning of the work for a ray, below tables of it.
 pub const WORK_FOR_RAYS: &str =
     "the work for a ray is its traversal and the shading of its hit; all rays of a gather count as ambient\n";
+
+/// A quote with its reasons, as JSON.
+#[derive(serde::Serialize)]
+pub struct Explained<'a> {
+    #[serde(flatten)]
+    pub quote: &'a ForecastDoc,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub explanation: Option<&'a Explanation>,
+}
 
 fn rays(rays: &[RayShare], percent: impl Fn(f64) -> String) -> String {
     let mut table = Table::new(&[
@@ -22,16 +31,37 @@ fn rays(rays: &[RayShare], percent: impl Fn(f64) -> String) -> String {
         let work = work.map_or("-".into(), count);
         table.row([category.clone(), count(*rays), work, share_of_work.map_or("-".into(), &percent)]);
     }
-    format!("\n{}{WORK_FOR_RAYS}", table.render())
+    let is_known = rays.iter().any(|ray| ray.work.is_some());
+    format!("\n{}{}", table.render(), if is_known { WORK_FOR_RAYS } else { "" })
 }
 
-pub fn text(explanation: &Explanation) -> String {
+/// What work is counted in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// Operations of our own renderer.
+    Operations,
+    /// CPU time of another renderer, microseconds.
+    CpuMicros,
+}
+
+impl Unit {
+    fn amount(self, work: f64) -> String {
+        match self {
+            Unit::Operations => format!("{} operations", count(work)),
+            Unit::CpuMicros => format!("{} of CPU time", seconds(work * 1e-6)),
+        }
+    }
+}
+
+pub fn text(explanation: &Explanation, unit: Unit) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let mut text = String::from("\nWhy it costs this much\n\n");
     for part in &explanation.parts {
-        text += &format!("{:>8}  {} ({} operations)\n", percent(part.share), part.part, count(part.work));
+        text += &format!("{:>8}  {} ({})\n", percent(part.share), part.part, unit.amount(part.work));
     }
-    text += &rays(&explanation.rays, percent);
+    if !explanation.rays.is_empty() {
+        text += &rays(&explanation.rays, percent);
+    }
     if !explanation.objects.is_empty() {
         let mut table = Table::new(&[
             ("pixels that show", Align::Left),

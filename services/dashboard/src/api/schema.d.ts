@@ -482,7 +482,8 @@ export interface paths {
          *     exists.
          * @description Work is given by parts, by what the pixels show and by kinds of rays, with the number of profiled pixels.
          *     It adds up to the quote without a shared irradiance cache, which has its own line there. Nothing is
-         *     traced.
+         *     traced. With another renderer, work is CPU time in microseconds on a node of speed 1, and objects are
+         *     listed if the renderer says where in the image time goes.
          */
         get: operations["job_explanation"];
         put?: never;

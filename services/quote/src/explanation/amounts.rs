@@ -44,6 +44,8 @@ pub(super) struct Amounts {
     pub pixels: Vec<ShownWork>,
     /// True if the entries are objects. Blind strategies do not tell objects apart.
     pub told_apart: bool,
+    /// True if the cost of pixels is known to grow with the camera samples.
+    pub by_samples: bool,
     /// Work of filling the irradiance cache by level, starting with the level of the camera's hits. Empty
     /// without a cache.
     pub records_work: Vec<f64>,
@@ -99,6 +101,7 @@ impl Measured<'_> {
             work: total.work.mean,
             pixels,
             told_apart,
+            by_samples: true,
             records_work: records.iter().map(|sum| sum.work).collect(),
             fixed: self.fixed_costs(frame),
             shares_cache: self.shared.is_some(),

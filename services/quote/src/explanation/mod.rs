@@ -6,11 +6,15 @@
 //! | --- | --- |
 //! | `amounts` | the numbers to explain, from an estimate |
 //! | `halving` | settings that halve the work |
+//! | `other` | quotes of other renderers |
 //! | `words` | the sentences |
 
 mod amounts;
 mod halving;
+mod other;
 mod words;
+
+pub use self::other::{common_settings, explain_sampled};
 
 use forelight_protocol::{
     CacheMode, Explanation, FixedCosts, Integrator, ObjectShare, PartShare, RayShare, Rays, RenderSettings,
@@ -53,6 +57,8 @@ fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
     let of_cache = amounts.records_work.iter().sum::<f64>() + planning;
     let more = samples.with(samples.now.saturating_add(1)) - samples.work;
     let work = Work { whole: amounts.work, samples, ambient, levels: amounts.records_work.clone() };
+    let mut halving = work.halving(settings);
+    halving.retain(|way| amounts.by_samples || way.setting != "spp");
     let mut explanation = Explanation {
         words: Vec::new(),
         frame: amounts.frame,
@@ -60,8 +66,8 @@ fn explain(amounts: Amounts, settings: &RenderSettings) -> Explanation {
         parts,
         objects: objects(&amounts),
         rays: rays(&amounts, by_ray, of_cache),
-        camera_sample: amounts.share(more).max(0.0),
-        halving: work.halving(settings),
+        camera_sample: if amounts.by_samples { amounts.share(more).max(0.0) } else { 0.0 },
+        halving,
     };
     explanation.words = words::sentences(&explanation, settings, amounts.shares_cache);
     explanation
@@ -155,6 +161,7 @@ mod tests {
             // The second entry was not profiled and is divided like all profiled pixels.
             pixels: vec![shown(10, 2, 80.0, by_ray), shown(5, 0, 40.0, [0.0; 7])],
             told_apart: true,
+            by_samples: true,
             records_work: vec![50.0],
             fixed: Some(FixedCosts {
                 plan: spent(6),

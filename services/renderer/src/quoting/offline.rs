@@ -3,9 +3,10 @@
 use super::{Measurement, PixelChoice, PixelProfile, measure_frame, preview_result, profile_pixels};
 use crate::door::{Capability, RendererError, RendererId, Run, Settings, Shot};
 use forelight_forecast::Strategy;
-use forelight_protocol::{ForecastDoc, PreviewResult, QuotedShot, SceneDigest};
+use forelight_protocol::{Explanation, ForecastDoc, PreviewResult, QuotedShot, SceneDigest};
 use forelight_quote::{
-    Measured, MeasuredProfile, Quote, QuoteError, SampledProfile, frames_to_profile, quote_sampled,
+    Measured, MeasuredProfile, QuoteError, SampledProfile, common_settings, explain_sampled,
+    frames_to_profile, quote_sampled,
 };
 
 /// Why a shot cannot be quoted.
@@ -47,6 +48,21 @@ pub struct ShotQuote {
     pub measured: Vec<Measurement>,
     /// The profiled frames, ascending, if single pixels were measured.
     pub profiled: Vec<PixelProfile>,
+}
+
+impl ShotQuote {
+    /// Why all frames cost what they cost, in CPU time.
+    ///
+    /// # Errors
+    /// Those of the quote.
+    pub fn explain(&self, settings: &Settings) -> Result<Explanation, QuoteError> {
+        let settings = settings.complete();
+        if self.profiled.is_empty() {
+            return explain_sampled(&self.preview, &samples_of(&self.measured), &settings, None);
+        }
+        let profiles = pixels_of(&self.profiled, settings.samples.unwrap_or(1));
+        Measured::new(&self.preview, &profiles).explain(&common_settings(&settings), None)
+    }
 }
 
 /// What is measured for a quote.
@@ -97,25 +113,24 @@ pub fn quote_shot(
         }
     }
     let quote = if by_pixel {
-        quote_pixels(&preview, &profiled, settings)?
+        let profiles = pixels_of(&profiled, settings.common.samples);
+        Measured::new(&preview, &profiles).quote(None)?
     } else {
-        let profile = |found: &Measurement| SampledProfile { result: found.result.clone(), node_speed: 1.0 };
-        let profiles: Vec<SampledProfile> = measured.iter().map(profile).collect();
-        quote_sampled(&preview, &profiles, None)?
+        quote_sampled(&preview, &samples_of(&measured), None)?
     };
     let settings = settings.complete().into();
     let shot = QuotedShot { scene: of.1, renderer: Some(renderer.into()), settings };
     Ok(ShotQuote { document: quote.job.document(shot, quote.frames), preview, measured, profiled })
 }
 
-fn quote_pixels(
-    preview: &PreviewResult,
-    profiled: &[PixelProfile],
-    settings: &Settings,
-) -> Result<Quote, QuoteError> {
-    let profile = |found: &PixelProfile| {
-        MeasuredProfile::of_renderer(found.result.clone(), 1.0, settings.common.samples)
-    };
-    let profiles: Vec<MeasuredProfile> = profiled.iter().map(profile).collect();
-    Measured::new(preview, &profiles).quote(None)
+/// Measured frames of this machine.
+fn samples_of(measured: &[Measurement]) -> Vec<SampledProfile> {
+    let profile = |found: &Measurement| SampledProfile { result: found.result.clone(), node_speed: 1.0 };
+    measured.iter().map(profile).collect()
+}
+
+/// Profiled pixels of this machine.
+fn pixels_of(profiled: &[PixelProfile], samples: u32) -> Vec<MeasuredProfile> {
+    let profile = |found: &PixelProfile| MeasuredProfile::of_renderer(found.result.clone(), 1.0, samples);
+    profiled.iter().map(profile).collect()
 }

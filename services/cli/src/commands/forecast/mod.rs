@@ -3,7 +3,8 @@
 mod cost_map;
 mod sharing;
 
-use super::{calibrate, explain, foreign};
+use super::explain::{self, Unit};
+use super::{calibrate, foreign};
 use crate::caches;
 use crate::job_options::png_file;
 use crate::storage::stored;
@@ -11,8 +12,8 @@ use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::{
-    CacheSharing, CalibratedQuantiles, CalibrationDoc, Explanation, FixedCosts, ForecastDoc, FrameSet,
-    LeftOut, NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
+    CacheSharing, CalibratedQuantiles, CalibrationDoc, FixedCosts, ForecastDoc, FrameSet, LeftOut,
+    NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
 };
 use forelight_renderer_own::{Quote, QuoteOptions, ROUNDS, png};
 use forelight_terminal::atomic_file::{self, write_bytes};
@@ -161,9 +162,9 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let explain = || quoted.measured().explain(&settings, None);
     let explained = args.explain.then(explain).transpose()?;
     if args.json {
-        output::json(&Explained { quote: &quoted.document, explanation: explained.as_ref() })?;
+        output::json(&explain::Explained { quote: &quoted.document, explanation: explained.as_ref() })?;
     } else {
-        let why = explained.as_ref().map_or_else(String::new, explain::text);
+        let why = explained.as_ref().map_or_else(String::new, |found| explain::text(found, Unit::Operations));
         output::print(&(report(&quoted.document) + &why))?;
     }
     match &args.cost_map {
@@ -184,7 +185,6 @@ fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         ("--for-node", args.for_node.is_some()),
         ("--cache-sharing", args.cache_sharing != CacheSharing::Private),
         ("--cost-map", args.cost_map.is_some()),
-        ("--explain", args.explain),
     ])?;
     let asked = foreign::AskedForecast {
         scene: &args.bundle,
@@ -195,17 +195,10 @@ fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         quality: &args.quality,
         own: &args.own,
         machine: &args.machine,
+        explain: args.explain,
         json: args.json,
     };
     foreign::forecast(&asked, interrupt)
-}
-
-#[derive(serde::Serialize)]
-struct Explained<'a> {
-    #[serde(flatten)]
-    quote: &'a ForecastDoc,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    explanation: Option<&'a Explanation>,
 }
 
 /// The corrections of quantiles from a farm's finished jobs, for a quote like this one.

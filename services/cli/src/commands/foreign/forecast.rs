@@ -1,5 +1,6 @@
 //! `forelight forecast shot.blend`: the quote of a shot that another renderer renders.
 
+use crate::commands::explain::{self, Explained, Unit};
 use anyhow::Result;
 use forelight_protocol::{ForecastDoc, FrameSet, Quantiles};
 use forelight_renderer::door::{Common, RendererId, Settings};
@@ -24,6 +25,8 @@ pub struct Asked<'a> {
     pub quality: &'a QualityOptions,
     pub own: &'a [OwnSetting],
     pub machine: &'a MachineOptions,
+    /// Whether the reasons are wanted too.
+    pub explain: bool,
     pub json: bool,
 }
 
@@ -48,15 +51,18 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     let run = foreign.run(interrupt);
     let quote = quote_shot(shot, (&name, digest), &frames, &settings, wanted, &observe, &run);
     bar.finish_and_clear();
-    let ShotQuote { document, measured, profiled, .. } = quote?;
+    let quote = quote?;
+    let explained = asked.explain.then(|| quote.explain(&settings)).transpose()?;
+    let ShotQuote { document, measured, profiled, .. } = quote;
     if asked.json {
-        return output::json(&document);
+        return output::json(&Explained { quote: &document, explanation: explained.as_ref() });
     }
     let samples =
         measured.first().map_or(0, |frame| frame.result.shares.iter().map(|share| share.count).sum());
     let pixels = profiled.first().map(|profile| profile.result.samples.len());
     let measured = measured_text(document.profiled.frames.len(), samples, pixels);
-    output::print(&report(&document, foreign.renderer.id(), &settings, &measured))
+    let why = explained.as_ref().map_or_else(String::new, |found| explain::text(found, Unit::CpuMicros));
+    output::print(&(report(&document, foreign.renderer.id(), &settings, &measured) + &why))
 }
 
 /// What was measured: samples of frames, or pixels.

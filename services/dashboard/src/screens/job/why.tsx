@@ -3,7 +3,7 @@
 import { get } from "../../api/client";
 import type { Explanation, Job } from "../../api/types";
 import { param, setQuery } from "../../state/route";
-import { clean, grouped, percent, significant, work, words } from "../../ui/format";
+import { clean, cpuTime, grouped, percent, significant, work, words } from "../../ui/format";
 import { Prose, Section, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 
@@ -19,12 +19,9 @@ export function Why(props: { job: Job; version: string }) {
     [props.job.id, frame, props.version],
   );
   const doc = answer.data;
-  if (!doc && answer.error && props.job.renderer)
-    return (
-      <p class="note">
-        <Prose text={answer.error.message} /> The cost maps under Images show where the time went.
-      </p>
-    );
+  // Other renderers count no operations: their work is CPU time in microseconds.
+  const amount = (value: number) =>
+    props.job.renderer ? `${cpuTime(value / 1e6)} of CPU time` : `${work(value)} operations`;
   if (!doc)
     return answer.error ? (
       <Trouble error={answer.error} retry={answer.reload} />
@@ -34,7 +31,7 @@ export function Why(props: { job: Job; version: string }) {
   return (
     <>
       <p>
-        {frame === null ? "All frames together" : `Frame ${frame}`}: {work(doc.work)} operations.{" "}
+        {frame === null ? "All frames together" : `Frame ${frame}`}: {amount(doc.work)}.{" "}
         {frame !== null && (
           <button type="button" class="plain" onClick={() => setQuery({ frame: null })}>
             Explain all frames
@@ -48,40 +45,46 @@ export function Why(props: { job: Job; version: string }) {
           </li>
         ))}
       </ul>
-      <Parts of={doc} />
+      <Parts of={doc} amount={amount} />
     </>
   );
 }
 
 /** The shares of the whole by object, by kind of ray and by part. */
-function Parts(props: { of: Explanation }) {
+function Parts(props: { of: Explanation; amount: (work: number) => string }) {
   const doc = props.of;
   return (
     <div class="columns">
       <Section title="Objects" level={3}>
-        <Shares
-          head="Object and material"
-          extra="× mean pixel"
-          rows={doc.objects.slice(0, 15).map((line) => ({
-            name: line.shows ? `${clean(line.shows.object)}, ${clean(line.shows.material)}` : "background",
-            share: line.share,
-            note: significant(line.times_mean_pixel, 2),
-          }))}
-        />
-      </Section>
-      <Section title="Light" level={3}>
-        <Shares
-          head="Kind of ray"
-          extra="Rays"
-          rows={doc.rays
-            .filter((line) => line.rays > 0)
-            .map((line) => ({
-              name: line.category,
-              share: line.share_of_work ?? line.share,
-              note: work(line.rays),
+        {doc.objects.length === 0 ? (
+          <p class="note">The renderer does not say where in the image time goes.</p>
+        ) : (
+          <Shares
+            head="Object and material"
+            extra="× mean pixel"
+            rows={doc.objects.slice(0, 15).map((line) => ({
+              name: line.shows ? `${clean(line.shows.object)}, ${clean(line.shows.material)}` : "background",
+              share: line.share,
+              note: significant(line.times_mean_pixel, 2),
             }))}
-        />
+          />
+        )}
       </Section>
+      {doc.rays.length > 0 && (
+        <Section title="Light" level={3}>
+          <Shares
+            head="Kind of ray"
+            extra="Rays"
+            rows={doc.rays
+              .filter((line) => line.rays > 0)
+              .map((line) => ({
+                name: line.category,
+                share: line.share_of_work ?? line.share,
+                note: work(line.rays),
+              }))}
+          />
+        </Section>
+      )}
       <Section title="Parts" level={3}>
         <Shares
           head="Part"
@@ -89,7 +92,7 @@ function Parts(props: { of: Explanation }) {
           rows={doc.parts.map((line) => ({
             name: words(line.part),
             share: line.share,
-            note: work(line.work),
+            note: props.amount(line.work),
           }))}
         />
       </Section>
@@ -130,9 +133,11 @@ function Halving(props: { of: Explanation }) {
           </tbody>
         </table>
       )}
-      <p class="note">
-        One camera sample more in every pixel costs {percent(camera_sample, 1)} of the whole.
-      </p>
+      {camera_sample > 0 && (
+        <p class="note">
+          One camera sample more in every pixel costs {percent(camera_sample, 1)} of the whole.
+        </p>
+      )}
     </>
   );
 }
