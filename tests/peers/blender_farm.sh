@@ -105,6 +105,13 @@ for frame in 5 "$(ask "SELECT max(t.frame) FROM tasks t JOIN jobs j ON j.id = t.
   same_image "$work/$frame.exr" "$work/images/frame-$(printf %04d "$frame").exr"
 done
 
+echo 'a frame that is divided by its samples is the same image'
+submit "$work/scenes/kitchen.blend" --shared --frames 5 "${size[@]}" --parts 3 --name parts --out "$work/parts" >"$work/parts.log" 2>&1 ||
+  fail 'the divided frame was not delivered'
+is "SELECT count(*) FROM results r JOIN tasks t ON t.id = r.task_id JOIN jobs j ON j.id = t.job_id WHERE j.name = 'parts' AND t.kind = 'render_part'" 3 ||
+  fail 'the frame was not rendered in three parts'
+same_image "$work/5.exr" "$work/parts/frame-0005.exr"
+
 echo 'a quote says which objects it is for'
 FORELIGHT_BPY_PYTHON=$environment/bin/python "$FORELIGHT_BIN" forecast "$work/scenes/kitchen.blend" --frames 0,12 "${size[@]}" \
   --explain >"$work/why.log" 2>&1 || fail 'no explanation'

@@ -332,12 +332,14 @@ async fn keep(
     jobs::state(write.connection().await?, row.job_id).await
 }
 
-/// Completes a job by what its renderer found in the scene. From now on only this version renders the job.
+/// Completes a job by what its renderer found in the scene. From now on only this version renders the job. The
+/// scene keeps its name: a worker knows an uploaded file by its hash.
 fn keep_description(write: &mut Write, job: JobId, described: &Described) {
     let Described { renderer, scene, settings, .. } = described;
     later!(
         write,
-        "UPDATE jobs SET renderer = ?, scene = ?, settings = ? WHERE id = ?",
+        "UPDATE jobs SET renderer = ?, scene = json_set(?, '$.name', scene ->> '$.name'), settings = ? \
+         WHERE id = ?",
         Json(&RendererRequest::from(renderer)),
         Json(scene),
         Json(settings),

@@ -73,6 +73,7 @@ async fn a_job_of_another_renderer_is_described_measured_booked_and_rendered_whe
     farm.finish(&first).await;
     let done = farm.work_off(&blender, &job).await;
     assert_eq!((done.state, done.frames_done), (JobState::Done, 10));
+    assert_eq!((done.scene.name.as_str(), done.scene.frames), ("blender-file", 250));
     assert_explained(&farm, &job).await;
     let ladders = farm.viewer.get(&format!("/v1/jobs/{}/accuracy", job.id)).await;
     let problem = ladders.problem(ProblemKind::Conflict).await;
