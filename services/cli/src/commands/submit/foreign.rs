@@ -16,8 +16,11 @@ use forelight_terminal::options::{Keep, MachineOptions, PreviewBackend, QualityO
 use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::bytes;
 use std::path::{Path, PathBuf};
-use tempfile::TempPath;
+use tempfile::TempDir;
 use uuid::Uuid;
+
+/// Name of a copy that holds all files.
+const PACKED: &str = "packed.blend";
 
 /// The request for a job of another renderer. Uploads the scene, unless it stays on shared storage.
 pub(super) async fn request(
@@ -50,7 +53,8 @@ pub(super) async fn request(
     let reference = if args.shared {
         on_shared_storage(scene)?
     } else {
-        upload(found.packed.as_deref().unwrap_or(scene), client, upload_key(key), bars).await?.0
+        let packed = found.packed.as_ref().map(|folder| folder.path().join(PACKED));
+        upload(packed.as_deref().unwrap_or(scene), client, upload_key(key), bars).await?.0
     };
     let request = super::request(args, reference, scene_name(scene), frames, settings)?;
     Ok(JobRequest { renderer: Some(renderer), ..request })
@@ -87,8 +91,8 @@ struct Question {
 struct Found {
     /// Frames of the job, if they are known.
     frames: Option<FrameSet>,
-    /// The copy, if the scene refers to files outside.
-    packed: Option<TempPath>,
+    /// The folder of the copy, if the scene refers to files outside. Nobody else can read it.
+    packed: Option<TempDir>,
 }
 
 impl Question {
@@ -115,14 +119,13 @@ impl Question {
 
     /// A copy of the scene that holds all files, if it refers to any. Blender does not write the same bytes
     /// twice, so the copy is kept: the farm has it already when the same scene is submitted again.
-    fn packed(&self, foreign: &Foreign, bars: &Bars, interrupt: &Interrupt) -> Result<Option<TempPath>> {
+    fn packed(&self, foreign: &Foreign, bars: &Bars, interrupt: &Interrupt) -> Result<Option<TempDir>> {
         let kept = kept_scenes(Keep::On).zip(self.name(foreign)?);
-        let copy =
-            tempfile::Builder::new().suffix(".blend").tempfile().context("cannot make a temporary file")?;
-        let copy = copy.into_temp_path();
+        let beside = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let copy = beside.path().join(PACKED);
         if let Some(content) = kept.as_ref().and_then(|(folder, name)| folder.read(name)) {
             std::fs::write(&copy, content).with_context(|| format!("cannot write {}", copy.display()))?;
-            return Ok(Some(copy));
+            return Ok(Some(beside));
         }
         let settings = foreign.settings(&self.quality, &self.own)?;
         let spinner = bars.spinner(format!("packing {}", self.scene.display()));
@@ -136,7 +139,7 @@ impl Question {
         if let Some((folder, name)) = kept {
             folder.write(&name, &[&content]);
         }
-        Ok(Some(copy))
+        Ok(Some(beside))
     }
 
     /// Name of the copy, by all that is in it. `None` where a path is a pattern of several files.
