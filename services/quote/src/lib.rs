@@ -52,7 +52,7 @@ mod tests;
 pub use choose::frames_to_profile;
 pub use error::QuoteError;
 pub use estimate::Estimate;
-pub use explanation::{common_settings, explain_sampled};
+pub use explanation::explain_sampled;
 pub use job_forecast::{JobForecast, Quote, QuoteBasis, QuoteKind, SharedCacheToBuild, Spreads, quantiles};
 pub use limit::{Limit, Most};
 pub use measured::{Measured, MeasuredProfile, SharedCache};

@@ -39,7 +39,7 @@ pub fn quote_sampled(
 ) -> Result<Quote, QuoteError> {
     let Populations { strata, frames, .. } = Populations::new(preview, [], Strategy::Snapshot, &[]);
     let clock = shot_times(&strata, &frames).map_err(QuoteError::Forecast)?;
-    let shot = forecast(&strata, &frames, profiles)?;
+    let (shot, _) = forecast(&strata, &frames, profiles)?;
     let shot = match corrections {
         Some(corrections) => shot.corrected(corrections),
         None => shot,
@@ -94,7 +94,7 @@ pub(crate) struct MeasuredCosts {
 
 impl MeasuredCosts {
     /// Those of all profiles. CPU time is that of a node of speed 1.
-    pub fn of(
+    fn of(
         strata: &[Stratum],
         frames: &[FramePopulation],
         profiles: &[SampledProfile],
@@ -127,12 +127,12 @@ impl MeasuredCosts {
     }
 }
 
-/// The forecast of all frames.
+/// The forecast of all frames, and the measured ones that it rests on.
 pub(crate) fn forecast(
     strata: &[Stratum],
     frames: &[FramePopulation],
     profiles: &[SampledProfile],
-) -> Result<SampledShotForecast, QuoteError> {
+) -> Result<(SampledShotForecast, Vec<MeasuredCosts>), QuoteError> {
     let mut inputs = MeasuredCosts::of(strata, frames, profiles)?;
     let whole = profiles.first().map_or(1, |profile| profile.result.whole);
     if let Some(other) = profiles.iter().find(|profile| profile.result.whole != whole) {
@@ -151,7 +151,8 @@ pub(crate) fn forecast(
         .iter()
         .map(|input| SampledFrame { frame: input.frame, costs: &input.costs, stratum_times: &input.times })
         .collect();
-    forecast_sampled_shot(strata, frames, &sampled, whole, Calibration::NONE).map_err(QuoteError::Forecast)
+    let shot = forecast_sampled_shot(strata, frames, &sampled, whole, Calibration::NONE);
+    Ok((shot.map_err(QuoteError::Forecast)?, inputs))
 }
 
 /// Numbers of object and material as a preview has them: 2³² − 2 for what a pixel has none of. `None` for

@@ -3,7 +3,7 @@
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, Explanation, Job, JobSettings, PreviewResult, ProfileResult, RenderSettings,
 };
-use forelight_quote::{Measured, MeasuredProfile, common_settings, explain_sampled, with_samples};
+use forelight_quote::{Measured, MeasuredProfile, explain_sampled, with_samples};
 use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 
 use super::{AdvanceError, compute};
@@ -76,8 +76,7 @@ pub(crate) async fn explanation(
             ShotProfiles::Samples(profiles) => Some(explain_sampled(&preview, &profiles, &settings, frame)?),
             ShotProfiles::Pixels(profiles) => {
                 let profiles = of_pixels(profiles, settings.samples);
-                let measured = Measured::new(&preview, &profiles);
-                Some(measured.explain(&common_settings(&settings), frame)?)
+                Some(Measured::new(&preview, &profiles).explain_shot(&settings, frame)?)
             }
         })
     })

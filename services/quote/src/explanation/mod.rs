@@ -14,7 +14,7 @@ mod halving;
 mod other;
 mod words;
 
-pub use self::other::{common_settings, explain_sampled};
+pub use self::other::explain_sampled;
 
 use forelight_protocol::{
     CacheMode, Explanation, FixedCosts, Integrator, ObjectShare, PartShare, RayShare, Rays, RenderSettings,

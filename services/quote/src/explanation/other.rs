@@ -8,11 +8,26 @@ use forelight_protocol::{
 use super::amounts::{Amounts, ProfiledWork, ShownWork};
 use super::explain;
 use crate::error::QuoteError;
+use crate::measured::Measured;
 use crate::populations::Populations;
 use crate::sampled::{MeasuredCosts, SampledProfile, forecast};
 
+impl Measured<'_> {
+    /// As [`Measured::explain`], of a renderer other than our own that profiles single pixels.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn explain_shot(
+        &self,
+        settings: &ShotSettings,
+        frame: Option<u32>,
+    ) -> Result<Explanation, QuoteError> {
+        self.explain(&common_settings(settings), frame)
+    }
+}
+
 /// What all renderers have of the settings, as those of our own. The rest has defaults.
-pub fn common_settings(settings: &ShotSettings) -> RenderSettings {
+fn common_settings(settings: &ShotSettings) -> RenderSettings {
     let size = (settings.width.unwrap_or(1), settings.height.unwrap_or(1));
     RenderSettingsRequest { spp: settings.samples, ..RenderSettingsRequest::default() }.complete(size)
 }
@@ -32,8 +47,7 @@ pub fn explain_sampled(
     frame: Option<u32>,
 ) -> Result<Explanation, QuoteError> {
     let Populations { strata, frames, names, .. } = Populations::new(preview, [], Strategy::Snapshot, &[]);
-    let shot = forecast(&strata, &frames, profiles)?;
-    let measured = MeasuredCosts::of(&strata, &frames, profiles)?;
+    let (shot, measured) = forecast(&strata, &frames, profiles)?;
     let timed: Vec<&MeasuredCosts> = measured.iter().filter(|one| !one.times.is_empty()).collect();
     let over_timed = |value: &dyn Fn(&MeasuredCosts) -> f64| timed.iter().map(|one| value(one)).sum::<f64>();
     let pixels_of = |h: usize, frame: usize| f64::from(frames[frame].counts[h]);

@@ -75,9 +75,9 @@ impl Description {
         self.assets.iter().filter(|asset| asset.state == AssetState::Missing)
     }
 
-    /// Whether it refers to files outside of the scene that exist.
-    pub fn has_files_outside(&self) -> bool {
-        self.assets.iter().any(|asset| asset.state == AssetState::Present)
+    /// Assets that exist outside of the scene.
+    pub fn outside(&self) -> impl Iterator<Item = &Asset> {
+        self.assets.iter().filter(|asset| asset.state == AssetState::Present)
     }
 
     /// Fails if assets are missing.

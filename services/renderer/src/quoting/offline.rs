@@ -5,8 +5,7 @@ use crate::door::{Capability, RendererError, RendererId, Run, Settings, Shot};
 use forelight_forecast::Strategy;
 use forelight_protocol::{Explanation, ForecastDoc, PreviewResult, QuotedShot, SceneDigest};
 use forelight_quote::{
-    Measured, MeasuredProfile, QuoteError, SampledProfile, common_settings, explain_sampled,
-    frames_to_profile, quote_sampled,
+    Measured, MeasuredProfile, QuoteError, SampledProfile, explain_sampled, frames_to_profile, quote_sampled,
 };
 
 /// Why a shot cannot be quoted.
@@ -61,7 +60,7 @@ impl ShotQuote {
             return explain_sampled(&self.preview, &samples_of(&self.measured), &settings, None);
         }
         let profiles = pixels_of(&self.profiled, settings.samples.unwrap_or(1));
-        Measured::new(&self.preview, &profiles).explain(&common_settings(&settings), None)
+        Measured::new(&self.preview, &profiles).explain_shot(&settings, None)
     }
 }
 

@@ -210,7 +210,7 @@ impl Shot for BlenderShot {
 
     fn pack(&self, settings: &Settings, out: &Path, run: &Run<'_>) -> Result<bool, RendererError> {
         self.check(settings)?;
-        if !self.description.has_files_outside() {
+        if self.description.outside().next().is_none() {
             return Ok(false);
         }
         let Packed { outside } = self.ask(&json!({"do": "pack", "out": out}), run)?;

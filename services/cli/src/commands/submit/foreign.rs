@@ -4,9 +4,9 @@
 use super::{Args, on_shared_storage, upload, upload_key};
 use anyhow::{Context, Result};
 use forelight_client::Client;
-use forelight_kept::named;
+use forelight_kept::{LARGEST, named};
 use forelight_protocol::{FrameSet, JobRequest, RendererRequest};
-use forelight_renderer::door::{AssetState, RendererError};
+use forelight_renderer::door::RendererError;
 use forelight_renderer::{scene_digest, scene_name};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{Foreign, OwnSetting, is_blend, is_radiance, shot_request};
@@ -134,10 +134,11 @@ impl Question {
         if !is_packed? {
             return Ok(None);
         }
-        let content = std::fs::read(&copy).with_context(|| format!("cannot read {}", copy.display()))?;
-        bars.note(format!("packed all files into a copy of {}", bytes(content.len() as u64)));
-        if let Some((folder, name)) = kept {
-            folder.write(&name, &[&content]);
+        let unreadable = || format!("cannot read {}", copy.display());
+        let size = std::fs::metadata(&copy).with_context(unreadable)?.len();
+        bars.note(format!("packed all files into a copy of {}", bytes(size)));
+        if let Some((folder, name)) = kept.filter(|_| size <= LARGEST) {
+            folder.write(&name, &[&std::fs::read(&copy).with_context(unreadable)?]);
         }
         Ok(Some(beside))
     }
@@ -147,11 +148,9 @@ impl Question {
         let mut hasher = named("packed scene");
         hasher.update(foreign.renderer.id().to_string().as_bytes());
         hasher.update(&scene_digest(&self.scene)?.0);
-        for asset in &foreign.description().assets {
-            if asset.state == AssetState::Present {
-                let Ok(digest) = scene_digest(Path::new(&asset.path)) else { return Ok(None) };
-                hasher.update(asset.path.as_bytes()).update(&[0]).update(&digest.0);
-            }
+        for asset in foreign.description().outside() {
+            let Ok(digest) = scene_digest(Path::new(&asset.path)) else { return Ok(None) };
+            hasher.update(asset.path.as_bytes()).update(&[0]).update(&digest.0);
         }
         Ok(Some(hasher.finalize()))
     }

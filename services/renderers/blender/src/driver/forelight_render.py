@@ -199,7 +199,7 @@ def regions(frame, settings, threads, out, progress, regions):
     with whole:
         scene = prepare(frame, settings, threads)
         render, cycles = scene.render, scene.cycles
-        finish = {"use_denoising": cycles.use_denoising}, {"use_compositing": render.use_compositing}
+        denoise, composite = cycles.use_denoising, render.use_compositing
         cycles.use_denoising = render.use_compositing = False
         render.use_persistent_data = True
         render.use_border = render.use_crop_to_border = True
@@ -218,7 +218,7 @@ def regions(frame, settings, threads, out, progress, regions):
             pieces.append({"region": region, "cpu_nanos": whole.sampling - before})
             progress((index + 1) / len(regions))
         render.use_border = render.use_crop_to_border = False
-        fixed = {"prepare": max(0, prepared), **finishing(scene, out, settings, *finish)}
+        fixed = {"prepare": max(0, prepared), **finishing(scene, out, settings, denoise, composite)}
         render.use_persistent_data = False
     answer = whole.cost()
     answer["fixed"] = fixed
@@ -226,7 +226,7 @@ def regions(frame, settings, threads, out, progress, regions):
     return answer
 
 
-def finishing(scene, out, settings, of_cycles, of_render):
+def finishing(scene, out, settings, denoise, composite):
     """What it costs to denoise and to composite a whole image, by two renders of one sample, and to write it.
 
     Frames of the same size cost the same, so only the first one is measured.
@@ -243,8 +243,8 @@ def finishing(scene, out, settings, of_cycles, of_render):
     with one_sample(scene.cycles):
         plain, written = cost()
         found = {"write": written}
-        if any((*of_cycles.values(), *of_render.values())):
-            with changed(scene.cycles, **of_cycles), changed(scene.render, **of_render):
+        if denoise or composite:
+            with changed(scene.cycles, use_denoising=denoise), changed(scene.render, use_compositing=composite):
                 found["finish"] = max(0, cost()[0] - plain)
     FINISHING[key] = found
     return found
