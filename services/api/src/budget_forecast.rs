@@ -77,6 +77,8 @@ pub async fn budget_forecast(
     if !request.by_job {
         forecast.nights.iter_mut().for_each(|night| night.jobs.clear());
         forecast.changes.clear();
+        forecast.not_ready.clear();
+        forecast.unknown.clear();
     }
     Ok(forecast)
 }

@@ -198,7 +198,8 @@ pub struct BudgetForecastRequest {
     #[serde(default = "utc")]
     #[schema(default = "UTC")]
     pub zone: String,
-    /// Whether to list what each job costs, and how that changed. On a farm of thousands of jobs, that is long.
+    /// Whether to list jobs: what each costs, how that changed, which are not ready in time, and which have no
+    /// forecast. On a farm of thousands of jobs, these lists are long.
     #[serde(default = "yes")]
     #[schema(default = true)]
     pub by_job: bool,
@@ -358,6 +359,10 @@ pub struct BudgetForecast {
     pub not_ready: Vec<NotReady>,
     /// Jobs without a forecast yet. They are not included in any number here.
     pub unknown: Vec<String>,
+    /// Number of these jobs. It is there without their names as well.
+    #[serde(default)]
+    #[schema(required)]
+    pub unknown_total: u32,
     /// When the forecast was made that this one is compared with. Absent if there is none.
     pub compared_with: Option<Timestamp>,
     /// What changed since that forecast.

@@ -130,6 +130,33 @@ test("events change the rows of jobs and nodes, and the counts, without another 
   assert.equal(nodeAfter(busy, [{ kind: "task_done", task_id: "other" }]), busy);
 });
 
+test("thousands of events at once reach a screen in one piece, in their order", async (t) => {
+  const sources = [];
+  class EventSource extends EventTarget {
+    constructor() {
+      super();
+      sources.push(this);
+    }
+    close() {}
+  }
+  Object.assign(globalThis, { EventSource, document: new EventTarget() });
+  globalThis.addEventListener ??= () => {};
+  globalThis.removeEventListener ??= () => {};
+  t.after(() => ["EventSource", "document"].forEach((name) => delete globalThis[name]));
+  const { follow, onEvents, unfollow } = await load("state/live.ts");
+  const heard = [];
+  onEvents((events) => heard.push(events.map((event) => event.id)));
+  follow(0);
+  const ids = Array.from({ length: 4_000 }, (_, at) => at + 1);
+  for (const id of ids)
+    sources[0].dispatchEvent(
+      new MessageEvent("plan_stored", { data: JSON.stringify({ id, kind: "plan_stored", job_id: "a" }) }),
+    );
+  await new Promise((done) => setTimeout(done, 600));
+  assert.deepEqual(heard, [ids]);
+  unfollow();
+});
+
 test("a rescue by quality that fails half-way makes no second job when it is tried again", async (t) => {
   const { take } = await load("actions/jobs.ts");
   const job = {

@@ -61,6 +61,12 @@ pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForec
     sums.all.sort_unstable();
     ends.iter_mut().for_each(|ends| ends.sort_unstable());
     let spent = sums.spent.iter().fold(0i64, |sum, night| sum.saturating_add(night[0]));
+    let unknown: Vec<String> = basis
+        .jobs
+        .iter()
+        .filter(|open| open.forecast.is_none() && basis.is_about(&open.job.project))
+        .map(|job| job.job.name.clone())
+        .collect();
     let budgets: Vec<BudgetOutlook> = periods.into_iter().map(outlook).collect();
     let middle = |night: &Night| night.from.plus_micros(night.until.micros_since(night.from) / 2);
     Ok(BudgetForecast {
@@ -81,12 +87,8 @@ pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForec
             .filter(|(open, _)| basis.is_about(&open.job.project))
             .filter_map(|(job, ends)| not_ready(basis, job, ends))
             .collect(),
-        unknown: basis
-            .jobs
-            .iter()
-            .filter(|open| open.forecast.is_none() && basis.is_about(&open.job.project))
-            .map(|job| job.job.name.clone())
-            .collect(),
+        unknown_total: u32::try_from(unknown.len()).unwrap_or(u32::MAX),
+        unknown,
         compared_with: None,
         changes: Vec::new(),
         track_record: NightRecord::default(),

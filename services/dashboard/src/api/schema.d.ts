@@ -1707,13 +1707,19 @@ export interface components {
             track_record: components["schemas"]["NightRecord"];
             /** @description Jobs without a forecast yet. They are not included in any number here. */
             unknown: string[];
+            /**
+             * Format: int32
+             * @description Number of these jobs. It is there without their names as well.
+             */
+            unknown_total: number;
             /** @description Time zone. */
             zone: string;
         };
         /** @description Which nights to forecast. */
         BudgetForecastRequest: {
             /**
-             * @description Whether to list what each job costs, and how that changed. On a farm of thousands of jobs, that is long.
+             * @description Whether to list jobs: what each costs, how that changed, which are not ready in time, and which have no
+             *     forecast. On a farm of thousands of jobs, these lists are long.
              * @default true
              */
             by_job: boolean;

@@ -1,11 +1,11 @@
 // The farm at one instant, kept fresh: events change jobs and their counts at once. What only the service can
 // compute comes as summaries, a few seconds after events. Who gets none, asks then; and all ask now and then.
 
-import { batch, computed, effect, signal } from "@preact/signals";
+import { computed, effect, signal } from "@preact/signals";
 import { get } from "../api/client";
 import type { Event, Farm, FarmSummary } from "../api/types";
-import { follow, onEvent, summary, unfollow } from "./live";
-import { farmAfter, farmSummed } from "./news";
+import { follow, onEvents, summary, unfollow } from "./live";
+import { farmAfter, farmSummed, isNews } from "./news";
 
 export const farm = signal<Farm | null>(null);
 export const farmError = signal<Error | null>(null);
@@ -48,8 +48,6 @@ const KEPT_EVENTS = 200;
 let counted = 0;
 let timer: ReturnType<typeof setTimeout> | undefined;
 let due = 0;
-let queued: Event[] = [];
-let flushing: ReturnType<typeof setTimeout> | undefined;
 let stop: (() => void) | null = null;
 let unsum: (() => void) | null = null;
 let minute: ReturnType<typeof setInterval> | undefined;
@@ -57,7 +55,7 @@ let minute: ReturnType<typeof setInterval> | undefined;
 /** Starts to watch the farm. */
 export function watch(): void {
   if (stop) return;
-  stop = onEvent(queue);
+  stop = onEvents(take);
   unsum = effect(() => {
     if (summary.value) sumUp(summary.value);
   });
@@ -116,26 +114,15 @@ function schedule(after: number): void {
   timer = setTimeout(() => void refresh(), after);
 }
 
-/** A large farm writes hundreds of events a second: they are applied together, four times a second. */
-function queue(event: Event): void {
-  queued.push(event);
-  flushing ??= setTimeout(flush, 250);
-}
-
-function flush(): void {
-  flushing = undefined;
-  const events = queued;
-  queued = [];
+function take(events: readonly Event[]): void {
   // The document may have told of some of them already.
   const newest = recent.peek()[0]?.id ?? 0;
-  const told = events.filter((event) => event.kind !== "task_progress" && event.id > newest).reverse();
+  const told = events.filter((event) => isNews(event) && event.id > newest).reverse();
   const old = farm.peek();
-  batch(() => {
-    if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
-    // The document knows what happened before it.
-    const news = events.filter((event) => event.id > (old?.last_event_id ?? 0));
-    if (old) farm.value = farmAfter(old, news, counted);
-  });
+  if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
+  // The document knows what happened before it.
+  const news = events.filter((event) => event.id > (old?.last_event_id ?? 0));
+  if (old) farm.value = farmAfter(old, news, counted);
   if (!summary.peek()) schedule(events.some((event) => ASKED_SOON.has(event.kind)) ? SOON : LATER);
 }
 

@@ -1,6 +1,6 @@
 // The stream of all events, and how the connection to the service is. It is one connection a tab.
 
-import { signal } from "@preact/signals";
+import { batch, signal } from "@preact/signals";
 import { hooks } from "../api/client";
 import type { Event, EventKind, FarmSummary } from "../api/types";
 import { openStream, type Stream } from "./stream";
@@ -48,10 +48,14 @@ const KINDS: Record<EventKind, true> = {
   artifact_damaged: true,
 };
 
-type Listener = (event: Event) => void;
+type Listener = (events: readonly Event[]) => void;
 
 /** What is called for events, with what is called when some are left out. */
 const listeners = new Map<Listener, () => void>();
+/** Milliseconds in which events are collected. A large farm writes hundreds a second, and a new plan thousands. */
+const TOGETHER = 250;
+let collected: Event[] = [];
+let handing: ReturnType<typeof setTimeout> | undefined;
 /** The newest event that was heard. */
 let newest = 0;
 let stream: Stream | null = null;
@@ -68,10 +72,10 @@ hooks.unheard = () => {
 };
 
 /**
- * Calls `listener` for each event from now on, and `missed` when so many came while the page slept that they are
- * left out. Returns how to stop.
+ * Calls `listener` with the events from now on, oldest first, at most four times a second. Calls `missed` when so
+ * many came while the page slept that they are left out. Returns how to stop.
  */
-export function onEvent(listener: Listener, missed: () => void = () => undefined): () => void {
+export function onEvents(listener: Listener, missed: () => void = () => undefined): () => void {
   listeners.set(listener, missed);
   return () => listeners.delete(listener);
 }
@@ -112,10 +116,23 @@ export function unfollow(): void {
   stream?.close();
   stream = null;
   summary.value = null;
+  clearTimeout(handing);
+  handing = undefined;
+  collected = [];
 }
 
 function take(event: Event): void {
-  lastHeard.value = Date.now();
   newest = event.id;
-  for (const listener of [...listeners.keys()]) listener(event);
+  collected.push(event);
+  handing ??= setTimeout(hand, TOGETHER);
+}
+
+function hand(): void {
+  handing = undefined;
+  lastHeard.value = Date.now();
+  const events = collected;
+  collected = [];
+  batch(() => {
+    for (const listener of [...listeners.keys()]) listener(events);
+  });
 }

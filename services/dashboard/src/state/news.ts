@@ -16,6 +16,9 @@ interface Known {
   promise?: DashboardJob["promise"] | undefined;
 }
 
+/** Whether an event says more than how far a task is. */
+export const isNews = (event: Event) => event.kind !== "task_progress";
+
 const OVER: readonly JobState[] = ["done", "failed", "cancelled"];
 
 /** A job after an event of it: the same object if the event says nothing that is shown. */

@@ -112,11 +112,14 @@ export function usePages<T, About = null>(
     },
     [fill],
   );
-  const change = useCallback(
-    (change: (item: T) => T) =>
-      store(latest.current.pages.map((page) => ({ ...page, items: page.items.map(change) }))),
-    [],
-  );
+  const change = useCallback((change: (item: T) => T) => {
+    const before = latest.current.pages;
+    const after = before.map((page) => {
+      const items = page.items.map(change);
+      return items.every((item, at) => item === page.items[at]) ? page : { ...page, items };
+    });
+    if (after.some((page, at) => page !== before[at])) store(after);
+  }, []);
   const items = useMemo(() => pages.flatMap((page) => page.items), [pages]);
   const complete = pages[pages.length - 1]?.next === null;
   return { items, complete, loading, error, see, again, change };

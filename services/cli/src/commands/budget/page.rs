@@ -200,6 +200,7 @@ mod tests {
             }],
             not_ready: Vec::new(),
             unknown: vec!["a & b".into()],
+            unknown_total: 1,
             compared_with: None,
             changes: Vec::new(),
             track_record: NightRecord::default(),

@@ -2,9 +2,9 @@
 
 import { useCallback, useEffect, useState } from "preact/hooks";
 import { get, patch } from "../../api/client";
-import type { Event, Node, NodeChange, NodeState } from "../../api/types";
+import type { Node, NodeChange, NodeState } from "../../api/types";
 import { refresh } from "../../state/farm";
-import { onEvent } from "../../state/live";
+import { onEvents } from "../../state/live";
 import { nodeAfter } from "../../state/news";
 import { param, setQuery } from "../../state/route";
 import { mayOperate } from "../../state/session";
@@ -162,21 +162,16 @@ function Does(props: { node: Node }) {
   return <span class="none">{node.task_id ? "a task" : "nothing"}</span>;
 }
 
-/** What events say of the listed nodes' tasks, drawn twice a second. What they do not say is asked for. */
+/** What events say of the listed nodes' tasks. What they do not say is asked for. */
 function useNews(listed: Pages<Node>, again: () => void): void {
   const { change } = listed;
-  useEffect(() => {
-    let told: Event[] = [];
-    const stop = onEvent((event) => {
-      if (/^(task_|lease_)/.test(event.kind) && event.task_id) told.push(event);
-      else if (event.kind.startsWith("node_")) again();
-    }, again);
-    const timer = setInterval(() => {
-      if (told.length === 0) return;
-      const events = told;
-      told = [];
-      change((node) => nodeAfter(node, events));
-    }, 500);
-    return () => (clearInterval(timer), stop());
-  }, [change, again]);
+  useEffect(
+    () =>
+      onEvents((events) => {
+        const told = events.filter((event) => /^(task_|lease_)/.test(event.kind) && event.task_id);
+        if (told.length > 0) change((node) => nodeAfter(node, told));
+        if (events.some((event) => event.kind.startsWith("node_"))) again();
+      }, again),
+    [change, again],
+  );
 }

@@ -4,7 +4,8 @@ import { useEffect, useState } from "preact/hooks";
 import { get, patch } from "../../api/client";
 import type { Node, NodeChange } from "../../api/types";
 import { refresh } from "../../state/farm";
-import { onEvent } from "../../state/live";
+import { onEvents } from "../../state/live";
+import { isNews } from "../../state/news";
 import { mayOperate } from "../../state/session";
 import { Dialog } from "../../ui/dialog";
 import { bytes, clean, money, parseMoney, significant, timeZone, told } from "../../ui/format";
@@ -21,7 +22,11 @@ export function NodeDialog(props: { id: string; close: () => void; changed: () =
   );
   const soon = useThrottled(node.reload, 1_000);
   useEffect(
-    () => onEvent((event) => event.node_id === props.id && event.kind !== "task_progress" && soon(), soon),
+    () =>
+      onEvents(
+        (events) => events.some((event) => isNews(event) && event.node_id === props.id) && soon(),
+        soon,
+      ),
     [props.id],
   );
   const [error, setError] = useState<Error | null>(null);

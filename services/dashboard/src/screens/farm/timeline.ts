@@ -3,7 +3,8 @@
 import { useCallback, useEffect, useRef } from "preact/hooks";
 import { get } from "../../api/client";
 import type { NodeState, TimelineNode, TimelineSpan } from "../../api/types";
-import { onEvent } from "../../state/live";
+import { onEvents } from "../../state/live";
+import { isNews } from "../../state/news";
 import { PAGE, type Pages, usePages } from "../../ui/pages";
 import { useThrottled } from "../../ui/resource";
 
@@ -108,6 +109,6 @@ export function useTimeline(view: Stretch, state: NodeState | "", search: string
   }, [view.from, view.to, pages.see]);
 
   const refresh = useThrottled(pages.again, 4_000);
-  useEffect(() => onEvent((event) => event.kind !== "task_progress" && refresh(), refresh), [refresh]);
+  useEffect(() => onEvents((events) => events.some(isNews) && refresh(), refresh), [refresh]);
   return { ...pages, see, jobs: jobs.current };
 }

@@ -2,9 +2,9 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { get } from "../../api/client";
-import type { AnswersDoc, Event, Job, FrameStrip } from "../../api/types";
-import { onEvent } from "../../state/live";
-import { jobAfter } from "../../state/news";
+import type { AnswersDoc, Job, FrameStrip } from "../../api/types";
+import { onEvents } from "../../state/live";
+import { isNews, jobAfter } from "../../state/news";
 import { href, param, route, setQuery } from "../../state/route";
 import { titled } from "../../state/tab";
 import { clean } from "../../ui/format";
@@ -49,11 +49,13 @@ export function JobScreen(props: { id: string }) {
   const reloadLater = useThrottled(reload, 10_000);
   useEffect(
     () =>
-      onEvent((event: Event) => {
-        if (event.job_id !== id || event.kind === "task_progress") return;
-        // What these say is on screen already; money and expected ends follow.
-        if (event.kind === "task_leased" || event.kind === "task_done") reloadLater();
-        else reloadSoon();
+      onEvents((events) => {
+        for (const event of events) {
+          if (event.job_id !== id || !isNews(event)) continue;
+          // What these say is on screen already; money and expected ends follow.
+          if (event.kind === "task_leased" || event.kind === "task_done") reloadLater();
+          else reloadSoon();
+        }
       }, reloadSoon),
     [id],
   );
@@ -86,7 +88,13 @@ function useNews(asked: Job | null): Job | null {
   const [job, setJob] = useState(asked);
   useEffect(() => setJob(asked), [asked]);
   useEffect(
-    () => onEvent((event) => setJob((old) => (old && event.job_id === old.id ? jobAfter(old, event) : old))),
+    () =>
+      onEvents((events) =>
+        setJob((old) => {
+          const mine = events.filter((event) => event.job_id === old?.id);
+          return old && mine.reduce((job, event) => jobAfter(job, event), old);
+        }),
+      ),
     [],
   );
   return job?.id === asked?.id ? job : asked;

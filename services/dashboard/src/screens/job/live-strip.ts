@@ -2,7 +2,7 @@
 
 import { useEffect, useMemo, useState } from "preact/hooks";
 import type { Event, FrameStrip } from "../../api/types";
-import { onEvent } from "../../state/live";
+import { onEvents } from "../../state/live";
 import { parseFrames } from "../../ui/frames";
 import type { Resource } from "../../ui/resource";
 
@@ -31,12 +31,15 @@ export function useLiveStrip(strip: Resource<FrameStrip>): Resource<FrameStrip> 
   useEffect(() => setChanges(new Map()), [doc]);
   useEffect(
     () =>
-      onEvent((event) => {
-        const letter = LETTER[event.kind];
-        const mine = doc && event.job_id === doc.job_id && event.task_kind === "render";
-        const at = mine && letter && event.frame != null ? places.get(event.frame) : undefined;
-        if (at !== undefined)
-          setChanges((old) => new Map(old).set(at, { letter: letter!, cost: event.cost }));
+      onEvents((events) => {
+        const news = new Map<number, Change>();
+        for (const event of events) {
+          const letter = LETTER[event.kind];
+          const mine = doc && event.job_id === doc.job_id && event.task_kind === "render";
+          const at = mine && letter && event.frame != null ? places.get(event.frame) : undefined;
+          if (at !== undefined) news.set(at, { letter: letter!, cost: event.cost });
+        }
+        if (news.size > 0) setChanges((old) => new Map([...old, ...news]));
       }),
     [doc, places],
   );

@@ -3,7 +3,7 @@
 import { useEffect, useMemo } from "preact/hooks";
 import { get } from "../../api/client";
 import type { TrackRecord } from "../../api/types";
-import { onEvent } from "../../state/live";
+import { onEvents } from "../../state/live";
 import { param, setQuery } from "../../state/route";
 import { titled } from "../../state/tab";
 import { axes, Plot, type PlotData } from "../../ui/plot";
@@ -23,7 +23,10 @@ export function RecordScreen() {
     [],
   );
   const later = useThrottled(answer.reload, 60_000);
-  useEffect(() => onEvent((event) => event.kind === "task_done" && later(), later), []);
+  useEffect(
+    () => onEvents((events) => events.some((event) => event.kind === "task_done") && later(), later),
+    [],
+  );
   const measure: Measure = param("in") === "work" ? "work" : "cpu";
   const asked = answer.data;
   return (

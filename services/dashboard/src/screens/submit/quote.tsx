@@ -4,7 +4,8 @@ import { useEffect, useState } from "preact/hooks";
 import { cancelJob } from "../../actions/jobs";
 import { get, post } from "../../api/client";
 import type { AnswersDoc, Explanation, ForecastDoc, Job } from "../../api/types";
-import { onEvent } from "../../state/live";
+import { onEvents } from "../../state/live";
+import { isNews } from "../../state/news";
 import { go, href, param } from "../../state/route";
 import { bytes, clean, counted, cpuTime, percent, words, work } from "../../ui/format";
 import { Mark } from "../../ui/mark";
@@ -18,7 +19,7 @@ export function Quote(props: { id: string; edit: (job: Job) => void }) {
   const job = useResource<Job>((signal) => get("/v1/jobs/{id}", { path: { id }, signal }), [id]);
   const soon = useThrottled(job.reload, 400);
   useEffect(
-    () => onEvent((event) => event.job_id === id && event.kind !== "task_progress" && soon(), soon),
+    () => onEvents((events) => events.some((event) => isNews(event) && event.job_id === id) && soon(), soon),
     [id],
   );
   const doc = job.data;
@@ -119,9 +120,10 @@ function usePreviewed(job: Job): number {
   const [share, setShare] = useState(0);
   useEffect(
     () =>
-      onEvent((event) => {
-        if (event.job_id === job.id && event.task_kind === "preview" && event.progress != null)
-          setShare(event.progress);
+      onEvents((events) => {
+        for (const event of events)
+          if (event.job_id === job.id && event.task_kind === "preview" && event.progress != null)
+            setShare(event.progress);
       }),
     [job.id],
   );

@@ -2,10 +2,10 @@
 
 import { useCallback, useEffect, useMemo, useRef } from "preact/hooks";
 import { get } from "../../api/client";
-import type { DashboardJob, Farm, Job } from "../../api/types";
+import type { DashboardJob, Event, Farm, Job } from "../../api/types";
 import { now } from "../../state/farm";
-import { onEvent } from "../../state/live";
-import { rowAfter } from "../../state/news";
+import { onEvents } from "../../state/live";
+import { isNews, rowAfter } from "../../state/news";
 import { PAGE, usePages } from "../../ui/pages";
 import { troubleOf } from "./jobs";
 
@@ -60,9 +60,11 @@ export function useListed(doc: Farm, shown: Shown, sort: Sort, search: string): 
   const pages = usePages(ask, () => null);
   useEffect(
     () =>
-      onEvent((event) => {
-        if (event.job_id && event.kind !== "task_progress")
-          pages.change((row) => (row.id === event.job_id ? rowAfter(row, event) : row));
+      onEvents((events) => {
+        const news = new Map<string, Event[]>();
+        for (const event of events.filter(isNews))
+          if (event.job_id) news.set(event.job_id, [...(news.get(event.job_id) ?? []), event]);
+        if (news.size > 0) pages.change((row) => (news.get(row.id) ?? []).reduce(rowAfter, row));
       }),
     [pages.change],
   );

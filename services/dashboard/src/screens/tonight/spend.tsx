@@ -3,8 +3,8 @@
 import { useEffect } from "preact/hooks";
 import { post } from "../../api/client";
 import type { BudgetForecast, MoneyForecast } from "../../api/types";
-import { onEvent } from "../../state/live";
-import { clean, dayName, money, nightOf, percent, timeZone } from "../../ui/format";
+import { onEvents } from "../../state/live";
+import { clean, counted, dayName, money, nightOf, percent, timeZone } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Money, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
@@ -29,7 +29,14 @@ export function Spend(props: { version: number }) {
       forecastNights(1, 5, signal),
     [props.version],
   );
-  useEffect(() => onEvent((event) => event.kind === "budget" && forecast.reload(), forecast.reload), []);
+  useEffect(
+    () =>
+      onEvents(
+        (events) => events.some((event) => event.kind === "budget") && forecast.reload(),
+        forecast.reload,
+      ),
+    [],
+  );
   return (
     <Section title="Spend" class="spend">
       {forecast.data ? (
@@ -60,8 +67,8 @@ function Nights(props: { forecast: BudgetForecast }) {
       </ul>
       <p class="note">
         A night is the 24 hours from noon, in {forecast.zone}. P50 to P95; the dark part is spent.
-        {forecast.unknown.length > 0 &&
-          ` Without jobs that are not booked yet: ${forecast.unknown.map(clean).join(", ")}.`}
+        {forecast.unknown_total > 0 &&
+          ` Without ${counted(forecast.unknown_total, "job that has", "jobs that have")} no forecast yet.`}
       </p>
       <Budgets forecast={forecast} />
       <TableBehind
