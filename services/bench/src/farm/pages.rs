@@ -1,7 +1,7 @@
 //! Open dashboard pages beside the workers of `forelight bench workers`.
 //!
-//! Each follows the farm's events and summaries, and asks for the dashboard as the real page does: at first, and
-//! then each half minute.
+//! Each follows the farm's events and summaries, and asks for the dashboard each half minute, as the real page
+//! does. People open pages at different times, so the pages ask one after the other.
 
 use anyhow::{Context, Result};
 use forelight_protocol::Timestamp;
@@ -59,10 +59,11 @@ impl Pages {
         let address: SocketAddr =
             address.trim_start_matches("http://").parse().context("the service's address")?;
         let mut pages = Self { clients: JoinSet::new(), seen: Arc::default() };
-        for _ in 0..number {
+        for page in 0..number {
             let (seen, token) = (pages.seen.clone(), token.to_owned());
+            let first = QUIET.mul_f64(f64::from(page) / f64::from(number));
             pages.clients.spawn(async move {
-                tokio::join!(follow(address, &token, &seen), ask(address, &token, &seen));
+                tokio::join!(follow(address, &token, &seen), ask(address, &token, first, &seen));
             });
         }
         Ok(pages)
@@ -132,7 +133,8 @@ fn lateness(text: &[u8], now: Timestamp) -> (Vec<f64>, usize) {
     }
 }
 
-async fn ask(address: SocketAddr, token: &str, seen: &Mutex<Seen>) {
+async fn ask(address: SocketAddr, token: &str, first: Duration, seen: &Mutex<Seen>) {
+    tokio::time::sleep(first).await;
     loop {
         let begun = Instant::now();
         let asked = async {
