@@ -36,9 +36,9 @@ port=$(free_port)
   --bundle-root "$PWD/deploy/scenes" >"$work/printed" 2>"$work/farm.log" &
 farm=$!
 wait_for 30 grep -q '^listening on ' "$work/printed"
-start_worker() { # NAME PYTHON
+start_worker() { # NAME PYTHON [FLAG…]
   FORELIGHT_BPY_PYTHON=$2 "$FORELIGHT_BIN" worker --data "$work/data" --server "http://127.0.0.1:$port" --name "$1" \
-    --threads 1 --preview cpu --bundles "$work/bundles" >"$work/$1.log" 2>&1 &
+    --threads 1 --preview cpu --bundles "$work/bundles" "${@:3}" >"$work/$1.log" 2>&1 &
   workers[$1]=$!
 }
 start_worker without /nowhere/python
@@ -85,7 +85,11 @@ kill -9 "${workers[with]}"
 wait "${workers[with]}" 2>/dev/null || true
 gone() { ! kill -0 $left; }
 wait_for 10 gone
-start_worker with "$environment/bin/python"
+# From here on Blender runs in a sandbox, where the system allows one.
+deploy/packages.sh bubblewrap || true
+sandbox=()
+if unshare --user --pid --fork true 2>/dev/null; then sandbox=(--sandbox); fi
+start_worker with "$environment/bin/python" "${sandbox[@]}"
 wait_for 120 rendered 8
 kill -9 $(blenders with) || fail 'there is no Blender to kill'
 wait_for 240 bash -c "! kill -0 $submitted"

@@ -152,7 +152,8 @@ fn inspect_outside(
         ..ProcessLimits::default()
     };
     let log = |line: &str| tracing::debug!(line, "inspecting a bundle");
-    let outside = Run { cancelled, progress: &|_| {}, log: &log, scratch: &scratch, limits: run_limits };
+    let outside =
+        Run { cancelled, progress: &|_| {}, log: &log, scratch: &scratch, limits: run_limits, sandbox: None };
     let mut answer = String::new();
     let ended = run(&program, &[], &outside, &mut |line| {
         if line.stream == Stream::Out {

@@ -7,6 +7,7 @@ use crate::door::{
 use crate::execute::{Assignment, Control, Execute, ExecuteError, Outcome};
 use crate::files::Files;
 use crate::open_shots::OpenShots;
+use crate::process::Sandbox;
 use crate::quoting::{
     Measurement, PixelChoice, PixelProfile, as_spent, measure_frame, own_number, preview_result,
     profile_pixels,
@@ -30,6 +31,7 @@ use std::time::Duration;
 struct ShotRunner {
     renderer: Box<dyn Renderer>,
     shots: OpenShots<OpenShot>,
+    sandbox: Option<Arc<Sandbox>>,
 }
 
 /// An open scene.
@@ -49,8 +51,8 @@ struct Task<'a> {
 }
 
 impl ShotRunner {
-    fn new(renderer: Box<dyn Renderer>) -> Self {
-        Self { renderer, shots: OpenShots::default() }
+    fn new(renderer: Box<dyn Renderer>, sandbox: Option<Arc<Sandbox>>) -> Self {
+        Self { renderer, shots: OpenShots::default(), sandbox }
     }
 
     fn renderer(&self) -> &RendererId {
@@ -68,7 +70,10 @@ impl ShotRunner {
 impl Execute for ShotRunner {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
         let failed = |error| failure(error, assignment);
-        let scratch = tempfile::tempdir().map_err(RendererError::io("temporary folder")).map_err(failed)?;
+        let sandbox = self.sandbox.as_deref();
+        let folder = sandbox.map_or_else(std::env::temp_dir, |sandbox| sandbox.folder().to_owned());
+        let scratch =
+            tempfile::tempdir_in(folder).map_err(RendererError::io("temporary folder")).map_err(failed)?;
         let progress = |share: f64| control.set_progress(share);
         let log = |line: &str| control.log(LogLevel::Info, line);
         let limits = Limits {
@@ -83,6 +88,7 @@ impl Execute for ShotRunner {
             log: &log,
             scratch: scratch.path(),
             limits,
+            sandbox,
         };
         let load = || self.open(&assignment.bundle, &run);
         let open = self.shots.open(assignment.spec.bundle(), &assignment.bundle, load).map_err(failed)?;
@@ -339,9 +345,12 @@ pub struct Renderers {
 }
 
 impl Renderers {
-    /// Our own renderer, and others that were found on this machine.
-    pub fn new(own: Arc<dyn Execute>, others: Vec<Box<dyn Renderer>>) -> Self {
-        Self { own, others: others.into_iter().map(ShotRunner::new).collect() }
+    /// Our own renderer, and others that were found on this machine. The programs of the others run in the
+    /// sandbox, if there is one.
+    pub fn new(own: Arc<dyn Execute>, others: Vec<Box<dyn Renderer>>, sandbox: Option<Sandbox>) -> Self {
+        let sandbox = sandbox.map(Arc::new);
+        let runner = |renderer| ShotRunner::new(renderer, sandbox.clone());
+        Self { own, others: others.into_iter().map(runner).collect() }
     }
 
     /// Names and versions of the others.

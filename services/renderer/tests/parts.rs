@@ -151,7 +151,7 @@ impl Rig {
         let scene = folder.path().join("scene.list");
         fs::write(&scene, "a scene").unwrap();
         let id = RendererId { name: "lister".to_owned(), version: "1".to_owned() };
-        let renderers = Renderers::new(Arc::new(NoOwn), vec![Box::new(Lister(id))]);
+        let renderers = Renderers::new(Arc::new(NoOwn), vec![Box::new(Lister(id))], None);
         Self { renderers, scene, _folder: folder }
     }
 

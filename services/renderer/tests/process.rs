@@ -28,7 +28,14 @@ impl Outside {
             }
         };
         let scratch = self.folder.path();
-        question(&Run { cancelled: &self.cancelled, progress: &|_| {}, log: &log, scratch, limits })
+        question(&Run {
+            cancelled: &self.cancelled,
+            progress: &|_| {},
+            log: &log,
+            scratch,
+            limits,
+            sandbox: None,
+        })
     }
 
     fn shell(&self, script: &str, limits: Limits) -> Result<Finished, RendererError> {

@@ -64,6 +64,7 @@ impl Known {
             log: &|_| {},
             scratch: Path::new("/"),
             limits: Limits::default(),
+            sandbox: None,
         };
         let frames: Vec<u32> = (0..24).collect();
         let id = RendererId { name: "known".to_owned(), version: "1".to_owned() };

@@ -210,5 +210,6 @@ fn outside<'a>(scratch: &'a Path, limits: Limits, interrupt: &'a Interrupt) -> R
         log: &|line| tracing::debug!("{line}"),
         scratch,
         limits,
+        sandbox: None,
     }
 }

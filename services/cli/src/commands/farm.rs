@@ -1,7 +1,7 @@
 //! `forelight farm`: the service and its workers, in one process on this machine.
 
 use super::serve::{self, Executor, ServiceOptions, reachable};
-use super::worker::{equipment, measured};
+use super::worker::{RendererOptions, equipment, measured, secrets};
 use anyhow::Result;
 use forelight_client::Client;
 use forelight_protocol::{Capabilities, Money, NodeRegistration};
@@ -12,7 +12,6 @@ use forelight_terminal::output;
 use forelight_terminal::quantities::parse_money;
 use forelight_worker::{Agent, AgentError};
 use std::io::IsTerminal as _;
-use std::path::PathBuf;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
@@ -40,17 +39,16 @@ pub struct Args {
     /// Price of an hour of each worker, in the farm's currency, such as 0.50
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     price: i64,
-    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender
-    /// and Radiance are found without one
-    #[arg(long, value_name = "FILE")]
-    command: Vec<PathBuf>,
+    #[command(flatten)]
+    renderers: RendererOptions,
     /// Device that renders ID previews
     #[arg(long, value_name = "WHO", default_value = "auto")]
     preview: PreviewBackend,
 }
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let folder = args.service.data.join("bundles");
-    let (bundles, executor, capabilities) = equipment(&folder, args.preview, &args.command)?;
+    let (bundles, executor, capabilities) =
+        equipment(&folder, args.preview, &args.renderers, secrets(&args.service.data))?;
     // Measured before the workers have other work.
     let calibration = measured(folder, capabilities.processor.clone()).await?;
     let speed = node_speed(&calibration);

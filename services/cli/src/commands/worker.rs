@@ -1,8 +1,7 @@
 //! `forelight worker`: a worker process on this machine, for a service on any machine.
 
 use super::calibrate;
-use crate::connection::ConnectionOptions;
-use crate::connection::{connect, read_token};
+use crate::connection::{ConnectionOptions, Credentials, connect, read_token};
 use anyhow::{Context, Result};
 use etcetera::BaseStrategy as _;
 use forelight_client::Client;
@@ -13,8 +12,9 @@ use forelight_protocol::{
 };
 use forelight_renderer::Renderers;
 use forelight_renderer::door::Renderer;
+use forelight_renderer::process::Sandbox;
 use forelight_renderer_own::{OwnRenderer, TaskRunner, node_speed};
-use forelight_store::{token_hash, tokens};
+use forelight_store::{DATABASE, token_hash, tokens};
 use forelight_terminal::atomic_file::write_secret;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::installed;
@@ -65,10 +65,8 @@ pub struct Args {
     /// The exit code is 0 if the task is done already
     #[arg(long, value_name = "ID")]
     task: Option<TaskId>,
-    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender
-    /// and Radiance are found without one
-    #[arg(long, value_name = "FILE")]
-    command: Vec<PathBuf>,
+    #[command(flatten)]
+    renderers: RendererOptions,
     /// Memory limit of a task, such as 8GiB. A task that exceeds it is ended [default: no limit]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     task_memory: Option<u64>,
@@ -96,7 +94,10 @@ pub struct Args {
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let name = args.name.map_or_else(host_name, Ok)?;
     let folder = args.bundles.map_or_else(cache_folder, Ok)?;
-    let (bundles, executor, capabilities) = equipment(&folder, args.preview, &args.command)?;
+    let Credentials { token_file, data, .. } = &args.connection.credentials;
+    let hidden = [token_file, &args.join_token_file].into_iter().flatten().cloned();
+    let hidden = hidden.chain(data.iter().flat_map(|data| secrets(data))).collect();
+    let (bundles, executor, capabilities) = equipment(&folder, args.preview, &args.renderers, hidden)?;
     let calibration = match &args.calibration {
         Some(file) => calibrate::read(file)?.1,
         None => measured(folder, capabilities.processor.clone()).await?,
@@ -132,11 +133,31 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
 }
 
-/// The bundle folder, the renderers, and this machine's capabilities.
+/// Renderers besides our own.
+#[derive(Debug, clap::Args)]
+pub struct RendererOptions {
+    /// File that describes a renderer which can only be started, NAME.command.toml. May be repeated. Blender
+    /// and Radiance are found without one
+    #[arg(long, value_name = "FILE")]
+    command: Vec<PathBuf>,
+    /// Run Blender, Radiance and other programs in namespaces of their own. They write only the folders of their
+    /// tasks, and reach neither the network nor the farm's tokens and database. Needs bubblewrap
+    #[arg(long)]
+    sandbox: bool,
+}
+
+/// What no renderer needs of a farm's data folder.
+pub fn secrets(data: &Path) -> Vec<PathBuf> {
+    ["tokens", "artifacts", DATABASE].iter().map(|name| data.join(name)).collect()
+}
+
+/// The bundle folder, the renderers, and this machine's capabilities. In a sandbox, renderers do not read what is
+/// hidden.
 pub fn equipment(
     folder: &Path,
     preview: PreviewBackend,
-    commands: &[PathBuf],
+    options: &RendererOptions,
+    hidden: Vec<PathBuf>,
 ) -> Result<(Arc<Bundles>, Arc<Renderers>, Capabilities)> {
     let bundles = Bundles::new(folder)
         .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
@@ -148,7 +169,8 @@ pub fn equipment(
     }
     let adapter =
         renderer.adapter().context("cannot render previews with the device that --preview names")?;
-    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(commands)?);
+    let sandbox = options.sandbox.then(|| Sandbox::new(hidden)).transpose()?;
+    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(&options.command)?, sandbox);
     let capabilities = Capabilities {
         version: Some(env!("CARGO_PKG_VERSION").to_owned()),
         renderers: [OwnRenderer::id()].into_iter().chain(renderers.ids()).collect(),

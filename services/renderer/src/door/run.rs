@@ -1,5 +1,6 @@
 //! What surrounds a question: orders, progress, log, limits and a folder.
 
+use crate::process::Sandbox;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -37,6 +38,8 @@ pub struct Run<'a> {
     pub scratch: &'a Path,
     /// Limits to hold.
     pub limits: Limits,
+    /// In which foreign programs run. `None`: with the rights of this process.
+    pub sandbox: Option<&'a Sandbox>,
 }
 
 impl Run<'_> {

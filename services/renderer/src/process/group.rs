@@ -1,12 +1,14 @@
 //! The processes of a run, by `/proc`.
 
-use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open, pidfd_send_signal};
 use std::fs;
 
 /// A process.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Member {
     pub pid: Pid,
+    /// Its parent.
+    parent: Option<Pid>,
     /// CPU time of it and of the descendants that it waited for, nanoseconds.
     pub cpu_nanos: u64,
     /// Resident memory that no other process shares, bytes.
@@ -18,6 +20,34 @@ pub(super) struct Member {
 /// Living processes of the group.
 pub(super) fn members(group: Pid) -> Vec<Member> {
     pids().filter_map(|pid| member(pid, Some(group))).collect()
+}
+
+/// The program that was started in a sandbox. The group's first process is the sandbox itself.
+pub(super) fn first_inside(sandbox: Pid) -> Option<Pid> {
+    members(sandbox).iter().find(|member| member.parent == Some(sandbox)).map(|member| member.pid)
+}
+
+/// Asks what runs in a sandbox to end.
+pub(super) fn ask_inside(sandbox: Pid) {
+    for member in members(sandbox).iter().filter(|member| member.pid != sandbox) {
+        // The program is the first process of its namespace, to which signals do nothing by default.
+        let is_first = member.parent == Some(sandbox);
+        let signal =
+            if is_first && has_default(member.pid, Signal::TERM) { Signal::KILL } else { Signal::TERM };
+        // It may have ended by itself.
+        let _ = kill_process(member.pid, signal);
+    }
+}
+
+/// Whether the process neither catches nor ignores the signal: proc_pid_status(5).
+fn has_default(pid: Pid, signal: Signal) -> bool {
+    let status = fs::read_to_string(format!("/proc/{}/status", pid.as_raw_nonzero())).unwrap_or_default();
+    let is_in = |mask: &str| {
+        let mask = status.lines().find_map(|line| line.strip_prefix(mask)?.strip_prefix(':'));
+        let bits = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+        bits >> (signal.as_raw() - 1) & 1 == 1
+    };
+    !is_in("SigCgt") && !is_in("SigIgn")
 }
 
 /// The process, if it lives and is in the group.
@@ -37,6 +67,7 @@ pub(super) fn member(pid: Pid, group: Option<Pid>) -> Option<Member> {
     let page = rustix::param::page_size() as u64;
     Some(Member {
         pid,
+        parent: number(1).and_then(|parent| Pid::from_raw(i32::try_from(parent).ok()?)),
         cpu_nanos: ticks * (1_000_000_000 / rustix::param::clock_ticks_per_second().max(1)),
         private: resident.saturating_sub(shared) * page,
         shared: shared * page,

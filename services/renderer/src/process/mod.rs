@@ -7,6 +7,7 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `program` | what is started |
+//! | `sandbox` | what it may write, read and reach, if the worker says so |
 //! | `session` | a running program: lines in and out, orders |
 //! | `exchange` | a running program that answers bytes |
 //! | `supervisor` | the thread that starts, measures, limits, ends and reaps it |
@@ -14,14 +15,15 @@
 //! | `lines` | output as lines of bounded length |
 //! | `messages` | what known messages mean |
 //!
-//! A foreign program runs with the rights of this process: it can read and write what this process can. A
-//! process that leaves the group *and* clears its environment is not found.
+//! Without a sandbox, a foreign program runs with the rights of this process: it can read and write what this
+//! process can, and a process that leaves the group *and* clears its environment is not found.
 
 mod exchange;
 mod group;
 mod lines;
 mod messages;
 mod program;
+mod sandbox;
 mod session;
 mod supervisor;
 
@@ -29,5 +31,6 @@ pub use exchange::{Exchange, MOST_BYTES};
 pub use lines::{LONGEST_LINE, Line, Stream};
 pub use messages::{COMMON_MESSAGES, Meaning, Message};
 pub use program::Program;
+pub use sandbox::Sandbox;
 pub use session::{Finished, Session, run, run_on_files};
 pub use supervisor::Usage;

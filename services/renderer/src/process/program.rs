@@ -11,18 +11,37 @@ pub struct Program {
     arguments: Vec<OsString>,
     environment: Vec<(OsString, OsString)>,
     folder: PathBuf,
+    home: PathBuf,
+    is_connected: bool,
 }
 
 impl Program {
     /// The program at `path`, or found in `PATH`. It is run in `folder`, which is its home and its folder for
     /// temporary files. `PATH` is passed on to it.
     pub fn new(path: impl Into<PathBuf>, folder: &Path) -> Self {
-        let mut environment = vec![("LANG".into(), "C.UTF-8".into())];
-        for name in ["HOME", "TMPDIR"] {
-            environment.push((name.into(), folder.into()));
-        }
-        let program = Self { path: path.into(), arguments: Vec::new(), environment, folder: folder.into() };
+        let program = Self {
+            path: path.into(),
+            arguments: Vec::new(),
+            environment: vec![("LANG".into(), "C.UTF-8".into())],
+            folder: folder.into(),
+            home: folder.into(),
+            is_connected: false,
+        };
         program.pass_on("PATH")
+    }
+
+    /// Another home and folder for temporary files than the folder in which it is run.
+    #[must_use]
+    pub fn at_home(mut self, home: &Path) -> Self {
+        self.home = home.into();
+        self
+    }
+
+    /// Leaves it the network in a [`Sandbox`](super::Sandbox): it asks a licence server, for example.
+    #[must_use]
+    pub fn connected(mut self) -> Self {
+        self.is_connected = true;
+        self
     }
 
     /// Adds an argument.
@@ -65,10 +84,23 @@ impl Program {
         self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
     }
 
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    pub(super) fn home(&self) -> &Path {
+        &self.home
+    }
+
+    pub(super) fn is_connected(&self) -> bool {
+        self.is_connected
+    }
+
     /// The command, without its streams and group.
     pub(super) fn command(&self) -> Command {
         let mut command = Command::new(&self.path);
         command.args(&self.arguments).env_clear().current_dir(&self.folder);
+        command.env("HOME", &self.home).env("TMPDIR", &self.home);
         command.envs(self.environment.iter().map(|(name, value)| (name, value)));
         command
     }

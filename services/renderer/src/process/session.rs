@@ -1,5 +1,6 @@
 //! A running program: lines in and out, and orders.
 
+use super::group;
 use super::lines::{Line, Stream, WAITING_LINES, read_lines};
 use super::messages::{Message, meaning};
 use super::program::Program;
@@ -21,6 +22,9 @@ const LAST_LINES: usize = 12;
 /// Time between two looks at orders while no line comes.
 const LOOK: Duration = Duration::from_millis(20);
 
+/// What is added to a signal's number in the exit code of a sandbox.
+const SIGNALS: i32 = 128;
+
 /// Output is read for so long after the end of the program. Only a process that hides could write then.
 const OUTPUT_AFTER_END: Duration = Duration::from_secs(1);
 
@@ -38,6 +42,8 @@ pub struct Finished {
 pub struct Session {
     name: String,
     pid: Pid,
+    /// Whether the program runs in a sandbox. `pid` is that of the sandbox then.
+    is_inside: bool,
     stdin: Option<ChildStdin>,
     lines: Receiver<Line>,
     last_lines: VecDeque<String>,
@@ -64,7 +70,7 @@ impl Session {
     ) -> Result<Self, RendererError> {
         let orders = Orders::default();
         orders.limit(run);
-        let (streams, supervisor) = start(program, run.limits.grace, ends, &orders)?;
+        let (streams, supervisor) = start(program, run, ends, &orders)?;
         let (sender, lines) = sync_channel(WAITING_LINES);
         let errors = sender.clone();
         let (stdout, stderr) = (streams.stdout, streams.stderr);
@@ -74,12 +80,24 @@ impl Session {
         std::thread::spawn(move || read_lines(stderr, Stream::Error, &errors));
         let supervisor = Some(supervisor);
         let (pid, stdin, name) = (streams.pid, streams.stdin, program.name());
-        Ok(Self { name, pid, stdin, lines, last_lines: VecDeque::new(), orders, supervisor, known })
+        let is_inside = run.sandbox.is_some();
+        Ok(Self {
+            name,
+            pid,
+            is_inside,
+            stdin,
+            lines,
+            last_lines: VecDeque::new(),
+            orders,
+            supervisor,
+            known,
+        })
     }
 
     /// The number of the program's process. `None` once it has ended.
     pub(super) fn pid(&self) -> Option<Pid> {
-        self.supervisor.as_ref().filter(|thread| !thread.is_finished()).map(|_| self.pid)
+        let running = self.supervisor.as_ref().filter(|thread| !thread.is_finished());
+        running.and_then(|_| if self.is_inside { group::first_inside(self.pid) } else { Some(self.pid) })
     }
 
     /// Holds the program to the memory limit of this run from now on.
@@ -237,6 +255,8 @@ impl Session {
             return Err(error);
         }
         let ending = match (ended.status.code(), ended.status.signal()) {
+            // A sandbox ends with the code that a shell would.
+            (Some(code), _) if self.is_inside && code > SIGNALS => Ending::Signal(code - SIGNALS),
             (Some(code), _) => Ending::Code(code),
             (None, signal) => Ending::Signal(signal.unwrap_or(0)),
         };

@@ -12,7 +12,7 @@ use rustix::process::{
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
-use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, ExitStatus, Stdio};
+use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -111,16 +111,17 @@ impl Orders {
 /// killed when the thread that started it ends (`PR_SET_PDEATHSIG`). So it does not outlive this process.
 pub(super) fn start(
     program: &Program,
-    grace: Duration,
+    run: &Run<'_>,
     ends: Ends,
     orders: &Orders,
 ) -> Result<(Streams, JoinHandle<io::Result<Ended>>), RendererError> {
-    let (program, orders) = (program.clone(), orders.clone());
+    let command = run.sandbox.map_or_else(|| program.command(), |sandbox| sandbox.command(program));
+    let (orders, grace, is_inside) = (orders.clone(), run.limits.grace, run.sandbox.is_some());
     let (started, starting) = sync_channel(1);
     let path = program.path().to_owned();
     let thread = std::thread::Builder::new()
         .name("supervisor".to_owned())
-        .spawn(move || supervise(&program, grace, ends, &orders, &started))
+        .spawn(move || supervise(command, ends, &Watch { orders, grace, is_inside }, &started))
         .map_err(RendererError::io(&path))?;
     match starting.recv() {
         Ok(Ok(streams)) => Ok((streams, thread)),
@@ -130,14 +131,13 @@ pub(super) fn start(
 }
 
 fn supervise(
-    program: &Program,
-    grace: Duration,
+    command: Command,
     ends: Ends,
-    orders: &Orders,
+    watch: &Watch,
     started: &SyncSender<io::Result<Streams>>,
 ) -> io::Result<Ended> {
     let mark = mark();
-    let (mut child, pidfd) = match spawn(program, ends, &mark) {
+    let (mut child, pidfd) = match spawn(command, ends, &mark) {
         Ok(spawned) => spawned,
         Err(error) => {
             let kind = error.kind();
@@ -152,7 +152,7 @@ fn supervise(
         // The receiver waits for exactly this.
         let _ = started.send(Ok(Streams { pid: group, stdin, stdout, stderr }));
     }
-    let peak = watch(&pidfd, group, grace, orders);
+    let peak = watch.until_its_end(&pidfd, group);
 
     // The program has ended and is not reaped yet, so its number still names its group.
     let mut left: Vec<Member> = group::members(group);
@@ -178,7 +178,7 @@ fn supervise(
         cpu_nanos: own + left.iter().map(|m| m.cpu_nanos).sum::<u64>(),
         peak_memory_bytes: used.rusage.maxrss.max(peak),
     };
-    Ok(Ended { status: used.status, usage, stop: *orders.stop.lock() })
+    Ok(Ended { status: used.status, usage, stop: *watch.orders.stop.lock() })
 }
 
 /// A mark that no other run on this machine has.
@@ -189,10 +189,9 @@ fn mark() -> String {
     format!("{}-{}{:09}-{number}", std::process::id(), since_boot.tv_sec, since_boot.tv_nsec)
 }
 
-fn spawn(program: &Program, ends: Ends, mark: &str) -> io::Result<(Child, OwnedFd)> {
+/// Starts the command, which holds this process's copies of the ends, and drops them then.
+fn spawn(mut command: Command, ends: Ends, mark: &str) -> io::Result<(Child, OwnedFd)> {
     let parent = rustix::process::getpid();
-    // Holds this process's copies of the ends, and drops them when the program is started.
-    let mut command = program.command();
     let stdin = match ends.input {
         Input::Empty => Stdio::null(),
         Input::Lines => Stdio::piped(),
@@ -228,40 +227,54 @@ fn spawn(program: &Program, ends: Ends, mark: &str) -> io::Result<(Child, OwnedF
     }
 }
 
-/// Waits until the program ends, carries out orders, and returns the most memory that was seen.
-fn watch(pidfd: &OwnedFd, group: Pid, grace: Duration, orders: &Orders) -> u64 {
-    let mut peak = 0;
-    let mut asked: Option<Instant> = None;
-    for look in 0u32.. {
-        let mut ready = [PollFd::new(pidfd, PollFlags::IN)];
-        if poll(&mut ready, Some(&LOOK)).is_ok_and(|count| count > 0) {
-            break;
+/// How a program is watched.
+struct Watch {
+    orders: Orders,
+    grace: Duration,
+    is_inside: bool,
+}
+
+impl Watch {
+    /// Waits until the program ends, carries out orders, and returns the most memory that was seen.
+    fn until_its_end(&self, pidfd: &OwnedFd, group: Pid) -> u64 {
+        let Self { orders, grace, is_inside } = self;
+        let mut peak = 0;
+        let mut asked: Option<Instant> = None;
+        for look in 0u32.. {
+            let mut ready = [PollFd::new(pidfd, PollFlags::IN)];
+            if poll(&mut ready, Some(&LOOK)).is_ok_and(|count| count > 0) {
+                break;
+            }
+            // The first process of a sandbox only waits.
+            let members = if *is_inside || look.is_multiple_of(WHOLE_GROUP) {
+                group::members(group)
+            } else {
+                group::member(group, None).into_iter().collect()
+            };
+            let memory = group::memory_bytes(&members);
+            peak = peak.max(memory);
+            let limit = orders.memory_bytes.load(Ordering::Relaxed);
+            let mut stop = orders.stop.lock();
+            if limit > 0 && memory > limit && stop.is_none() {
+                *stop = Some(Stop::Memory(memory));
+            }
+            let Some(reason) = *stop else { continue };
+            // A program that uses too much memory is not asked: it might use more meanwhile.
+            let at_once = matches!(reason, Stop::Memory(_));
+            let signal = match asked {
+                None if !at_once => Some(Signal::TERM),
+                Some(since) if !at_once && since.elapsed() < *grace => None,
+                _ => Some(Signal::KILL),
+            };
+            asked.get_or_insert_with(Instant::now);
+            match signal {
+                // A sandbox would end at once, and take the program with it.
+                Some(Signal::TERM) if *is_inside => group::ask_inside(group),
+                // The program is not reaped, so this is its group, and it exists.
+                Some(signal) => drop(kill_process_group(group, signal)),
+                None => {}
+            }
         }
-        let members = if look.is_multiple_of(WHOLE_GROUP) {
-            group::members(group)
-        } else {
-            group::member(group, None).into_iter().collect()
-        };
-        let memory = group::memory_bytes(&members);
-        peak = peak.max(memory);
-        let limit = orders.memory_bytes.load(Ordering::Relaxed);
-        let mut stop = orders.stop.lock();
-        if limit > 0 && memory > limit && stop.is_none() {
-            *stop = Some(Stop::Memory(memory));
-        }
-        let Some(reason) = *stop else { continue };
-        // A program that uses too much memory is not asked: it might use more meanwhile.
-        let at_once = matches!(reason, Stop::Memory(_));
-        let signal = match asked {
-            None if !at_once => Some(Signal::TERM),
-            Some(since) if !at_once && since.elapsed() < grace => None,
-            _ => Some(Signal::KILL),
-        };
-        asked.get_or_insert_with(Instant::now);
-        if let Some(signal) = signal {
-            // The program is not reaped, so this is its group, and it exists.
-            let _ = kill_process_group(group, signal);
-        }
+        peak
     }
-    peak
 }

@@ -54,6 +54,8 @@ pub(crate) struct CommandFile {
     #[serde(default)]
     pub pass_on: Vec<String>,
     #[serde(default)]
+    pub network: bool,
+    #[serde(default)]
     pub parameters: BTreeMap<String, Parameter>,
     pub progress: Option<Progress>,
     #[serde(default)]

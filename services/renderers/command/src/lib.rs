@@ -12,6 +12,7 @@
 //!              "+SC{crop_left}", "+SR{crop_top}", "+EC{crop_right}", "+ER{crop_bottom}", "+A{antialias}"]
 //! can = ["size", "crop"]                          # of: samples, size, crop
 //! pass_on = ["LD_LIBRARY_PATH"]                   # variables of this process that it gets
+//! network = true                                  # reaches the network in a sandbox: for a licence server
 //!
 //! [frames]
 //! first = 1

@@ -67,6 +67,9 @@ impl CommandShot {
         let values = self.values(piece, out, limits.threads);
         let mut program = Program::new(&self.renderer.program, home.path())
             .args(file.arguments.0[1..].iter().map(|argument| argument.get_ref().fill(&values)));
+        if file.network {
+            program = program.connected();
+        }
         for name in &file.pass_on {
             program = program.pass_on(name);
         }

@@ -86,8 +86,7 @@ impl Radiance {
     /// One of Radiance's programs. It runs in the folder of a scene, because scenes name files relative to
     /// it; `home` is its home and its folder for temporary files.
     pub(crate) fn program(&self, name: &str, scene_folder: &Path, home: &Path) -> Program {
-        let program =
-            Program::new(self.folder.join(name), scene_folder).env("HOME", home).env("TMPDIR", home);
+        let program = Program::new(self.folder.join(name), scene_folder).at_home(home);
         // Generators in scenes are programs of Radiance, too.
         let path = std::env::var_os("PATH").unwrap_or_default();
         let folders = std::iter::once(self.folder.clone()).chain(std::env::split_paths(&path));
@@ -116,8 +115,14 @@ impl Radiance {
         let program = self.program(program, folder.path(), folder.path()).args(arguments.iter().copied());
         let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
         let cancelled = AtomicBool::new(false);
-        let outside =
-            Run { cancelled: &cancelled, progress: &|_| {}, log: &|_| {}, scratch: folder.path(), limits };
+        let outside = Run {
+            cancelled: &cancelled,
+            progress: &|_| {},
+            log: &|_| {},
+            scratch: folder.path(),
+            limits,
+            sandbox: None,
+        };
         let mut lines = Vec::new();
         run(&program, MESSAGES, &outside, &mut |line| lines.push(line.text.clone()))?;
         Ok(lines)

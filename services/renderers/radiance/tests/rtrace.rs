@@ -82,7 +82,7 @@ impl World {
 fn with<T>(scratch: &Path, threads: u32, question: impl FnOnce(&Run<'_>) -> T) -> T {
     let cancelled = AtomicBool::new(false);
     let limits = Limits { time: Some(Duration::from_secs(60)), threads, ..Limits::default() };
-    question(&Run { cancelled: &cancelled, progress: &|_| {}, log: &|_| {}, scratch, limits })
+    question(&Run { cancelled: &cancelled, progress: &|_| {}, log: &|_| {}, scratch, limits, sandbox: None })
 }
 
 fn changed(shot: &dyn Shot, own: Value) -> Settings {
@@ -470,8 +470,14 @@ fn a_cancelled_render_leaves_no_process_and_a_limit_is_named() {
     let cancelled = AtomicBool::new(false);
     let stop = |_: f64| cancelled.store(true, Ordering::Relaxed);
     let limits = Limits::default();
-    let outside =
-        Run { cancelled: &cancelled, progress: &stop, log: &|_| {}, scratch: world.folder.path(), limits };
+    let outside = Run {
+        cancelled: &cancelled,
+        progress: &stop,
+        log: &|_| {},
+        scratch: world.folder.path(),
+        limits,
+        sandbox: None,
+    };
     let error = shot.render(1, &settings, &[], &outside).err().unwrap();
     assert!(matches!(error, RendererError::Cancelled), "{error}");
     assert_eq!(processes_of_ours(), 0);
