@@ -85,10 +85,8 @@ kill -9 "${workers[with]}"
 wait "${workers[with]}" 2>/dev/null || true
 gone() { ! kill -0 $left; }
 wait_for 10 gone
-# From here on Blender runs in a sandbox, where the system allows one.
-deploy/packages.sh bubblewrap || true
-sandbox=()
-if unshare --user --pid --fork true 2>/dev/null; then sandbox=(--sandbox); fi
+# From here on Blender runs in a sandbox.
+allowed_sandbox
 start_worker with "$environment/bin/python" "${sandbox[@]}"
 wait_for 120 rendered 8
 kill -9 $(blenders with) || fail 'there is no Blender to kill'

@@ -73,8 +73,9 @@ PYTHON
 echo 'a farm renders it from shared storage, and takes over the pixels of the profile'
 export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
 port=$(free_port)
+allowed_sandbox
 "$FORELIGHT_BIN" farm --data "$work/data" --listen "127.0.0.1:$port" --workers 1 --threads 1 --preview cpu \
-  --bundle-root "$work" >"$work/printed" 2>"$work/farm.log" &
+  "${sandbox[@]}" --bundle-root "$work" >"$work/printed" 2>"$work/farm.log" &
 farm=$!
 wait_for 60 grep -q '^listening on ' "$work/printed"
 "$FORELIGHT_BIN" submit "$rif" --shared --frames 1 --server "http://127.0.0.1:$port" --data "$work/data" --out "$work/images" \

@@ -98,6 +98,14 @@ if wrong or not {"R", "G", "B", "cost.work"} <= ours.keys():
 PYTHON
 }
 
+# allowed_sandbox: sets `sandbox` to the flag that runs renderers in a sandbox. Empty where the system lets
+# nobody make one, as in many containers.
+allowed_sandbox() {
+  deploy/packages.sh bubblewrap || true
+  sandbox=()
+  if unshare --user --pid --fork true 2>/dev/null; then sandbox=(--sandbox); fi
+}
+
 # free_port: prints an unused port.
 free_port() { "$environment/bin/python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }
 
