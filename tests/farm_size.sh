@@ -7,8 +7,7 @@
 #   tests/farm_size.sh          prints the figures
 #   tests/farm_size.sh --write  also writes them into docs/benchmarks.md
 #
-#   FORELIGHT_DASHBOARD_BIN   the program, built with `--features dashboard` (default: it is built, with the
-#                             profile `demo`)
+#   FORELIGHT_DASHBOARD_BIN   the program, built with `--features dashboard` (default: it is built, for release)
 #   FORELIGHT_FARM_SIZE       a folder to keep the farm in; one that is there is used again
 #   SECONDS_EACH              length of each measurement of heartbeats (default: 30)
 #
@@ -21,8 +20,8 @@ npm ci --prefix tests/peers/dashboard --no-audit --no-fund --silent
 CHROMIUM=$(command -v chromium || command -v chromium-browser || command -v google-chrome)
 export CHROMIUM NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
 if [ -z "${FORELIGHT_DASHBOARD_BIN:-}" ]; then
-  cargo build --quiet --profile demo -p forelight-cli --features dashboard
-  FORELIGHT_DASHBOARD_BIN=$PWD/target/demo/forelight
+  cargo build --quiet --release -p forelight-cli --features dashboard
+  FORELIGHT_DASHBOARD_BIN=$PWD/target/release/forelight
 fi
 export FORELIGHT_DASHBOARD_BIN
 each=${SECONDS_EACH:-30}
