@@ -22,9 +22,9 @@ pub(super) fn members(group: Pid) -> Vec<Member> {
     pids().filter_map(|pid| member(pid, Some(group))).collect()
 }
 
-/// The program that was started in a sandbox. The group's first process is the sandbox itself.
-pub(super) fn first_inside(sandbox: Pid) -> Option<Pid> {
-    members(sandbox).iter().find(|member| member.parent == Some(sandbox)).map(|member| member.pid)
+/// Of the members of a group that is a sandbox, the program. The first process is the sandbox itself.
+pub(super) fn program_inside(sandbox: Pid, members: &[Member]) -> Option<Pid> {
+    members.iter().find(|member| member.parent == Some(sandbox)).map(|member| member.pid)
 }
 
 /// Asks what runs in a sandbox to end.

@@ -32,7 +32,7 @@ impl Sandbox {
         let temporary = std::env::temp_dir();
         let folder = tempfile::Builder::new().prefix("forelight-tasks-").tempdir();
         let sandbox = Self { folder: folder.map_err(RendererError::io(&temporary))?, hidden };
-        let program = Program::new("true", sandbox.folder.path()).connected();
+        let program = Program::new("true", sandbox.folder.path());
         let unusable = |reason: String| RendererError::NotInstalled {
             renderer: "bubblewrap".to_owned(),
             reason: format!("{reason}; install the package bubblewrap, or leave out --sandbox"),
@@ -67,17 +67,18 @@ impl Sandbox {
         for device in graphics() {
             bwrap.arg("--dev-bind").args([&device, &device]);
         }
-        for hidden in &self.hidden {
-            if hidden.is_dir() {
-                bwrap.arg("--tmpfs").arg(hidden);
-            } else if hidden.exists() {
-                bwrap.args(["--ro-bind", "/dev/null"]).arg(hidden);
-            }
+        // Those that do not exist yet are hidden from the programs that start later.
+        for hidden in self.hidden.iter().filter_map(|hidden| hidden.canonicalize().ok()) {
+            match hidden.is_dir() {
+                true => bwrap.arg("--tmpfs").arg(hidden),
+                false => bwrap.args(["--ro-bind", "/dev/null"]).arg(hidden),
+            };
         }
         for writable in [self.folder.path(), program.home()] {
             bwrap.arg("--bind").args([writable, writable]);
         }
-        bwrap.arg("--chdir").arg(program.folder()).arg("--");
+        let folder = std::path::absolute(program.folder()).unwrap_or_else(|_| program.folder().to_owned());
+        bwrap.arg("--chdir").arg(folder).arg("--");
         bwrap.arg(inner.get_program()).args(inner.get_args());
         bwrap
     }

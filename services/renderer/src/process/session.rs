@@ -12,6 +12,7 @@ use std::fs::File;
 use std::io::Write;
 use std::os::unix::process::ExitStatusExt;
 use std::process::ChildStdin;
+use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -44,6 +45,8 @@ pub struct Session {
     pid: Pid,
     /// Whether the program runs in a sandbox. `pid` is that of the sandbox then.
     is_inside: bool,
+    /// The program's own process, once it is known.
+    program: OnceLock<Pid>,
     stdin: Option<ChildStdin>,
     lines: Receiver<Line>,
     last_lines: VecDeque<String>,
@@ -81,10 +84,12 @@ impl Session {
         let supervisor = Some(supervisor);
         let (pid, stdin, name) = (streams.pid, streams.stdin, program.name());
         let is_inside = run.sandbox.is_some();
+        let program = if is_inside { OnceLock::new() } else { OnceLock::from(pid) };
         Ok(Self {
             name,
             pid,
             is_inside,
+            program,
             stdin,
             lines,
             last_lines: VecDeque::new(),
@@ -97,7 +102,11 @@ impl Session {
     /// The number of the program's process. `None` once it has ended.
     pub(super) fn pid(&self) -> Option<Pid> {
         let running = self.supervisor.as_ref().filter(|thread| !thread.is_finished());
-        running.and_then(|_| if self.is_inside { group::first_inside(self.pid) } else { Some(self.pid) })
+        running?;
+        self.program.get().copied().or_else(|| {
+            let found = group::program_inside(self.pid, &group::members(self.pid))?;
+            Some(*self.program.get_or_init(|| found))
+        })
     }
 
     /// Holds the program to the memory limit of this run from now on.

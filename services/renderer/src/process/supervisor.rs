@@ -239,17 +239,19 @@ impl Watch {
     fn until_its_end(&self, pidfd: &OwnedFd, group: Pid) -> u64 {
         let Self { orders, grace, is_inside } = self;
         let mut peak = 0;
+        let mut program = (!is_inside).then_some(group);
         let mut asked: Option<Instant> = None;
         for look in 0u32.. {
             let mut ready = [PollFd::new(pidfd, PollFlags::IN)];
             if poll(&mut ready, Some(&LOOK)).is_ok_and(|count| count > 0) {
                 break;
             }
-            // The first process of a sandbox only waits.
-            let members = if *is_inside || look.is_multiple_of(WHOLE_GROUP) {
-                group::members(group)
+            let members = if look.is_multiple_of(WHOLE_GROUP) {
+                let all = group::members(group);
+                program = program.or_else(|| group::program_inside(group, &all));
+                all
             } else {
-                group::member(group, None).into_iter().collect()
+                program.and_then(|program| group::member(program, None)).into_iter().collect()
             };
             let memory = group::memory_bytes(&members);
             peak = peak.max(memory);
