@@ -94,7 +94,7 @@ function Jobs(props: { doc: Farm }) {
     <div class="main" ref={box}>
       <Finish of={doc.finish} />
       {risks.length > 0 && (
-        <Section title={`At risk or late: ${risks.length}`}>
+        <Section title={`At risk or late: ${shownOf(risks.length, atRisk.value)}`}>
           <Risks jobs={risks} axis={axisOf(risks, now.value)} narrow={width < 720} />
         </Section>
       )}
@@ -199,6 +199,11 @@ function axisOf(jobs: readonly DashboardJob[], from: number, share?: number) {
   const deadlines = jobs.map((job) => maybeInstant(job.deadline));
   const known = (at: number | null) => at !== null;
   return axisFor(from, ends.filter(known), deadlines.filter(known), share);
+}
+
+/** On a large farm, the rows are asked page by page, and their number is known before. */
+function shownOf(rows: number, known: number): string {
+  return rows < known ? `${grouped(rows)} of ${grouped(known)}` : grouped(rows);
 }
 
 function none(shown: Shown, search: string, others: boolean): string {
