@@ -152,8 +152,7 @@ fn inspect_outside(
         ..ProcessLimits::default()
     };
     let log = |line: &str| tracing::debug!(line, "inspecting a bundle");
-    let outside =
-        Run { cancelled, progress: &|_| {}, log: &log, scratch: &scratch, limits: run_limits, sandbox: None };
+    let outside = Run { log: &log, ..Run::silent(cancelled, &scratch, run_limits) };
     let mut answer = String::new();
     let ended = run(&program, &[], &outside, &mut |line| {
         if line.stream == Stream::Out {

@@ -28,14 +28,7 @@ impl Outside {
             }
         };
         let scratch = self.folder.path();
-        question(&Run {
-            cancelled: &self.cancelled,
-            progress: &|_| {},
-            log: &log,
-            scratch,
-            limits,
-            sandbox: None,
-        })
+        question(&Run { log: &log, ..Run::silent(&self.cancelled, scratch, limits) })
     }
 
     fn shell(&self, script: &str, limits: Limits) -> Result<Finished, RendererError> {

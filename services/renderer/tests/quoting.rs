@@ -58,14 +58,7 @@ impl Known {
 
     fn quote(&self) -> ShotQuote {
         let cancelled = AtomicBool::new(false);
-        let run = Run {
-            cancelled: &cancelled,
-            progress: &|_| {},
-            log: &|_| {},
-            scratch: Path::new("/"),
-            limits: Limits::default(),
-            sandbox: None,
-        };
+        let run = Run::silent(&cancelled, Path::new("/"), Limits::default());
         let frames: Vec<u32> = (0..24).collect();
         let id = RendererId { name: "known".to_owned(), version: "1".to_owned() };
         let (of, settings) = (("shot", SceneDigest([0; 32])), &self.description.settings);

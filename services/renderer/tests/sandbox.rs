@@ -40,14 +40,8 @@ impl Outside {
     }
 
     fn run<T>(&self, limits: Limits, question: impl FnOnce(&Run<'_>) -> T) -> T {
-        question(&Run {
-            cancelled: &self.cancelled,
-            progress: &|_| {},
-            log: &|_| {},
-            scratch: self.sandbox.folder(),
-            limits,
-            sandbox: Some(&self.sandbox),
-        })
+        let silent = Run::silent(&self.cancelled, self.sandbox.folder(), limits);
+        question(&Run { sandbox: Some(&self.sandbox), ..silent })
     }
 
     fn program(&self, script: &str) -> Program {

@@ -204,12 +204,5 @@ fn as_shot(request: &RenderSettingsRequest) -> Result<ShotSettings> {
 }
 
 fn outside<'a>(scratch: &'a Path, limits: Limits, interrupt: &'a Interrupt) -> Run<'a> {
-    Run {
-        cancelled: interrupt.flag(),
-        progress: &|_| {},
-        log: &|line| tracing::debug!("{line}"),
-        scratch,
-        limits,
-        sandbox: None,
-    }
+    Run { log: &|line| tracing::debug!("{line}"), ..Run::silent(interrupt.flag(), scratch, limits) }
 }

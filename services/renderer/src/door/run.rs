@@ -42,7 +42,12 @@ pub struct Run<'a> {
     pub sandbox: Option<&'a Sandbox>,
 }
 
-impl Run<'_> {
+impl<'a> Run<'a> {
+    /// A run that reports to nobody, without a sandbox.
+    pub fn silent(cancelled: &'a AtomicBool, scratch: &'a Path, limits: Limits) -> Self {
+        Self { cancelled, progress: &|_| {}, log: &|_| {}, scratch, limits, sandbox: None }
+    }
+
     /// Whether the run was told to stop.
     pub fn is_cancelled(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed)

@@ -103,14 +103,7 @@ impl How {
         };
         let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
         let cancelled = AtomicBool::new(false);
-        let outside = Run {
-            cancelled: &cancelled,
-            progress: &|_| {},
-            log: &|_| {},
-            scratch: folder.path(),
-            limits,
-            sandbox: None,
-        };
+        let outside = Run::silent(&cancelled, folder.path(), limits);
         let mut version = None;
         run(&program, MESSAGES, &outside, &mut |line| {
             if let Some(rest) = line.text.strip_prefix("Blender ") {

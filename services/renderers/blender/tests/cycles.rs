@@ -47,7 +47,7 @@ fn with<T>(
 ) -> T {
     let limits =
         Limits { time: Some(Duration::from_secs(300)), grace: Duration::from_secs(2), ..Limits::default() };
-    f(&Run { cancelled, progress, log: &|_| {}, scratch, limits, sandbox: None })
+    f(&Run { progress, ..Run::silent(cancelled, scratch, limits) })
 }
 
 /// Opens a file and asks something.

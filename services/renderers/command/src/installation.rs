@@ -83,14 +83,7 @@ fn version(file: &CommandFile, command: &[String], path: &Path) -> Result<String
     }
     let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
     let cancelled = AtomicBool::new(false);
-    let outside = Run {
-        cancelled: &cancelled,
-        progress: &|_| {},
-        log: &|_| {},
-        scratch: folder.path(),
-        limits,
-        sandbox: None,
-    };
+    let outside = Run::silent(&cancelled, folder.path(), limits);
     let mut version = None;
     let result = run(&program, &[], &outside, &mut |line| {
         let found = match &file.version_pattern {

@@ -101,14 +101,7 @@ impl World {
     fn ask<T>(&self, question: impl FnOnce(&dyn Shot, &Run<'_>) -> T) -> T {
         let (cancelled, scratch) = (AtomicBool::new(false), self.folder.path().join("scratch"));
         let limits = Limits { grace: Duration::from_millis(100), threads: 2, ..Limits::default() };
-        let run = Run {
-            cancelled: &cancelled,
-            progress: &|_| {},
-            log: &|_| {},
-            scratch: &scratch,
-            limits,
-            sandbox: None,
-        };
+        let run = Run::silent(&cancelled, &scratch, limits);
         let renderer = open_command(&self.file()).unwrap();
         question(&*renderer.open(&self.file(), &run).unwrap(), &run)
     }
@@ -280,14 +273,7 @@ fn programs_and_scenes_that_are_not_there_are_named() {
     let world = World::new(FILE);
     std::fs::remove_file(world.folder.path().join("scene.txt")).unwrap();
     let cancelled = AtomicBool::new(false);
-    let run = Run {
-        cancelled: &cancelled,
-        progress: &|_| {},
-        log: &|_| {},
-        scratch: world.folder.path(),
-        limits: Limits::default(),
-        sandbox: None,
-    };
+    let run = Run::silent(&cancelled, world.folder.path(), Limits::default());
     let error = open_command(&world.file()).unwrap().open(&world.file(), &run).err().unwrap();
     assert!(matches!(&error, RendererError::MissingFile(path) if path.ends_with("/scene.txt")), "{error}");
 }

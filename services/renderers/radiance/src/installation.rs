@@ -115,14 +115,7 @@ impl Radiance {
         let program = self.program(program, folder.path(), folder.path()).args(arguments.iter().copied());
         let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
         let cancelled = AtomicBool::new(false);
-        let outside = Run {
-            cancelled: &cancelled,
-            progress: &|_| {},
-            log: &|_| {},
-            scratch: folder.path(),
-            limits,
-            sandbox: None,
-        };
+        let outside = Run::silent(&cancelled, folder.path(), limits);
         let mut lines = Vec::new();
         run(&program, MESSAGES, &outside, &mut |line| lines.push(line.text.clone()))?;
         Ok(lines)

@@ -82,7 +82,7 @@ impl World {
 fn with<T>(scratch: &Path, threads: u32, question: impl FnOnce(&Run<'_>) -> T) -> T {
     let cancelled = AtomicBool::new(false);
     let limits = Limits { time: Some(Duration::from_secs(60)), threads, ..Limits::default() };
-    question(&Run { cancelled: &cancelled, progress: &|_| {}, log: &|_| {}, scratch, limits, sandbox: None })
+    question(&Run::silent(&cancelled, scratch, limits))
 }
 
 fn changed(shot: &dyn Shot, own: Value) -> Settings {
@@ -469,20 +469,13 @@ fn a_cancelled_render_leaves_no_process_and_a_limit_is_named() {
     settings.common.samples = 64;
     let cancelled = AtomicBool::new(false);
     let stop = |_: f64| cancelled.store(true, Ordering::Relaxed);
-    let limits = Limits::default();
-    let outside = Run {
-        cancelled: &cancelled,
-        progress: &stop,
-        log: &|_| {},
-        scratch: world.folder.path(),
-        limits,
-        sandbox: None,
-    };
+    let silent = Run::silent(&cancelled, world.folder.path(), Limits::default());
+    let outside = Run { progress: &stop, ..silent };
     let error = shot.render(1, &settings, &[], &outside).err().unwrap();
     assert!(matches!(error, RendererError::Cancelled), "{error}");
     assert_eq!(processes_of_ours(), 0);
     cancelled.store(false, Ordering::Relaxed);
-    let limits = Limits { memory_bytes: Some(1 << 20), ..limits };
+    let limits = Limits { memory_bytes: Some(1 << 20), ..Limits::default() };
     let error = shot.render(1, &settings, &[], &Run { limits, progress: &|_| {}, ..outside }).err().unwrap();
     assert!(matches!(error, RendererError::OutOfMemory(_)), "{error}");
     assert_eq!(processes_of_ours(), 0);
