@@ -40,7 +40,7 @@
 //! A light is also left out if it emits nothing or has no area, if everything else is behind all of its
 //! one-sided triangles, or if its cone contains nothing.
 //!
-//! When in doubt, nothing is left out. The time is linear in the size of the scene, except for shells that
+//! When in doubt, nothing is left out. The time is n log n in the size of the scene, except for shells that
 //! may contain something; these have a budget.
 
 mod facet;
@@ -55,6 +55,7 @@ use forelight_scene::{Color, Environment, Frame, Geometry, Material, PointLight,
 use glam::{DVec3, Vec3};
 use separation::{Kept, Separation};
 use std::fmt;
+use tree::Tree;
 
 /// What can affect the image of a frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -189,6 +190,33 @@ impl Reach {
     }
 }
 
+/// The visible strata that have triangles, by their bounding boxes.
+struct Visible {
+    tree: Tree,
+    /// Stratum and box of each item of the tree.
+    strata: Vec<(u32, Bounds)>,
+    /// Largest absolute coordinate.
+    extent: f32,
+}
+
+impl Visible {
+    /// From the boxes of all strata. Those of strata without visible triangles are empty.
+    fn of(boxes: Vec<Bounds>) -> Self {
+        let strata: Vec<_> = (0..).zip(boxes).filter(|(_, b)| b.low.x <= b.high.x).collect();
+        let extent = strata.iter().fold(0.0f32, |extent, (_, bounds)| extent.max(bounds.reach()));
+        Self { tree: Tree::new(strata.iter().map(|(_, bounds)| *bounds)), strata, extent }
+    }
+
+    /// Returns `true` if `found` returns `true` for any of the strata whose boxes `wanted` accepts. Where
+    /// `wanted` refuses a box, nothing within it is asked for.
+    fn any(&self, wanted: impl Fn(&Bounds) -> bool, found: impl Fn(u32, &Bounds) -> bool) -> bool {
+        self.tree.any(wanted, |item| {
+            let (stratum, bounds) = &self.strata[item as usize];
+            found(*stratum, bounds)
+        })
+    }
+}
+
 /// The state of examining a frame.
 struct Survey<'a> {
     frame: &'a Frame,
@@ -207,7 +235,8 @@ impl Survey<'_> {
         // What is visible of each stratum, needed for cones and one-sided lights.
         let aimed = frame.points.iter().any(|light| light.cone.is_some());
         let emitters = self.emitters();
-        let boxes = if aimed || !emitters.is_empty() { self.boxes(&reach) } else { Vec::new() };
+        let visible =
+            Visible::of(if aimed || !emitters.is_empty() { self.boxes(&reach) } else { Vec::new() });
         let mut exclude = |mattered: &mut bool, what: Excluded, reason: Option<Reason>| {
             if let Some(reason) = reason {
                 *mattered = false;
@@ -216,12 +245,12 @@ impl Survey<'_> {
         };
         for (stratum, triangles) in emitters {
             let object = name(geometry, geometry.strata.pairs[stratum as usize].0);
-            let reason = self.area_light(stratum, &triangles, &boxes);
+            let reason = self.area_light(stratum, &triangles, &visible);
             let what = Excluded::AreaLight { stratum, object };
             exclude(&mut reach.area_lights[stratum as usize], what, reason);
         }
         for (index, light) in frame.points.iter().enumerate() {
-            let reason = self.point_light(index, light, &boxes);
+            let reason = self.point_light(index, light, &visible);
             exclude(&mut reach.points[index], Excluded::PointLight(index), reason);
         }
         let far = || self.separation.sky.map(|kept| self.reason(kept));
@@ -271,7 +300,7 @@ impl Survey<'_> {
         boxes
     }
 
-    fn area_light(&self, stratum: u32, triangles: &[u32], boxes: &[Bounds]) -> Option<Reason> {
+    fn area_light(&self, stratum: u32, triangles: &[u32], visible: &Visible) -> Option<Reason> {
         let geometry = &*self.frame.geometry;
         let material = &self.materials[geometry.strata.pairs[stratum as usize].1 as usize];
         if self.emits_black(&material.emission) {
@@ -289,12 +318,12 @@ impl Survey<'_> {
         if let Some(kept) = kept {
             return kept.first().map(|&kept| self.reason(kept));
         }
-        let away = !material.emits_both_sides && self.faces_away(stratum, triangles, boxes);
+        let away = !material.emits_both_sides && self.faces_away(stratum, triangles, visible);
         away.then_some(Reason::FacesAway)
     }
 
     /// Whether camera and everything else visible are behind the planes of all triangles of a light.
-    fn faces_away(&self, stratum: u32, triangles: &[u32], boxes: &[Bounds]) -> bool {
+    fn faces_away(&self, stratum: u32, triangles: &[u32], visible: &Visible) -> bool {
         let (geometry, camera) = (&*self.frame.geometry, &self.frame.camera);
         // Anything not behind the plane by `least` may be lit, also the light itself unless black and flat.
         let black = match self.materials[geometry.strata.pairs[stratum as usize].1 as usize].surface {
@@ -302,24 +331,20 @@ impl Survey<'_> {
             _ => false,
         };
         let lens = Bounds::of([camera.origin]).grown(camera.aperture_radius);
-        let extent = boxes.iter().filter(|b| b.low.x <= b.high.x).fold(lens.reach(), |e, b| e.max(b.reach()));
+        let extent = lens.reach().max(visible.extent);
         let (least, rounding) = (f64::from(extent) / 262_144.0, f64::from(extent) / 4_194_304.0);
         black
             && triangles.iter().all(|&t| {
                 let [a, b, c] = geometry.corners(t).map(|p| p.as_dvec3());
                 let normal = (b - a).cross(c - a).normalize_or_zero();
-                let before = |bounds: &Bounds, by: f64| {
-                    bounds.low.x <= bounds.high.x
-                        && bounds.corners().any(|p| normal.dot(p.as_dvec3() - a) > by)
-                };
-                let lit = |(s, bounds): (usize, &Bounds)| {
-                    before(bounds, if s == stratum as usize { rounding } else { -least })
-                };
-                !before(&lens, -least) && !boxes.iter().enumerate().any(lit)
+                let before =
+                    |bounds: &Bounds, by: f64| bounds.corners().any(|p| normal.dot(p.as_dvec3() - a) > by);
+                let lit = |s: u32, bounds: &Bounds| s != stratum || before(bounds, rounding);
+                !before(&lens, -least) && !visible.any(|bounds| before(bounds, -least), lit)
             })
     }
 
-    fn point_light(&self, index: usize, light: &PointLight, boxes: &[Bounds]) -> Option<Reason> {
+    fn point_light(&self, index: usize, light: &PointLight, visible: &Visible) -> Option<Reason> {
         if light.intensity.max_element() <= 0.0 {
             return Some(Reason::EmitsNothing);
         }
@@ -327,9 +352,8 @@ impl Survey<'_> {
             return Some(self.reason(kept));
         }
         let (axis, _, outer) = light.cone?;
-        let lit =
-            |bounds: &Bounds| bounds.low.x <= bounds.high.x && in_cone(bounds, light.position, axis, outer);
-        (!boxes.iter().any(lit)).then_some(Reason::EmptyCone)
+        let lit = |bounds: &Bounds| in_cone(bounds, light.position, axis, outer);
+        (!visible.any(lit, |_, _| true)).then_some(Reason::EmptyCone)
     }
 
     /// Objects with triangles that are hidden from the camera, by object and shell.

@@ -53,7 +53,7 @@ impl Tree {
 
     /// Calls `found` for every item whose box `wanted` accepts, until it returns `true`. If `wanted` accepts
     /// a box, it must accept every box around it.
-    fn any(&self, wanted: impl Fn(&Bounds) -> bool, mut found: impl FnMut(u32) -> bool) -> bool {
+    pub fn any(&self, wanted: impl Fn(&Bounds) -> bool, mut found: impl FnMut(u32) -> bool) -> bool {
         let mut stack = [0u32; 40];
         let mut height = usize::from(!self.nodes.is_empty());
         while height > 0 {
