@@ -1,6 +1,7 @@
 //! Maps addresses to handlers, and wraps every request in the common layers.
 
 use std::future::ready;
+use std::sync::LazyLock;
 use std::time::Duration;
 
 use axum::body::Body;
@@ -130,13 +131,16 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(health::openapi))
 }
 
-/// The whole OpenAPI document as YAML, generated from the types and handlers.
-pub fn openapi_yaml() -> String {
-    let of_workers = routes_of_workers().into_openapi();
-    let document = frame().merge_from(of_workers).merge_from(routes_of_people().into_openapi());
-    let document = with_one_key(document);
-    // Strings, numbers, lists and maps with string keys always have a YAML form.
-    document.to_yaml().unwrap_or_default()
+/// The whole OpenAPI document as YAML, generated from the types and handlers when it is first asked for.
+pub fn openapi_yaml() -> &'static str {
+    static DOCUMENT: LazyLock<String> = LazyLock::new(|| {
+        let of_workers = routes_of_workers().into_openapi();
+        let document = frame().merge_from(of_workers).merge_from(routes_of_people().into_openapi());
+        let document = with_one_key(document);
+        // Strings, numbers, lists and maps with string keys always have a YAML form.
+        document.to_yaml().unwrap_or_default()
+    });
+    &DOCUMENT
 }
 
 /// The axum router. Layers from the outside in: log line, counter, compression, form of errors, panics,

@@ -146,7 +146,7 @@ impl Service {
             clock_steps: Arc::default(),
             changes: Changes::new(),
             started: clock.now(),
-            openapi: openapi_yaml().into(),
+            openapi: openapi_yaml,
         };
         // From here on, no right ends unseen.
         app.end_rights().await;

@@ -80,7 +80,8 @@ pub(crate) struct App {
     /// When a person last changed something, and when a plan was stored.
     pub changes: Changes,
     pub started: Timestamp,
-    pub openapi: Arc<str>,
+    /// The OpenAPI document, which is made when it is first asked for.
+    pub openapi: fn() -> &'static str,
 }
 
 impl App {

@@ -42,5 +42,5 @@ pub(crate) async fn metrics(State(app): State<App>, Reader(caller): Reader) -> A
 /// This document.
 #[utoipa::path(get, path = "/openapi.yaml", tag = "service", security(()), responses((status = 200, description = "The OpenAPI document", body = String, content_type = "application/yaml"), Problems))]
 pub(crate) async fn openapi(State(app): State<App>) -> Response {
-    ([(CONTENT_TYPE, "application/yaml")], app.openapi.to_string()).into_response()
+    ([(CONTENT_TYPE, "application/yaml")], (app.openapi)()).into_response()
 }
