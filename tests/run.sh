@@ -95,11 +95,11 @@ peers=()
 if [ "${1:-}" = --quick ]; then
   export FORELIGHT_QUICK=1
 else
-  peers=(tests/peers/{gltf,blender_farm,command,slurm}.sh tests/peers/*.sh)
+  peers=(tests/peers/{slurm,dashboard,blender_farm,mitsuba,schemathesis,command,gltf}.sh tests/peers/*.sh)
 fi
-step 'Tests, two programs at a time'
+step 'Tests, three programs at a time: some of them wait more than they compute'
 # Where one fails, the others still run.
-printf '%s\n' tests/rust.sh "${peers[@]}" | awk '!seen[$0]++' | xargs -P 2 -I{} bash -c 'run_logged {}'
+printf '%s\n' tests/rust.sh "${peers[@]}" | awk '!seen[$0]++' | xargs -P 3 -I{} bash -c 'run_logged {}'
 
 if [ "${1:-}" != --quick ]; then
   step 'The main job'

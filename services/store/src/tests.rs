@@ -14,7 +14,9 @@ use forelight_protocol::{
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 use tempfile::TempDir;
+use tokio::sync::OnceCell;
 
+use crate::database::DATABASE;
 use crate::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store, StoreError};
 
 mod artifacts;
@@ -64,6 +66,17 @@ async fn touch(store: &Store, node: NodeId, now: Timestamp) {
     store.commit(write).await.unwrap();
 }
 
+/// A database without rows. Making the schema takes longer than most tests, so it is done once.
+async fn new_database() -> &'static [u8] {
+    static MADE: OnceCell<Vec<u8>> = OnceCell::const_new();
+    MADE.get_or_init(async || {
+        let folder = tempfile::tempdir().unwrap();
+        Store::open(folder.path()).await.unwrap().close().await;
+        std::fs::read(folder.path().join(DATABASE)).unwrap()
+    })
+    .await
+}
+
 struct Farm {
     folder: TempDir,
     store: Store,
@@ -72,6 +85,7 @@ struct Farm {
 impl Farm {
     async fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(DATABASE), new_database().await).unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         Self { folder, store }
     }

@@ -12,10 +12,11 @@ use forelight_protocol::{
     ArtifactHash, Job, JobState, Lease, Node, ResultAnswer, ResultRequest, Role, TaskKind, TaskResult,
     Timestamp,
 };
-use forelight_store::tokens;
+use forelight_store::{DATABASE, Store, tokens};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use tempfile::TempDir;
+use tokio::sync::OnceCell;
 
 pub mod copies;
 #[path = "../../../../tests/support/events.rs"]
@@ -67,6 +68,17 @@ pub fn scene_zip() -> Vec<u8> {
         zip.write_all(content.as_bytes()).unwrap();
     }
     zip.finish().unwrap().into_inner()
+}
+
+/// A database without rows. Making the schema takes longer than most tests, so it is done once.
+async fn new_database() -> &'static [u8] {
+    static MADE: OnceCell<Vec<u8>> = OnceCell::const_new();
+    MADE.get_or_init(async || {
+        let folder = tempfile::tempdir().unwrap();
+        Store::open(folder.path()).await.unwrap().close().await;
+        std::fs::read(folder.path().join(DATABASE)).unwrap()
+    })
+    .await
 }
 
 pub fn config(folder: &Path) -> Config {
@@ -139,6 +151,8 @@ impl Farm {
         write_scene(&folder.path().join("scenes/quad"));
         let mut config = config(folder.path());
         change(&mut config);
+        std::fs::create_dir_all(&config.data_dir).unwrap();
+        std::fs::write(config.data_dir.join(DATABASE), new_database().await).unwrap();
         let service = start(&config).await;
         let mut clients = Vec::new();
         for role in Role::ALL {
