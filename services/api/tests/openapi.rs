@@ -12,7 +12,7 @@ fn openapi_yaml_is_current() {
     let generated = forelight_api::openapi_yaml();
     assert!(generated.starts_with("openapi: 3.1"), "{}", generated.lines().next().unwrap_or_default());
     if std::env::var_os("FORELIGHT_REWRITE_OPENAPI").is_some() {
-        std::fs::write(committed(), &generated).unwrap();
+        std::fs::write(committed(), generated).unwrap();
     }
     let kept = std::fs::read_to_string(committed()).unwrap_or_default();
     let differing =
