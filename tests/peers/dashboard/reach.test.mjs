@@ -111,7 +111,7 @@ test("without a pointer", { timeout: 480_000 }, async (t) => {
   await step("a log is followed to its end, searched, and names its errors", async () => {
     const slow = await farm.submit(
       "kitchen",
-      ...["--name", "slow", "--frames", "0", "--width", "128", "--spp", "8", "--samples", "16"],
+      ...["--name", "slow", "--frames", "0", "--width", "128", "--spp", "32", "--samples", "16"],
     );
     await show(page, farm.address, [`#/jobs/${slow}?tab=logs`, ".tabs"]);
     await page.getByText("followed live").waitFor();
