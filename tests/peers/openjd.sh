@@ -46,6 +46,22 @@ grep -q 'amount.worker.memory' "$work/known.json"
 quietly "$environment/bin/openjd" summary "$work/known.json"
 grep -q 'Total tasks: 3' "$log"
 
+echo 'a job with tasks of several frames'
+quietly "$FORELIGHT_BIN" export "$scene" --frames 0-2 "${small[@]}" --forecast "$work/quote.json" --chunk 1m \
+  --out "$work/chunks.json"
+quietly "$environment/bin/openjd" check "$work/chunks.json"
+grep -q '"targetRuntimeSeconds": "{{Param.ChunkSeconds}}"' "$work/chunks.json"
+grep -q '"default": 60' "$work/chunks.json"
+for frames in 150 2; do
+  quietly "$environment/bin/openjd" run "$work/chunks.json" -p "Forelight=$FORELIGHT_BIN" -p Preview=cpu \
+    -p "ChunkFrames=$frames" -p ChunkSeconds=0 -p "Images=$work/chunks-$frames"
+  cp "$log" "$work/run-$frames"
+  for frame in 0 2; do same_bits "$work/$frame.exr" "$work/chunks-$frames/$frame.exr"; done
+done
+# One process renders three frames, or two render them.
+[ "$(grep -c 'Command: ' "$work/run-150")" = 1 ] || { cat "$work/run-150"; exit 1; }
+[ "$(grep -c 'Command: ' "$work/run-2")" = 2 ] || { cat "$work/run-2"; exit 1; }
+
 # With two bounces, the second level of the cache is filled and merged before the first.
 cached=("${small[@]}" --cache on --cache-rays 48 --ambient-bounces 2)
 echo 'a shot with a cache'

@@ -21,6 +21,7 @@ mod jobs;
 mod leave_out;
 mod log;
 mod node;
+mod numbered;
 mod plan;
 mod plans;
 mod preview;

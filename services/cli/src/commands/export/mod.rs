@@ -16,10 +16,10 @@ use forelight_terminal::local::Local;
 use forelight_terminal::options::{Keep, MachineOptions, PreviewBackend, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{money, seconds};
-use openjd::ExportedShot;
+use openjd::{Chunk, ExportedShot};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use template::{GREATEST_INTEGER, LONGEST_JOB_NAME, LONGEST_VALUE};
+use template::{GREATEST_INTEGER, LARGEST_CHUNK, LONGEST_JOB_NAME, LONGEST_VALUE};
 
 /// Time limit of a task, relative to its P95. Other machines may be slower or busy.
 const PATIENCE: f64 = 4.0;
@@ -34,6 +34,7 @@ Examples:
   forelight export kitchen/ --frames 0-47 --out job.json
   forelight export kitchen/ --cache on --cache-parts 8 --width 1920 --spp 64 --out job.json
   forelight export kitchen/ --frames 0-47 --forecast quote.json --stats 12.json --threads 8 --out job.json
+  forelight export kitchen/ --frames 0-47 --forecast quote.json --threads 8 --chunk 10m --out job.json
 
 The job is an Open Job Description template. `openjd run job.json` runs it on this machine, and so does every farm \
 that reads such templates. The flags become defaults of the job's parameters, which may be changed at submission. \
@@ -42,7 +43,9 @@ not point elsewhere. Otherwise set it at submission.
 
 With --cache on, steps before the renders make the irradiance cache of the shot, in a folder that all machines must \
 share. --threads sets the cores that a machine must have, and --stats its memory. With --forecast, a task is stopped \
-after four times its forecast CPU time (P95, on one core), and not before 10 minutes.")]
+after four times its forecast CPU time (P95, on one core), and not before 10 minutes.
+
+With --chunk, a task renders as many frames as take about that long, and reads the scene once. The forecast says how many. The farm must know the extension TASK_CHUNKING, and adapts the number to what it measures.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
@@ -73,6 +76,9 @@ pub struct Args {
     /// Time limit of a task, such as 30m or 2h [default: from --forecast, if given]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     timeout: Option<Duration>,
+    /// Render several frames in a task, which should take this time, such as 10m
+    #[arg(long, value_name = "DURATION", value_parser = duration, requires = "forecast")]
+    chunk: Option<Duration>,
     #[command(flatten)]
     quality: QualityOptions,
 }
@@ -153,7 +159,12 @@ fn exported(
         return Err(BadInput::new(format!("--stats: {why}")).into());
     }
     let name = args.name.as_deref().unwrap_or(&scene.name);
-    let limits = Limits::new(args.timeout, forecast, &frames)?;
+    let mut limits = Limits::new(args.timeout, forecast, &frames)?;
+    let chunk = args.chunk.zip(forecast).map(|(time, quote)| chunk(time, quote, args.threads)).transpose()?;
+    if let (Some(chunk), None, Some(limit)) = (chunk, args.timeout, &mut limits.frame) {
+        // A farm may give a task more frames than were forecast, but not more time.
+        *limit = (*limit).max((chunk.seconds as f64 * PATIENCE) as u64);
+    }
     Ok(ExportedShot {
         name: job_name(name)?.to_owned(),
         description: description(scene, &settings, &frames, forecast),
@@ -163,10 +174,35 @@ fn exported(
         settings,
         cache_parts: args.cache_parts,
         threads: args.threads,
+        chunk,
         memory_mib: stats.map(|stats| stats.peak_rss_bytes.div_ceil(1 << 20)).filter(|&mib| mib > 0),
         frame_limit: limits.frame,
         cache_limit: limits.cache,
     })
+}
+
+/// As many frames as take this time by the forecast (P50), on as many cores as a task has threads.
+fn chunk(time: Duration, quote: &ForecastDoc, threads: Option<u16>) -> Result<Chunk> {
+    let cores = f64::from(threads.unwrap_or(1));
+    let once = once_seconds(quote);
+    let frame = quote.total.cpu_seconds.p50 / quote.frames.len().max(1) as f64 / cores;
+    let frames = ((time.as_secs_f64() - once) / frame).floor();
+    if !(frame > 0.0 && frames >= 1.0) {
+        let why = format!(
+            "a frame takes {} by the forecast, after {} for loading and building",
+            seconds(frame),
+            seconds(once)
+        );
+        let hint = "name a longer time, or leave --chunk out: each task then renders one frame";
+        return Err(BadInput::new(format!("--chunk: {why}")).hint(hint).into());
+    }
+    Ok(Chunk { frames: (frames as u64).min(LARGEST_CHUNK), seconds: time.as_secs().max(1) })
+}
+
+/// CPU time for loading the scene and building its tree, which each process pays.
+fn once_seconds(quote: &ForecastDoc) -> f64 {
+    let ProcessCosts { load, build } = quote.once.unwrap_or_default();
+    load.plus(build).cpu_nanos as f64 * 1e-9
 }
 
 /// Checks that a quote is of this scene and quality.
@@ -246,9 +282,7 @@ impl Limits {
                 return Err(BadInput::new(format!("--forecast: it is of {quoted}, not of {frames}")).into());
             }
             let dearest = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).fold(0.0, f64::max);
-            // Each task is a process, which loads the scene and builds its tree.
-            let ProcessCosts { load, build } = quote.once.unwrap_or_default();
-            let once = load.plus(build).cpu_nanos as f64 * 1e-9;
+            let once = once_seconds(quote);
             let all = quote.total.cpu_seconds.p95;
             limits = Self { frame: Some(limit(once + dearest)?), cache: Some(limit(once + all)?) };
         }
@@ -380,6 +414,31 @@ mod tests {
         assert!(message(limits(None, Some(&quote("0-8", 1.0)))).contains("the frames 0-8, not of 0-9"));
         assert!(message(limits(None, Some(&quote("0-9", -1.0)))).contains("out of range"));
         assert!(message(limits(None, Some(&quote("0-9", 1e300)))).contains("out of range"));
+    }
+
+    #[test]
+    fn a_task_has_as_many_frames_as_take_its_time() {
+        let frames_of = |time: u64, quote: &ForecastDoc, threads| {
+            chunk(Duration::from_secs(time), quote, threads).map(|chunk| (chunk.frames, chunk.seconds))
+        };
+        // Ten frames of 20 s each, and 100 s for loading.
+        let load = Spent { work: 0, cpu_nanos: 100_000_000_000 };
+        let once = Some(ProcessCosts { load, build: Spent::default() });
+        let loaded = ForecastDoc { once, ..quote("0-9", 20.0) };
+        assert_eq!(frames_of(600, &loaded, None).unwrap(), (25, 600));
+        assert_eq!(frames_of(600, &loaded, Some(4)).unwrap(), (100, 600));
+        assert_eq!(frames_of(86_400, &loaded, None).unwrap(), (LARGEST_CHUNK, 86_400));
+        assert_eq!(frames_of(120, &loaded, None).unwrap(), (1, 120));
+        let refused = message(frames_of(119, &loaded, None));
+        assert!(refused.starts_with("--chunk: a frame takes 20.0 s by the forecast, after 1m 40s"), "{refused}");
+        assert!(message(frames_of(60, &quote("0-9", 0.0), None)).starts_with("--chunk: a frame takes"));
+        // The time limit leaves room for the whole task.
+        let Typed { args } = clap::Parser::try_parse_from(["export", "b"]).unwrap();
+        let args = Args { chunk: Some(Duration::from_secs(600)), ..args };
+        let settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));
+        let frames = "0-9".parse().unwrap();
+        let shot = exported(&args, &scene(), settings, frames, Some(&loaded), None).unwrap();
+        assert_eq!((shot.chunk.unwrap().frames, shot.frame_limit), (25, Some(2400)));
     }
 
     fn scene() -> SceneSummary {

@@ -1,9 +1,10 @@
-//! A shot as an Open Job Description job. One step renders, with one task per frame. Earlier steps plan, fill
-//! and merge the irradiance cache, if there is one.
+//! A shot as an Open Job Description job. One step renders, with one task per frame or range of frames.
+//! Earlier steps plan, fill and merge the irradiance cache, if there is one.
 
 use super::template::{
-    Action, Actions, Amount, Attribute, Cancelation, DataFlow, Dependency, HostRequirements, JobTemplate,
-    LONGEST_JOB_NAME, ObjectType, Parameter, ParameterSpace, ParameterType, Script, Step, TaskParameter,
+    Action, Actions, Amount, Attribute, CHUNKING, Cancelation, Chunks, DataFlow, Dependency,
+    HostRequirements, JobTemplate, LONGEST_JOB_NAME, ObjectType, Parameter, ParameterSpace, ParameterType,
+    Script, Step, TaskParameter, TaskParameterType,
 };
 use clap::ValueEnum;
 use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
@@ -22,11 +23,22 @@ pub struct ExportedShot {
     pub cache_parts: u32,
     /// Threads of a task. `None` is one per core.
     pub threads: Option<u16>,
+    /// How frames are divided into tasks. `None`: one for each frame.
+    pub chunk: Option<Chunk>,
     /// Memory of a task, MiB, if it is known.
     pub memory_mib: Option<u64>,
     /// Time limits of tasks, seconds.
     pub frame_limit: Option<u64>,
     pub cache_limit: Option<u64>,
+}
+
+/// A task of several frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Chunk {
+    /// Frames of a task, as long as the farm does not know how long they take.
+    pub frames: u64,
+    /// How long a task should take.
+    pub seconds: u64,
 }
 
 /// A flag of `forelight render` and `forelight cache`, and the parameter that holds its value.
@@ -39,6 +51,7 @@ impl ExportedShot {
     pub fn template(&self) -> JobTemplate {
         JobTemplate {
             specification_version: "jobtemplate-2023-09",
+            extensions: self.chunk.map(|_| CHUNKING).into_iter().collect(),
             name: of("JobName"),
             description: self.description.clone(),
             parameter_definitions: self.parameters(),
@@ -73,6 +86,13 @@ impl ExportedShot {
                 .default("auto")
                 .one_of(names::<PreviewBackend>()),
         ];
+        if let Some(chunk) = self.chunk {
+            let frames = "Frames of the first tasks; later ones have as many as fit into ChunkSeconds";
+            let whole =
+                |name, what, value: u64| Parameter::new(name, ParameterType::Int, what).default(value);
+            parameters.push(whole("ChunkFrames", frames, chunk.frames));
+            parameters.push(whole("ChunkSeconds", "Time that a task should take, in seconds", chunk.seconds));
+        }
         if self.is_cached() {
             let what = "Folder of the irradiance cache, which all machines must share";
             parameters.push(folder("CacheFolder", DataFlow::InOut, what).default("cache"));
@@ -148,15 +168,29 @@ impl ExportedShot {
 
     fn steps(&self) -> Vec<Step> {
         let mut steps = if self.is_cached() { self.cache_steps() } else { Vec::new() };
-        let image = format!("{}/{}", of("Images"), of_task("Frame"));
-        let mut args = strings(["render", &of("Bundle"), "--frame", &of_task("Frame")]);
+        let (flag, name) = match self.chunk {
+            None => ("--frame", of_task("Frame")),
+            Some(_) => ("--frames", "#".to_owned()),
+        };
+        let image = format!("{}/{name}", of("Images"));
+        let mut args = strings(["render", &of("Bundle"), flag, &of_task("Frame")]);
         if self.is_cached() {
             args.extend(["--cache-file".to_owned(), cache_file("shot")]);
         }
         args.extend(["--out".to_owned(), format!("{image}.{}", of("ImageFormat"))]);
         args.extend(["--stats".to_owned(), format!("{image}.json")]);
         args.extend(self.how());
-        let space = Some(tasks("Frame", of("Frames")));
+        let mut space = tasks("Frame", of("Frames"));
+        if self.chunk.is_some() {
+            let [frame] = &mut space.task_parameter_definitions;
+            frame.kind = TaskParameterType::Chunk;
+            frame.chunks = Some(Chunks {
+                default_task_count: of("ChunkFrames"),
+                target_runtime_seconds: of("ChunkSeconds"),
+                range_constraint: "CONTIGUOUS",
+            });
+        }
+        let space = Some(space);
         steps.push(self.step("Render", steps.last(), space, args, self.frame_limit));
         steps
     }
@@ -255,7 +289,8 @@ fn cache_file(name: &str) -> String {
 }
 
 fn tasks(name: &'static str, range: String) -> ParameterSpace {
-    ParameterSpace { task_parameter_definitions: [TaskParameter { name, kind: ParameterType::Int, range }] }
+    let kind = TaskParameterType::Int;
+    ParameterSpace { task_parameter_definitions: [TaskParameter { name, kind, range, chunks: None }] }
 }
 
 fn strings<const COUNT: usize>(words: [&str; COUNT]) -> Vec<String> {
@@ -269,7 +304,7 @@ fn names<T: ValueEnum>() -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::ExportedShot;
+    use super::{Chunk, ExportedShot};
     use crate::commands::Cli;
     use clap::Parser;
     use forelight_protocol::{CacheMode, Integrator, RenderSettings, RenderSettingsRequest};
@@ -292,6 +327,7 @@ mod tests {
             settings: settings(cache),
             cache_parts,
             threads: None,
+            chunk: None,
             memory_mib: None,
             frame_limit: None,
             cache_limit: None,
@@ -323,6 +359,30 @@ mod tests {
         let document = document(&shot(CacheMode::Off, 1));
         assert_eq!(parameter(&document, "Frames")["default"], "0-1,5");
         assert_eq!(steps(&document), [("Render", None, Some("{{Param.Frames}}"))]);
+    }
+
+    #[test]
+    fn a_task_of_several_frames_is_a_range_of_them() {
+        let chunk = Some(Chunk { frames: 25, seconds: 600 });
+        let document = document(&ExportedShot { chunk, ..shot(CacheMode::Off, 1) });
+        assert_eq!(document["extensions"], serde_json::json!(["TASK_CHUNKING"]));
+        assert_eq!(parameter(&document, "ChunkFrames")["default"], 25);
+        assert_eq!(parameter(&document, "ChunkSeconds")["default"], 600);
+        let step = &document["steps"][0];
+        let frame = &step["parameterSpace"]["taskParameterDefinitions"][0];
+        assert_eq!(frame["type"], "CHUNK[INT]");
+        let chunks = serde_json::json!({
+            "defaultTaskCount": "{{Param.ChunkFrames}}",
+            "targetRuntimeSeconds": "{{Param.ChunkSeconds}}",
+            "rangeConstraint": "CONTIGUOUS",
+        });
+        assert_eq!(frame["chunks"], chunks);
+        let args = step["script"]["actions"]["onRun"]["args"].as_array().unwrap();
+        let args: Vec<&str> = args.iter().filter_map(Value::as_str).collect();
+        assert_eq!(args[2..4], ["--frames", "{{Task.Param.Frame}}"]);
+        assert!(args.contains(&"{{Param.Images}}/#.{{Param.ImageFormat}}"), "{args:?}");
+        let whole = super::tests::document(&shot(CacheMode::Off, 1));
+        assert!(whole.get("extensions").is_none() && !whole.to_string().contains("Chunk"));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The parts of an Open Job Description template that a shot uses, without extensions. Specification:
+//! The parts of an Open Job Description template that a shot uses. Specification:
 //! <https://github.com/OpenJobDescription/openjd-specifications>, revision 2023-09.
 //!
 //! In a *format string*, `{{Param.Name}}` stands for a value, and two braces cannot be escaped. So no name
@@ -7,6 +7,11 @@
 use serde::Serialize;
 use serde_json::Value;
 
+/// The extension for tasks of several values:
+/// <https://github.com/OpenJobDescription/openjd-specifications/blob/mainline/rfcs/0001-task-chunking.md>.
+pub const CHUNKING: &str = "TASK_CHUNKING";
+/// Most values of a task. Some farms accept no more.
+pub const LARGEST_CHUNK: u64 = 150;
 /// Largest number of characters of a job's name, with its parameters resolved.
 pub const LONGEST_JOB_NAME: usize = 128;
 /// Largest number of characters of a parameter's value.
@@ -18,6 +23,9 @@ pub const GREATEST_INTEGER: u64 = i64::MAX as u64;
 #[serde(rename_all = "camelCase")]
 pub struct JobTemplate {
     pub specification_version: &'static str,
+    /// What a farm must know beyond the specification.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub extensions: Vec<&'static str>,
     /// A format string.
     pub name: String,
     pub description: String,
@@ -130,9 +138,33 @@ pub struct TaskParameter {
     /// The name in `{{Task.Param.…}}`.
     pub name: &'static str,
     #[serde(rename = "type")]
-    pub kind: ParameterType,
+    pub kind: TaskParameterType,
     /// A range expression such as `0-47` or `0,5,9-12`, or a format string.
     pub range: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chunks: Option<Chunks>,
+}
+
+#[derive(Debug, Serialize)]
+pub enum TaskParameterType {
+    /// One value for each task.
+    #[serde(rename = "INT")]
+    Int,
+    /// A range of values for each task. Needs [`CHUNKING`].
+    #[serde(rename = "CHUNK[INT]")]
+    Chunk,
+}
+
+/// How the values of a parameter are divided into ranges.
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Chunks {
+    /// Values of a range, before the farm knows how long they take. A format string.
+    pub default_task_count: String,
+    /// How long a task should take. A format string.
+    pub target_runtime_seconds: String,
+    /// `CONTIGUOUS`: each range is written as `1-10`.
+    pub range_constraint: &'static str,
 }
 
 #[derive(Debug, Clone, Serialize)]

@@ -1,6 +1,8 @@
-//! `forelight render shot.blend`: one frame by another renderer, with its true cost.
+//! `forelight render shot.blend`: frames by another renderer, with their true cost.
 
+use crate::commands::numbered::numbered;
 use anyhow::{Context, Result};
+use forelight_protocol::FrameSet;
 use forelight_renderer::door::{Cost, FixedCosts, Rendered, RendererId, Run, Settings};
 use forelight_renderer_own::png;
 use forelight_terminal::atomic_file::{self, write_bytes, write_with};
@@ -10,14 +12,17 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::seconds;
+use indicatif::ProgressBar;
 use serde::Serialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What is asked for.
 pub struct Asked<'a> {
     pub scene: &'a Path,
     /// `None`: the first frame of the shot.
     pub frame: Option<i32>,
+    /// Frames to render instead of `frame`. Names of files hold # for the frame's number.
+    pub frames: Option<&'a FrameSet>,
     pub out: Option<&'a Path>,
     pub stats: Option<&'a Path>,
     pub quality: &'a QualityOptions,
@@ -42,51 +47,81 @@ fn is_same_kind(one: &Path, other: &Path) -> bool {
     one.extension().zip(other.extension()).is_some_and(|(one, other)| one.eq_ignore_ascii_case(other))
 }
 
-/// Renders the frame, and writes its image and cost.
+/// Renders the frame or frames, and writes their images and costs.
 pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
-    atomic_file::check([asked.out, asked.stats])?;
+    let paths_of = |frame: i32| -> Result<[Option<PathBuf>; 2]> {
+        let of = |flag: &str, path: Option<&Path>| match (path, asked.frames) {
+            (Some(path), Some(_)) => numbered(flag, path, frame).map(Some),
+            (path, _) => Ok(path.map(Path::to_owned)),
+        };
+        Ok([of("--out", asked.out)?, of("--stats", asked.stats)?])
+    };
+    // The files of other frames differ from these by their numbers alone.
+    let files = paths_of(asked.frame.unwrap_or(0))?;
+    atomic_file::check(files.iter().map(Option::as_deref))?;
     let bars = Bars::new(asked.json);
     let foreign = Foreign::open(asked.scene, asked.machine, &bars, interrupt)?;
     let settings = foreign.settings(asked.quality, asked.own)?;
     check_name(asked.out, &foreign.shot.image_extensions(&settings))?;
-    let frame = asked.frame.unwrap_or(foreign.description().frames.first);
-    let bar = bars.bar("rendering", 1000);
-    let progress = |share: f64| bar.set_position((share * 1000.0) as u64);
-    let run = Run { progress: &progress, ..foreign.run(interrupt) };
-    let rendered = foreign.shot.render(frame, &settings, &[], &run);
-    bar.finish_and_clear();
-    let Rendered { files, picture, cost, fixed, .. } = rendered?;
-    if let Some(out) = asked.out {
-        let same_kind = files.iter().find(|file| is_same_kind(file, out));
-        match (same_kind.or(files.first()), picture) {
-            (_, Some(picture)) if same_kind.is_none() => write_bytes(out, &png(&picture)?)?,
-            (Some(image), _) => {
-                write_with(out, |to| std::fs::copy(image, to).map(drop).context("cannot copy the image"))?
-            }
-            (None, _) => {}
-        }
-    }
-    let Cost { cpu_nanos, wall_nanos, peak_memory_bytes, .. } = cost;
-    let stats = Stats {
-        renderer: foreign.renderer.id(),
-        frame,
-        settings: &settings,
-        cpu_seconds: cpu_nanos as f64 * 1e-9,
-        wall_seconds: wall_nanos as f64 * 1e-9,
-        peak_rss_bytes: peak_memory_bytes,
-        fixed_nanos: &fixed,
+    let frames: Vec<i32> = match asked.frames {
+        Some(frames) => frames.iter().map(u32::cast_signed).collect(),
+        None => vec![asked.frame.unwrap_or(foreign.description().frames.first)],
     };
-    if let Some(path) = asked.stats {
-        write_bytes(path, (output::pretty(&stats)? + "\n").as_bytes())?;
+    let all = (frames.len() > 1).then(|| bars.bar("frames", frames.len() as u64));
+    for frame in frames {
+        let [out, stats] = paths_of(frame)?;
+        let bar = bars.bar("rendering", 1000);
+        let progress = |share: f64| bar.set_position((share * 1000.0) as u64);
+        let run = Run { progress: &progress, ..foreign.run(interrupt) };
+        let rendered = foreign.shot.render(frame, &settings, &[], &run);
+        bar.finish_and_clear();
+        let rendered = rendered?;
+        if let Some(out) = &out {
+            write_image(out, &rendered)?;
+        }
+        let Cost { cpu_nanos, wall_nanos, peak_memory_bytes, .. } = rendered.cost;
+        let cost = Stats {
+            renderer: foreign.renderer.id(),
+            frame,
+            settings: &settings,
+            cpu_seconds: cpu_nanos as f64 * 1e-9,
+            wall_seconds: wall_nanos as f64 * 1e-9,
+            peak_rss_bytes: peak_memory_bytes,
+            fixed_nanos: &rendered.fixed,
+        };
+        if let Some(path) = &stats {
+            write_bytes(path, (output::pretty(&cost)? + "\n").as_bytes())?;
+        }
+        report(&cost, asked)?;
+        all.iter().for_each(|bar| bar.inc(1));
     }
-    if asked.json {
-        return output::json(&stats);
+    all.iter().for_each(ProgressBar::finish_and_clear);
+    Ok(())
+}
+
+fn write_image(out: &Path, Rendered { files, picture, .. }: &Rendered) -> Result<()> {
+    let same_kind = files.iter().find(|file| is_same_kind(file, out));
+    match (same_kind.or(files.first()), picture) {
+        (_, Some(picture)) if same_kind.is_none() => write_bytes(out, &png(picture)?),
+        (Some(image), _) => {
+            write_with(out, |to| std::fs::copy(image, to).map(drop).context("cannot copy the image"))
+        }
+        (None, _) => Ok(()),
     }
-    let fixed: u64 = fixed.values().sum();
+}
+
+fn report(cost: &Stats<'_>, asked: &Asked<'_>) -> Result<()> {
+    match (asked.json, asked.frames) {
+        (true, Some(_)) => return output::json_line(cost),
+        (true, None) => return output::json(cost),
+        _ => {}
+    }
+    let fixed: u64 = cost.fixed_nanos.values().sum();
     output::line(format!(
-        "frame {frame} by {}: {} of CPU time, {} of it before and after the samples",
-        stats.renderer,
-        seconds(stats.cpu_seconds),
+        "frame {} by {}: {} of CPU time, {} of it before and after the samples",
+        cost.frame,
+        cost.renderer,
+        seconds(cost.cpu_seconds),
         seconds(fixed as f64 * 1e-9),
     ))
 }

@@ -1,6 +1,7 @@
-//! `forelight render`: renders one frame, on this machine or on a farm, and reports its true cost.
+//! `forelight render`: renders frames on this machine, or one on a farm, and reports their true cost.
 
 mod on_farm;
+mod sequence;
 
 use self::on_farm::FarmOptions;
 use super::allot::{self, AllotArgs};
@@ -11,8 +12,10 @@ use super::foreign;
 use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use forelight_protocol::{CACHE_BYTES, LeftOut, Rays, RenderStats};
-use forelight_renderer_own::{Given, RenderError, png, render_allotted, render_as_allotted, render_frame};
+use forelight_protocol::{CACHE_BYTES, FrameSet, LeftOut, Rays, RenderSettings, RenderStats};
+use forelight_renderer_own::{
+    Given, Progress, RenderError, png, render_allotted, render_as_allotted, render_frame,
+};
 use forelight_scene::Frame;
 use forelight_terminal::atomic_file::{self, write_bytes, write_with};
 use forelight_terminal::bounded_file;
@@ -25,16 +28,17 @@ use forelight_terminal::output::{self, Bars, RenderBar};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::{Stopping, allotment_failure};
-use forelight_tracer::{Image, Profile};
+use forelight_tracer::{Cache, Image, Profile};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Render one frame and report its cost
+/// Render a frame, or several, and report their cost
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight render kitchen/ --frame 12 --out 12.exr
   forelight render kitchen.zip --width 640 --spp 16 --out f.exr --stats f.json
+  forelight render kitchen/ --frames 0-47 --out images/####.exr
   forelight render kitchen/ --profile profiles/frame-0000.profile --out 0.png
   forelight render kitchen/ --cache on --cache-accuracy 0.1 --out smooth.png
   forelight render kitchen/ --frame 12 --cache-file shot.cache --out 12.exr
@@ -46,7 +50,9 @@ Examples:
   forelight render kitchen/ --server http://farm:7878 --parts 16 --watch growing.png --out 0.exr
 
 The image has the same bits for any number of threads, with or without a profile. An .exr file holds linear colour, \
-object and material ids, and the cost and rays of every pixel. A .png file is for viewing.")]
+object and material ids, and the cost and rays of every pixel. A .png file is for viewing.
+
+With --frames, the scene is read once. Each # in the name of a file is a digit of the frame's number.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders, or a .rif file
     /// or octree, which Radiance renders
@@ -54,6 +60,10 @@ pub struct Args {
     /// Frame number [default: the first frame]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     frame: Option<i32>,
+    /// Frames to render one after the other, such as 0-47 or 0,5,9-12. Names of files then hold # for the digits
+    /// of the frame's number
+    #[arg(long, value_name = "LIST", conflicts_with_all = ["frame", "server"])]
+    frames: Option<FrameSet>,
     /// Image file to write, .exr or .png
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -116,55 +126,45 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
         return render_foreign(args, interrupt);
     }
     refuse_own_settings(&args.own)?;
+    if let Some(frames) = &args.frames {
+        return sequence::render(args, frames, interrupt);
+    }
     let frame = args.frame.unwrap_or(0);
     let frame =
         u32::try_from(frame).map_err(|_| BadInput::new(format!("--frame {frame}: frames begin at 0")))?;
     let wish = args.allot.wish(Instant::now());
     let samples_map = args.allot.check_map()?;
-    let files = Files::new(args)?;
+    let files = Files::new(args.out.as_deref(), args.cost_map.as_deref())?;
     atomic_file::check([args.out.as_deref(), args.cost_map.as_deref(), args.stats.as_deref(), samples_map])?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
-    let cache = args.cache_file.as_deref().map(read_full_cache).transpose()?;
     let bars = Bars::new(args.json);
-    let mut local = Local::open(&args.bundle, &args.machine, &bars)?;
-    if args.effects == EffectsSwitch::All {
-        local.shot = local.shot.with_everything();
-    }
-    let quality = if cache.is_some() { args.quality.cached()? } else { args.quality.clone() };
-    let settings = local.settings(&quality)?;
-    let bar = RenderBar::new(&bars);
-    let progress = |progress| bar.show(progress);
-    let size = (settings.width, settings.height);
+    let opened = Opened::new(args, &bars)?;
+    let size = (opened.settings.width, opened.settings.height);
     let samples = args.allot.given_samples(size)?;
     // If writing fails, the final write reports it.
     let rehearse = |image: &Image, frame: &Frame| drop(files.rehearse(image, frame));
     let options = wish.options(&rehearse)?;
-    let rendered = local
-        .pool
-        .install(|| {
-            let given = Given { profile: profile.as_ref(), cache };
-            let (shot, frame, stopping) = (&local.shot, frame, Stopping(interrupt));
-            match (&samples, &options) {
-                (Some(samples), _) => {
-                    let again =
-                        render_as_allotted(shot, frame, &settings, given, samples, &progress, &stopping);
-                    Ok(again?.map(|allotted| (allotted.rendered, Some(allotted.samples))))
-                }
-                (None, Some(options)) => {
-                    let made = render_allotted(shot, frame, &settings, given, options, &progress, &stopping);
-                    let made = made.map_err(|error| allotment_failure(args.allot.limit(), error))?;
-                    Ok(made.map(|allotted| (allotted.rendered, Some(allotted.samples))))
-                }
-                (None, None) => {
-                    let made = render_frame(shot, frame, &settings, given, &progress, interrupt.flag())?;
-                    anyhow::Ok(made.map(|rendered| (rendered, None)))
-                }
+    let stopping = Stopping(interrupt);
+    let rendered = opened.trace(profile.as_ref(), &bars, |given, progress| {
+        let (shot, settings) = (&opened.local.shot, &opened.settings);
+        match (&samples, &options) {
+            (Some(samples), _) => {
+                let again = render_as_allotted(shot, frame, settings, given, samples, progress, &stopping);
+                Ok(again?.map(|allotted| (allotted.rendered, Some(allotted.samples))))
             }
-        })
-        .with_context(|| format!("bundle {}", args.bundle.display()))?;
-    drop(bar);
+            (None, Some(options)) => {
+                let made = render_allotted(shot, frame, settings, given, options, progress, &stopping);
+                let made = made.map_err(|error| allotment_failure(args.allot.limit(), error))?;
+                Ok(made.map(|allotted| (allotted.rendered, Some(allotted.samples))))
+            }
+            (None, None) => {
+                let made = render_frame(shot, frame, settings, given, progress, interrupt.flag())?;
+                Ok(made.map(|rendered| (rendered, None)))
+            }
+        }
+    })?;
     let (mut rendered, samples) = rendered.ok_or(Interrupted)?;
-    local.pool.install(|| files.write(&rendered.image, &rendered.frame))?;
+    opened.local.pool.install(|| files.write(&rendered.image, &rendered.frame))?;
     if let Some(samples) = &samples {
         args.allot.write_samples(samples, size)?;
     }
@@ -182,7 +182,40 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     rendered.stats.allotted.as_deref().map_or(Ok(()), |allotted| wish.check_error(allotted))
 }
 
-/// Renders a frame of a scene that another renderer renders.
+/// A scene and how it is rendered.
+struct Opened {
+    bundle: PathBuf,
+    local: Local,
+    settings: RenderSettings,
+    cache: Option<Cache>,
+}
+
+impl Opened {
+    fn new(args: &Args, bars: &Bars) -> Result<Self> {
+        let cache = args.cache_file.as_deref().map(read_full_cache).transpose()?;
+        let mut local = Local::open(&args.bundle, &args.machine, bars)?;
+        if args.effects == EffectsSwitch::All {
+            local.shot = local.shot.with_everything();
+        }
+        let quality = if cache.is_some() { args.quality.cached()? } else { args.quality.clone() };
+        let settings = local.settings(&quality)?;
+        Ok(Self { bundle: args.bundle.clone(), local, settings, cache })
+    }
+
+    /// Runs `trace` on all threads, with what is given to the frame and a bar for its progress.
+    fn trace<T: Send>(
+        &self,
+        profile: Option<&Profile>,
+        bars: &Bars,
+        trace: impl FnOnce(Given<'_>, &(dyn Fn(Progress) + Sync)) -> Result<T> + Send,
+    ) -> Result<T> {
+        let (bar, given) = (RenderBar::new(bars), Given { profile, cache: self.cache.clone() });
+        let traced = self.local.pool.install(|| trace(given, &|progress| bar.show(progress)));
+        traced.with_context(|| format!("bundle {}", self.bundle.display()))
+    }
+}
+
+/// Renders frames of a scene that another renderer renders.
 fn render_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
     refuse(&[
         ("--cost-map", args.cost_map.is_some()),
@@ -194,6 +227,7 @@ fn render_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let asked = foreign::AskedRender {
         scene: &args.bundle,
         frame: args.frame,
+        frames: args.frames.as_ref(),
         out: args.out.as_deref(),
         stats: args.stats.as_deref(),
         quality: &args.quality,
@@ -227,9 +261,9 @@ struct Files<'a> {
 }
 
 impl<'a> Files<'a> {
-    fn new(args: &'a Args) -> Result<Self> {
-        let format = args.out.as_deref().map(format_of).transpose()?;
-        Ok(Self { image: args.out.as_deref().zip(format), cost_map: args.cost_map.as_deref() })
+    fn new(image: Option<&'a Path>, cost_map: Option<&'a Path>) -> Result<Self> {
+        let format = image.map(format_of).transpose()?;
+        Ok(Self { image: image.zip(format), cost_map })
     }
 
     fn write(&self, image: &Image, frame: &Frame) -> Result<()> {
