@@ -430,7 +430,10 @@ mod tests {
         assert_eq!(frames_of(86_400, &loaded, None).unwrap(), (LARGEST_CHUNK, 86_400));
         assert_eq!(frames_of(120, &loaded, None).unwrap(), (1, 120));
         let refused = message(frames_of(119, &loaded, None));
-        assert!(refused.starts_with("--chunk: a frame takes 20.0 s by the forecast, after 1m 40s"), "{refused}");
+        assert!(
+            refused.starts_with("--chunk: a frame takes 20.0 s by the forecast, after 1m 40s"),
+            "{refused}"
+        );
         assert!(message(frames_of(60, &quote("0-9", 0.0), None)).starts_with("--chunk: a frame takes"));
         // The time limit leaves room for the whole task.
         let Typed { args } = clap::Parser::try_parse_from(["export", "b"]).unwrap();
