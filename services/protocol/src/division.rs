@@ -136,6 +136,10 @@ pub struct DivideResult {
     /// Absent without a cache, and if the shared cache is all that the frame needs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<FrameCache>,
+    /// A coarse picture of the frame, from the camera samples that told what its parts will cost. Light from an
+    /// irradiance cache that is not filled yet is missing in it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coarse_png: Option<ArtifactHash>,
     /// Cost of the task.
     pub spent: Spent,
 }

@@ -61,7 +61,9 @@ impl TaskResult {
             TaskResult::CachePlan(result) => result.cache.into_iter().collect(),
             TaskResult::CacheFill(result) => vec![result.cache],
             TaskResult::CacheMerge(result) => vec![result.cache],
-            TaskResult::Divide(result) => result.cache.map(|cache| cache.hash).into_iter().collect(),
+            TaskResult::Divide(result) => {
+                result.cache.map(|cache| cache.hash).into_iter().chain(result.coarse_png).collect()
+            }
             TaskResult::RenderPart(result) => vec![result.finished.hash()],
             TaskResult::Render(result) => {
                 let RenderArtifacts { image_exr, image_png, cost_map_png, preview_png } = result.artifacts;

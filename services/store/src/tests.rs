@@ -151,6 +151,7 @@ impl Farm {
                 ends: (1..=spec.parts).map(|part| part * 100).collect(),
                 work: vec![10; spec.parts as usize],
                 cache: None,
+                coarse_png: Some(self.artifact("a coarse picture").await),
                 spent: Spent { work: 10, cpu_nanos: 500 },
             }),
             TaskSpec::RenderPart(spec) => {

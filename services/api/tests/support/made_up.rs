@@ -273,6 +273,7 @@ fn divide(spec: &DivideSpec) -> DivideResult {
         ends: (1..=spec.parts).map(|part| 64 * part / spec.parts).collect(),
         work: vec![work; spec.parts as usize],
         cache: None,
+        coarse_png: None,
         spent: Spent { work: 10, cpu_nanos: 10_000_000 },
     }
 }

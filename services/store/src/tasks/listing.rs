@@ -21,6 +21,7 @@ struct Row {
     started_at: Option<Time>,
     finished_at: Option<Time>,
     pixels: Option<Hash>,
+    coarse_png: Option<Hash>,
     error: Option<String>,
 }
 
@@ -41,7 +42,9 @@ impl Store {
             r#"SELECT t.id, t.kind, t.frame, t.part, t.state, t.node_id, t.fence AS "attempts!: u32", t.progress,
                       t.started_at, t.finished_at, t.error,
                       (SELECT a.hash FROM result_artifacts a WHERE a.task_id = t.id AND t.kind = 'render_part')
-                      AS "pixels?: Hash"
+                      AS "pixels?: Hash",
+                      (SELECT unhex(json_extract(r.body, '$.divide.coarse_png')) FROM results r
+                       WHERE r.task_id = t.id AND t.kind = 'divide') AS "coarse_png?: Hash"
                FROM tasks t INDEXED BY tasks_once
                WHERE t.job_id = ?1 AND (?2 IS NULL OR t.frame = ?2) AND t.id > ?3 ORDER BY t.id LIMIT ?4"#,
             job.0,
@@ -69,6 +72,7 @@ impl Row {
             started: self.started_at.map(Into::into),
             finished: self.finished_at.map(Into::into),
             pixels: self.pixels.map(Into::into),
+            coarse_png: self.coarse_png.map(Into::into),
             error: self.error,
         })
     }

@@ -92,6 +92,7 @@ async fn the_cache_of_a_divided_frame_is_filled_before_its_parts_are_rendered() 
         ends: vec![150, 200],
         work: vec![10, 10],
         cache: Some(FrameCache { hash, bytes: 6, full: false }),
+        coarse_png: None,
         spent: Spent::default(),
     });
     farm.store.commit_result(lease.lease_id, lease.fence, &result, at(20)).await.unwrap();

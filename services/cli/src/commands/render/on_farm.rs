@@ -17,7 +17,7 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
 use forelight_tracer::Profile;
-use image::{Rgb, RgbImage};
+use image::{ImageFormat, Rgb, RgbImage};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -40,7 +40,8 @@ pub struct FarmOptions {
     /// number of parts
     #[arg(long, value_name = "auto|N", default_value = "auto", value_parser = division, requires = "server")]
     parts: Division,
-    /// Picture file to replace as parts come in. Image viewers that reload files show the frame grow
+    /// Picture file to replace as parts come in, a coarse one at first. Image viewers that reload files show the
+    /// frame grow
     #[arg(long, value_name = "FILE.png", value_parser = crate::job_options::png_file, requires = "server")]
     watch: Option<PathBuf>,
     /// Project that is charged for the job
@@ -183,21 +184,28 @@ fn words(job: &Job, tasks: &[TaskRow]) -> String {
     }
 }
 
-/// A picture that grows by parts, in a file if one is named.
+/// A picture that grows by parts, in a file if one is named. It begins as a coarse picture of the frame.
 struct Growing {
     picture: RgbImage,
     file: Option<PathBuf>,
     there: BTreeSet<ArtifactHash>,
+    /// Since it was written.
+    is_changed: bool,
 }
 
 impl Growing {
     fn new((width, height): (u32, u32), file: Option<PathBuf>) -> Self {
-        Self { picture: RgbImage::from_pixel(width, height, MISSING), file, there: BTreeSet::new() }
+        let picture = RgbImage::from_pixel(width, height, MISSING);
+        Self { picture, file, there: BTreeSet::new(), is_changed: false }
     }
 
     /// Paints the finished parts that are not there yet.
     async fn add(&mut self, client: &Client, job: JobId, tasks: &[TaskRow]) -> Result<()> {
         let Some(file) = self.file.clone() else { return Ok(()) };
+        let coarse = tasks.iter().find_map(|task| task.coarse_png);
+        if let Some(hash) = coarse.filter(|_| self.there.is_empty()) {
+            self.begin(client, hash).await;
+        }
         let new: Vec<ArtifactHash> =
             tasks.iter().filter_map(|task| task.pixels).filter(|hash| !self.there.contains(hash)).collect();
         for hash in &new {
@@ -213,10 +221,21 @@ impl Growing {
             }
             self.there.insert(*hash);
         }
-        if !new.is_empty() {
+        if !new.is_empty() || self.is_changed {
+            self.is_changed = false;
             write_bytes(&file, &png(&self.picture)?)?;
         }
         Ok(())
+    }
+
+    /// Begins with a coarse picture. Without it, parts that are not there yet stay grey.
+    async fn begin(&mut self, client: &Client, coarse: ArtifactHash) {
+        self.there.insert(coarse);
+        let Ok(bytes) = client.artifact(coarse, CACHE_BYTES).await else { return };
+        let Ok(picture) = image::load_from_memory_with_format(&bytes, ImageFormat::Png) else { return };
+        if (picture.width(), picture.height()) == self.picture.dimensions() {
+            (self.picture, self.is_changed) = (picture.into_rgb8(), true);
+        }
     }
 
     /// Replaces the picture by the finished one.

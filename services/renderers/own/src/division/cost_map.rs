@@ -1,17 +1,22 @@
-//! What the pixels of a frame will cost, from a few camera samples, and so where parts of equal cost end.
+//! What the pixels of a frame will cost, from a few camera samples, and so where parts of equal cost end. The
+//! same samples make a coarse picture.
 
 use crate::costs::spent;
 use crate::frame::OwnFrame;
 use crate::results::uncovered_gathers;
 use forelight_forecast::{PixelCurve, Probe, Stretch, parts_of_equal_cost, probes, probing_samples};
-use forelight_protocol::{RenderSettings, Spent};
+use forelight_pictures::tone_map;
+use forelight_protocol::{PixelRange, RenderSettings, Spent};
 use forelight_tracer::Pixel;
+use image::{Rgb, RgbImage};
 
 /// A frame, divided into parts along the [`PixelCurve`] of its image.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Divided {
     /// Where each part ends, and its forecast work.
     pub parts: Vec<Stretch>,
+    /// The samples: the runs of pixels along the curve that each stands for, and its colour.
+    pub seen: Vec<(PixelRange, [f32; 3])>,
     /// Cost of probing.
     pub spent: Spent,
 }
@@ -39,7 +44,28 @@ impl OwnFrame<'_> {
             cost: (growth.whole(after) * f64::from(open)).round() as u64,
         };
         let runs: Vec<Stretch> = probes.iter().zip(&traced).zip(open).map(run).collect();
-        Some(Divided { parts: parts_of_equal_cost(&runs, parts), spent: spent(probing) })
+        let color = |after: &Vec<Pixel>| after.last().map_or([0.0; 3], |pixel| pixel.color);
+        let seen = probes.iter().zip(&traced);
+        let seen = seen.map(|(probe, after)| (PixelRange { from: probe.from, to: probe.to }, color(after)));
+        Some(Divided {
+            parts: parts_of_equal_cost(&runs, parts),
+            seen: seen.collect(),
+            spent: spent(probing),
+        })
+    }
+
+    /// A coarse picture: the colour of each sample for the pixels that it stands for, and finished pixels.
+    pub fn coarse_picture(&self, seen: &[(PixelRange, [f32; 3])], finished: &[(u32, Pixel)]) -> RgbImage {
+        let camera = &self.frame().camera;
+        let (width, curve) = (camera.width, PixelCurve::new(camera.width, camera.height));
+        let mut picture = RgbImage::new(width, camera.height);
+        let mut paint =
+            |pixel: u32, color| picture.put_pixel(pixel % width, pixel / width, Rgb(tone_map(color)));
+        for (run, color) in seen {
+            curve.pixels(run.from..run.to).into_iter().for_each(|pixel| paint(pixel, *color));
+        }
+        finished.iter().for_each(|(pixel, finished)| paint(*pixel, finished.color));
+        picture
     }
 }
 

@@ -4,6 +4,7 @@ use super::given;
 use crate::division::Divided;
 use crate::frame::OwnFrame;
 use crate::shot::OwnShot;
+use forelight_pictures::png;
 use forelight_protocol::{
     CACHE_BYTES, DivideResult, DivideSpec, FrameCache, LogLevel, MOST_PARTS, Spent, TaskResult,
 };
@@ -29,19 +30,22 @@ pub(crate) fn divide(
     control.set_progress(0.5);
     let finished = profile.map_or_else(Vec::new, |profile| profile.pixels);
     let stop = || control.is_cancelled();
-    let Divided { parts, spent } =
+    let Divided { parts, seen, spent } =
         ready.divide(spec.parts, &finished, &stop).ok_or(ExecuteError::Cancelled)?;
     let work: u64 = parts.iter().map(|part| part.cost).sum();
     control.log(
         LogLevel::Info,
         format!("divided frame {} into {} parts: {work} units of work in all", spec.frame, parts.len()),
     );
+    let (coarse, drawing) = clocked(|| png(&ready.coarse_picture(&seen, &finished)));
     let spent = spent.plus(loading).plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(on_cache));
     let result = DivideResult {
         ends: parts.iter().map(|part| part.to).collect(),
         work: parts.iter().map(|part| part.cost).collect(),
         cache,
-        spent: Spent { cpu_nanos: spent.cpu_nanos + writing, ..spent },
+        // Nothing but a picture to look at would be missing.
+        coarse_png: coarse.ok().map(|bytes| files.add(bytes)),
+        spent: Spent { cpu_nanos: spent.cpu_nanos + writing + drawing, ..spent },
     };
     Ok(Outcome { result: TaskResult::Divide(result), artifacts: files.contents })
 }

@@ -1,6 +1,6 @@
 //! Frames that are rendered in parts have the bits of frames in one piece.
 
-use crate::division_farm::{Divided, Farm, pixels, ranges};
+use crate::division_farm::{Divided, Farm, named, pixels, ranges};
 use crate::room::Rig;
 use bytes::Bytes;
 use forelight_protocol::{
@@ -170,6 +170,33 @@ fn a_frame_in_parts_that_reads_a_shared_cache_has_the_bits_of_one_in_one_piece()
     farm.share(&[0, 1, 2]);
     assert!(stats(&farm).dropped_records > 0 && stats(&farm).own_records > 0, "{:?}", stats(&farm));
     check(&farm, &COUNTS, "room, moving");
+}
+
+#[test]
+fn a_coarse_picture_of_a_divided_frame_looks_like_the_frame() {
+    let mut farm = shipped("kitchen", 0, 1);
+    farm.settings =
+        RenderSettings { width: 160, height: 96, spp: 16, cache: CacheMode::Off, ..farm.settings.clone() };
+    let read = |png: &Bytes| image::load_from_memory(png).unwrap().into_rgb8();
+    let coarse = read(&farm.coarse(4));
+    let whole = farm.whole();
+    let image = read(&named(&whole.artifacts, result(&whole).artifacts.image_png));
+    assert_eq!(coarse.dimensions(), image.dimensions());
+    let error = |of: &dyn Fn(u32, u32, usize) -> f64| -> f64 {
+        let differences = image.enumerate_pixels().flat_map(|(x, y, pixel)| {
+            (0..3).map(move |channel| (of(x, y, channel) - f64::from(pixel.0[channel])).abs())
+        });
+        differences.sum::<f64>() / image.len() as f64
+    };
+    let mean = image.iter().map(|&value| f64::from(value)).sum::<f64>() / image.len() as f64;
+    let flat = error(&|_, _, _| mean);
+    let seen = error(&|x, y, channel| f64::from(coarse.get_pixel(x, y).0[channel]));
+    assert!(seen < 0.6 * flat, "the coarse picture is off by {seen}, a grey one by {flat}");
+    // Profiled pixels are in it as they will be in the image.
+    farm.profile();
+    let coarse = read(&farm.coarse(4));
+    let same = image.enumerate_pixels().filter(|(x, y, pixel)| coarse.get_pixel(*x, *y) == *pixel).count();
+    assert!(same >= 100, "{same} pixels");
 }
 
 #[test]

@@ -174,6 +174,18 @@ impl Farm {
 
     /// The same.
     pub fn try_to_divide(&self, parts: u32) -> Result<(DivideResult, Option<Bytes>), ExecuteError> {
+        let (divided, files) = self.division(parts)?;
+        let cache = divided.cache.map(|cache| named(&files, cache.hash));
+        Ok((divided, cache))
+    }
+
+    /// The coarse picture of dividing the frame, as a PNG file.
+    pub fn coarse(&self, parts: u32) -> Bytes {
+        let (divided, files) = self.division(parts).unwrap();
+        named(&files, divided.coarse_png.unwrap())
+    }
+
+    fn division(&self, parts: u32) -> Result<(DivideResult, Vec<Bytes>), ExecuteError> {
         let spec = DivideSpec {
             job_id: JobId::new(),
             bundle: self.source(),
@@ -187,10 +199,7 @@ impl Farm {
         let caches = self.shared.iter().cloned().collect();
         let outcome = self.run(Assignment { caches, ..self.assignment(TaskSpec::Divide(spec)) })?;
         let TaskResult::Divide(divided) = outcome.result else { panic!() };
-        let cache = outcome.artifacts.into_iter().next();
-        let hash = cache.as_ref().map(|cache| ArtifactHash(*blake3::hash(cache).as_bytes()));
-        assert_eq!(divided.cache.map(|cache| cache.hash), hash);
-        Ok((divided, cache))
+        Ok((divided, outcome.artifacts))
     }
 
     /// Finds the parts, and fills the frame's own cache. Returns that and the work of filling.
@@ -256,6 +265,12 @@ impl Farm {
         let (parts, files) = rendered.unzip();
         Divided { outcome: self.put_together(own.as_ref(), files), divided, parts, filled }
     }
+}
+
+/// The file with this hash.
+pub fn named(files: &[Bytes], hash: ArtifactHash) -> Bytes {
+    let is_it = |file: &&Bytes| blake3::hash(file).as_bytes() == &hash.0;
+    files.iter().find(is_it).expect("the result names a file that came with it").clone()
 }
 
 /// The ranges of a frame's parts.
