@@ -47,7 +47,7 @@ quietly "$environment/bin/openjd" summary "$work/known.json"
 grep -q 'Total tasks: 3' "$log"
 
 echo 'a job with tasks of several frames'
-quietly "$FORELIGHT_BIN" export "$scene" --frames 0-2 "${small[@]}" --forecast "$work/quote.json" --chunk 1m \
+quietly "$FORELIGHT_BIN" export "$scene" --frames 0-2 "${small[@]}" --threads 2 --forecast "$work/quote.json" --chunk 1m \
   --out "$work/chunks.json"
 quietly "$environment/bin/openjd" check "$work/chunks.json"
 grep -q '"targetRuntimeSeconds": "{{Param.ChunkSeconds}}"' "$work/chunks.json"

@@ -36,7 +36,8 @@ pub struct TaskRow {
     /// The finished pixels of a part of a frame, until the frame is put together.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixels: Option<ArtifactHash>,
-    /// A coarse picture of a frame, as a PNG file, from the task that divided it into parts.
+    /// A coarse picture of a frame, as a PNG file, from the task that divided it into parts, until the frame is
+    /// put together.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coarse_png: Option<ArtifactHash>,
     /// The latest error. Absent if there was none.

@@ -281,12 +281,20 @@ pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> R
     Ok((row.nanos * 1e-9, row.at_speed_one))
 }
 
-/// Forgets the pixels of a finished frame's parts: its image has them.
+/// Forgets the pixels of a finished frame's parts, and its coarse picture: its image has them.
 pub(crate) fn forget_parts(write: &mut Write, job: JobId, frame: u32) {
     later!(
         write,
         "DELETE FROM result_artifacts WHERE task_id IN \
          (SELECT id FROM tasks WHERE job_id = ? AND frame = ? AND kind = 'render_part')",
+        job.0,
+        frame
+    );
+    later!(
+        write,
+        "DELETE FROM result_artifacts WHERE (task_id, hash) IN \
+         (SELECT t.id, unhex(json_extract(r.body, '$.divide.coarse_png')) FROM tasks t \
+          JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.frame = ? AND t.kind = 'divide')",
         job.0,
         frame
     );

@@ -3,6 +3,7 @@
 
 use crate::failure::BadInput;
 use anyhow::{Context, Result};
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -33,7 +34,7 @@ pub fn write_secret(path: &Path, secret: &[u8]) -> Result<()> {
 /// # Errors
 /// If a path is a folder or write-protected, its folder cannot be written, or two paths are the same.
 pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()> {
-    let mut seen: Vec<PathBuf> = Vec::new();
+    let mut seen: BTreeSet<PathBuf> = BTreeSet::new();
     for path in paths.into_iter().flatten() {
         let target = target(path)?;
         if matches!(target.kind, Kind::File) {
@@ -43,10 +44,9 @@ pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()
                 refused(path, &format!("nothing can be written in {}: {error}", there.display()))
             })?;
         }
-        if seen.contains(&target.path) {
+        if !seen.insert(target.path) {
             return Err(refused(path, "two outputs have this path; name different files").into());
         }
-        seen.push(target.path);
     }
     Ok(())
 }

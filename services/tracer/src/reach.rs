@@ -40,8 +40,8 @@
 //! A light is also left out if it emits nothing or has no area, if everything else is behind all of its
 //! one-sided triangles, or if its cone contains nothing.
 //!
-//! When in doubt, nothing is left out. The time is n log n in the size of the scene, except for shells that
-//! may contain something; these have a budget.
+//! When in doubt, nothing is left out. In usual scenes, the time is about n log n in the size of the scene,
+//! except for shells that may contain something; these have a budget.
 
 mod facet;
 mod separation;

@@ -128,7 +128,9 @@ impl Tasks {
         };
         let outcome = self.run(self.task(TaskSpec::Divide(spec)), interrupt)?;
         let TaskResult::Divide(divided) = outcome.result else { bail!("a division has another result") };
-        let mut cache = outcome.artifacts.into_iter().next();
+        let planned = divided.cache.map(|cache| cache.hash);
+        let is_planned = |file: &Bytes| Some(ArtifactHash(*blake3::hash(file).as_bytes())) == planned;
+        let mut cache = outcome.artifacts.into_iter().find(is_planned);
         let mut spent = divided.spent;
         if let (Some(planned), Some(found)) = (&cache, divided.cache)
             && !found.full

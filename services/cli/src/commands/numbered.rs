@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// If the name has no `#`: all frames would be written to one file.
 pub fn numbered(flag: &str, path: &Path, frame: i32) -> Result<PathBuf, BadInput> {
     let unusable = |why: &str| {
-        let hint = "# stands for a digit of the frame's number, such as images/####.exr";
+        let hint = "#### becomes the frame's number, as in images/####.exr";
         BadInput::new(format!("{flag} {}: {why}", path.display())).hint(hint)
     };
     let name = path.file_name().and_then(|name| name.to_str());

@@ -43,7 +43,8 @@ impl Store {
                       t.started_at, t.finished_at, t.error,
                       (SELECT a.hash FROM result_artifacts a WHERE a.task_id = t.id AND t.kind = 'render_part')
                       AS "pixels?: Hash",
-                      (SELECT unhex(json_extract(r.body, '$.divide.coarse_png')) FROM results r
+                      (SELECT a.hash FROM results r JOIN result_artifacts a ON a.task_id = r.task_id
+                       AND a.hash = unhex(json_extract(r.body, '$.divide.coarse_png'))
                        WHERE r.task_id = t.id AND t.kind = 'divide') AS "coarse_png?: Hash"
                FROM tasks t INDEXED BY tasks_once
                WHERE t.job_id = ?1 AND (?2 IS NULL OR t.frame = ?2) AND t.id > ?3 ORDER BY t.id LIMIT ?4"#,

@@ -51,8 +51,8 @@ impl Tree {
         self.split(from + half, to);
     }
 
-    /// Calls `found` for every item whose box `wanted` accepts, until it returns `true`. If `wanted` accepts
-    /// a box, it must accept every box around it.
+    /// Calls `found` for items until it returns `true`: for all whose box `wanted` accepts, with every box around
+    /// it in the tree. Where `wanted` refuses a box, nothing inside may matter.
     pub fn any(&self, wanted: impl Fn(&Bounds) -> bool, mut found: impl FnMut(u32) -> bool) -> bool {
         let mut stack = [0u32; 40];
         let mut height = usize::from(!self.nodes.is_empty());

@@ -45,7 +45,9 @@ With --cache on, steps before the renders make the irradiance cache of the shot,
 share. --threads sets the cores that a machine must have, and --stats its memory. With --forecast, a task is stopped \
 after four times its forecast CPU time (P95, on one core), and not before 10 minutes.
 
-With --chunk, a task renders as many frames as take about that long, and reads the scene once. The forecast says how many. The farm must know the extension TASK_CHUNKING, and adapts the number to what it measures.")]
+With --chunk, a task renders as many frames as take about that long with --threads, but at most 150, and reads the \
+scene once. The farm must know the extension TASK_CHUNKING, and adapts the number to what it measures. The time limit \
+is that of the dearest task. It stays the same where the parameters ChunkFrames and ChunkSeconds are changed.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file
     bundle: PathBuf,
@@ -76,8 +78,8 @@ pub struct Args {
     /// Time limit of a task, such as 30m or 2h [default: from --forecast, if given]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     timeout: Option<Duration>,
-    /// Render several frames in a task, which should take this time, such as 10m
-    #[arg(long, value_name = "DURATION", value_parser = duration, requires = "forecast")]
+    /// Render several frames in a task, which should take this time, such as 10m. Needs --forecast and --threads
+    #[arg(long, value_name = "DURATION", value_parser = duration, requires_all = ["forecast", "threads"])]
     chunk: Option<Duration>,
     #[command(flatten)]
     quality: QualityOptions,
@@ -113,6 +115,13 @@ pub fn run(args: &Args) -> Result<()> {
     json_file::write(Some(out), &template)?;
     let steps: Vec<&str> = template.steps.iter().map(|step| step.name.as_str()).collect();
     let mut report = format!("steps   {}\nframes  {}\n", steps.join(", "), shot.frames);
+    if let Some(chunk) = shot.chunk {
+        report += &format!(
+            "chunk   {} frames in a task of about {}\n",
+            chunk.frames,
+            seconds(chunk.seconds as f64)
+        );
+    }
     if shot.bundle.is_none() {
         report += "bundle  no default, since it is not in the template's folder; set the parameter Bundle at submission\n";
     }
@@ -160,10 +169,13 @@ fn exported(
     }
     let name = args.name.as_deref().unwrap_or(&scene.name);
     let mut limits = Limits::new(args.timeout, forecast, &frames)?;
-    let chunk = args.chunk.zip(forecast).map(|(time, quote)| chunk(time, quote, args.threads)).transpose()?;
-    if let (Some(chunk), None, Some(limit)) = (chunk, args.timeout, &mut limits.frame) {
-        // A farm may give a task more frames than were forecast, but not more time.
-        *limit = (*limit).max((chunk.seconds as f64 * PATIENCE) as u64);
+    let chunk = args
+        .chunk
+        .zip(forecast)
+        .map(|(time, quote)| chunk(time, quote, args.threads.unwrap_or(1)))
+        .transpose()?;
+    if let (Some(chunk), None, Some(quote)) = (chunk, args.timeout, forecast) {
+        limits.frame = Some(chunk_limit(chunk, quote)?);
     }
     Ok(ExportedShot {
         name: job_name(name)?.to_owned(),
@@ -181,15 +193,15 @@ fn exported(
     })
 }
 
-/// As many frames as take this time by the forecast (P50), on as many cores as a task has threads.
-fn chunk(time: Duration, quote: &ForecastDoc, threads: Option<u16>) -> Result<Chunk> {
-    let cores = f64::from(threads.unwrap_or(1));
+/// As many frames as take this time by the forecast (P50), with each thread on a core of its own.
+fn chunk(time: Duration, quote: &ForecastDoc, threads: u16) -> Result<Chunk> {
+    let cores = f64::from(threads);
     let once = once_seconds(quote);
     let frame = quote.total.cpu_seconds.p50 / quote.frames.len().max(1) as f64 / cores;
     let frames = ((time.as_secs_f64() - once) / frame).floor();
     if !(frame > 0.0 && frames >= 1.0) {
         let why = format!(
-            "a frame takes {} by the forecast, after {} for loading and building",
+            "a frame takes {} by the forecast with --threads {threads}, after {} for loading and building",
             seconds(frame),
             seconds(once)
         );
@@ -197,6 +209,15 @@ fn chunk(time: Duration, quote: &ForecastDoc, threads: Option<u16>) -> Result<Ch
         return Err(BadInput::new(format!("--chunk: {why}")).hint(hint).into());
     }
     Ok(Chunk { frames: (frames as u64).min(LARGEST_CHUNK), seconds: time.as_secs().max(1) })
+}
+
+/// The time limit of a task of several frames, seconds: of its dearest row of frames, on one core. At least four
+/// times what the task should take, since a farm may give later tasks more frames.
+fn chunk_limit(chunk: Chunk, quote: &ForecastDoc) -> Result<u64> {
+    let costs: Vec<f64> = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).collect();
+    let row = usize::try_from(chunk.frames).unwrap_or(usize::MAX).clamp(1, costs.len().max(1));
+    let dearest = costs.windows(row).map(|costs| costs.iter().sum()).fold(0.0, f64::max);
+    Ok(limit(once_seconds(quote) + dearest)?.max((chunk.seconds as f64 * PATIENCE) as u64))
 }
 
 /// CPU time for loading the scene and building its tree, which each process pays.
@@ -425,17 +446,22 @@ mod tests {
         let load = Spent { work: 0, cpu_nanos: 100_000_000_000 };
         let once = Some(ProcessCosts { load, build: Spent::default() });
         let loaded = ForecastDoc { once, ..quote("0-9", 20.0) };
-        assert_eq!(frames_of(600, &loaded, None).unwrap(), (25, 600));
-        assert_eq!(frames_of(600, &loaded, Some(4)).unwrap(), (100, 600));
-        assert_eq!(frames_of(86_400, &loaded, None).unwrap(), (LARGEST_CHUNK, 86_400));
-        assert_eq!(frames_of(120, &loaded, None).unwrap(), (1, 120));
-        let refused = message(frames_of(119, &loaded, None));
+        assert_eq!(frames_of(600, &loaded, 1).unwrap(), (25, 600));
+        assert_eq!(frames_of(600, &loaded, 4).unwrap(), (100, 600));
+        assert_eq!(frames_of(86_400, &loaded, 1).unwrap(), (LARGEST_CHUNK, 86_400));
+        assert_eq!(frames_of(120, &loaded, 1).unwrap(), (1, 120));
+        let refused = message(frames_of(119, &loaded, 1));
         assert!(
-            refused.starts_with("--chunk: a frame takes 20.0 s by the forecast, after 1m 40s"),
+            refused
+                .starts_with("--chunk: a frame takes 20.0 s by the forecast with --threads 1, after 1m 40s"),
             "{refused}"
         );
-        assert!(message(frames_of(60, &quote("0-9", 0.0), None)).starts_with("--chunk: a frame takes"));
-        // The time limit leaves room for the whole task.
+        assert!(message(frames_of(60, &quote("0-9", 0.0), 1)).starts_with("--chunk: a frame takes"));
+        // The time limit leaves room for the dearest frames in a row, and for more frames than were forecast.
+        let mut uneven = loaded.clone();
+        (3..5).for_each(|frame| uneven.frames[frame].cpu_seconds.p95 = 200.0);
+        let limit_of = |frames| chunk_limit(Chunk { frames, seconds: 60 }, &uneven).unwrap();
+        assert_eq!([limit_of(1), limit_of(2), limit_of(3), limit_of(99)], [1200, 2000, 2080, 2640]);
         let Typed { args } = clap::Parser::try_parse_from(["export", "b"]).unwrap();
         let args = Args { chunk: Some(Duration::from_secs(600)), ..args };
         let settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));

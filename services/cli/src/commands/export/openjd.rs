@@ -463,10 +463,16 @@ mod tests {
         let mut path = shot(CacheMode::Off, 1);
         path.settings.integrator = Integrator::Path;
         path.threads = Some(3);
-        for exported in [shot(CacheMode::Off, 1), path, shot(CacheMode::On, 1), shot(CacheMode::On, 4)] {
+        let chunk = Some(Chunk { frames: 25, seconds: 600 });
+        let chunked = ExportedShot { chunk, ..shot(CacheMode::On, 1) };
+        let others = [shot(CacheMode::Off, 1), shot(CacheMode::On, 1), shot(CacheMode::On, 4)];
+        for exported in others.into_iter().chain([path, chunked]) {
             let document = document(&exported);
-            let mut values =
-                BTreeMap::from(["Frame", "Part"].map(|name| (format!("Task.Param.{name}"), "1".into())));
+            let frame = if exported.chunk.is_some() { "0-24" } else { "1" };
+            let mut values = BTreeMap::from(
+                [("Frame", frame), ("Part", "1")]
+                    .map(|(name, value)| (format!("Task.Param.{name}"), value.into())),
+            );
             for parameter in document["parameterDefinitions"].as_array().unwrap() {
                 let default = &parameter["default"];
                 let allowed = parameter["allowedValues"].as_array();

@@ -16,6 +16,9 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
+/// Most frames that one command renders.
+const MOST_FRAMES: u64 = 100_000;
+
 /// What is asked for.
 pub struct Asked<'a> {
     pub scene: &'a Path,
@@ -56,20 +59,22 @@ pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
         };
         Ok([of("--out", asked.out)?, of("--stats", asked.stats)?])
     };
-    // The files of other frames differ from these by their numbers alone.
-    let files = paths_of(asked.frame.unwrap_or(0))?;
-    atomic_file::check(files.iter().map(Option::as_deref))?;
     let bars = Bars::new(asked.json);
     let foreign = Foreign::open(asked.scene, asked.machine, &bars, interrupt)?;
     let settings = foreign.settings(asked.quality, asked.own)?;
     check_name(asked.out, &foreign.shot.image_extensions(&settings))?;
     let frames: Vec<i32> = match asked.frames {
+        Some(frames) if frames.count() > MOST_FRAMES || i32::try_from(frames.last()).is_err() => {
+            let reason = format!("--frames {frames}: at most {MOST_FRAMES} frames, up to {}", i32::MAX);
+            return Err(BadInput::new(reason).into());
+        }
         Some(frames) => frames.iter().map(u32::cast_signed).collect(),
         None => vec![asked.frame.unwrap_or(foreign.description().frames.first)],
     };
+    let files = frames.iter().map(|frame| paths_of(*frame)).collect::<Result<Vec<_>>>()?;
+    atomic_file::check(files.iter().flatten().map(Option::as_deref))?;
     let all = (frames.len() > 1).then(|| bars.bar("frames", frames.len() as u64));
-    for frame in frames {
-        let [out, stats] = paths_of(frame)?;
+    for (frame, [out, stats]) in frames.into_iter().zip(files) {
         let bar = bars.bar("rendering", 1000);
         let progress = |share: f64| bar.set_position((share * 1000.0) as u64);
         let run = Run { progress: &progress, ..foreign.run(interrupt) };

@@ -52,7 +52,8 @@ Examples:
 The image has the same bits for any number of threads, with or without a profile. An .exr file holds linear colour, \
 object and material ids, and the cost and rays of every pixel. A .png file is for viewing.
 
-With --frames, the scene is read once. Each # in the name of a file is a digit of the frame's number.")]
+With --frames, the scene is read once. The last row of # in a file's name becomes the frame's number. Quote a name that \
+begins with #, which a shell would take for a comment. --json prints one line for each frame.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders, or a .rif file
     /// or octree, which Radiance renders
@@ -60,8 +61,8 @@ pub struct Args {
     /// Frame number [default: the first frame]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     frame: Option<i32>,
-    /// Frames to render one after the other, such as 0-47 or 0,5,9-12. Names of files then hold # for the digits
-    /// of the frame's number
+    /// Frames to render one after the other, such as 0-47 or 0,5,9-12. In names of files, #### becomes the
+    /// frame's number
     #[arg(long, value_name = "LIST", conflicts_with_all = ["frame", "server"])]
     frames: Option<FrameSet>,
     /// Image file to write, .exr or .png
@@ -138,14 +139,15 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     atomic_file::check([args.out.as_deref(), args.cost_map.as_deref(), args.stats.as_deref(), samples_map])?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
     let bars = Bars::new(args.json);
-    let opened = Opened::new(args, &bars)?;
+    let mut opened = Opened::new(args, &bars)?;
     let size = (opened.settings.width, opened.settings.height);
     let samples = args.allot.given_samples(size)?;
     // If writing fails, the final write reports it.
     let rehearse = |image: &Image, frame: &Frame| drop(files.rehearse(image, frame));
     let options = wish.options(&rehearse)?;
     let stopping = Stopping(interrupt);
-    let rendered = opened.trace(profile.as_ref(), &bars, |given, progress| {
+    let cache = opened.cache.take();
+    let rendered = opened.trace(profile.as_ref(), cache, &bars, |given, progress| {
         let (shot, settings) = (&opened.local.shot, &opened.settings);
         match (&samples, &options) {
             (Some(samples), _) => {
@@ -206,10 +208,11 @@ impl Opened {
     fn trace<T: Send>(
         &self,
         profile: Option<&Profile>,
+        cache: Option<Cache>,
         bars: &Bars,
         trace: impl FnOnce(Given<'_>, &(dyn Fn(Progress) + Sync)) -> Result<T> + Send,
     ) -> Result<T> {
-        let (bar, given) = (RenderBar::new(bars), Given { profile, cache: self.cache.clone() });
+        let (bar, given) = (RenderBar::new(bars), Given { profile, cache });
         let traced = self.local.pool.install(|| trace(given, &|progress| bar.show(progress)));
         traced.with_context(|| format!("bundle {}", self.bundle.display()))
     }
@@ -291,6 +294,13 @@ fn write_image(image: &Image, frame: &Frame, path: &Path, format: Format) -> Res
     }
 }
 
+/// What the process pays once, in a line.
+fn once(stats: &RenderStats) -> String {
+    stats.once.and_then(once_costs).map_or_else(String::new, |costs| {
+        format!("once        {costs} of CPU time, once for each process; in no frame's work or CPU time\n")
+    })
+}
+
 fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     let mut table = Table::new(&[
         ("rays", Align::Left),
@@ -324,11 +334,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     text += &format!("work        {} operations\n", count(stats.work as f64));
     text += &format!("CPU time    {}\n", seconds(stats.cpu_seconds));
     text += &format!("wall time   {}\n", seconds(stats.wall_seconds));
-    if let Some(costs) = stats.once.and_then(once_costs) {
-        text += &format!(
-            "once        {costs} of CPU time, once for each process; in no frame's work or CPU time\n"
-        );
-    }
+    text += &once(stats);
     if let Some(cache) = &stats.cache {
         let levels: Vec<String> = stats.cache_records.iter().map(u64::to_string).collect();
         let share = |work: u64| 100.0 * work as f64 / stats.work.max(1) as f64;

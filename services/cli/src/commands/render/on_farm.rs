@@ -40,8 +40,8 @@ pub struct FarmOptions {
     /// number of parts
     #[arg(long, value_name = "auto|N", default_value = "auto", value_parser = division, requires = "server")]
     parts: Division,
-    /// Picture file to replace as parts come in, a coarse one at first. Image viewers that reload files show the
-    /// frame grow
+    /// Picture file to replace as parts come in, coarse at first. Image viewers that reload files show the frame
+    /// grow
     #[arg(long, value_name = "FILE.png", value_parser = crate::job_options::png_file, requires = "server")]
     watch: Option<PathBuf>,
     /// Project that is charged for the job
@@ -189,7 +189,7 @@ struct Growing {
     picture: RgbImage,
     file: Option<PathBuf>,
     there: BTreeSet<ArtifactHash>,
-    /// Since it was written.
+    /// Whether it has changed since it was written.
     is_changed: bool,
 }
 
@@ -230,8 +230,8 @@ impl Growing {
 
     /// Begins with a coarse picture. Without it, parts that are not there yet stay grey.
     async fn begin(&mut self, client: &Client, coarse: ArtifactHash) {
-        self.there.insert(coarse);
         let Ok(bytes) = client.artifact(coarse, CACHE_BYTES).await else { return };
+        self.there.insert(coarse);
         let Ok(picture) = image::load_from_memory_with_format(&bytes, ImageFormat::Png) else { return };
         if (picture.width(), picture.height()) == self.picture.dimensions() {
             (self.picture, self.is_changed) = (picture.into_rgb8(), true);

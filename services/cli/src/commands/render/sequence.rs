@@ -1,6 +1,6 @@
 //! `forelight render --frames`: several frames, one after the other. The scene is read once.
 
-use super::{Args, Files, Opened};
+use super::{Args, Files, Opened, format_of, once};
 use crate::commands::numbered::numbered;
 use anyhow::{Context, Result};
 use forelight_protocol::{FrameSet, RenderStats};
@@ -41,20 +41,19 @@ pub fn render(args: &Args, frames: &FrameSet, interrupt: &Interrupt) -> Result<(
         ("--within, --within-money, --error and --samples-from", args.allot.is_given()),
     ];
     refuse_because(&others, "only a single frame can have this", "render with --frame N")?;
-    let first = frames.iter().next().unwrap_or_default();
-    // The files of other frames differ from these by their numbers alone.
-    let Paths { out, cost_map, stats } = Paths::of(args, first)?;
-    Files::new(out.as_deref(), cost_map.as_deref())?;
-    atomic_file::check([out.as_deref(), cost_map.as_deref(), stats.as_deref()])?;
+    args.out.as_deref().map(format_of).transpose()?;
     let bars = Bars::new(args.json);
     let opened = Opened::new(args, &bars)?;
     opened.local.frames(Some(frames))?;
+    let paths = frames.iter().map(|frame| Paths::of(args, frame)).collect::<Result<Vec<Paths>>>()?;
+    atomic_file::check(
+        paths.iter().flat_map(|paths| [&paths.out, &paths.cost_map, &paths.stats]).map(Option::as_deref),
+    )?;
     let bar = bars.bar("frames", frames.count());
     let mut finished = Vec::new();
-    for frame in frames.iter() {
-        let paths = Paths::of(args, frame)?;
+    for (frame, paths) in frames.iter().zip(&paths) {
         let (shot, settings) = (&opened.local.shot, &opened.settings);
-        let rendered = opened.trace(None, &bars, |given, progress| {
+        let rendered = opened.trace(None, opened.cache.clone(), &bars, |given, progress| {
             Ok(render_frame(shot, frame, settings, given, progress, interrupt.flag())?)
         })?;
         let Some(rendered) = rendered else { break };
@@ -96,5 +95,5 @@ fn report(finished: &[RenderStats]) -> String {
     let sum = |of: fn(&RenderStats) -> f64| finished.iter().map(of).sum();
     let work = finished.iter().map(|stats| stats.work).sum();
     table.row(row("all".into(), work, sum(|stats| stats.cpu_seconds), sum(|stats| stats.wall_seconds)));
-    table.render()
+    table.render() + &finished.first().map_or_else(String::new, once)
 }

@@ -59,12 +59,12 @@ impl OwnFrame<'_> {
         let camera = &self.frame().camera;
         let (width, curve) = (camera.width, PixelCurve::new(camera.width, camera.height));
         let mut picture = RgbImage::new(width, camera.height);
-        let mut paint =
-            |pixel: u32, color| picture.put_pixel(pixel % width, pixel / width, Rgb(tone_map(color)));
+        let mut paint = |pixel: u32, color| picture.put_pixel(pixel % width, pixel / width, color);
         for (run, color) in seen {
-            curve.pixels(run.from..run.to).into_iter().for_each(|pixel| paint(pixel, *color));
+            let color = Rgb(tone_map(*color));
+            curve.pixels(run.from..run.to).into_iter().for_each(|pixel| paint(pixel, color));
         }
-        finished.iter().for_each(|(pixel, finished)| paint(*pixel, finished.color));
+        finished.iter().for_each(|(pixel, finished)| paint(*pixel, Rgb(tone_map(finished.color))));
         picture
     }
 }
