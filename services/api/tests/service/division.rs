@@ -6,7 +6,7 @@ use crate::support::made_up::another_renderer;
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
     BookingPage, Bundle, FrameRow, FrameState, Job, JobState, Lease, Node, PartRange, ProblemKind,
-    SampleRange, TaskKind, TaskPage, TaskResult, TaskSpec,
+    SampleRange, TaskKind, TaskPage, TaskResult, TaskRow, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -50,6 +50,9 @@ async fn the_parts_of_a_frame_are_booked_side_by_side_and_the_frame_is_done_with
     let lease = farm.next(&a, TaskKind::Divide).await;
     assert!(farm.claim(&b).await.is_none(), "parts wait until the frame is divided");
     farm.finish(&lease).await;
+    let coarse = farm.tasks(&job, "?frame=0").await.items.iter().find_map(|task| task.coarse_png);
+    let path = format!("/v1/artifacts/{}", coarse.expect("a coarse picture, before the first part"));
+    assert_eq!(farm.viewer.get(&path).await.bytes().await.unwrap(), "a coarse picture");
     let (first, second) =
         (farm.next(&a, TaskKind::RenderPart).await, farm.next(&b, TaskKind::RenderPart).await);
     farm.finish(&first).await;
@@ -69,7 +72,8 @@ async fn the_parts_of_a_frame_are_booked_side_by_side_and_the_frame_is_done_with
     let row = farm.frame(&job, 0).await;
     assert_eq!((row.state, row.parts, row.parts_done), (FrameState::Done, 3, 3));
     let tasks = farm.tasks(&job, "?frame=0").await;
-    assert!(tasks.items.iter().all(|task| task.pixels.is_none()), "nothing of the parts is kept");
+    let is_left = |task: &TaskRow| task.pixels.is_some() || task.coarse_png.is_some();
+    assert!(!tasks.items.iter().any(is_left), "nothing of the parts is kept");
 }
 
 #[tokio::test(flavor = "multi_thread")]

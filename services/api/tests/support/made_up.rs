@@ -3,13 +3,13 @@
 
 use super::Farm;
 use forelight_protocol::{
-    AccuracyDoc, AccuracyRung, AllottedStats, ByClass, Described, DivideResult, DivideSpec, FinishedPart,
-    FixedCosts, FrameStrata, ImageError, LadderKind, Lease, MeasuredFrame, MeasuredShare, MissingLadder,
-    NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange, PreviewBackend, PreviewResult, PreviewSpec,
-    ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled, Quantiles, Rays, RenderArtifacts,
-    RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, RendererId, SampleCost,
-    SampleRange, SampleShare, SceneSummary, ShotSettings, Spent, SpentOnForecast, Stratum, StratumName,
-    StratumTime, TaskResult, TaskSpec, Varied,
+    AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, Described, DivideResult, DivideSpec,
+    FinishedPart, FixedCosts, FrameStrata, ImageError, LadderKind, Lease, MeasuredFrame, MeasuredShare,
+    MissingLadder, NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange, PreviewBackend, PreviewResult,
+    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled, Quantiles, Rays,
+    RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, RendererId,
+    SampleCost, SampleRange, SampleShare, SceneSummary, ShotSettings, Spent, SpentOnForecast, Stratum,
+    StratumName, StratumTime, TaskResult, TaskSpec, Varied,
 };
 
 impl Farm {
@@ -24,7 +24,10 @@ impl Farm {
             TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
                 panic!("these scenes have no irradiance caches")
             }
-            TaskSpec::Divide(spec) => TaskResult::Divide(divide(spec)),
+            TaskSpec::Divide(spec) => {
+                let coarse = self.artifact(b"a coarse picture").await;
+                TaskResult::Divide(divide(spec, coarse))
+            }
             TaskSpec::RenderPart(spec) => TaskResult::RenderPart(self.render_part(spec).await),
             TaskSpec::Render(spec) => TaskResult::Render(self.render(spec).await),
         }
@@ -267,13 +270,13 @@ fn frame_work(frame: u32) -> u64 {
 }
 
 /// Parts of equally many of the 64 pixels.
-fn divide(spec: &DivideSpec) -> DivideResult {
+fn divide(spec: &DivideSpec, coarse: ArtifactHash) -> DivideResult {
     let work = frame_work(spec.frame) / u64::from(spec.parts);
     DivideResult {
         ends: (1..=spec.parts).map(|part| 64 * part / spec.parts).collect(),
         work: vec![work; spec.parts as usize],
         cache: None,
-        coarse_png: None,
+        coarse_png: Some(coarse),
         spent: Spent { work: 10, cpu_nanos: 10_000_000 },
     }
 }
