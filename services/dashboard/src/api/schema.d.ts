@@ -2456,6 +2456,7 @@ export interface components {
         /** @description Result of dividing a frame. */
         DivideResult: {
             cache?: components["schemas"]["FrameCache"] | null;
+            coarse_png?: components["schemas"]["ArtifactHash"] | null;
             /** @description Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels. */
             ends: number[];
             /** @description Cost of the task. */
@@ -5700,6 +5701,7 @@ export interface components {
              * @description Number of attempts so far.
              */
             attempts: number;
+            coarse_png?: components["schemas"]["ArtifactHash"] | null;
             /** @description The latest error. Absent if there was none. */
             error?: string | null;
             finished?: components["schemas"]["Timestamp"] | null;
