@@ -103,7 +103,7 @@ async fn tokens_die_among_200_workers_and_only_their_holders_notice() {
             }
             2 | 3 => {
                 worker.may_die.store(true, Ordering::SeqCst);
-                let end = Timestamp::now().plus_micros(5_000_000);
+                let end = Timestamp::now().plus_micros(15_000_000);
                 let patch = farm.operator.request(Method::PATCH, &path).json(&json!({"expires_at": end}));
                 patch.send().await.unwrap().parsed::<Token>(StatusCode::OK).await;
                 let worker = worker.clone();
@@ -117,7 +117,7 @@ async fn tokens_die_among_200_workers_and_only_their_holders_notice() {
             }
             4 | 5 => {
                 // With a grace, the worker never notices, and its old token dies all the same.
-                let grace = json!({"grace_seconds": 10});
+                let grace = json!({"grace_seconds": 20});
                 let rotated = farm.operator.post(&format!("{path}/rotate"), &grace).await;
                 let new: NewToken = rotated.parsed(StatusCode::CREATED).await;
                 replaced.push(std::mem::replace(&mut *worker.http.lock(), farm.with_token(new.secret)));
