@@ -14,8 +14,8 @@ use forelight_protocol::{
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 use tempfile::TempDir;
-use tokio::sync::OnceCell;
 
+use self::new_database::new_database;
 use crate::database::DATABASE;
 use crate::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store, StoreError};
 
@@ -29,6 +29,8 @@ mod jobs;
 mod joining;
 mod living;
 mod lying_farm;
+#[path = "../../../tests/support/new_database.rs"]
+mod new_database;
 mod node_learning;
 mod opening;
 mod orders;
@@ -64,17 +66,6 @@ async fn touch(store: &Store, node: NodeId, now: Timestamp) {
     let mut write = store.write().await.unwrap();
     crate::leases::touch(&mut write, node, now);
     store.commit(write).await.unwrap();
-}
-
-/// A database without rows. Making the schema takes longer than most tests, so it is done once.
-async fn new_database() -> &'static [u8] {
-    static MADE: OnceCell<Vec<u8>> = OnceCell::const_new();
-    MADE.get_or_init(async || {
-        let folder = tempfile::tempdir().unwrap();
-        Store::open(folder.path()).await.unwrap().close().await;
-        std::fs::read(folder.path().join(DATABASE)).unwrap()
-    })
-    .await
 }
 
 struct Farm {

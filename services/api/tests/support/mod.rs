@@ -16,7 +16,6 @@ use forelight_store::{DATABASE, Store, tokens};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 use tempfile::TempDir;
-use tokio::sync::OnceCell;
 
 pub mod copies;
 #[path = "../../../../tests/support/events.rs"]
@@ -24,10 +23,13 @@ pub mod events;
 #[path = "../../../../tests/support/http.rs"]
 pub mod http;
 pub mod made_up;
+#[path = "../../../../tests/support/new_database.rs"]
+mod new_database;
 #[path = "../../../../tests/support/waiting.rs"]
 mod waiting;
 
 pub use http::{Answer, Http};
+use new_database::new_database;
 
 pub struct Farm {
     pub folder: TempDir,
@@ -68,17 +70,6 @@ pub fn scene_zip() -> Vec<u8> {
         zip.write_all(content.as_bytes()).unwrap();
     }
     zip.finish().unwrap().into_inner()
-}
-
-/// A database without rows. Making the schema takes longer than most tests, so it is done once.
-async fn new_database() -> &'static [u8] {
-    static MADE: OnceCell<Vec<u8>> = OnceCell::const_new();
-    MADE.get_or_init(async || {
-        let folder = tempfile::tempdir().unwrap();
-        Store::open(folder.path()).await.unwrap().close().await;
-        std::fs::read(folder.path().join(DATABASE)).unwrap()
-    })
-    .await
 }
 
 pub fn config(folder: &Path) -> Config {

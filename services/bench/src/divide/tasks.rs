@@ -9,7 +9,7 @@ use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillSpec, DivideSpec, FinishedPart, JobId, PartRange, PixelRange,
     RenderPartSpec, RenderSettings, RenderSpec, RenderStats, SceneDigest, Spent, TaskResult, TaskSpec,
 };
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome, artifact_name};
 use forelight_renderer_own::{OwnRenderer, TaskRunner};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
@@ -38,7 +38,7 @@ pub struct InParts {
 impl InParts {
     /// Whether this is its picture, as PNG.
     pub fn has_image(&self, png: &[u8]) -> bool {
-        self.picture == ArtifactHash(*blake3::hash(png).as_bytes())
+        self.picture == artifact_name(png)
     }
 }
 
@@ -129,7 +129,7 @@ impl Tasks {
         let outcome = self.run(self.task(TaskSpec::Divide(spec)), interrupt)?;
         let TaskResult::Divide(divided) = outcome.result else { bail!("a division has another result") };
         let planned = divided.cache.map(|cache| cache.hash);
-        let is_planned = |file: &Bytes| Some(ArtifactHash(*blake3::hash(file).as_bytes())) == planned;
+        let is_planned = |file: &Bytes| Some(artifact_name(file)) == planned;
         let mut cache = outcome.artifacts.into_iter().find(is_planned);
         let mut spent = divided.spent;
         if let (Some(planned), Some(found)) = (&cache, divided.cache)

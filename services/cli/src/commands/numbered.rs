@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// If the name has no `#`: all frames would be written to one file.
-pub fn numbered(flag: &str, path: &Path, frame: i32) -> Result<PathBuf, BadInput> {
+pub fn numbered(flag: &str, path: &Path, frame: i64) -> Result<PathBuf, BadInput> {
     let unusable = |why: &str| {
         let hint = "#### becomes the frame's number, as in images/####.exr";
         BadInput::new(format!("{flag} {}: {why}", path.display())).hint(hint)

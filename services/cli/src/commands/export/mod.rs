@@ -117,7 +117,7 @@ pub fn run(args: &Args) -> Result<()> {
     let mut report = format!("steps   {}\nframes  {}\n", steps.join(", "), shot.frames);
     if let Some(chunk) = shot.chunk {
         report += &format!(
-            "chunk   {} frames in a task of about {}\n",
+            "chunk   at most {} frames in a task, for about {}\n",
             chunk.frames,
             seconds(chunk.seconds as f64)
         );
@@ -168,15 +168,12 @@ fn exported(
         return Err(BadInput::new(format!("--stats: {why}")).into());
     }
     let name = args.name.as_deref().unwrap_or(&scene.name);
-    let mut limits = Limits::new(args.timeout, forecast, &frames)?;
     let chunk = args
         .chunk
         .zip(forecast)
         .map(|(time, quote)| chunk(time, quote, args.threads.unwrap_or(1)))
         .transpose()?;
-    if let (Some(chunk), None, Some(quote)) = (chunk, args.timeout, forecast) {
-        limits.frame = Some(chunk_limit(chunk, quote)?);
-    }
+    let limits = Limits::new(args.timeout, forecast, &frames, chunk)?;
     Ok(ExportedShot {
         name: job_name(name)?.to_owned(),
         description: description(scene, &settings, &frames, forecast),
@@ -209,15 +206,6 @@ fn chunk(time: Duration, quote: &ForecastDoc, threads: u16) -> Result<Chunk> {
         return Err(BadInput::new(format!("--chunk: {why}")).hint(hint).into());
     }
     Ok(Chunk { frames: (frames as u64).min(LARGEST_CHUNK), seconds: time.as_secs().max(1) })
-}
-
-/// The time limit of a task of several frames, seconds: of its dearest row of frames, on one core. At least four
-/// times what the task should take, since a farm may give later tasks more frames.
-fn chunk_limit(chunk: Chunk, quote: &ForecastDoc) -> Result<u64> {
-    let costs: Vec<f64> = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).collect();
-    let row = usize::try_from(chunk.frames).unwrap_or(usize::MAX).clamp(1, costs.len().max(1));
-    let dearest = costs.windows(row).map(|costs| costs.iter().sum()).fold(0.0, f64::max);
-    Ok(limit(once_seconds(quote) + dearest)?.max((chunk.seconds as f64 * PATIENCE) as u64))
 }
 
 /// CPU time for loading the scene and building its tree, which each process pays.
@@ -291,10 +279,16 @@ struct Limits {
 }
 
 impl Limits {
-    /// The requested limit, or limits from a forecast. A frame's limit is that of the most expensive frame.
-    /// The cache's follows from all frames together. Fails if the forecast is of other frames, or out of
-    /// range.
-    fn new(asked: Option<Duration>, forecast: Option<&ForecastDoc>, frames: &FrameSet) -> Result<Self> {
+    /// The requested limit, or limits from a forecast. The limit of a task of frames is that of the most expensive
+    /// row of so many frames, and at least `PATIENCE` times what a chunk should take, since a farm may give later
+    /// tasks more frames. The cache's follows from all frames together. Fails if the forecast is of other frames,
+    /// or out of range.
+    fn new(
+        asked: Option<Duration>,
+        forecast: Option<&ForecastDoc>,
+        frames: &FrameSet,
+        chunk: Option<Chunk>,
+    ) -> Result<Self> {
         let mut limits = Self { frame: None, cache: None };
         if let Some(quote) = forecast {
             let quoted = FrameSet::from_frames(quote.frames.iter().map(|frame| frame.frame));
@@ -302,10 +296,14 @@ impl Limits {
                 let quoted = quoted.map_or("no frames".to_owned(), |quoted| format!("the frames {quoted}"));
                 return Err(BadInput::new(format!("--forecast: it is of {quoted}, not of {frames}")).into());
             }
-            let dearest = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).fold(0.0, f64::max);
+            let costs: Vec<f64> = quote.frames.iter().map(|frame| frame.cpu_seconds.p95).collect();
+            let Chunk { frames: row, seconds } = chunk.unwrap_or(Chunk { frames: 1, seconds: 0 });
+            let row = usize::try_from(row).unwrap_or(usize::MAX).clamp(1, costs.len().max(1));
+            let dearest = costs.windows(row).map(|costs| costs.iter().sum()).fold(0.0, f64::max);
             let once = once_seconds(quote);
             let all = quote.total.cpu_seconds.p95;
-            limits = Self { frame: Some(limit(once + dearest)?), cache: Some(limit(once + all)?) };
+            let frame = limit(once + dearest)?.max((seconds as f64 * PATIENCE) as u64);
+            limits = Self { frame: Some(frame), cache: Some(limit(once + all)?) };
         }
         if let Some(asked) = asked {
             let whole = asked.as_secs() + u64::from(asked.subsec_nanos() > 0);
@@ -420,7 +418,7 @@ mod tests {
     #[test]
     fn a_forecast_sets_limits_of_time_unless_one_is_asked_for() {
         let frames: FrameSet = "0-9".parse().unwrap();
-        let limits = |asked, quote: Option<&ForecastDoc>| Limits::new(asked, quote, &frames);
+        let limits = |asked, quote: Option<&ForecastDoc>| Limits::new(asked, quote, &frames, None);
         assert_eq!(limits(None, None).unwrap(), Limits { frame: None, cache: None });
         let dear = quote("0-9", 1000.25);
         assert_eq!(limits(None, Some(&dear)).unwrap(), Limits { frame: Some(4001), cache: Some(40010) });
@@ -460,12 +458,15 @@ mod tests {
         // The time limit leaves room for the dearest frames in a row, and for more frames than were forecast.
         let mut uneven = loaded.clone();
         (3..5).for_each(|frame| uneven.frames[frame].cpu_seconds.p95 = 200.0);
-        let limit_of = |frames| chunk_limit(Chunk { frames, seconds: 60 }, &uneven).unwrap();
+        let frames: FrameSet = "0-9".parse().unwrap();
+        let limit_of = |number| {
+            let chunk = Some(Chunk { frames: number, seconds: 60 });
+            Limits::new(None, Some(&uneven), &frames, chunk).unwrap().frame.unwrap()
+        };
         assert_eq!([limit_of(1), limit_of(2), limit_of(3), limit_of(99)], [1200, 2000, 2080, 2640]);
         let Typed { args } = clap::Parser::try_parse_from(["export", "b"]).unwrap();
         let args = Args { chunk: Some(Duration::from_secs(600)), ..args };
         let settings = forelight_protocol::RenderSettingsRequest::default().complete((4, 2));
-        let frames = "0-9".parse().unwrap();
         let shot = exported(&args, &scene(), settings, frames, Some(&loaded), None).unwrap();
         assert_eq!((shot.chunk.unwrap().frames, shot.frame_limit), (25, Some(2400)));
     }

@@ -9,6 +9,7 @@ use forelight_terminal::atomic_file::{self, write_bytes, write_with};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{Foreign, OwnSetting};
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::seconds;
@@ -54,7 +55,7 @@ fn is_same_kind(one: &Path, other: &Path) -> bool {
 pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     let paths_of = |frame: i32| -> Result<[Option<PathBuf>; 2]> {
         let of = |flag: &str, path: Option<&Path>| match (path, asked.frames) {
-            (Some(path), Some(_)) => numbered(flag, path, frame).map(Some),
+            (Some(path), Some(_)) => numbered(flag, path, frame.into()).map(Some),
             (path, _) => Ok(path.map(Path::to_owned)),
         };
         Ok([of("--out", asked.out)?, of("--stats", asked.stats)?])
@@ -94,9 +95,7 @@ pub fn render(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
             peak_rss_bytes: peak_memory_bytes,
             fixed_nanos: &rendered.fixed,
         };
-        if let Some(path) = &stats {
-            write_bytes(path, (output::pretty(&cost)? + "\n").as_bytes())?;
-        }
+        json_file::write(stats.as_deref(), &cost)?;
         report(&cost, asked)?;
         all.iter().for_each(|bar| bar.inc(1));
     }

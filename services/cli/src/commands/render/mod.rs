@@ -22,6 +22,7 @@ use forelight_terminal::bounded_file;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars, RenderBar};
@@ -173,9 +174,7 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(within) = rendered.stats.allotted.as_mut().and_then(|allotted| allotted.within.as_mut()) {
         wish.settle(within);
     }
-    if let Some(path) = &args.stats {
-        write_bytes(path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
-    }
+    json_file::write(args.stats.as_deref(), &rendered.stats)?;
     if args.json {
         output::json(&rendered.stats)?;
     } else {

@@ -14,6 +14,7 @@ use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::{is_foreign, refuse_because};
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
 use forelight_tracer::Profile;
@@ -104,9 +105,7 @@ pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         write_bytes(path, &content)?;
     }
     let stats = row.actual.context("the farm has no cost of the frame")?;
-    if let Some(path) = &args.stats {
-        write_bytes(path, (output::pretty(&stats)? + "\n").as_bytes())?;
-    }
+    json_file::write(args.stats.as_deref(), &stats)?;
     if args.json { output::json(&stats) } else { output::print(&super::report(&stats, args.effects)) }
 }
 
@@ -189,23 +188,21 @@ struct Growing {
     picture: RgbImage,
     file: Option<PathBuf>,
     there: BTreeSet<ArtifactHash>,
-    /// Whether it has changed since it was written.
-    is_changed: bool,
 }
 
 impl Growing {
     fn new((width, height): (u32, u32), file: Option<PathBuf>) -> Self {
-        let picture = RgbImage::from_pixel(width, height, MISSING);
-        Self { picture, file, there: BTreeSet::new(), is_changed: false }
+        Self { picture: RgbImage::from_pixel(width, height, MISSING), file, there: BTreeSet::new() }
     }
 
     /// Paints the finished parts that are not there yet.
     async fn add(&mut self, client: &Client, job: JobId, tasks: &[TaskRow]) -> Result<()> {
         let Some(file) = self.file.clone() else { return Ok(()) };
         let coarse = tasks.iter().find_map(|task| task.coarse_png);
-        if let Some(hash) = coarse.filter(|_| self.there.is_empty()) {
-            self.begin(client, hash).await;
-        }
+        let has_begun = match coarse.filter(|_| self.there.is_empty()) {
+            Some(hash) => self.begin(client, hash).await,
+            None => false,
+        };
         let new: Vec<ArtifactHash> =
             tasks.iter().filter_map(|task| task.pixels).filter(|hash| !self.there.contains(hash)).collect();
         for hash in &new {
@@ -221,21 +218,23 @@ impl Growing {
             }
             self.there.insert(*hash);
         }
-        if !new.is_empty() || self.is_changed {
-            self.is_changed = false;
+        if has_begun || !new.is_empty() {
             write_bytes(&file, &png(&self.picture)?)?;
         }
         Ok(())
     }
 
-    /// Begins with a coarse picture. Without it, parts that are not there yet stay grey.
-    async fn begin(&mut self, client: &Client, coarse: ArtifactHash) {
-        let Ok(bytes) = client.artifact(coarse, CACHE_BYTES).await else { return };
+    /// Begins with a coarse picture. Without it, parts that are not there yet stay grey. Returns whether it was
+    /// painted.
+    async fn begin(&mut self, client: &Client, coarse: ArtifactHash) -> bool {
+        let Ok(bytes) = client.artifact(coarse, CACHE_BYTES).await else { return false };
         self.there.insert(coarse);
-        let Ok(picture) = image::load_from_memory_with_format(&bytes, ImageFormat::Png) else { return };
-        if (picture.width(), picture.height()) == self.picture.dimensions() {
-            (self.picture, self.is_changed) = (picture.into_rgb8(), true);
+        let Ok(picture) = image::load_from_memory_with_format(&bytes, ImageFormat::Png) else { return false };
+        let fits = (picture.width(), picture.height()) == self.picture.dimensions();
+        if fits {
+            self.picture = picture.into_rgb8();
         }
+        fits
     }
 
     /// Replaces the picture by the finished one.

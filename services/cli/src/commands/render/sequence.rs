@@ -5,10 +5,11 @@ use crate::commands::numbered::numbered;
 use anyhow::{Context, Result};
 use forelight_protocol::{FrameSet, RenderStats};
 use forelight_renderer_own::render_frame;
-use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::atomic_file;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::foreign::refuse_because;
 use forelight_terminal::interrupt::Interrupt;
+use forelight_terminal::json_file;
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
@@ -24,7 +25,7 @@ struct Paths {
 impl Paths {
     fn of(args: &Args, frame: u32) -> Result<Self> {
         let of = |flag: &str, path: &Option<PathBuf>| {
-            path.as_deref().map(|path| numbered(flag, path, frame.cast_signed())).transpose()
+            path.as_deref().map(|path| numbered(flag, path, frame.into())).transpose()
         };
         Ok(Self {
             out: of("--out", &args.out)?,
@@ -59,9 +60,7 @@ pub fn render(args: &Args, frames: &FrameSet, interrupt: &Interrupt) -> Result<(
         let Some(rendered) = rendered else { break };
         let files = Files::new(paths.out.as_deref(), paths.cost_map.as_deref())?;
         opened.local.pool.install(|| files.write(&rendered.image, &rendered.frame))?;
-        if let Some(path) = &paths.stats {
-            write_bytes(path, (output::pretty(&rendered.stats)? + "\n").as_bytes())?;
-        }
+        json_file::write(paths.stats.as_deref(), &rendered.stats)?;
         if args.json {
             output::json_line(&rendered.stats)?;
         }

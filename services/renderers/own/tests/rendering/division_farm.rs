@@ -7,7 +7,7 @@ use forelight_protocol::{
     DivideSpec, FinishedPart, JobId, PartRange, PixelRange, ProfileSpec, RenderPartResult, RenderPartSpec,
     RenderSettings, RenderSpec, SceneDigest, Spent, TaskResult, TaskSpec,
 };
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome, artifact_name};
 use forelight_renderer_own::{OwnRenderer, TaskRunner};
 use std::path::{Path, PathBuf};
 
@@ -244,7 +244,7 @@ impl Farm {
         let outcome = self.run(assignment).unwrap();
         let TaskResult::RenderPart(result) = outcome.result else { panic!() };
         let file = outcome.artifacts[0].clone();
-        assert_eq!(result.finished.hash(), ArtifactHash(*blake3::hash(&file).as_bytes()));
+        assert_eq!(result.finished.hash(), artifact_name(&file));
         (result, file)
     }
 
@@ -269,8 +269,11 @@ impl Farm {
 
 /// The file with this hash.
 pub fn named(files: &[Bytes], hash: ArtifactHash) -> Bytes {
-    let is_it = |file: &&Bytes| blake3::hash(file).as_bytes() == &hash.0;
-    files.iter().find(is_it).expect("the result names a file that came with it").clone()
+    files
+        .iter()
+        .find(|file| artifact_name(file) == hash)
+        .expect("the result names a file that came with it")
+        .clone()
 }
 
 /// The ranges of a frame's parts.
