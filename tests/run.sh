@@ -66,7 +66,7 @@ finish() {
 trap finish EXIT
 
 step 'Packages'
-deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev python3-venv bubblewrap
+deploy/packages.sh mesa-vulkan-drivers libvulkan1 gcc libc6-dev python3-venv bubblewrap ffmpeg
 
 step 'The dashboard page'
 # Tests start a program with the page. Without Node.js only the page's own test is not run.

@@ -67,7 +67,17 @@ const COMPRESSED: [&[u8]; 2] = [&[0x28, 0xb5, 0x2f, 0xfd], &[0x1f, 0x8b]];
 
 /// A scene of which nothing is known yet.
 fn unknown(name: String, digest: SceneDigest) -> SceneSummary {
-    SceneSummary { name, digest, frames: 0, width: 0, height: 0, objects: 0, materials: 0, triangles: 0 }
+    SceneSummary {
+        name,
+        digest,
+        frames: 0,
+        width: 0,
+        height: 0,
+        objects: 0,
+        materials: 0,
+        triangles: 0,
+        frames_per_second: None,
+    }
 }
 
 /// Whether only another renderer can open the scene.

@@ -358,6 +358,7 @@ mod tests {
             objects: 1,
             materials: 1,
             triangles: 1,
+            frames_per_second: None,
         };
         let settings = request.settings.complete((8, 8)).into();
         let source = BundleSource::Path("/scenes/a".to_owned());

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use forelight_protocol::{ProblemKind, SceneDigest, SceneSummary};
+use forelight_protocol::{FrameRate, ProblemKind, SceneDigest, SceneSummary};
 use forelight_renderer::door::{Limits as ProcessLimits, RendererError, Run};
 use forelight_renderer::process::{Program, Stream, run};
 use forelight_scene::{Limits, Scene, SceneError};
@@ -64,6 +64,7 @@ fn summary(path: &Path, limits: &Limits) -> Result<SceneSummary, SceneError> {
         objects: strata.objects.len() as u64,
         materials: strata.materials() as u64,
         triangles: first.geometry.triangles.len() as u64,
+        frames_per_second: FrameRate::try_from(scene.fps()).ok(),
     })
 }
 

@@ -27,4 +27,5 @@ pub(crate) mod strip;
 pub(crate) mod tasks;
 pub(crate) mod timeline;
 pub(crate) mod tokens;
+pub(crate) mod videos;
 pub(crate) mod webhooks;

@@ -34,7 +34,7 @@ use crate::resources::jobs::changes;
 use crate::resources::{
     answers, artifacts, audit, budgets, bundles, dashboard, events, forecasts, frames, health, jobs, leases,
     left_out, nodes, page, plans, projects, quotas, retention, sessions, sign_in, strip, tasks, timeline,
-    tokens, webhooks,
+    tokens, videos, webhooks,
 };
 use crate::rights::end_with_right;
 use crate::state::App;
@@ -98,6 +98,8 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(frames::cost_map_png))
         .routes(routes!(frames::image_png))
         .routes(routes!(frames::image_exr))
+        .routes(routes!(videos::set, videos::delete))
+        .routes(routes!(videos::get))
         .routes(routes!(answers::of_job))
         .routes(routes!(answers::price_curve))
         .routes(routes!(plans::list))

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{ArtifactHash, BundleId, SceneDigest, Timestamp};
+use crate::{ArtifactHash, BundleId, FrameRate, SceneDigest, Timestamp};
 
 /// The bundle that a job renders. Exactly one of the two fields must be given.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
@@ -47,6 +47,9 @@ pub struct SceneSummary {
     pub materials: u64,
     /// Number of triangles.
     pub triangles: u64,
+    /// Frames per second of its animation. Absent if it states none, or none that a video can have.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames_per_second: Option<FrameRate>,
 }
 
 /// An uploaded bundle.

@@ -7,9 +7,9 @@ use crate::division::{is_one, one};
 use crate::node::given;
 use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FinishQuantiles, FrameForecast, FrameSet,
-    JobId, JobSettings, JobState, JobVerdict, Ladders, LiveForecast, Money, NodeId, OutputPattern, PageToken,
-    PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats, RenderedBy, RendererRequest,
-    SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, Waits,
+    JobId, JobSettings, JobState, JobVerdict, JobVideo, Ladders, LiveForecast, Money, NodeId, OutputPattern,
+    PageToken, PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats, RenderedBy, RendererRequest,
+    SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, VideoRequest, Waits,
 };
 
 /// Request for a new job.
@@ -43,6 +43,9 @@ pub struct JobRequest {
     /// output root, such as `{project}/{job}/{frame:04}.exr`. Absent: images are artefacts alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<OutputPattern>,
+    /// Makes a video of the frames when the last of them is finished. Absent: none is made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub video: Option<VideoRequest>,
     /// Number of pixels to profile per profiled frame, 16 to 1,000,000.
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
@@ -99,6 +102,7 @@ impl JobRequest {
             cache: CacheSharing::default(),
             division: Division::default(),
             output: None,
+            video: None,
             samples: default_samples(),
             profile_frames: None,
             ladders: Ladders::default(),
@@ -244,6 +248,9 @@ pub struct Job {
     /// output root, such as `{project}/{job}/{frame:04}.exr`. Absent: images are artefacts alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<OutputPattern>,
+    /// The video of its frames. Absent if none is asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub video: Option<JobVideo>,
     /// Number of pixels to profile per profiled frame.
     pub samples: u32,
     /// Largest number of frames to profile. Absent if the service decides.

@@ -62,6 +62,7 @@ mod timeline;
 mod token;
 mod track_record;
 mod version;
+mod video;
 mod webhook;
 
 pub use accuracy::{
@@ -164,6 +165,9 @@ pub use track_record::{
     QuantileHits, TrackRecord, TrackRecordDay, TrackRecordKind, TrackRecordProject, TrackRecordRow,
 };
 pub use version::{OLDEST_WORKER_PROTOCOL, WORKER_PROTOCOL, WORKER_PROTOCOL_HEADER};
+pub use video::{
+    FrameRate, JobVideo, VIDEO_BYTES, VIDEO_FRAMES, VideoFile, VideoRequest, VideoResult, VideoSpec,
+};
 pub use webhook::{
     Delivery, DeliveryPage, DeliveryState, Webhook, WebhookData, WebhookKind, WebhookList, WebhookMessage,
     WebhookRequest,

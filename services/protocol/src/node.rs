@@ -87,6 +87,10 @@ pub struct Capabilities {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 50)]
     pub renderers: Vec<RendererId>,
+    /// Version of ffmpeg: 1 to 50 characters. Absent if the machine cannot encode videos.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 50, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
+    pub ffmpeg: Option<String>,
     /// Speed of one of its cores, by class of work. Absent if it was not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<NodeCalibration>,

@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 use crate::{
     ArtifactHash, CacheFillResult, CacheMergeResult, CachePlanResult, DivideResult, PlanCount, ProfileResult,
     RenderPartResult, RenderStats, RendererId, SampleShare, SceneSummary, ShotSettings, Spent, Stratum,
-    TaskKind,
+    TaskKind, VideoResult,
 };
 
 /// Result of a task. In JSON an object with one key: `{"preview": {…}}`.
@@ -31,6 +31,8 @@ pub enum TaskResult {
     RenderPart(RenderPartResult),
     /// Result of a render.
     Render(RenderResult),
+    /// Result of encoding a video.
+    Video(VideoResult),
 }
 
 impl TaskResult {
@@ -45,6 +47,7 @@ impl TaskResult {
             TaskResult::Divide(_) => TaskKind::Divide,
             TaskResult::RenderPart(_) => TaskKind::RenderPart,
             TaskResult::Render(_) => TaskKind::Render,
+            TaskResult::Video(_) => TaskKind::Video,
         }
     }
 
@@ -69,6 +72,7 @@ impl TaskResult {
                 let RenderArtifacts { image_exr, image_png, cost_map_png, preview_png } = result.artifacts;
                 [image_exr, image_png, cost_map_png].into_iter().chain(preview_png).collect()
             }
+            TaskResult::Video(result) => vec![result.file.hash],
         }
     }
 }

@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::{
     ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, JobId, JobSettings,
-    RenderPartSpec, RendererRequest, SceneDigest,
+    RenderPartSpec, RendererRequest, SceneDigest, VideoSpec,
 };
 
 /// Kind of a task.
@@ -30,11 +30,13 @@ pub enum TaskKind {
     RenderPart,
     /// Render one frame, or put it together from its parts.
     Render,
+    /// Encode the finished frames as a video.
+    Video,
 }
 
 impl TaskKind {
     /// All kinds, in the order of a job's life.
-    pub const ALL: [TaskKind; 8] = [
+    pub const ALL: [TaskKind; 9] = [
         TaskKind::Preview,
         TaskKind::Profile,
         TaskKind::CachePlan,
@@ -43,6 +45,7 @@ impl TaskKind {
         TaskKind::Divide,
         TaskKind::RenderPart,
         TaskKind::Render,
+        TaskKind::Video,
     ];
 
     /// The name, as in JSON.
@@ -56,6 +59,7 @@ impl TaskKind {
             TaskKind::Divide => "divide",
             TaskKind::RenderPart => "render_part",
             TaskKind::Render => "render",
+            TaskKind::Video => "video",
         }
     }
 
@@ -96,6 +100,8 @@ pub enum TaskSpec {
     RenderPart(RenderPartSpec),
     /// Render one frame, or put it together from its parts.
     Render(RenderSpec),
+    /// Encode the finished frames as a video.
+    Video(VideoSpec),
 }
 
 impl TaskSpec {
@@ -110,13 +116,14 @@ impl TaskSpec {
             TaskSpec::Divide(_) => TaskKind::Divide,
             TaskSpec::RenderPart(_) => TaskKind::RenderPart,
             TaskSpec::Render(_) => TaskKind::Render,
+            TaskSpec::Video(_) => TaskKind::Video,
         }
     }
 
-    /// The frame of the task. `None` for previews and the shared cache, which are about all frames.
+    /// The frame of the task. `None` for previews, the shared cache and videos, which are about all frames.
     pub const fn frame(&self) -> Option<u32> {
         match self {
-            TaskSpec::Preview(_) | TaskSpec::CachePlan(_) => None,
+            TaskSpec::Preview(_) | TaskSpec::CachePlan(_) | TaskSpec::Video(_) => None,
             TaskSpec::CacheFill(spec) => spec.frame,
             TaskSpec::CacheMerge(spec) => spec.frame,
             TaskSpec::Profile(spec) => Some(spec.frame),
@@ -147,7 +154,7 @@ impl TaskSpec {
     /// The irradiance caches that the task reads, in its order: that of a frame follows the shared one.
     pub fn caches(&self) -> Vec<ArtifactHash> {
         match self {
-            TaskSpec::Preview(_) | TaskSpec::CachePlan(_) => Vec::new(),
+            TaskSpec::Preview(_) | TaskSpec::CachePlan(_) | TaskSpec::Video(_) => Vec::new(),
             TaskSpec::Profile(spec) => spec.cache.into_iter().collect(),
             TaskSpec::CacheFill(spec) => vec![spec.cache],
             TaskSpec::CacheMerge(spec) => spec.parts.clone(),
@@ -167,17 +174,26 @@ impl TaskSpec {
         }
     }
 
-    /// Where to get the bundle.
-    pub const fn bundle(&self) -> &BundleSource {
+    /// The images that the task shows, as PNG files, in order.
+    pub fn pictures(&self) -> &[ArtifactHash] {
         match self {
-            TaskSpec::Preview(spec) => &spec.bundle,
-            TaskSpec::Profile(spec) => &spec.bundle,
-            TaskSpec::CachePlan(spec) => &spec.bundle,
-            TaskSpec::CacheFill(spec) => &spec.bundle,
-            TaskSpec::CacheMerge(spec) => &spec.bundle,
-            TaskSpec::Divide(spec) => &spec.bundle,
-            TaskSpec::RenderPart(spec) => &spec.bundle,
-            TaskSpec::Render(spec) => &spec.bundle,
+            TaskSpec::Video(spec) => &spec.pictures,
+            _ => &[],
+        }
+    }
+
+    /// Where to get the bundle. `None` for videos.
+    pub const fn bundle(&self) -> Option<&BundleSource> {
+        match self {
+            TaskSpec::Preview(spec) => Some(&spec.bundle),
+            TaskSpec::Profile(spec) => Some(&spec.bundle),
+            TaskSpec::CachePlan(spec) => Some(&spec.bundle),
+            TaskSpec::CacheFill(spec) => Some(&spec.bundle),
+            TaskSpec::CacheMerge(spec) => Some(&spec.bundle),
+            TaskSpec::Divide(spec) => Some(&spec.bundle),
+            TaskSpec::RenderPart(spec) => Some(&spec.bundle),
+            TaskSpec::Render(spec) => Some(&spec.bundle),
+            TaskSpec::Video(_) => None,
         }
     }
 
@@ -191,21 +207,23 @@ impl TaskSpec {
             TaskSpec::CachePlan(_)
             | TaskSpec::CacheFill(_)
             | TaskSpec::CacheMerge(_)
-            | TaskSpec::Divide(_) => None,
+            | TaskSpec::Divide(_)
+            | TaskSpec::Video(_) => None,
         }
     }
 
-    /// Expected hash of the scene's files.
-    pub const fn digest(&self) -> SceneDigest {
+    /// Expected hash of the scene's files. `None` for videos.
+    pub const fn digest(&self) -> Option<SceneDigest> {
         match self {
-            TaskSpec::Preview(spec) => spec.digest,
-            TaskSpec::Profile(spec) => spec.digest,
-            TaskSpec::CachePlan(spec) => spec.digest,
-            TaskSpec::CacheFill(spec) => spec.digest,
-            TaskSpec::CacheMerge(spec) => spec.digest,
-            TaskSpec::Divide(spec) => spec.digest,
-            TaskSpec::RenderPart(spec) => spec.digest,
-            TaskSpec::Render(spec) => spec.digest,
+            TaskSpec::Preview(spec) => Some(spec.digest),
+            TaskSpec::Profile(spec) => Some(spec.digest),
+            TaskSpec::CachePlan(spec) => Some(spec.digest),
+            TaskSpec::CacheFill(spec) => Some(spec.digest),
+            TaskSpec::CacheMerge(spec) => Some(spec.digest),
+            TaskSpec::Divide(spec) => Some(spec.digest),
+            TaskSpec::RenderPart(spec) => Some(spec.digest),
+            TaskSpec::Render(spec) => Some(spec.digest),
+            TaskSpec::Video(_) => None,
         }
     }
 }

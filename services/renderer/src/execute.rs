@@ -8,15 +8,17 @@ use forelight_protocol::{
 use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
+use tempfile::TempDir;
 
 /// A task with its inputs on this machine.
 #[derive(Debug, Clone)]
 pub struct Assignment {
     /// What to do.
     pub spec: TaskSpec,
-    /// Path of the bundle.
+    /// Path of the bundle. Empty for videos.
     pub bundle: PathBuf,
     /// The profile to take over pixels from, if the task names one.
     pub profile: Option<Bytes>,
@@ -26,6 +28,8 @@ pub struct Assignment {
     pub parts: Vec<Bytes>,
     /// Finished shares of the samples that the task names, in its order.
     pub shares: Vec<Bytes>,
+    /// Folder of the images that the task shows: `000000.png` and so on, in its order.
+    pub pictures: Option<Arc<TempDir>>,
     /// Tiles that an earlier worker finished before it was lost.
     pub checkpoint: Option<Bytes>,
     /// Limits on the task.
@@ -44,6 +48,7 @@ impl Assignment {
             caches: Vec::new(),
             parts: Vec::new(),
             shares: Vec::new(),
+            pictures: None,
             checkpoint: None,
             limits: TaskLimits::default(),
             threads: 1,
@@ -255,7 +260,6 @@ pub trait Execute: Send + Sync + 'static {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::Arc;
 
     #[test]
     fn work_that_is_paused_stands_still_until_it_goes_on_or_is_stopped() {

@@ -29,4 +29,4 @@ pub use quoting::{
     free_neighbours, measure_frame, middle_mean, preview_result, profile_pixels, proportional_sites,
     quote_shot, sites,
 };
-pub use tasks::{Renderers, scene_digest, scene_name};
+pub use tasks::{Renderers, failure, scene_digest, scene_name, with_run};

@@ -69,30 +69,25 @@ impl ShotRunner {
 
 impl Execute for ShotRunner {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
+        with_run(assignment, control, self.sandbox.as_deref(), |run| {
+            self.execute_in(run, assignment, control)
+        })
+    }
+}
+
+impl ShotRunner {
+    fn execute_in(
+        &self,
+        run: &Run<'_>,
+        assignment: &Assignment,
+        control: &Control,
+    ) -> Result<Outcome, ExecuteError> {
         let failed = |error| failure(error, assignment);
-        let sandbox = self.sandbox.as_deref();
-        let folder = sandbox.map_or_else(std::env::temp_dir, |sandbox| sandbox.folder().to_owned());
-        let scratch =
-            tempfile::tempdir_in(folder).map_err(RendererError::io("temporary folder")).map_err(failed)?;
-        let progress = |share: f64| control.set_progress(share);
-        let log = |line: &str| control.log(LogLevel::Info, line);
-        let limits = Limits {
-            memory_bytes: assignment.limits.memory_bytes,
-            time: assignment.limits.wall_ms.map(Duration::from_millis),
-            threads: assignment.threads,
-            ..Limits::default()
-        };
-        let run = Run {
-            cancelled: control.cancelled(),
-            progress: &progress,
-            log: &log,
-            scratch: scratch.path(),
-            limits,
-            sandbox,
-        };
-        let load = || self.open(&assignment.bundle, &run);
-        let open = self.shots.open(assignment.spec.bundle(), &assignment.bundle, load).map_err(failed)?;
-        let submitted = assignment.spec.digest();
+        let no_scene = || ExecuteError::Permanent("the task has no scene".to_owned());
+        let source = assignment.spec.bundle().ok_or_else(no_scene)?;
+        let load = || self.open(&assignment.bundle, run);
+        let open = self.shots.open(source, &assignment.bundle, load).map_err(failed)?;
+        let submitted = assignment.spec.digest().ok_or_else(no_scene)?;
         if open.digest != submitted {
             return Err(ExecuteError::Permanent(format!(
                 "the scene has changed since the job was submitted (digest {submitted}, now {}): submit the job again",
@@ -100,7 +95,7 @@ impl Execute for ShotRunner {
             )));
         }
         let settings = settings(&*open.shot, &assignment.spec)?;
-        let task = Task { open: &open, renderer: self.renderer.id(), settings, run, assignment };
+        let task = Task { open: &open, renderer: self.renderer.id(), settings, run: *run, assignment };
         match &assignment.spec {
             TaskSpec::Preview(spec) => task.preview(spec, control),
             TaskSpec::Profile(spec) => task.measure(spec),
@@ -110,6 +105,7 @@ impl Execute for ShotRunner {
                 let reason = format!("{} divides frames by samples, not by pixels", self.renderer.id());
                 Err(RendererError::Unsupported(reason))
             }
+            TaskSpec::Video(_) => Err(RendererError::Unsupported("a renderer encodes no videos".to_owned())),
             TaskSpec::CachePlan(_) | TaskSpec::CacheFill(_) | TaskSpec::CacheMerge(_) => {
                 let reason = format!("{} has no irradiance cache to share", self.renderer.id());
                 Err(RendererError::Unsupported(reason))
@@ -322,8 +318,39 @@ pub fn scene_name(path: &Path) -> String {
     path.file_stem().map_or_else(|| "scene".to_owned(), |stem| stem.to_string_lossy().into_owned())
 }
 
+/// Runs foreign programs for a task: in a folder of its own, with the task's limits, progress and log.
+///
+/// # Errors
+/// Those of `work`, and if there is no place for the folder.
+pub fn with_run<T>(
+    assignment: &Assignment,
+    control: &Control,
+    sandbox: Option<&Sandbox>,
+    work: impl FnOnce(&Run<'_>) -> Result<T, ExecuteError>,
+) -> Result<T, ExecuteError> {
+    let folder = sandbox.map_or_else(std::env::temp_dir, |sandbox| sandbox.folder().to_owned());
+    let no_place = |error| failure(RendererError::io("temporary folder")(error), assignment);
+    let scratch = tempfile::tempdir_in(folder).map_err(no_place)?;
+    let progress = |share: f64| control.set_progress(share);
+    let log = |line: &str| control.log(LogLevel::Info, line);
+    let limits = Limits {
+        memory_bytes: assignment.limits.memory_bytes,
+        time: assignment.limits.wall_ms.map(Duration::from_millis),
+        threads: assignment.threads,
+        ..Limits::default()
+    };
+    work(&Run {
+        cancelled: control.cancelled(),
+        progress: &progress,
+        log: &log,
+        scratch: scratch.path(),
+        limits,
+        sandbox,
+    })
+}
+
 /// The error of a task. It names the frame, and which limit was exceeded.
-fn failure(error: RendererError, assignment: &Assignment) -> ExecuteError {
+pub fn failure(error: RendererError, assignment: &Assignment) -> ExecuteError {
     let frame = assignment.spec.frame().map_or(String::new(), |frame| format!("frame {frame}: "));
     let text = format!("{frame}{error}");
     match error {
@@ -342,15 +369,22 @@ pub struct Renderers {
     /// Forelight's own renderer.
     own: Arc<dyn Execute>,
     others: Vec<ShotRunner>,
+    /// Encodes videos. `None` if this machine cannot.
+    video: Option<Box<dyn Execute>>,
 }
 
 impl Renderers {
     /// Our own renderer, and others that were found on this machine. The programs of the others run in the
     /// sandbox, if there is one.
-    pub fn new(own: Arc<dyn Execute>, others: Vec<Box<dyn Renderer>>, sandbox: Option<Sandbox>) -> Self {
-        let sandbox = sandbox.map(Arc::new);
+    pub fn new(own: Arc<dyn Execute>, others: Vec<Box<dyn Renderer>>, sandbox: Option<Arc<Sandbox>>) -> Self {
         let runner = |renderer| ShotRunner::new(renderer, sandbox.clone());
-        Self { own, others: others.into_iter().map(runner).collect() }
+        Self { own, others: others.into_iter().map(runner).collect(), video: None }
+    }
+
+    /// With what encodes videos on this machine, if anything does.
+    #[must_use]
+    pub fn with_video(self, video: Option<Box<dyn Execute>>) -> Self {
+        Self { video, ..self }
     }
 
     /// Names and versions of the others.
@@ -361,6 +395,10 @@ impl Renderers {
 
 impl Execute for Renderers {
     fn execute(&self, assignment: &Assignment, control: &Control) -> Result<Outcome, ExecuteError> {
+        if let TaskSpec::Video(_) = assignment.spec {
+            let missing = || ExecuteError::Transient("this worker has no ffmpeg; start it again".to_owned());
+            return self.video.as_ref().ok_or_else(missing)?.execute(assignment, control);
+        }
         let Some(asked) = assignment.spec.renderer() else { return self.own.execute(assignment, control) };
         match self.others.iter().find(|other| asked.allows(other.renderer())) {
             Some(other) => other.execute(assignment, control),

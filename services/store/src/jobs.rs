@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 use forelight_protocol::{
     BundleRef, BundleSource, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobSettings, JobState,
-    JobVerdict, Ladders, Money, RenderedBy, RendererRequest, SceneSummary, TaskLimits, Within,
+    JobVerdict, Ladders, Money, RenderedBy, RendererRequest, SceneSummary, TaskLimits, VideoRequest, Within,
 };
 use sqlx::SqliteConnection;
 
@@ -26,6 +26,7 @@ use crate::columns::{Id, Json, Time, Unread, Word, corrupt, hex_list};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::outputs;
+use crate::videos::VideoTask;
 use forelight_quote::JobForecast;
 
 /// A job's row, without the columns that only claims read.
@@ -50,6 +51,8 @@ pub(crate) struct JobRow {
     pub cache: Word<CacheSharing>,
     pub division: Json<Division>,
     pub output: Option<String>,
+    pub video: Option<Json<VideoRequest>>,
+    pub video_task: Option<Json<VideoTask>>,
     pub within: Option<Json<Within>>,
     pub limits: Json<TaskLimits>,
     pub deadline_at: Option<Time>,
@@ -75,10 +78,16 @@ macro_rules! job_rows {
     ($rest:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             $crate::jobs::JobRow,
-            "SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames, \
-             frames_total, renderer, rendered_by, settings, samples, profile_frames, profiles_more, ladders, cache, division, output, within, limits, \
-             deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor, \
-             hold, terms, terms_planned, error, created_at, finished_at FROM jobs "
+            r#"SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames,
+               frames_total, renderer, rendered_by, settings, samples, profile_frames, profiles_more, ladders, cache,
+               division, output, video, CASE WHEN video IS NOT NULL THEN (SELECT json_object('state', t.state,
+               'progress', t.progress, 'error', t.error, 'file', r.body -> '$.video.file', 'is_without_node',
+               json(iif(EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) p WHERE p.value = t.renderer
+               AND n.removed_at IS NULL), 'false', 'true')))
+               FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = jobs.id AND t.kind = 'video') END
+               AS "video_task?: crate::columns::Json<crate::videos::VideoTask>", within, limits,
+               deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor,
+               hold, terms, terms_planned, error, created_at, finished_at FROM jobs "#
                 + $rest
             $(, $value)*
         )
@@ -162,6 +171,7 @@ impl JobRow {
         let state = self.state.0;
         // Until the next plan, nothing is known of new terms.
         let is_planned = !(state.is_booked() && self.has_new_terms());
+        let video = self.job_video();
         let outlook = self.outlook.0;
         Ok(Job {
             id: self.id.into(),
@@ -177,6 +187,7 @@ impl JobRow {
             cache: self.cache.0,
             division: self.division.0,
             output: self.output.as_deref().map(outputs::pattern).transpose()?,
+            video,
             shared_cache: progress.shared_cache,
             samples: self.samples,
             profile_frames: (!self.profiles_more).then_some(self.profile_frames),

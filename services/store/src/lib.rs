@@ -53,6 +53,7 @@ mod slurm;
 mod tasks;
 mod timeline;
 pub mod tokens;
+mod videos;
 mod webhooks;
 mod writing;
 

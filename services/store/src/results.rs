@@ -24,6 +24,7 @@ use crate::nodes::{self, NodeRow, learning};
 use crate::quotes::calibration;
 use crate::shared_cache;
 use crate::tasks::Finished;
+use crate::videos;
 use crate::writing::{ask, later};
 
 /// Profiles of a job of another renderer, by frame.
@@ -306,7 +307,7 @@ async fn keep(
                 None => versions::choose(write, row.job_id, now).await?,
             }
         }
-        TaskResult::Measured(_) => {}
+        TaskResult::Measured(_) | TaskResult::Video(_) => {}
         TaskResult::Profile(profile) => {
             show_preview(write, row.job_id, profile.frame, profile.artifacts.preview_png);
         }
@@ -413,6 +414,7 @@ async fn keep_render(
     if is_last {
         calibration::learn(write, row.job_id, now).await?;
         job_state(write, row.job_id, JobState::Done, None, now);
+        videos::begin(write, row.job_id).await?;
     }
     living::update_after(before, write, row.job_id, Occasion::Frame, now).await?;
     Ok(is_last)

@@ -3,9 +3,10 @@
 pub(crate) mod listing;
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, JobId, JobSettings,
-    Money, NodeId, PartRange, PreviewSpec, ProfileSpec, RenderPartSpec, RenderSettings, RenderSpec,
-    RendererRequest, SampleShare, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, FrameRate, JobId,
+    JobSettings, Money, NodeId, PartRange, PreviewSpec, ProfileSpec, RenderPartSpec, RenderSettings,
+    RenderSpec, RendererRequest, SampleShare, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
+    VideoSpec,
 };
 use sqlx::SqliteConnection;
 
@@ -14,6 +15,7 @@ use crate::database::Write;
 use crate::error::{Result, StoreError};
 use crate::jobs::{self, JobRow};
 use crate::policy::work_stealing::{Rates, is_bounded};
+use crate::videos::FFMPEG;
 use crate::writing::run;
 
 /// State of a task that may be handed out.
@@ -258,6 +260,31 @@ impl Common {
         self.insert(write, TaskSpec::RenderPart(spec), state, None).await
     }
 
+    /// Makes the task of the video, or lets it begin again.
+    pub(crate) async fn video(
+        &self,
+        write: &mut Write,
+        frames_per_second: FrameRate,
+        pictures: Vec<ArtifactHash>,
+    ) -> Result<()> {
+        let spec = TaskSpec::Video(VideoSpec { job_id: self.job, frames_per_second, pictures });
+        let text = Json(&spec);
+        let existing = sqlx::query_scalar!(
+            "UPDATE tasks SET spec = ? WHERE job_id = ? AND kind = 'video' RETURNING id AS \"id!: Id\"",
+            text,
+            self.job.0
+        )
+        .fetch_optional(write.connection().await?)
+        .await?;
+        match existing {
+            Some(task) => {
+                write.made_work = true;
+                begin_again(write, task, READY).await
+            }
+            None => self.insert(write, spec, READY, None).await,
+        }
+    }
+
     async fn insert(
         &self,
         write: &mut Write,
@@ -270,6 +297,10 @@ impl Common {
             TaskSpec::RenderPart(spec) => Some(spec.part),
             TaskSpec::Render(_) => Some(0),
             _ => None,
+        };
+        let needed = match &spec {
+            TaskSpec::Video(_) => Some(FFMPEG.to_owned()),
+            _ => spec.renderer().or(self.own.as_ref()).map(ToString::to_string),
         };
         run!(
             write,
@@ -291,7 +322,7 @@ impl Common {
             booked.map(|slot| slot.start.micros()),
             booked.and_then(|slot| slot.rate),
             Json(&self.limits),
-            spec.renderer().or(self.own.as_ref()).map(ToString::to_string)
+            needed
         );
         write.made_work |= state == READY;
         Ok(())

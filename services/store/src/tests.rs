@@ -159,6 +159,7 @@ impl Farm {
                     peak_memory_bytes: 0,
                 })
             }
+            TaskSpec::Video(_) => panic!("no job of these tests has a video"),
             TaskSpec::CachePlan(_) => TaskResult::CachePlan(CachePlanResult {
                 cache: Some(self.artifact("a plan").await),
                 bytes: 6,
@@ -362,6 +363,7 @@ fn scene() -> SceneSummary {
         objects: 1,
         materials: 1,
         triangles: 2,
+        frames_per_second: None,
     }
 }
 

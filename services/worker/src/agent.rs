@@ -32,6 +32,7 @@ use parking_lot::Mutex;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
@@ -375,8 +376,15 @@ impl Agent {
             let missing = error.is(ProblemKind::NotFound) || error.is(ProblemKind::ArtifactLost);
             if missing { ExecuteError::Input(message) } else { ExecuteError::Transient(message) }
         };
+        let pictures =
+            match lease.spec.pictures() {
+                [] => None,
+                _ => Some(Arc::new(self.bundles.folder_for_pictures().map_err(|error| {
+                    ExecuteError::Transient(format!("no folder for the pictures: {error}"))
+                })?)),
+            };
         let Fetched { bundle, profile, caches, parts, shares } = loop {
-            match self.fetch(lease).await {
+            match self.fetch(lease, pictures.as_deref()).await {
                 Ok(fetched) => break fetched,
                 // A short outage of the service or its artefact store is not the task's fault.
                 Err(error) if error.is_passing() => {
@@ -386,7 +394,7 @@ impl Agent {
                 Err(error) => return Err(failed(error)),
             }
         };
-        if !tokio::fs::try_exists(&bundle).await.unwrap_or(true) {
+        if lease.spec.bundle().is_some() && !tokio::fs::try_exists(&bundle).await.unwrap_or(true) {
             return Err(ExecuteError::Input(format!("bundle {} is gone", bundle.display())));
         }
         control.log(LogLevel::Info, "bundle fetched");
@@ -404,15 +412,31 @@ impl Agent {
             caches,
             parts,
             shares,
+            pictures,
             checkpoint,
             limits: lease.limits.and(self.limits),
             threads: self.registration.cores,
         })
     }
 
-    /// Fetches the bundle, the profile, the irradiance caches, and the parts and shares of samples of a task.
-    async fn fetch(&self, lease: &Lease) -> Result<Fetched, ClientError> {
-        let bundle = self.bundles.locate(&self.client, lease.spec.bundle()).await?;
+    /// Fetches the bundle, the profile, the irradiance caches, and the parts and shares of samples of a task. Its
+    /// pictures go to their folder; those that are there already stay.
+    async fn fetch(&self, lease: &Lease, pictures: Option<&TempDir>) -> Result<Fetched, ClientError> {
+        let bundle = match lease.spec.bundle() {
+            Some(source) => self.bundles.locate(&self.client, source).await?,
+            None => PathBuf::new(),
+        };
+        if let Some(folder) = pictures {
+            for (place, &hash) in lease.spec.pictures().iter().enumerate() {
+                let path = folder.path().join(format!("{place:06}.png"));
+                if !path.exists() {
+                    let partial = path.with_extension("part");
+                    self.client.artifact_to_file(hash, &partial).await?;
+                    let failed = |source| ClientError::File { path: path.clone(), source };
+                    tokio::fs::rename(&partial, &path).await.map_err(failed)?;
+                }
+            }
+        }
         let (parts, shares) = match &lease.spec {
             TaskSpec::Render(spec) => (&spec.parts[..], &spec.shares[..]),
             _ => (&[][..], &[][..]),

@@ -8,6 +8,7 @@ use forelight_kept::Folder;
 use forelight_protocol::{ArtifactHash, BundleSource};
 use std::fs;
 use std::path::{Path, PathBuf};
+use tempfile::TempDir;
 
 /// Fetched bundles are deleted, least recently used first, when they exceed this many bytes.
 const DISK_BYTES: u64 = 16 << 30;
@@ -26,6 +27,11 @@ impl Bundles {
     /// If the folder cannot be created.
     pub fn new(folder: &Path) -> Result<Self, std::io::Error> {
         Ok(Self { folder: Folder::new(folder)?, fetching: tokio::sync::Mutex::default() })
+    }
+
+    /// A folder for the pictures of one task, removed when it is dropped.
+    pub(crate) fn folder_for_pictures(&self) -> Result<TempDir, std::io::Error> {
+        tempfile::Builder::new().prefix(".pictures-").tempdir_in(self.folder.path())
     }
 
     /// Path of a task's bundle on this machine. Fetches the bundle if needed.

@@ -59,6 +59,7 @@ fn job(frames: &str) -> Job {
         objects: 1,
         materials: 1,
         triangles: 2,
+        frames_per_second: None,
     };
     let frames: FrameSet = frames.parse().unwrap();
     serde_json::from_value(json!({

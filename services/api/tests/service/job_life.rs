@@ -59,17 +59,17 @@ async fn a_job_is_previewed_profiled_forecast_booked_rendered_and_done() {
     let preview = farm.next_task(&node).await;
     assert_eq!(preview.spec.kind(), TaskKind::Preview);
     let scene = forelight_scene::Scene::load(&farm.bundle_path(), &Default::default()).unwrap();
-    assert_eq!((preview.spec.digest(), job.scene.digest.0), (job.scene.digest, scene.digest()));
+    assert_eq!((preview.spec.digest(), job.scene.digest.0), (Some(job.scene.digest), scene.digest()));
     assert_eq!(farm.finish(&preview).await.job_state, JobState::Previewing);
     let mut profiled = Vec::new();
     for _ in 0..2 {
         let profile = farm.next_task(&node).await;
-        assert_eq!((profile.spec.kind(), profile.spec.digest()), (TaskKind::Profile, job.scene.digest));
+        assert_eq!((profile.spec.kind(), profile.spec.digest()), (TaskKind::Profile, Some(job.scene.digest)));
         profiled.push(profile.spec.frame().unwrap());
         farm.finish(&profile).await;
     }
     let first = farm.next_task(&node).await;
-    assert_eq!((first.spec.kind(), first.spec.digest()), (TaskKind::Render, job.scene.digest));
+    assert_eq!((first.spec.kind(), first.spec.digest()), (TaskKind::Render, Some(job.scene.digest)));
     assert_eq!(farm.job(&job).await.state, JobState::Rendering);
     profiled.sort_unstable();
 

@@ -32,6 +32,7 @@ mod trust;
 mod turnover;
 mod uploads;
 mod versions;
+mod videos;
 mod wear;
 mod webhooks;
 mod workers;

@@ -9,7 +9,7 @@ use forelight_protocol::{
     PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled, Quantiles, Rays,
     RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, RendererId,
     SampleCost, SampleRange, SampleShare, SceneSummary, ShotSettings, Spent, SpentOnForecast, Stratum,
-    StratumName, StratumTime, TaskResult, TaskSpec, Varied,
+    StratumName, StratumTime, TaskResult, TaskSpec, Varied, VideoFile, VideoResult, VideoSpec,
 };
 
 impl Farm {
@@ -30,6 +30,7 @@ impl Farm {
             }
             TaskSpec::RenderPart(spec) => TaskResult::RenderPart(self.render_part(spec).await),
             TaskSpec::Render(spec) => TaskResult::Render(self.render(spec).await),
+            TaskSpec::Video(spec) => TaskResult::Video(self.video(spec).await),
         }
     }
 
@@ -49,6 +50,15 @@ impl Farm {
             spent: Spent { work: 18_000, cpu_nanos: 18_000_000 },
             peak_memory_bytes: 1 << 20,
         }
+    }
+
+    /// A file that names the pictures.
+    async fn video(&self, spec: &VideoSpec) -> VideoResult {
+        let content = format!("{:?} at {}", spec.pictures, spec.frames_per_second);
+        let frames = u32::try_from(spec.pictures.len()).expect("few frames");
+        let hash = self.artifact(content.as_bytes()).await;
+        let file = VideoFile { hash, bytes: content.len() as u64, frames };
+        VideoResult { file, spent: Spent { work: 0, cpu_nanos: 1_000_000 }, peak_memory_bytes: 1 << 20 }
     }
 
     /// A part whose pixels cost their share of the frame's work.
@@ -149,7 +159,7 @@ impl Farm {
             },
             artifacts: RenderArtifacts {
                 image_exr: self.artifact(format!("image {}", spec.frame).as_bytes()).await,
-                image_png: self.artifact(b"a picture").await,
+                image_png: self.artifact(format!("picture {}", spec.frame).as_bytes()).await,
                 cost_map_png: self.artifact(b"a cost map").await,
                 preview_png: None,
             },
@@ -202,6 +212,7 @@ fn described(spec: &PreviewSpec) -> Described {
             objects: 1,
             materials: 1,
             triangles: 2,
+            frames_per_second: None,
         },
         settings: ShotSettings {
             width: Some(8),

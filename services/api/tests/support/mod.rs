@@ -54,7 +54,7 @@ fn scene_files() -> [(&'static str, String); 3] {
         "version": 1, "name": "quad", "geometry": ["quad.obj"],
         "camera": {"origin": [0, 0, 3], "target": [0, 0, 0], "up": [0, 1, 0], "fov_deg": 40, "fov_axis": "x", "width": 8, "height": 8},
         "environment": {"type": "constant", "radiance": [1, 1, 1]},
-        "animation": {"fps": 24, "frames": 20, "tracks": []},
+        "animation": {"fps": 25, "frames": 20, "tracks": []},
     });
     let geometry =
         "mtllib quad.mtl\no quad\nv -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nusemtl paint\nf 1 2 3 4\n";

@@ -114,6 +114,7 @@ async fn submit(store: &Store, frames: u32) -> Result<Job> {
         objects: 1,
         materials: 1,
         triangles: 2,
+        frames_per_second: None,
     };
     let settings = request.settings.complete((8, 8));
     let new = NewJob {

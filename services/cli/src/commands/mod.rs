@@ -38,6 +38,7 @@ mod slurm;
 mod status;
 mod submit;
 mod token;
+mod video;
 mod webhook;
 mod worker;
 
@@ -78,6 +79,7 @@ enum Command {
     Status(status::Args),
     Jobs(jobs::Args),
     Cancel(cancel::Args),
+    Video(video::Args),
     LeaveOut(leave_out::Args),
     Dashboard(dashboard::Args),
     Render(render::Args),
@@ -130,6 +132,7 @@ impl Cli {
             Command::Jobs(args) => jobs::run(args).await,
             Command::Accept(args) => accept::run(args).await,
             Command::Cancel(args) => cancel::run(args).await,
+            Command::Video(args) => video::run(args, interrupt).await,
             Command::LeaveOut(args) => leave_out::run(args).await,
             Command::Dashboard(args) => dashboard::run(args).await,
             Command::Token(args) => token::run(args).await,

@@ -236,6 +236,7 @@ pub(super) mod tests {
             objects: 1,
             materials: 1,
             triangles: 2,
+            frames_per_second: None,
         };
         serde_json::from_value(json!({
             "id": "0192f0c1-7a3b-7c55-8f00-0123456789ab", "name": "kitchen", "project": "film", "state": "profiling",

@@ -10,9 +10,9 @@ use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
 };
-use forelight_renderer::Renderers;
 use forelight_renderer::door::Renderer;
 use forelight_renderer::process::Sandbox;
+use forelight_renderer::{Execute, Renderers};
 use forelight_renderer_own::{OwnRenderer, TaskRunner, node_speed};
 use forelight_store::{DATABASE, token_hash, tokens};
 use forelight_terminal::atomic_file::write_secret;
@@ -23,6 +23,7 @@ use forelight_terminal::local::{cores, preview_choice};
 use forelight_terminal::options::{PreviewBackend, duration};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{parse_bytes, parse_money};
+use forelight_video::{Encoder, VideoTasks};
 use forelight_worker::{Agent, Bundles, Errand, machine};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -169,11 +170,17 @@ pub fn equipment(
     }
     let adapter =
         renderer.adapter().context("cannot render previews with the device that --preview names")?;
-    let sandbox = options.sandbox.then(|| Sandbox::new(hidden)).transpose()?;
-    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(&options.command)?, sandbox);
+    let sandbox = options.sandbox.then(|| Sandbox::new(hidden)).transpose()?.map(Arc::new);
+    let encoder = Encoder::find().inspect_err(|reason| tracing::debug!(%reason, "no videos")).ok();
+    let ffmpeg = encoder.as_ref().map(|encoder| encoder.version().to_owned());
+    let video =
+        encoder.map(|encoder| Box::new(VideoTasks::new(encoder, sandbox.clone())) as Box<dyn Execute>);
+    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(&options.command)?, sandbox)
+        .with_video(video);
     let capabilities = Capabilities {
         version: Some(env!("CARGO_PKG_VERSION").to_owned()),
         renderers: [OwnRenderer::id()].into_iter().chain(renderers.ids()).collect(),
+        ffmpeg,
         gpu: adapter.as_ref().is_some_and(|adapter| adapter.is_hardware),
         vulkan_adapter: adapter.and_then(|adapter| Capabilities::name(&adapter.name)),
         ..machine()

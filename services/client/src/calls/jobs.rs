@@ -6,7 +6,7 @@ use crate::transport::{Payload, Request, parameters};
 use bytes::Bytes;
 use forelight_protocol::{
     AcceptRequest, AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId,
-    JobPage, JobRequest, LeaveOutRequest, LeftOutJob, Money, TaskPage, TaskRow, Timestamp,
+    JobPage, JobRequest, LeaveOutRequest, LeftOutJob, Money, TaskPage, TaskRow, Timestamp, VideoRequest,
 };
 use reqwest::Method;
 use std::path::Path;
@@ -87,6 +87,16 @@ impl Client {
     /// Cancels a job. Cancelling it again changes nothing.
     pub async fn cancel(&self, id: JobId) -> Result<Job, ClientError> {
         self.transport.json(&Request::new(Method::POST, format!("/v1/jobs/{id}/cancel"))).await
+    }
+
+    /// Has a video made of a job's frames, in place of an earlier one.
+    pub async fn set_video(&self, id: JobId, request: &VideoRequest) -> Result<Job, ClientError> {
+        self.transport.json(&Request::json(Method::PUT, format!("/v1/jobs/{id}/video"), request)).await
+    }
+
+    /// Deletes the video of a job.
+    pub async fn delete_video(&self, id: JobId) -> Result<Job, ClientError> {
+        self.transport.json(&Request::new(Method::DELETE, format!("/v1/jobs/{id}/video"))).await
     }
 
     /// The newest jobs of exactly this name, at most 50.

@@ -762,6 +762,44 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/jobs/{id}/video": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Has a video made of a job's frames, when the last of them is finished. If the job is done, it is made now.
+         * @description An earlier video is replaced. 409 if the job was cancelled or failed, or its images were deleted.
+         */
+        put: operations["video_set"];
+        post?: never;
+        /** Deletes the video of a job; none is made any more. Repeating the request changes nothing. */
+        delete: operations["video_delete"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/jobs/{id}/video.mp4": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The video of a job's frames: MP4 with H.264. */
+        get: operations["video_get"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/join-tokens": {
         parameters: {
             query?: never;
@@ -2169,6 +2207,8 @@ export interface components {
         /** @description Properties of a machine, as found by its worker. */
         Capabilities: {
             calibration?: components["schemas"]["NodeCalibration"] | null;
+            /** @description Version of ffmpeg: 1 to 50 characters. Absent if the machine cannot encode videos. */
+            ffmpeg?: string | null;
             /** @description Whether that adapter is a hardware GPU, not a software driver. */
             gpu?: boolean;
             /**
@@ -2862,6 +2902,11 @@ export interface components {
             /** @description Start of the booking. */
             start: components["schemas"]["Timestamp"];
         };
+        /**
+         * Format: double
+         * @description Frames per second, such as 24 or 23.976. Rounded to thousandths.
+         */
+        FrameRate: number;
         /** @description One frame of a job: its forecast and its actual cost. */
         FrameRow: {
             actual?: components["schemas"]["RenderStats"] | null;
@@ -3135,6 +3180,7 @@ export interface components {
             /** @description Its state. */
             state: components["schemas"]["JobState"];
             verdict?: components["schemas"]["JobVerdict"] | null;
+            video?: components["schemas"]["JobVideo"] | null;
             waits?: components["schemas"]["Waits"] | null;
             /**
              * Format: int32
@@ -3293,6 +3339,7 @@ export interface components {
             samples: number;
             /** @description Render settings. What is left out has the scene's value or the default. */
             settings?: components["schemas"]["RenderSettingsRequest"];
+            video?: components["schemas"]["VideoRequest"] | null;
             /**
              * Format: int32
              * @description Weight among jobs of the same priority, 1 to 1000. A job of weight 2 counts like two of weight 1.
@@ -3329,6 +3376,21 @@ export interface components {
             verdict: components["schemas"]["Verdict"];
             /** @description The cheapest changes that would keep deadline and budget, at most three. Empty if they are kept. */
             ways_out?: components["schemas"]["PlanEffect"][];
+        };
+        /** @description The video of a job. */
+        JobVideo: {
+            /** @description Why it failed. Absent if it did not. */
+            error?: string | null;
+            file?: components["schemas"]["VideoFile"] | null;
+            /** @description Frames per second. */
+            frames_per_second: components["schemas"]["FrameRate"];
+            /**
+             * Format: double
+             * @description How much of it is encoded, 0 to 1.
+             */
+            progress: number;
+            /** @description `waiting` until the last frame is finished, `done` when the video is there. */
+            state: components["schemas"]["FrameState"];
         };
         /** @description Joins a machine to the farm with a one-time token. */
         JoinRequest: {
@@ -5279,6 +5341,7 @@ export interface components {
              * @description Number of frames of the animation. 1 for a still.
              */
             frames: number;
+            frames_per_second?: components["schemas"]["FrameRate"] | null;
             /**
              * Format: int32
              * @description The camera's image height in pixels.
@@ -5614,7 +5677,7 @@ export interface components {
          * @description Kind of a task.
          * @enum {string}
          */
-        TaskKind: "preview" | "profile" | "cache_plan" | "cache_fill" | "cache_merge" | "divide" | "render_part" | "render";
+        TaskKind: "preview" | "profile" | "cache_plan" | "cache_fill" | "cache_merge" | "divide" | "render_part" | "render" | "video";
         /**
          * @description The limit that a task exceeded.
          * @enum {string}
@@ -5693,6 +5756,9 @@ export interface components {
         } | {
             /** @description Result of a render. */
             render: components["schemas"]["RenderResult"];
+        } | {
+            /** @description Result of encoding a video. */
+            video: components["schemas"]["VideoResult"];
         };
         /** @description A task of a job. */
         TaskRow: {
@@ -5755,6 +5821,9 @@ export interface components {
         } | {
             /** @description Render one frame, or put it together from its parts. */
             render: components["schemas"]["RenderSpec"];
+        } | {
+            /** @description Encode the finished frames as a video. */
+            video: components["schemas"]["VideoSpec"];
         };
         /** @description A time span from `start` to just before `end`. */
         TimeSpan: {
@@ -6009,6 +6078,46 @@ export interface components {
             job_id: components["schemas"]["JobId"];
             /** @description Its name. */
             name: string;
+        };
+        /** @description The file of a video. */
+        VideoFile: {
+            /**
+             * Format: int64
+             * @description Its size in bytes.
+             */
+            bytes: number;
+            /**
+             * Format: int32
+             * @description Number of its frames.
+             */
+            frames: number;
+            /** @description Its hash. */
+            hash: components["schemas"]["ArtifactHash"];
+        };
+        /** @description A video that is made of a job's frames when the last of them is finished. */
+        VideoRequest: {
+            frames_per_second?: components["schemas"]["FrameRate"] | null;
+        };
+        /** @description Result of encoding a video. */
+        VideoResult: {
+            /** @description The video. */
+            file: components["schemas"]["VideoFile"];
+            /**
+             * Format: int64
+             * @description Largest resident memory of the encoder in bytes. 0 if unknown.
+             */
+            peak_memory_bytes?: number;
+            /** @description Cost of the task. */
+            spent: components["schemas"]["Spent"];
+        };
+        /** @description Task: encode the finished frames of a job as a video. */
+        VideoSpec: {
+            /** @description Frames per second. */
+            frames_per_second: components["schemas"]["FrameRate"];
+            /** @description The job. */
+            job_id: components["schemas"]["JobId"];
+            /** @description The images as PNG files, in order. */
+            pictures: components["schemas"]["ArtifactHash"][];
         };
         /**
          * @description Kind of reason why a job waits.
@@ -8437,6 +8546,152 @@ export interface operations {
                 };
             };
             /** @description It is still that of `If-None-Match` */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    video_set: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["VideoRequest"];
+            };
+        };
+        responses: {
+            /** @description The job */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Job"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    video_delete: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The job */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Job"];
+                };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    video_get: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description Ranges of bytes, at most 16 */
+                Range?: string | null;
+                /** @description Tags of which the file must have one */
+                "If-Match"?: string | null;
+            };
+            path: {
+                id: components["schemas"]["JobId"];
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description The video */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "video/mp4": string;
+                };
+            };
+            /** @description The ranges of it; of several, each with its place */
+            206: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "video/mp4": string;
+                    "multipart/byteranges": string;
+                };
+            };
+            /** @description The video is still that of `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;

@@ -4,8 +4,8 @@ use crate::door::{
     Cost, Description, FrameCounts, PixelCount, RendererError, RendererId, Run, Settings, Shot, Shown,
 };
 use forelight_protocol::{
-    Described, FrameStrata, PreviewBackend, PreviewResult, SceneDigest, SceneSummary, Spent, Stratum,
-    StratumName,
+    Described, FrameRate, FrameStrata, PreviewBackend, PreviewResult, SceneDigest, SceneSummary, Spent,
+    Stratum, StratumName,
 };
 use forelight_quote::stratum_key;
 use std::collections::BTreeMap;
@@ -145,6 +145,7 @@ fn described(
             objects: count(objects.len()),
             materials: count(description.materials.as_ref().map_or(0, Vec::len)),
             triangles: objects.iter().filter_map(|object| object.triangles).sum(),
+            frames_per_second: FrameRate::try_from(description.frames_per_second).ok(),
         },
         settings: settings.complete(),
         notes: description.notes.iter().take(MOST_NOTES).cloned().collect(),

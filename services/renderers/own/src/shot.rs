@@ -6,7 +6,7 @@ use crate::error::RenderError;
 use crate::previewer::{SharedPreviewer, backend, preview_spent};
 use forelight_kept::Folder;
 use forelight_protocol::{
-    PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
+    FrameRate, PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
 };
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
@@ -191,6 +191,7 @@ fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
         objects: strata.objects.len() as u64,
         materials: strata.materials() as u64,
         triangles: first.geometry.triangles.len() as u64,
+        frames_per_second: FrameRate::try_from(scene.fps()).ok(),
     }
 }
 

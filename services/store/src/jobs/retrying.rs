@@ -20,6 +20,7 @@ use crate::plans::replans;
 use crate::quotes::calibration;
 use crate::shared_cache::parts;
 use crate::tasks::begin_again;
+use crate::videos;
 use crate::writing::run;
 
 /// A frame with its task.
@@ -198,6 +199,7 @@ async fn forget_result(write: &mut Write, job: JobId, row: &Row) -> Result<()> {
 
 /// Opens a job that is done or failed. Parts of its shared cache that failed or were withdrawn go on too.
 async fn go_on(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
+    videos::take_video_back(write, job.id, now).await?;
     let of_cache = sqlx::query_scalar!(
         "SELECT id FROM tasks WHERE job_id = ? AND frame IS NULL AND kind IN ('cache_fill', 'cache_merge') \
          AND state IN ('failed', 'cancelled')",
@@ -223,6 +225,7 @@ async fn finish(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
     run!(write, "UPDATE jobs SET stage = 'done', finished_at = ? WHERE id = ?", now.micros(), job.id.0);
     calibration::learn(write, job.id, now).await?;
     job_state(write, job.id, JobState::Done, None, now);
+    videos::begin(write, job.id).await?;
     living::update(write, job.id, Occasion::Ended, now).await?;
     replans::want(write, &format!("job {} is done without some frames", job.name)).await
 }

@@ -105,7 +105,7 @@ async fn insert(
         "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
          frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
          priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output, \
-         submitted_by) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         submitted_by, video) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         job_id.0,
         request.name,
         request.project,
@@ -133,7 +133,8 @@ async fn insert(
         request.hold,
         Json(&request.division),
         request.output.as_ref().map(ToString::to_string),
-        submitter
+        submitter,
+        request.video.as_ref().map(Json)
     );
     Ok(())
 }

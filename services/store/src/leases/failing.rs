@@ -60,13 +60,14 @@ impl Store {
     /// What is gone of a task's input; `None` if nothing is, as far as can be seen.
     async fn missing_input(&self, spec: &TaskSpec, now: Timestamp) -> Result<Option<String>> {
         let mut artifacts = spec.caches();
+        artifacts.extend(spec.pictures());
         match spec.bundle() {
             // What cannot be looked at may be there.
-            BundleSource::Path(path) if !tokio::fs::try_exists(path).await.unwrap_or(true) => {
+            Some(BundleSource::Path(path)) if !tokio::fs::try_exists(path).await.unwrap_or(true) => {
                 return Ok(Some(format!("bundle {path}")));
             }
-            BundleSource::Path(_) => {}
-            BundleSource::Artifact(hash) => artifacts.push(*hash),
+            Some(BundleSource::Path(_)) | None => {}
+            Some(BundleSource::Artifact(hash)) => artifacts.push(*hash),
         }
         if let TaskSpec::Render(render) = spec {
             artifacts.extend(render.profile);

@@ -16,6 +16,7 @@ use crate::nodes::{LOST, by_name, has_another_worker, node_rows, read};
 use crate::plans::replans;
 use crate::policy::availability::{Opening, opening, silence, with_power};
 use crate::policy::nodes::{cause_of, is_same_machine, may_take_tasks_again};
+use crate::videos::FFMPEG;
 use crate::writing::run;
 
 impl Store {
@@ -92,8 +93,10 @@ pub(crate) async fn upsert(
         _ => false,
     };
     let may_price = write.actor().is_none_or(|actor| actor.role == Role::Operator);
+    let capabilities = &registration.capabilities;
+    let renderers = capabilities.renderers.iter().flat_map(RendererId::answers_to);
     let renderers: Vec<String> =
-        registration.capabilities.renderers.iter().flat_map(RendererId::answers_to).collect();
+        renderers.chain(capabilities.ffmpeg.as_ref().map(|_| FFMPEG.to_owned())).collect();
     let node_id: NodeId = sqlx::query_scalar!(
         "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, \
          capabilities, schedule, worker, renderers) VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (name) \

@@ -137,6 +137,7 @@ fn claims(result: &TaskResult) -> Vec<Claim> {
             claims
         }
         TaskResult::Render(result) => render(&result.stats),
+        TaskResult::Video(result) => vec![spent("/result/video/spent", result.spent)],
     }
 }
 

@@ -8,6 +8,7 @@ use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::jobs::read;
 use crate::policy::retention::Rules;
+use crate::videos;
 use crate::writing::run;
 
 /// A job that has ended.
@@ -94,7 +95,7 @@ impl Store {
         let bytes = sqlx::query_scalar!(
             r#"SELECT coalesce(sum(size), 0) AS "bytes!: u64" FROM artifacts WHERE hash IN (
                    SELECT a.hash FROM tasks t JOIN result_artifacts a ON a.task_id = t.id WHERE t.job_id = ?1
-                   AND (?2 OR (t.kind IN ('preview', 'render')) = ?3))"#,
+                   AND (?2 OR (t.kind IN ('preview', 'render', 'video')) = ?3))"#,
             job.0,
             kind == RetentionKind::Jobs,
             kind == RetentionKind::Images
@@ -113,7 +114,8 @@ async fn delete_images(write: &mut Write, job: JobId, now: Timestamp) -> Result<
         job.0
     );
     run!(write, "UPDATE frames SET artifacts = NULL, preview_png = NULL WHERE job_id = ?", job.0);
-    run!(write, "UPDATE jobs SET images_deleted_at = ? WHERE id = ?", now.micros(), job.0);
+    videos::take_video_back(write, job, now).await?;
+    run!(write, "UPDATE jobs SET images_deleted_at = ?, video = NULL WHERE id = ?", now.micros(), job.0);
     Ok(())
 }
 
@@ -122,7 +124,7 @@ async fn delete_profiles(write: &mut Write, job: JobId, now: Timestamp) -> Resul
     run!(
         write,
         "DELETE FROM result_artifacts WHERE task_id IN \
-         (SELECT id FROM tasks WHERE job_id = ? AND kind NOT IN ('preview', 'render'))",
+         (SELECT id FROM tasks WHERE job_id = ? AND kind NOT IN ('preview', 'render', 'video'))",
         job.0
     );
     run!(write, "UPDATE jobs SET profiles_deleted_at = ? WHERE id = ?", now.micros(), job.0);

@@ -11,6 +11,7 @@ use forelight_store::{NewJob, StoreError};
 use crate::bundle_inspection;
 use crate::error::{ApiError, ApiResult};
 use crate::resources::checks::{HIGHEST_SUM, check_name, within};
+use crate::resources::videos::check_length;
 use crate::state::App;
 
 /// Latest deadline: ten years from now, in microseconds. It catches a wrong digit in the year.
@@ -48,6 +49,9 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
         ));
     }
     check_delivery(app, &request)?;
+    if request.video.is_some() {
+        check_length(frames, "/video")?;
+    }
     if let Some(renderer) = &request.renderer {
         renderer
             .check()

@@ -7,7 +7,8 @@ mod shot;
 
 use forelight_protocol::{
     AllottedStats, CacheFillResult, CacheFillSpec, CacheMergeResult, CachePlanResult, CachePlanSpec,
-    JobSettings, PreviewResult, PreviewSpec, RenderResult, RenderSpec, TaskResult, TaskSpec,
+    JobSettings, PreviewResult, PreviewSpec, RenderResult, RenderSpec, TaskResult, TaskSpec, VIDEO_BYTES,
+    VideoResult, VideoSpec,
 };
 
 use self::fields::{
@@ -30,6 +31,7 @@ pub(super) fn check(spec: &TaskSpec, result: &TaskResult) -> ApiResult<()> {
         (TaskSpec::Divide(spec), TaskResult::Divide(result)) => division::divide(spec, result),
         (TaskSpec::RenderPart(spec), TaskResult::RenderPart(result)) => division::render_part(spec, result),
         (TaskSpec::Render(spec), TaskResult::Render(result)) => render(spec, result),
+        (TaskSpec::Video(spec), TaskResult::Video(result)) => video(spec, result),
         (spec, result) => wrong(
             "/result",
             format!("this is the result of a {} task; the task is a {} task", result.kind(), spec.kind()),
@@ -116,6 +118,18 @@ fn cache_fill(spec: &CacheFillSpec, result: &CacheFillResult) -> ApiResult<()> {
 fn cache_merge(result: &CacheMergeResult) -> ApiResult<()> {
     cache_bytes("/result/cache_merge/bytes", result.bytes)?;
     spent("/result/cache_merge/spent", result.spent)
+}
+
+fn video(spec: &VideoSpec, result: &VideoResult) -> ApiResult<()> {
+    const AT: &str = "/result/video";
+    let VideoResult { file, spent: cost, peak_memory_bytes } = result;
+    frame_count(&format!("{AT}/file/frames"), file.frames as usize, spec.pictures.len())?;
+    if !(1..=VIDEO_BYTES).contains(&file.bytes) {
+        let reason = format!("{} bytes; a video has 1 to {VIDEO_BYTES}", file.bytes);
+        return wrong(format!("{AT}/file/bytes"), reason);
+    }
+    storable(&format!("{AT}/peak_memory_bytes"), [*peak_memory_bytes])?;
+    spent(&format!("{AT}/spent"), *cost)
 }
 
 fn samples_where_they_pay(spec: &RenderSpec, allotted: &AllottedStats) -> ApiResult<()> {

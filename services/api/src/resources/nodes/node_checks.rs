@@ -49,8 +49,16 @@ pub(super) fn check_registration(place: &str, node: &NodeRegistration) -> ApiRes
     if !(1..=4096).contains(&node.cores) {
         return Err(ApiError::invalid(at("cores"), "a node has 1 to 4096 cores"));
     }
-    let Capabilities { memory_bytes, processor, vulkan_adapter, gpu: _, renderers, calibration, version } =
-        &node.capabilities;
+    let Capabilities {
+        memory_bytes,
+        processor,
+        vulkan_adapter,
+        gpu: _,
+        renderers,
+        ffmpeg,
+        calibration,
+        version,
+    } = &node.capabilities;
     if memory_bytes.is_some_and(|bytes| i64::try_from(bytes).is_err()) {
         return Err(ApiError::invalid(at("capabilities/memory_bytes"), "a number larger than 2⁶³ − 1"));
     }
@@ -58,7 +66,9 @@ pub(super) fn check_registration(place: &str, node: &NodeRegistration) -> ApiRes
     for (name, text) in [("processor", processor), ("vulkan_adapter", vulkan_adapter)] {
         text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 200))?;
     }
-    version.as_ref().map_or(Ok(()), |version| check_name(&at("capabilities/version"), version, 50))?;
+    for (name, text) in [("version", version), ("ffmpeg", ffmpeg)] {
+        text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 50))?;
+    }
     if renderers.len() > MOST_RENDERERS {
         let reason = format!("{} renderers; a node has at most {MOST_RENDERERS}", renderers.len());
         return Err(ApiError::invalid(at("capabilities/renderers"), reason));

@@ -481,6 +481,7 @@ mod tests {
             objects: 1,
             materials: 1,
             triangles: 1,
+            frames_per_second: None,
         }
     }
 

@@ -5,6 +5,7 @@ mod foreign;
 mod images;
 mod report;
 
+use super::video;
 use super::worker::task_limits;
 use crate::archive;
 use crate::connection::ConnectionOptions;
@@ -12,9 +13,9 @@ use crate::connection::connect;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
-    BundleRef, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobRequest, JobState, Ladders,
-    MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest, RendererRequest, SceneSummary,
-    Timestamp, Within,
+    BundleRef, CacheSharing, Confidence, Division, FrameRate, FrameSet, Job, JobId, JobRequest, JobState,
+    Ladders, MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest, RendererRequest,
+    SceneSummary, Timestamp, VideoRequest, Within,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse_own_settings};
@@ -117,6 +118,13 @@ pub struct Args {
     /// {project}/{job}/{frame:04}.exr. Placeholders: {project}, {job}, {id}, {frame}, {frame:04}
     #[arg(long, value_name = "PATTERN")]
     output: Option<OutputPattern>,
+    /// Make a video of the frames when the last of them is finished. A node needs ffmpeg. With --out, it is
+    /// written as video.mp4
+    #[arg(long)]
+    video: bool,
+    /// Frames per second of the video, 1 to 240, such as 24 or 23.976 [default: those of the scene, or 24]
+    #[arg(long, value_name = "RATE", requires = "video")]
+    fps: Option<FrameRate>,
     /// Renderer other than forelight's own, with its version or the beginning of it, such as "cycles 5.0"
     /// [default: any version of cycles for a .blend file, and of radiance for a .rif file or octree]. The
     /// version that previews the job also renders it
@@ -184,6 +192,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let forecast = client.forecast(job.id).await.ok();
     if let Some(folder) = &args.out {
         images::fetch(&client, &job, &frames, folder, &bars, &interrupt).await?;
+        if job.state == JobState::Done && job.video.is_some() {
+            video::fetch(&client, job.id, &folder.join("video.mp4"), &bars, &interrupt).await?;
+        }
     }
     if args.json {
         output::json(&report::Document { job: &job, forecast: forecast.as_ref(), frames: &frames })?;
@@ -267,6 +278,7 @@ fn request(
         cache: args.cache_sharing,
         division: args.parts,
         output: args.output.clone(),
+        video: args.video.then_some(VideoRequest { frames_per_second: args.fps }),
         samples: args.samples,
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },

@@ -168,6 +168,7 @@ impl Farm {
             objects: 1,
             materials: 1,
             triangles: 1,
+            frames_per_second: None,
         };
         let settings = request.settings.complete((8, 8));
         let source = BundleSource::Path("/scenes/a".to_owned());

@@ -53,10 +53,12 @@ impl Execute for TaskRunner {
             loading.set(shot.loading());
             Ok::<_, RenderError>(Arc::new(shot))
         };
-        let shot = self.shots.open(assignment.spec.bundle(), &assignment.bundle, load)?;
+        let no_scene = || ExecuteError::Permanent("the task has no scene".to_owned());
+        let source = assignment.spec.bundle().ok_or_else(no_scene)?;
+        let shot = self.shots.open(source, &assignment.bundle, load)?;
         let shot = &*shot;
         // A bundle on shared storage may have changed. The quote would be wrong, and frames would not match.
-        let (submitted, found) = (assignment.spec.digest(), shot.info().summary.digest);
+        let (submitted, found) = (assignment.spec.digest().ok_or_else(no_scene)?, shot.info().summary.digest);
         if found != submitted {
             return Err(ExecuteError::Permanent(format!(
                 "the bundle has changed since the job was submitted (digest {submitted}, now {found}): submit the job again"
@@ -76,6 +78,7 @@ impl Execute for TaskRunner {
             TaskSpec::Divide(spec) => divide::divide(shot, spec, loading.get(), assignment, control),
             TaskSpec::RenderPart(spec) => part::render_part(shot, spec, loading.get(), assignment, control),
             TaskSpec::Render(spec) => render(shot, spec, assignment, control),
+            TaskSpec::Video(_) => Err(no_scene()),
         }
     }
 }

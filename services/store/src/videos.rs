@@ -1,0 +1,122 @@
+//! Videos of finished frames.
+//!
+//! The last frame of a job makes its video task ready, in the transaction that ends the job. The job is done
+//! without it: a video that fails, or waits for a node with ffmpeg, delays nothing. When frames are rendered
+//! again, the video is taken back until the last of them is finished.
+
+use forelight_protocol::{
+    ArtifactHash, AuditAction, FrameRate, FrameState, Job, JobId, JobState, JobVideo, LeaseId, Timestamp,
+    VideoFile, VideoRequest,
+};
+use serde::Deserialize;
+
+use crate::audit::{Deed, note};
+use crate::columns::Json;
+use crate::database::{Store, Write};
+use crate::error::{Result, StoreError};
+use crate::jobs::changing::tell;
+use crate::jobs::{self, JobRow, read};
+use crate::leases::take_back;
+use crate::tasks::{self, Common};
+use crate::writing::run;
+
+/// What a node must have for videos, among its renderers in the database. No renderer can have this name.
+pub(crate) const FFMPEG: &str = "(ffmpeg)";
+
+impl Store {
+    /// Has a video made of a job's frames, or none with `None`. A job that is done has it made at once, again if
+    /// there is one.
+    ///
+    /// A [`StoreError::Conflict`] if the job was cancelled or failed, or its images were deleted.
+    pub async fn set_video(&self, job: JobId, video: Option<VideoRequest>, now: Timestamp) -> Result<Job> {
+        let mut write = self.write().await?;
+        let current = read(write.connection().await?, job).await?;
+        if let JobState::Cancelled | JobState::Failed = current.state {
+            return Err(StoreError::Conflict(format!("the job is {}: it has no video", current.state)));
+        }
+        take_video_back(&mut write, job, now).await?;
+        run!(write, "UPDATE jobs SET video = ? WHERE id = ?", video.as_ref().map(Json), job.0);
+        if current.state == JobState::Done {
+            begin(&mut write, job).await?;
+        }
+        let what =
+            if video.is_some() { "a video is made of its frames" } else { "no video is made of its frames" };
+        tell(&mut write, job, what, now);
+        let deed = Deed::new(AuditAction::JobChanged, job).of_project(&current.project);
+        note(&mut write, deed, Some(&serde_json::json!({ "video": video })), now);
+        let changed = read(write.connection().await?, job).await?;
+        self.commit(write).await?;
+        Ok(changed)
+    }
+}
+
+/// Makes the video task of a job that is done, if a video is asked for.
+pub(crate) async fn begin(write: &mut Write, job: JobId) -> Result<()> {
+    let row = jobs::row(write.connection().await?, job).await?;
+    let Some(rate) = row.frame_rate() else { return Ok(()) };
+    let pictures = sqlx::query_scalar!(
+        r#"SELECT artifacts ->> 'image_png' AS "picture!: String" FROM frames
+           WHERE job_id = ? AND actual IS NOT NULL AND artifacts IS NOT NULL ORDER BY frame"#,
+        job.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    let pictures = pictures.iter().filter_map(|picture| picture.parse().ok()).collect::<Vec<ArtifactHash>>();
+    if pictures.is_empty() {
+        return Err(StoreError::Conflict("the job's images were deleted".to_owned()));
+    }
+    Common::of(&row).video(write, rate, pictures).await
+}
+
+/// Takes the video back from whoever encodes it, and forgets it.
+pub(crate) async fn take_video_back(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    let task = sqlx::query_scalar!("SELECT id FROM tasks WHERE job_id = ? AND kind = 'video'", job.0);
+    let Some(task) = task.fetch_optional(write.connection().await?).await? else { return Ok(()) };
+    let held = sqlx::query_scalar!(
+        "SELECT id FROM leases WHERE task_id = ? AND state = 'active' ORDER BY fence",
+        task
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    take_back(write, held.into_iter().map(LeaseId::from), now).await?;
+    run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", task);
+    run!(write, "DELETE FROM results WHERE task_id = ?", task);
+    tasks::begin_again(write, task, "waiting").await
+}
+
+/// The video task of a job, as far as it concerns the job.
+#[derive(Deserialize)]
+pub(crate) struct VideoTask {
+    state: FrameState,
+    progress: f64,
+    error: Option<String>,
+    file: Option<VideoFile>,
+    is_without_node: bool,
+}
+
+impl JobRow {
+    /// Frames per second of its video. `None` if none is asked for.
+    fn frame_rate(&self) -> Option<FrameRate> {
+        let asked = self.video.as_ref()?.0;
+        Some(asked.frames_per_second.or(self.scene.0.frames_per_second).unwrap_or(FrameRate::FILM))
+    }
+
+    /// Its video, if one is asked for.
+    pub fn job_video(&self) -> Option<JobVideo> {
+        let frames_per_second = self.frame_rate()?;
+        let Some(Json(task)) = &self.video_task else {
+            let is_over = self.state.0.is_final();
+            let state = if is_over { FrameState::Cancelled } else { FrameState::Waiting };
+            return Some(JobVideo { frames_per_second, state, progress: 0.0, file: None, error: None });
+        };
+        let waits = (task.state == FrameState::Ready && task.is_without_node)
+            .then(|| "no node has ffmpeg: install it on one and start its worker again".to_owned());
+        Some(JobVideo {
+            frames_per_second,
+            state: task.state,
+            progress: task.progress,
+            file: task.file,
+            error: task.error.clone().or(waits),
+        })
+    }
+}
