@@ -12,7 +12,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
-packages=(chromium fonts-dejavu-core)
+packages=(chromium ffmpeg fonts-dejavu-core)
 command -v npm >/dev/null || packages+=(nodejs npm)
 deploy/packages.sh "${packages[@]}" || skip 'Chromium cannot be installed (no network?)'
 command -v npm >/dev/null || skip 'no npm'

@@ -49,6 +49,7 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     await page.getByLabel("Width").fill("48");
     await page.getByLabel("Camera samples per pixel").fill("1");
     await page.getByLabel("Bounces").fill("0");
+    await page.getByLabel("Make a video").check();
     await press("Get a quote");
     const first = await quoted();
     await press("Change it");
@@ -80,6 +81,40 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
       assert.ok(Buffer.from(bytes).equals(await answer.body()), place);
     }
     await gone();
+  });
+
+  await step("plays the video of the frames, and has it made at another rate", async () => {
+    await page.getByRole("link", { name: "Video", exact: true }).click();
+    const video = page.locator("video");
+    const shown = (seconds) =>
+      until("the video can be played", () =>
+        video.evaluate(
+          (of, seconds) =>
+            Math.abs(of.duration - seconds) < 0.001 &&
+            of.readyState >= 2 && [of.videoWidth, of.videoHeight],
+          seconds,
+        ),
+      );
+    await video.waitFor();
+    // Four frames at the scene's rate. An odd height is made even.
+    assert.deepEqual(await shown(4 / 24), [48, 28]);
+    await press("Make it again…");
+    await dialog.getByLabel("Frames per second").fill("8");
+    await inspect(page, "video-question");
+    await press("Make it");
+    await gone();
+    assert.deepEqual(await shown(4 / 8), [48, 28]);
+    await inspect(page, "job-video");
+    const [file] = await Promise.all([
+      page.waitForEvent("download"),
+      page.getByRole("link", { name: "Save it as a file" }).click(),
+    ]);
+    assert.equal(file.suggestedFilename(), "small.mp4");
+    await press("Delete the video…");
+    await press("Delete the video");
+    await gone();
+    await page.getByText("No video is made of these frames.").waitFor();
+    assert.equal((await job(small)).video, undefined);
   });
 
   await step("asks for a rung of the accuracy ladder as a new job", async () => {

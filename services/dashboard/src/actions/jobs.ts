@@ -5,7 +5,7 @@ import type { Job, JobChange, JobRequest, PlanChange, RenderSettings } from "../
 
 /** A request that repeats a job. */
 export function requestOf(job: Job): JobRequest {
-  const { settings, renderer, within, limits, cache, ladders, division, output } = job;
+  const { settings, renderer, within, limits, cache, ladders, division, output, video } = job;
   return {
     name: job.name,
     project: job.project,
@@ -26,6 +26,7 @@ export function requestOf(job: Job): JobRequest {
     ...(ladders ? { ladders } : {}),
     ...(division ? { division } : {}),
     ...(output ? { output } : {}),
+    ...(video ? { video: { frames_per_second: video.frames_per_second } } : {}),
   };
 }
 

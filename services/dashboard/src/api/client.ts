@@ -131,6 +131,13 @@ export function post<P extends WithMethod<"post"> & string>(
   return call("POST", path, request as Request<never>) as Promise<Ok<Operation<P, "post">>>;
 }
 
+export function put<P extends WithMethod<"put"> & string>(
+  path: P,
+  request: Request<Operation<P, "put">> = {},
+): Promise<Ok<Operation<P, "put">>> {
+  return call("PUT", path, request as Request<never>) as Promise<Ok<Operation<P, "put">>>;
+}
+
 export function patch<P extends WithMethod<"patch"> & string>(
   path: P,
   request: Request<Operation<P, "patch">> = {},

@@ -18,11 +18,13 @@ import { Ladders } from "./ladders";
 import { Logs } from "./logs";
 import { Price } from "./price";
 import { useLiveStrip } from "./live-strip";
+import { Video } from "./video";
 import { Why } from "./why";
 import "../../styles/job.css";
 
 const TABS = [
   ["images", "Images"],
+  ["video", "Video"],
   ["why", "Why it costs that"],
   ["ladders", "What accuracy costs"],
   ["estimate", "Estimate"],
@@ -78,7 +80,7 @@ export function JobScreen(props: { id: string }) {
       <JobHead job={doc} changed={reload} />
       {job.error && <Trouble error={job.error} retry={job.reload} />}
       <Frames job={doc} strip={live} quantity={quantity} changed={reload} />
-      <Tabs job={doc} strip={live.data} />
+      <Tabs job={doc} strip={live.data} changed={reload} />
     </div>
   );
 }
@@ -100,7 +102,7 @@ function useNews(asked: Job | null): Job | null {
   return job?.id === asked?.id ? job : asked;
 }
 
-function Tabs(props: { job: Job; strip: FrameStrip | null }) {
+function Tabs(props: { job: Job; strip: FrameStrip | null; changed: () => void }) {
   const { job, strip } = props;
   const tab = TABS.find(([name]) => name === param("tab"))?.[0] ?? "images";
   const over = OVER.includes(job.state);
@@ -127,6 +129,7 @@ function Tabs(props: { job: Job; strip: FrameStrip | null }) {
         ))}
       </nav>
       {tab === "images" && <Images job={job} strip={strip} />}
+      {tab === "video" && <Video job={job} changed={props.changed} />}
       {tab === "why" && <Why job={job} version={job.state} />}
       {tab === "ladders" && <Ladders job={job} version={job.state} answers={answers.data} />}
       {tab === "estimate" && <History job={job} version={`${version}-${job.frames_done}`} />}

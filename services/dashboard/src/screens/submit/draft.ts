@@ -20,6 +20,8 @@ export interface Draft {
   budget: string;
   priority: string;
   ladders: boolean;
+  /** Whether a video is made of the frames. */
+  video: boolean;
   /** Name of another renderer, and its version if one is wanted: `cycles 5.0`. Empty for our own. */
   renderer: string;
   /** The request that is changed. What the form does not ask stays as it was there. */
@@ -46,6 +48,7 @@ export function draftFor(bundle: Bundle): Draft {
     budget: "",
     priority: "",
     ladders: false,
+    video: false,
     // Only Blender files are uploaded of all scenes that our own renderer cannot open.
     renderer: scene.frames === 0 ? "cycles" : "",
     base: null,
@@ -74,6 +77,7 @@ export function draftOf(job: Job): Draft {
     budget: job.budget == null ? "" : String(job.budget / 1e6),
     priority: job.priority ? String(job.priority) : "",
     ladders: job.ladders === "all",
+    video: job.video != null,
     renderer: job.renderer ? [job.renderer.name, job.renderer.version ?? ""].join(" ").trim() : "",
     base: requestThatRepeats(job),
   };
@@ -126,7 +130,7 @@ export function requestOf(
   if (draft.budget.trim() !== "" && budget === null) wrong.budget = "Write an amount such as 12.50.";
   const priority = draft.priority.trim() === "" ? 0 : Number(draft.priority);
   if (!Number.isInteger(priority)) wrong.priority = "Write a whole number.";
-  const { renderer: _, ...kept } = base ?? { weight: 1, samples: 256 };
+  const { renderer: _, video, ...kept } = base ?? { weight: 1, samples: 256, video: null };
   const request: JobRequest = {
     ...kept,
     name: draft.name.trim(),
@@ -139,6 +143,7 @@ export function requestOf(
     budget,
     priority,
     ladders: draft.ladders ? "all" : "own",
+    ...(draft.video ? { video: video ?? {} } : {}),
     ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),
     hold: true,
   };
@@ -157,6 +162,7 @@ export function fieldOf(pointer: string | null): keyof Draft | null {
     "/settings/ambient_bounces": "bounces",
     "/settings/integrator": "integrator",
     "/settings/cache": "cache",
+    "/video": "video",
     "/deadline": "deadline",
     "/budget": "budget",
     "/priority": "priority",

@@ -38,6 +38,20 @@ export function Fields(props: Asked & { scene: Bundle["scene"] | null; own: bool
           />
           <Text {...asked} name="frames" label="Frames" hint="0-47, or 0,5,9-12." />
         </div>
+        <label>
+          <input
+            type="checkbox"
+            checked={draft.video}
+            onChange={(event) => change({ video: event.currentTarget.checked })}
+          />{" "}
+          Make a video
+          <span class="hint"> (when the last frame is finished, by a node with ffmpeg)</span>
+        </label>
+        {wrong.video && (
+          <p class="wrong-text" role="alert">
+            {wrong.video}
+          </p>
+        )}
       </fieldset>
       <fieldset>
         <legend>Quality</legend>
