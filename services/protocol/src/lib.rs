@@ -145,8 +145,8 @@ pub use quantiles::{MoneyQuantiles, Quantiles};
 pub use quota::{Quota, QuotaList, QuotaRequest};
 pub use renderer::{JobSettings, OWN_RENDERER, RenderedBy, RendererId, RendererRequest, ShotSettings};
 pub use result::{
-    Described, FrameStrata, MeasuredFrame, MeasuredShare, PreviewBackend, PreviewResult, RenderArtifacts,
-    RenderResult, SampleCost, StratumTime, TaskResult, Varied,
+    Described, FixedPart, FrameStrata, MeasuredFrame, MeasuredShare, PreviewBackend, PreviewResult,
+    RenderArtifacts, RenderResult, SampleCost, StratumTime, TaskResult, Varied,
 };
 pub use retention::{Files, PruneRequest, Pruned, PrunedKind, Retention, RetentionKind, RetentionRule};
 pub use role::{Role, UnknownRole};

@@ -3,7 +3,7 @@
 use crate::*;
 use forelight_forecast::{Correction, Corrections, Strategy};
 use forelight_protocol::{
-    ArtifactHash, CacheSample, FixedCosts, FrameStrata, LeftOut, MeasuredFrame, PreviewBackend,
+    ArtifactHash, CacheSample, FixedCosts, FixedPart, FrameStrata, LeftOut, MeasuredFrame, PreviewBackend,
     PreviewResult, ProcessCosts, ProfileArtifacts, ProfileResult, ProfileSample, Profiled, Quantiles,
     RendererId, SampleCost, ShotSettings, Spent, Stratum, StratumName, StratumTime, Varied,
 };
@@ -226,6 +226,7 @@ fn cpu_time_of_another_renderer_is_divided_by_what_a_frame_shows() {
     // Microseconds of a sample: 2 for a pixel of the wall, 6 for one of the vase. 100 are fixed.
     let preview = preview(&[(0, &[80, 10], 10), (1, &[40, 50], 10)]);
     let cost = |amount, micros: u64| SampleCost { amount, cpu_nanos: (100 + micros) * 1000 };
+    let fixed = |name: &str, micros| FixedPart { name: name.to_owned(), cpu_nanos: micros * 1000 };
     let measured = |frame, wall: u64, vase: u64, varied| {
         let time = |object, nanos| StratumTime { object: Some(object), material: Some(0), nanos };
         let result = MeasuredFrame {
@@ -234,6 +235,7 @@ fn cpu_time_of_another_renderer_is_divided_by_what_a_frame_shows() {
             varied,
             whole: 64,
             costs: vec![cost(1, wall + vase), cost(0, 0)],
+            fixed: vec![fixed("tree", 70), fixed("write", 20), fixed("a word of its own", 10)],
             strata: vec![time(0, wall), time(1, vase)],
             shares: Vec::new(),
             spent: Spent::default(),
@@ -253,7 +255,13 @@ fn cpu_time_of_another_renderer_is_divided_by_what_a_frame_shows() {
         .map(|o| (o.shows.as_ref().unwrap().object.as_str(), o.pixels, o.work.round()))
         .collect();
     assert_eq!(objects, [("vase", 50, 64.0 * 300.0), ("wall", 40, 64.0 * 80.0)]);
-    assert_eq!(explained.parts.iter().map(|part| part.work.round()).collect::<Vec<_>>(), [24_320.0, 100.0]);
+    let parts: Vec<(&str, f64)> = explained.parts.iter().map(|p| (p.part.as_str(), p.work.round())).collect();
+    let others = [("building the tree", 70.0), ("writing the image", 20.0), ("a word of its own", 10.0)];
+    assert_eq!((parts[0], &parts[1..]), (("pixels", 24_320.0), &others[..]));
+    let mut untold = profiles(Varied::Samples);
+    untold[1].result.fixed.clear();
+    let untold = explain_sampled(&preview, &untold, &settings, Some(1)).unwrap();
+    assert_eq!((untold.parts[1].part.as_str(), untold.parts[1].work.round()), ("setting up", 100.0));
     assert_eq!(explained.halving.iter().map(|way| (&*way.setting, way.to)).next(), Some(("spp", 32.0)));
     assert!(
         explained.words[1].starts_with("vase, paint: 78.6 % of the work, 50.0 % of the pixels"),

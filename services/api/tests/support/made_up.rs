@@ -4,12 +4,13 @@
 use super::Farm;
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, Described, DivideResult, DivideSpec,
-    FinishedPart, FixedCosts, FrameStrata, ImageError, LadderKind, Lease, MeasuredFrame, MeasuredShare,
-    MissingLadder, NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange, PreviewBackend, PreviewResult,
-    PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled, Quantiles, Rays,
-    RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, RendererId,
-    SampleCost, SampleRange, SampleShare, SceneSummary, ShotSettings, Spent, SpentOnForecast, Stratum,
-    StratumName, StratumTime, TaskResult, TaskSpec, Varied, VideoFile, VideoResult, VideoSpec,
+    FinishedPart, FixedCosts, FixedPart, FrameStrata, ImageError, LadderKind, Lease, MeasuredFrame,
+    MeasuredShare, MissingLadder, NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange, PreviewBackend,
+    PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled,
+    Quantiles, Rays, RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec,
+    RenderStats, RendererId, SampleCost, SampleRange, SampleShare, SceneSummary, ShotSettings, Spent,
+    SpentOnForecast, Stratum, StratumName, StratumTime, TaskResult, TaskSpec, Varied, VideoFile, VideoResult,
+    VideoSpec,
 };
 
 impl Farm {
@@ -45,6 +46,7 @@ impl Farm {
             varied: Varied::Samples,
             whole: 32,
             costs: vec![cost(0), cost(4)],
+            fixed: vec![FixedPart { name: "tree".to_owned(), cpu_nanos: 10_000_000 }],
             strata: vec![StratumTime { object: Some(0), material: Some(0), nanos: 4 * sample }],
             shares: vec![MeasuredShare { offset: 0, count: 4, cpu_nanos: 4 * sample, hash }],
             spent: Spent { work: 18_000, cpu_nanos: 18_000_000 },

@@ -50,6 +50,8 @@ pub(super) struct Amounts {
     /// without a cache.
     pub records_work: Vec<f64>,
     pub fixed: Option<FixedCosts>,
+    /// What else the costs consist of that do not depend on pixels, by name. Only the proportions count.
+    pub fixed_parts: Vec<(String, f64)>,
     /// True if the frames share an irradiance cache. No number here includes building it.
     pub shares_cache: bool,
     /// Expected rays by category, in the order of [`forelight_protocol::Rays::NAMES`].
@@ -104,6 +106,7 @@ impl Measured<'_> {
             by_samples: true,
             records_work: records.iter().map(|sum| sum.work).collect(),
             fixed: self.fixed_costs(frame),
+            fixed_parts: Vec::new(),
             shares_cache: self.shared.is_some(),
             rays: total.rays.map(|rays| rays.mean),
             uncovered: self.profiles.iter().find_map(|profile| profile.result.uncovered),

@@ -81,13 +81,15 @@ fn parts(amounts: &Amounts) -> (Vec<PartShare>, f64) {
     let rest = (amounts.work - pixels - records).max(0.0);
     let mut parts = vec![part("pixels", pixels), part("filling the irradiance cache", records)];
     let FixedCosts { load, build, plan, .. } = amounts.fixed.unwrap_or_default();
-    let setting_up =
-        [("setting up", load), ("building the tree", build), ("planning the irradiance cache", plan)];
-    let all = setting_up.map(|(_, spent)| spent.work as f64).iter().sum::<f64>();
+    let own = [("setting up", load), ("building the tree", build), ("planning the irradiance cache", plan)];
+    let own = own.into_iter().map(|(name, spent)| (name, spent.work as f64));
+    let others = amounts.fixed_parts.iter().map(|(name, work)| (name.as_str(), *work));
+    let setting_up: Vec<(&str, f64)> = own.chain(others).collect();
+    let all = setting_up.iter().map(|(_, work)| work).sum::<f64>();
     let mut planning = 0.0;
     if all > 0.0 {
         planning = rest * (plan.work as f64 / all);
-        parts.extend(setting_up.map(|(name, spent)| part(name, rest * (spent.work as f64 / all))));
+        parts.extend(setting_up.into_iter().map(|(name, work)| part(name, rest * (work / all))));
     } else {
         parts.push(part("setting up", rest));
     }
@@ -169,6 +171,7 @@ mod tests {
                 build: spent(2),
                 ..FixedCosts::default()
             }),
+            fixed_parts: Vec::new(),
             shares_cache: false,
             rays: [15.0, 20.0, 0.0, 0.0, 0.0, 30.0, 0.0],
             uncovered: None,

@@ -2,8 +2,10 @@
 
 use forelight_forecast::Strategy;
 use forelight_protocol::{
-    Explanation, PreviewResult, RenderSettings, RenderSettingsRequest, ShotSettings, Varied,
+    Explanation, FixedPart, PreviewResult, RenderSettings, RenderSettingsRequest, ShotSettings, Varied,
+    at_speed_one,
 };
+use std::collections::BTreeMap;
 
 use super::amounts::{Amounts, ProfiledWork, ShownWork};
 use super::explain;
@@ -30,6 +32,36 @@ impl Measured<'_> {
 fn common_settings(settings: &ShotSettings) -> RenderSettings {
     let size = (settings.width.unwrap_or(1), settings.height.unwrap_or(1));
     RenderSettingsRequest { spp: settings.samples, ..RenderSettingsRequest::default() }.complete(size)
+}
+
+/// What the measured frames say of the costs that do not depend on samples: CPU time in nanoseconds of a node of
+/// speed 1, in words. Empty if a frame says nothing.
+fn fixed_parts(profiles: &[SampledProfile]) -> Vec<(String, f64)> {
+    if profiles.iter().any(|profile| profile.result.fixed.is_empty()) {
+        return Vec::new();
+    }
+    let mut sums: BTreeMap<&str, f64> = BTreeMap::new();
+    for SampledProfile { result, node_speed } in profiles {
+        for FixedPart { name, cpu_nanos } in &result.fixed {
+            *sums.entry(in_words(name)).or_default() += at_speed_one(*cpu_nanos, *node_speed);
+        }
+    }
+    sums.into_iter().map(|(name, nanos)| (name.to_owned(), nanos)).collect()
+}
+
+/// What a renderer did, from its name in [`FixedPart`].
+fn in_words(name: &str) -> &str {
+    match name {
+        "prepare" => "setting up",
+        "scene" => "synchronising the scene",
+        "tree" => "building the tree",
+        "textures" => "loading textures",
+        "kernels" => "loading kernels",
+        "images" => "image buffers",
+        "finish" => "denoising and compositing",
+        "write" => "writing the image",
+        own => own,
+    }
 }
 
 /// Explains a shot that was measured as a few frames at few samples: all frames, or one.
@@ -92,6 +124,7 @@ pub fn explain_sampled(
         by_samples: profiles.iter().all(|profile| profile.result.varied == Varied::Samples),
         records_work: Vec::new(),
         fixed: None,
+        fixed_parts: fixed_parts(profiles),
         shares_cache: false,
         rays: [0.0; 7],
         uncovered: None,

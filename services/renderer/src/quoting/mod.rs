@@ -22,8 +22,8 @@ pub use pixels::{PixelChoice, PixelProfile, profile_pixels};
 pub use previews::preview_result;
 pub(crate) use previews::{as_spent, own_number};
 
-use crate::door::{Artefact, Cost, Part, RendererError, RendererId, Run, Settings, Shot};
-use forelight_protocol::{MeasuredFrame, MeasuredShare, StratumTime};
+use crate::door::{Artefact, Cost, FixedCosts, Part, RendererError, RendererId, Run, Settings, Shot};
+use forelight_protocol::{FixedPart, MeasuredFrame, MeasuredShare, StratumTime};
 use probes::{best, costs, hide, probes, whole};
 use std::collections::BTreeMap;
 
@@ -54,6 +54,7 @@ pub fn measure_frame(
     let varied = best(&can, settings);
     let (mut measured, mut shares, mut artefacts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut times, mut spent) = (BTreeMap::new(), Cost::default());
+    let mut known_fixed: Vec<FixedCosts> = Vec::new();
     for probe in probes(varied, &can, settings, turn) {
         if probe.in_addition && !hide(&measured) {
             continue;
@@ -66,6 +67,7 @@ pub fn measure_frame(
             shares.push(MeasuredShare { offset: *offset, count: *count, cpu_nanos, hash: None });
             artefacts.push(artefact);
         }
+        known_fixed.extend(Some(part.fixed).filter(|fixed| !fixed.is_empty()));
         for cost in part.strata {
             *times.entry((cost.count.object, cost.count.material)).or_insert(0) += cost.nanos;
         }
@@ -77,10 +79,21 @@ pub fn measure_frame(
         varied,
         whole: whole(varied, settings),
         costs: measured,
+        fixed: mean(&known_fixed),
         strata: times.into_iter().map(time).collect(),
         shares,
         spent: as_spent(spent.cpu_nanos),
         peak_memory_bytes: spent.peak_memory_bytes,
     };
     Ok(Measurement { result, artefacts })
+}
+
+/// The mean of fixed costs, by name. What is absent from one of them is 0 there.
+fn mean(all: &[FixedCosts]) -> Vec<FixedPart> {
+    let mut sums = FixedCosts::new();
+    for (name, nanos) in all.iter().flatten() {
+        *sums.entry(name.clone()).or_insert(0) += nanos;
+    }
+    let cost = |(name, sum)| FixedPart { name, cpu_nanos: sum / all.len().max(1) as u64 };
+    sums.into_iter().map(cost).collect()
 }

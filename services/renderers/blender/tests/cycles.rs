@@ -176,6 +176,14 @@ fn a_share_of_the_samples_says_what_is_fixed_and_where_time_goes() {
             let measured = shot.measure(0, &settings, &first, run).unwrap();
             let fixed: u64 = measured.fixed.values().sum();
             assert!(fixed > 0 && fixed < measured.cost.cpu_nanos, "{measured:?}");
+            println!("{name}: fixed CPU ns: {:?}", measured.fixed);
+            for part in ["prepare", "scene", "tree", "write"] {
+                assert!(
+                    measured.fixed.get(part).is_some_and(|&nanos| nanos > 0),
+                    "{part}: {:?}",
+                    measured.fixed
+                );
+            }
             let pixels: u64 = measured.strata.iter().map(|stratum| stratum.count.pixels).sum();
             assert_eq!(pixels, if locates_costs() { settings.pixels() } else { 0 });
             assert_eq!(measured.strata.len() > 3, locates_costs());
@@ -210,7 +218,9 @@ fn previews_count_pixels_and_regions_have_costs() {
             let parts = Part::Regions(regions.clone());
             let measured = shot.measure(0, &settings, &parts, run).unwrap();
             assert!(measured.pieces.iter().map(|p| p.region).eq(regions.iter().copied()));
-            assert!(measured.fixed.keys().eq(["prepare", "write"]), "{:?}", measured.fixed);
+            for part in ["prepare", "scene", "tree", "write"] {
+                assert!(measured.fixed.contains_key(part), "{part}: {:?}", measured.fixed);
+            }
             let sum: u64 = measured.pieces.iter().map(|p| p.cpu_nanos).sum();
             let whole = shot.render(0, &settings, &[], run).unwrap();
             let sampled = whole.cost.cpu_nanos - whole.fixed.values().sum::<u64>();

@@ -118,9 +118,11 @@ fn claims(result: &TaskResult) -> Vec<Claim> {
             let parts = result.costs.iter().map(|cost| cost.cpu_nanos);
             let shares = result.shares.iter().map(|share| share.cpu_nanos);
             let strata = result.strata.iter().map(|stratum| stratum.nanos);
+            let fixed = result.fixed.iter().map(|part| part.cpu_nanos);
             vec![
                 spent(&format!("{AT}/spent"), result.spent),
                 sum(format!("{AT}/costs"), parts.map(|nanos| (nanos, 0))),
+                sum(format!("{AT}/fixed"), fixed.map(|nanos| (nanos, 0))),
                 sum(format!("{AT}/shares"), shares.map(|nanos| (nanos, 0))),
                 sum(format!("{AT}/strata"), strata.map(|nanos| (nanos, 0))),
             ]

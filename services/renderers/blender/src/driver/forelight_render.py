@@ -1,8 +1,8 @@
 """Renders frames, shares of their samples, and regions, and says what each cost.
 
-Cycles tells its state to the handler `render_stats`: `Sample 0/8` when everything is prepared, `Finished`
-when all samples are done. The CPU time at these two moments divides a cost into preparing, sampling and
-writing.
+Cycles tells its state to the handler `render_stats`: what it prepares, `Sample 0/8` when everything is
+prepared, `Finished` when all samples are done. The CPU time at these moments divides a cost into preparing,
+sampling and writing.
 """
 
 import contextlib
@@ -11,6 +11,16 @@ import time
 
 import bpy
 import forelight_describe
+
+
+# What Cycles prepares, by a word in the state that it tells. The first word that is found counts.
+PREPARED = {
+    "kernel": "kernels",
+    "bvh": "tree",
+    "image": "textures",
+    "synchroniz": "scene",
+    "updating": "scene",
+}
 
 
 class Clock:
@@ -22,6 +32,10 @@ class Clock:
         self.sampling_since = None
         self.last_end = None
         self.told = 0.0
+        # CPU time by what was prepared, what is being prepared, and since when.
+        self.prepared = {}
+        self.preparing = None
+        self.preparing_since = 0
 
     def __enter__(self):
         forelight_describe.peak_memory_bytes(reset=True)
@@ -37,6 +51,8 @@ class Clock:
     def state(self, text, *_):
         now = time.process_time_ns()
         text = text if isinstance(text, str) else str(text)
+        if self.last_end is None and self.sampling_since is None:
+            self.prepare(text, now)
         if "Sample " in text:
             if self.sampling_since is None:
                 self.sampling_since = now
@@ -45,6 +61,20 @@ class Clock:
             self.sampling += now - self.sampling_since
             self.sampling_since = None
             self.last_end = now
+
+    def prepare(self, text, now):
+        """Counts the time since the last state for what was prepared then."""
+        if self.preparing:
+            spent = now - self.preparing_since
+            self.prepared[self.preparing] = self.prepared.get(self.preparing, 0) + spent
+        lower = text.lower()
+        self.preparing = next((name for word, name in PREPARED.items() if word in lower), None)
+        self.preparing_since = now
+
+    def before_samples(self, cpu_nanos):
+        """CPU time before the first sample, divided by what was prepared."""
+        rest = max(0, cpu_nanos - sum(self.prepared.values()))
+        return {"prepare": rest, **self.prepared}
 
     def tell(self, text):
         done, _, whole = text.rpartition("Sample ")[2].partition(" ")[0].partition("/")
@@ -63,7 +93,7 @@ class Clock:
         if self.last_end is None:
             return {"cost": cost, "fixed": {}}
         write = self.end - self.last_end
-        return {"cost": cost, "fixed": {"prepare": max(0, whole - self.sampling - write), "write": write}}
+        return {"cost": cost, "fixed": {**self.before_samples(whole - self.sampling - write), "write": write}}
 
 
 def prepare(frame, settings, threads):
@@ -218,7 +248,7 @@ def regions(frame, settings, threads, out, progress, regions):
             pieces.append({"region": region, "cpu_nanos": whole.sampling - before})
             progress((index + 1) / len(regions))
         render.use_border = render.use_crop_to_border = False
-        fixed = {"prepare": max(0, prepared), **finishing(scene, out, settings, denoise, composite)}
+        fixed = {**whole.before_samples(prepared), **finishing(scene, out, settings, denoise, composite)}
         render.use_persistent_data = False
     answer = whole.cost()
     answer["fixed"] = fixed

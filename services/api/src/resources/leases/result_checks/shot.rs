@@ -1,14 +1,18 @@
 //! Checks of results of other renderers.
 
-use forelight_protocol::{Described, MeasuredFrame, PreviewSpec, ProfileSpec};
+use forelight_protocol::{Described, FixedPart, MeasuredFrame, PreviewSpec, ProfileSpec};
 
 use super::fields::{frame, spent, storable, wrong};
 use crate::error::ApiResult;
+use crate::resources::checks::check_name;
 
 /// Most measured costs of a frame.
 const MOST_COSTS: usize = 1000;
 /// Most shares of a frame's samples.
 const MOST_SHARES: usize = 100;
+/// Most parts of the fixed costs, and characters of a name.
+const MOST_FIXED: usize = 20;
+const LONGEST_FIXED: usize = 50;
 /// Most notes about a scene, and characters of each.
 const MOST_NOTES: usize = 100;
 const LONGEST_NOTE: usize = 1000;
@@ -71,10 +75,21 @@ pub(super) fn measured(spec: &ProfileSpec, result: &MeasuredFrame) -> ApiResult<
         return wrong(format!("{AT}/costs"), reason);
     }
     storable(&format!("{AT}/costs"), result.costs.iter().map(|cost| cost.cpu_nanos))?;
+    fixed_parts(&format!("{AT}/fixed"), &result.fixed)?;
     storable(&format!("{AT}/strata"), result.strata.iter().map(|time| time.nanos))?;
     shares(spec, result)?;
     storable(&format!("{AT}/peak_memory_bytes"), [result.peak_memory_bytes])?;
     spent(&format!("{AT}/spent"), result.spent)
+}
+
+fn fixed_parts(pointer: &str, parts: &[FixedPart]) -> ApiResult<()> {
+    if parts.len() > MOST_FIXED {
+        return wrong(pointer, format!("{} parts; there are at most {MOST_FIXED}", parts.len()));
+    }
+    for (i, part) in parts.iter().enumerate() {
+        check_name(&format!("{pointer}/{i}/name"), &part.name, LONGEST_FIXED)?;
+    }
+    storable(pointer, parts.iter().map(|part| part.cpu_nanos))
 }
 
 /// Shares of the samples: one after the other, from the first sample on, not more than the frame has.
