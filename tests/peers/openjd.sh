@@ -78,3 +78,75 @@ for parts in 1 3; do
     -p "Images=$work/cached-$parts" -p "CacheFolder=$work/cache-$parts"
   for frame in 0 1; do same_bits "$work/$frame.exr" "$work/cached-$parts/$frame.exr"; done
 done
+
+echo 'a job that others wrote, as a renderer'
+other=$work/other
+mkdir "$other"
+# A renderer whose pixels depend on all that it is told.
+cat >"$other/draw.py" <<'PYTHON'
+import struct, sys, zlib
+scene, out, frame, width, height, tint = sys.argv[1:]
+frame, width, height = int(frame), int(width), int(height)
+shade = sum(open(scene, "rb").read()) + len(tint)
+rows = b"".join(
+    b"\0" + bytes((x * 7 + y * 3 + frame * 11 + shade * c) % 256 for x in range(width) for c in (1, 2, 3))
+    for y in range(height))
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+content = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+open(out, "wb").write(b"\x89PNG\r\n\x1a\n" + content)
+PYTHON
+echo 'a scene' >"$other/scene.txt"
+cat >"$other/shot.job.yaml" <<'YAML'
+specificationVersion: jobtemplate-2023-09
+name: A shot
+parameterDefinitions:
+  - {name: Scene, type: PATH, objectType: FILE, dataFlow: IN, default: scene.txt}
+  - {name: Folder, type: PATH, objectType: DIRECTORY, dataFlow: OUT, default: images}
+  - {name: Draw, type: PATH, default: draw.py}
+  - {name: Frames, type: STRING, default: "3-7:2"}
+  - {name: Width, type: INT, default: 24}
+  - {name: Height, type: INT, default: 16}
+steps:
+  - name: Render
+    parameterSpace:
+      taskParameterDefinitions:
+        - {name: Frame, type: INT, range: "{{Param.Frames}}"}
+    stepEnvironments:
+      - {name: Tint, variables: {TINT: "warm {{Param.Width}}"}}
+    script:
+      actions:
+        onRun: {command: bash, args: ["{{Task.File.Run}}"]}
+      embeddedFiles:
+        - name: Run
+          type: TEXT
+          data: |
+            exec python3 "{{Param.Draw}}" "{{Param.Scene}}" "{{Param.Folder}}/{{Task.Param.Frame}}.png" \
+              {{Task.Param.Frame}} {{Param.Width}} {{Param.Height}} "$TINT"
+YAML
+cat >"$other/shot.command.toml" <<'TOML'
+name = "draw"
+version = "1"
+scene = "scene.txt"
+output = "{frame}.png"
+can = ["size"]
+
+[openjd]
+template = "shot.job.yaml"
+
+[openjd.parameters]
+Scene = "{scene}"
+Folder = "{out_folder}"
+Width = "{width}"
+Height = "{height}"
+
+[defaults]
+width = 24
+height = 16
+TOML
+mkdir "$other/images" "$other/here"
+check "$other/shot.job.yaml"
+quietly "$environment/bin/openjd" run "$other/shot.job.yaml"
+quietly "$FORELIGHT_BIN" render "$other/shot.command.toml" --frames 3,5,7 --out "$other/here/#.png"
+for frame in 3 5 7; do cmp "$other/images/$frame.png" "$other/here/$frame.png"; done

@@ -1,5 +1,6 @@
 //! The file that describes a renderer: its tables, and what is wrong with them.
 
+use crate::openjd::{EmbeddedFile, FILE, OpenJdTable, SESSION};
 use crate::template::Template;
 use forelight_renderer::door::{Common, Frames, RendererError};
 use forelight_renderer::process::Meaning;
@@ -38,10 +39,16 @@ pub(crate) struct CommandFile {
     pub version: Option<String>,
     pub version_command: Option<Arguments<String>>,
     pub version_pattern: Option<Pattern>,
+    /// From the file, or from the template that `openjd` names.
+    #[serde(default)]
     pub arguments: Arguments<Spanned<Template>>,
+    pub openjd: Option<OpenJdTable>,
+    /// Files that are written before the command starts.
+    #[serde(skip)]
+    pub embedded: Vec<EmbeddedFile>,
     pub scene: PathBuf,
     pub output: Spanned<Template>,
-    pub frames: FramesTable,
+    frames: Option<FramesTable>,
     #[serde(default = "frames_per_second")]
     pub frames_per_second: f64,
     pub defaults: Defaults,
@@ -77,7 +84,13 @@ pub(crate) enum Can {
 #[derive(Debug, Clone)]
 pub(crate) struct Arguments<T>(pub Vec<T>);
 
-#[derive(Debug, Clone, Copy, Deserialize)]
+impl<T> Default for Arguments<T> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FramesTable {
     first: i32,
@@ -228,14 +241,33 @@ impl CommandFile {
             let place = at.map_or_else(String::new, |at| place(&text, at));
             RendererError::Scene { scene: path.to_owned(), reason: format!("{place}{reason}") }
         };
-        let file: Self = toml::from_str(&text).map_err(|e| wrong((start(&e), one_line(&e))))?;
+        let mut file: Self = toml::from_str(&text).map_err(|e| wrong((start(&e), one_line(&e))))?;
+        file.take_template(path.parent().unwrap_or(Path::new("/")))?;
         file.check().map_err(wrong)?;
         Ok(file)
     }
 
+    /// Takes over what the Open Job Description template says, if the file names one.
+    fn take_template(&mut self, folder: &Path) -> Result<(), RendererError> {
+        let Some(table) = &self.openjd else { return Ok(()) };
+        let step = table.read(folder)?;
+        let placed = |template| Spanned::new(0..0, template);
+        if self.arguments.0.is_empty() {
+            self.arguments.0 = step.arguments.into_iter().map(placed).collect();
+        }
+        for (name, value) in step.environment {
+            self.environment.entry(name).or_insert(placed(value));
+        }
+        self.embedded = step.files;
+        let of_template = step.frames.map(|(first, last, step)| FramesTable { first, last, step });
+        self.frames = self.frames.or(of_template);
+        self.limits.seconds = self.limits.seconds.or(step.seconds);
+        Ok(())
+    }
+
     /// Frames of the shot.
     pub fn frames(&self) -> Frames {
-        let FramesTable { first, last, step } = self.frames;
+        let FramesTable { first, last, step } = self.frames.unwrap_or_default();
         Frames { first, last, step }
     }
 
@@ -276,8 +308,15 @@ impl CommandFile {
                 "progress.pattern: it needs one group in parentheses, which is the number".to_owned(),
             );
         }
-        if self.frames.step == 0 || self.frames.first > self.frames.last {
-            return error("frames: `first` is at most `last`, and `step` at least 1".to_owned());
+        if self.arguments.0.is_empty() {
+            return error("arguments: give `arguments`, or a template in `openjd`".to_owned());
+        }
+        match self.frames {
+            None => return error("frames: give `first` and `last`".to_owned()),
+            Some(frames) if frames.step == 0 || frames.first > frames.last => {
+                return error("frames: `first` is at most `last`, and `step` at least 1".to_owned());
+            }
+            Some(_) => {}
         }
         if self.crop.first > 1 {
             return error("crop.first: the first column and row have the number 0 or 1".to_owned());
@@ -294,7 +333,13 @@ impl CommandFile {
     fn check_placeholders(&self) -> Result<(), (Option<usize>, String)> {
         let own: Vec<&str> = self.parameters.keys().map(String::as_str).collect();
         let all = [&OF_ALL[..], &OF_CROP, &own].concat();
-        let templates = self.arguments.0.iter().chain(self.environment.values()).map(|one| (one, &all[..]));
+        let of_job = self.openjd.iter().flat_map(|table| table.parameters.values());
+        let files: Vec<String> = self.embedded.iter().map(|file| format!("{FILE}{}", file.name)).collect();
+        let with_files: Vec<&str> =
+            all.iter().copied().chain([SESSION]).chain(files.iter().map(String::as_str)).collect();
+        let of_job = of_job.map(|one| (one, &all[..]));
+        let templates = self.arguments.0.iter().chain(self.environment.values());
+        let templates = of_job.chain(templates.map(|one| (one, &with_files[..])));
         let of_output = [&["frame"], &own[..]].concat();
         let output = std::iter::once((&self.output, &of_output[..]));
         let crop = self.crop.text.iter().map(|text| (text, &OF_CROP[..]));
@@ -319,7 +364,9 @@ impl CommandFile {
             .0
             .iter()
             .chain(self.environment.values())
-            .flat_map(|one| one.get_ref().names())
+            .map(Spanned::get_ref)
+            .chain(self.embedded.iter().map(|file| &file.content))
+            .flat_map(Template::names)
             .collect();
         let has = |names: &[&str]| names.iter().all(|name| used.contains(name));
         let places = [&OF_CROP[..4], &["crop_left", "crop_top", "crop_width", "crop_height"], &["crop"]];

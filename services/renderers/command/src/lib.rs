@@ -49,6 +49,22 @@
 //! seconds = 3600
 //! ```
 //!
+//! Instead of `arguments`, the file may name an Open Job Description template, which other farms run too:
+//!
+//! ```toml
+//! [openjd]
+//! template = "hall.job.yaml"                      # or JSON
+//! step = "Render"                                 # if several steps have a task parameter
+//!
+//! [openjd.parameters]                             # parameters of the job; the others have their defaults
+//! Scene = "{scene}"
+//! Out = "{out}"
+//! Samples = "{samples}"
+//! ```
+//!
+//! The step's only task parameter is the frame. Its command, arguments, embedded files, variables and time limit are
+//! taken over, and its frames unless this file has some. Environments with actions are refused.
+//!
 //! Only the variables that this file names, `PATH`, `LANG`, `HOME` and `TMPDIR` are in the program's
 //! environment. The last two are an empty folder, which is its working folder too.
 //!
@@ -69,6 +85,7 @@
 //! | --- | --- |
 //! | `file` | the file's tables, and what is wrong with them |
 //! | `template` | texts with placeholders |
+//! | `openjd` | arguments from an Open Job Description template |
 //! | `installation` | finds the program and its version |
 //! | `renderer` | the door: what the program can, and how it opens a scene |
 //! | `shot` | the four questions of the door |
@@ -81,6 +98,7 @@
 
 mod file;
 mod installation;
+mod openjd;
 mod output;
 mod renderer;
 mod shot;

@@ -2,6 +2,7 @@
 
 use crate::file::Can;
 use crate::installation::CommandRenderer;
+use crate::openjd::{EmbeddedFile, FILE, SESSION};
 use crate::output::Listener;
 use crate::template::Values;
 use forelight_renderer::door::{
@@ -11,6 +12,9 @@ use forelight_renderer::door::{
 };
 use forelight_renderer::process::{Program, run};
 use serde_json::Value;
+use std::fs::File;
+use std::io::Write as _;
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -64,7 +68,8 @@ impl CommandShot {
         let home = tempfile::Builder::new().prefix("command-").tempdir_in(run_.scratch);
         let home = home.map_err(RendererError::io(run_.scratch))?;
         let limits = limits(run_.limits, file.limits.memory_mib, file.limits.seconds);
-        let values = self.values(piece, out, limits.threads);
+        let mut values = self.values(piece, out, limits.threads);
+        self.embed(home.path(), &mut values)?;
         let mut program = Program::new(&self.renderer.program, home.path())
             .args(file.arguments.0[1..].iter().map(|argument| argument.get_ref().fill(&values)));
         if file.network {
@@ -94,6 +99,24 @@ impl CommandShot {
             peak_memory_bytes: finished.usage.peak_memory_bytes,
             counters: Default::default(),
         })
+    }
+
+    /// Writes the embedded files, and adds their paths and that of their folder.
+    fn embed(&self, home: &Path, values: &mut Values) -> Result<(), RendererError> {
+        let files = &self.renderer.file.embedded;
+        values.insert(SESSION.to_owned(), home.display().to_string());
+        let place = |file: &EmbeddedFile| home.join(&file.file);
+        for file in files {
+            values.insert(format!("{FILE}{}", file.name), place(file).display().to_string());
+        }
+        for file in files {
+            let path = place(file);
+            let mode = if file.is_runnable { 0o700 } else { 0o600 };
+            let written = File::options().write(true).create_new(true).mode(mode).open(&path);
+            let written = written.and_then(|mut to| to.write_all(file.content.fill(values).as_bytes()));
+            written.map_err(RendererError::io(&path))?;
+        }
+        Ok(())
     }
 
     fn values(&self, piece: &Piece<'_>, out: &Path, threads: u32) -> Values {

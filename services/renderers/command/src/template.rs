@@ -56,6 +56,21 @@ impl Template {
         Ok(Self { pieces })
     }
 
+    /// A text without placeholders.
+    pub fn text(text: &str) -> Self {
+        Self { pieces: vec![Piece::Text(text.to_owned())] }
+    }
+
+    /// A placeholder alone.
+    pub fn placeholder(name: &str) -> Self {
+        Self { pieces: vec![Piece::Placeholder(name.to_owned(), 0)] }
+    }
+
+    /// Texts one after the other.
+    pub fn joined(all: impl IntoIterator<Item = Self>) -> Self {
+        Self { pieces: all.into_iter().flat_map(|one| one.pieces).collect() }
+    }
+
     /// Names of its placeholders.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.pieces.iter().filter_map(|piece| match piece {

@@ -1,7 +1,7 @@
 //! The four questions, to a shell script that writes its arguments into its image.
 
 use forelight_renderer::door::{
-    Capability, Limits, Part, Region, Renderer as _, RendererError, Run, Settings, Shot,
+    Capability, Description, Limits, Part, Region, Renderer as _, RendererError, Run, Settings, Shot,
 };
 use forelight_renderer_command::open_command;
 use serde_json::json;
@@ -80,6 +80,64 @@ means = "missing_file"
 seconds = 2
 "#;
 
+/// The same program as a step of a job for other farms.
+const JOB: &str = r#"
+specificationVersion: jobtemplate-2023-09
+name: "{{Param.Name}}"
+parameterDefinitions:
+  - {name: Name, type: STRING, default: a shot}
+  - {name: Frames, type: STRING, default: "3-9:2"}
+  - {name: Scene, type: PATH, objectType: FILE, dataFlow: IN}
+  - {name: Out, type: PATH}
+  - {name: Samples, type: INT, default: 16}
+  - {name: Script, type: PATH, default: script.sh}
+  - {name: Depth, type: INT, default: 5}
+jobEnvironments:
+  - {name: Greeting, variables: {GREETING: "hello {{Param.Name}}"}}
+steps:
+  - name: Check
+    script: {actions: {onRun: {command: "true"}}}
+  - name: Render
+    parameterSpace:
+      taskParameterDefinitions:
+        - {name: Frame, type: INT, range: "{{Param.Frames}}"}
+    script:
+      actions:
+        onRun:
+          command: "{{Task.File.Run}}"
+          args: ["good", "{{Param.Out}}", "{{Task.Param.Frame}}"]
+          timeout: 2
+      embeddedFiles:
+        - name: Run
+          type: TEXT
+          filename: run.sh
+          runnable: true
+          data: |
+            #!/bin/sh
+            exec sh "{{Param.Script}}" "$@" "{{Param.Scene}}" {{RawParam.Samples}} "{{Param.Depth}}" {braces}
+"#;
+
+const FILE_OF_JOB: &str = r#"
+name = "script"
+version = "1.2"
+scene = "scene.txt"
+output = "image-{frame:04}.txt"
+can = ["samples"]
+
+[openjd]
+template = "shot.job.yaml"
+
+[openjd.parameters]
+Scene = "{scene}"
+Out = "{out}"
+Samples = "{samples}"
+
+[defaults]
+width = 80
+height = 40
+samples = 16
+"#;
+
 struct World {
     folder: tempfile::TempDir,
 }
@@ -87,7 +145,8 @@ struct World {
 impl World {
     fn new(file: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        for (name, text) in [("script.sh", SCRIPT), ("scene.txt", "a scene"), ("shot.command.toml", file)] {
+        for (name, text) in [("script.sh", SCRIPT), ("scene.txt", "a scene"), ("shot.command.toml", file), ("shot.job.yaml", JOB)]
+        {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
         std::fs::create_dir(folder.path().join("scratch")).unwrap();
@@ -276,4 +335,51 @@ fn programs_and_scenes_that_are_not_there_are_named() {
     let run = Run::silent(&cancelled, world.folder.path(), Limits::default());
     let error = open_command(&world.file()).unwrap().open(&world.file(), &run).err().unwrap();
     assert!(matches!(&error, RendererError::MissingFile(path) if path.ends_with("/scene.txt")), "{error}");
+}
+
+#[test]
+fn a_job_of_other_farms_is_a_renderer_with_the_same_arguments() {
+    let world = World::new(FILE_OF_JOB);
+    world.ask(|shot, run| {
+        let Description { frames, settings, .. } = shot.description();
+        assert_eq!((frames.first, frames.last, frames.step), (3, 9, 2), "as the template says");
+        let rendered = shot.render(5, settings, &[], run).unwrap();
+        let said = std::fs::read_to_string(&rendered.files[0]).unwrap();
+        let scene = world.folder.path().join("scene.txt");
+        let expected = format!("5\n{}\n16\n5\n{{braces}}\nhello a shot\n", scene.display());
+        assert!(said.starts_with(&expected), "{said}");
+        let fewer = shot.measure(3, settings, &Part::Samples { offset: 0, count: 4 }, run).unwrap();
+        assert!(fewer.cost.cpu_nanos > 0);
+    });
+    assert!(world.left().iter().all(|name| name.ends_with(".txt")), "{:?}", world.left());
+}
+
+#[test]
+fn what_only_a_farm_can_do_is_refused_by_name() {
+    let with = |from: &str, to: &str, file: &str| {
+        let world = World::new(file);
+        assert!(JOB.contains(from), "{from}");
+        std::fs::write(world.folder.path().join("shot.job.yaml"), JOB.replacen(from, to, 1)).unwrap();
+        open_command(&world.file()).unwrap_err().to_string()
+    };
+    for (from, to, reason) in [
+        ("jobtemplate-2023-09", "jobtemplate-2030-01", "jobtemplate-2023-09 is known"),
+        ("type: INT, range", "type: STRING, range", "frames are INT"),
+        ("variables: {GREETING", "script: {}, variables: {GREETING", "environment Greeting has actions"),
+        ("{{Task.Param.Frame}}", "{{Task.Param.Part}}", "{{Task.Param.Part}} is not known"),
+        ("type: INT, default: 5", "type: INT", "parameter Depth has no default"),
+        ("filename: run.sh", "filename: ../run.sh", "not the name of a file"),
+        ("steps:", "steps: 7 #", "invalid type"),
+    ] {
+        let error = with(from, to, FILE_OF_JOB);
+        assert!(error.contains(reason) && error.contains("shot.job.yaml"), "{error}");
+    }
+    let unknown = FILE_OF_JOB.replace("Scene = ", "Scenery = ");
+    assert!(with("steps:", "steps:", &unknown).contains("no parameter Scenery"));
+    let other = FILE_OF_JOB.replace("template =", "step = \"Check\"\ntemplate =");
+    assert!(with("steps:", "steps:", &other).contains("step Check has 0 task parameters"));
+    let missing = FILE_OF_JOB.replace("shot.job.yaml", "none.yaml");
+    assert!(with("steps:", "steps:", &missing).contains("none.yaml"));
+    let placeholder = FILE_OF_JOB.replace("{samples}", "{sample}");
+    assert!(with("steps:", "steps:", &placeholder).contains("unknown placeholder `{sample}`"));
 }
