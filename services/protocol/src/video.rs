@@ -77,7 +77,8 @@ pub struct VideoRequest {
 pub struct JobVideo {
     /// Frames per second.
     pub frames_per_second: FrameRate,
-    /// `waiting` until the last frame is finished, `done` when the video is there.
+    /// `waiting` until the last frame is finished, `ready` until a node takes it, `leased` while it is encoded,
+    /// `done` when it is there, `failed` after all attempts, `cancelled` if its job ended otherwise.
     pub state: FrameState,
     /// How much of it is encoded, 0 to 1.
     pub progress: f64,
@@ -87,6 +88,9 @@ pub struct JobVideo {
     /// Why it failed. Absent if it did not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
+    /// Why no node takes it. Absent if one may.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub waits: Option<String>,
 }
 
 /// The file of a video.

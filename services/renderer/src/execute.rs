@@ -28,7 +28,7 @@ pub struct Assignment {
     pub parts: Vec<Bytes>,
     /// Finished shares of the samples that the task names, in its order.
     pub shares: Vec<Bytes>,
-    /// Folder of the images that the task shows: `000000.png` and so on, in its order.
+    /// Folder of the images that the task shows, named by [`picture_name`].
     pub pictures: Option<Arc<TempDir>>,
     /// Tiles that an earlier worker finished before it was lost.
     pub checkpoint: Option<Bytes>,
@@ -54,6 +54,14 @@ impl Assignment {
             threads: 1,
         }
     }
+}
+
+/// Share of a video's progress that fetching its pictures counts for.
+pub const FETCHED: f64 = 0.5;
+
+/// Name of a picture in the folder of its task, by its place.
+pub fn picture_name(place: usize) -> String {
+    format!("{place:06}.png")
 }
 
 /// Result of a task.

@@ -20,7 +20,7 @@ pub mod process;
 mod quoting;
 mod tasks;
 
-pub use execute::{Assignment, Control, Execute, ExecuteError, Outcome};
+pub use execute::{Assignment, Control, Execute, ExecuteError, FETCHED, Outcome, picture_name};
 pub use files::{Files, artifact_name};
 pub use memory::{peak_rss_bytes, resident_bytes};
 pub use open_shots::OpenShots;

@@ -267,7 +267,8 @@ async fn asker(
 /// 0. A task that makes no progress on another node, to run it a second time: see
 ///    [`crate::policy::overdue`]. There is hardly ever one.
 /// 1. Previews and profiles of any job, and plans and merges of irradiance caches. They are short, and every
-///    quote and booking waits for them. By priority, then deadline, then age of the job.
+///    quote and booking waits for them. Videos too: on a busy farm they would otherwise never be made. By
+///    priority, then deadline, then age of the job.
 /// 2. The node's own bookings, by planned start: frames, and parts of irradiance caches.
 /// 3. Any other frames and parts, by the job's deadline, then priority, then age of the job, then frame, as
 ///    far as the plan allows it: see [`work_stealing`].
@@ -306,7 +307,8 @@ async fn offer(
 }
 
 /// A task by its id, if it is ready, or is to be run a second time and the node has not tried it; `None` while
-/// it is leased, or waits after a failure.
+/// it is leased, or waits after a failure. A [`StoreError::Conflict`] if it is over, or is a video and the node has
+/// no ffmpeg.
 async fn this_task(
     connection: &mut SqliteConnection,
     (task, node): (TaskId, NodeId),
@@ -318,7 +320,9 @@ async fn this_task(
                   (SELECT j.work_by_class FROM jobs j WHERE j.id = tasks.job_id) AS "work_by_class?: Json<ByClass>",
                   CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS "state!: String",
                   again = 1 AND held = 0 AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = tasks.id
-                  AND f.node_id = ?2 AND f.state IN ('active', 'failed')) AS "may_again!: bool"
+                  AND f.node_id = ?2 AND f.state IN ('active', 'failed')) AS "may_again!: bool",
+                  kind = 'video' AND NOT EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) p
+                  WHERE n.id = ?2 AND p.value = tasks.renderer) AS "lacks_ffmpeg!: bool"
            FROM tasks WHERE id = ?1"#,
         task.0,
         node.0
@@ -326,6 +330,9 @@ async fn this_task(
     .fetch_optional(connection)
     .await?
     .ok_or(StoreError::NotFound("task"))?;
+    if row.lacks_ffmpeg {
+        return Err(StoreError::Conflict("the task is a video, and this node has no ffmpeg".to_owned()));
+    }
     let is_again = row.state == "leased" && row.may_again;
     match row.state.as_str() {
         state if state == "ready" || is_again => {

@@ -147,7 +147,8 @@ macro_rules! of_task {
 
 impl Store {
     /// The ready tasks that are in no open array, and those that are to be run a second time beside an attempt
-    /// that makes no progress. By deadline, priority, age of the job, and booked time.
+    /// that makes no progress. By deadline, priority, age of the job, and booked time. Videos are left to workers
+    /// that have ffmpeg: Slurm does not know which of its machines have it.
     pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>> {
         let rows = sqlx::query!(
             r#"SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS "node?",
@@ -166,7 +167,7 @@ impl Store {
                LEFT JOIN shared_cache_bookings s
                     ON s.plan_id = j.plan_id AND s.job_id = j.id AND t.kind = 'cache_fill' AND t.frame IS NULL AND s.part = t.part
                LEFT JOIN nodes n ON n.id = coalesce(b.node_id, s.node_id)
-               WHERE (t.state = 'ready' OR t.state = 'leased' AND t.again = 1) AND t.held = 0
+               WHERE (t.state = 'ready' OR t.state = 'leased' AND t.again = 1) AND t.held = 0 AND t.kind <> 'video'
                      AND NOT EXISTS (SELECT 1 FROM slurm_elements e WHERE e.task_id = t.id AND e.outcome IS NULL
                                      AND e.beside >= (t.state = 'leased'))
                ORDER BY t.due_at, t.priority DESC, t.job_id, coalesce(b.start_at, s.start_at), t.kind, t.frame, t.part"#

@@ -2,6 +2,7 @@
 
 use forelight_protocol::{FrameRate, VIDEO_BYTES};
 use forelight_renderer::door::{Limits, RendererError, Run};
+use forelight_renderer::picture_name;
 use forelight_renderer::process::{Program, Usage, run};
 use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
@@ -90,12 +91,7 @@ impl Encoder {
         &self.version
     }
 
-    /// Name of a picture in its folder, by its place in the video.
-    pub fn picture(place: usize) -> String {
-        format!("{place:06}.png")
-    }
-
-    /// Encodes `count` pictures of a folder, named as [`picture`](Self::picture) says, all of one size. Odd
+    /// Encodes `count` pictures of a folder, named as [`picture_name`] says, all of one size. Odd
     /// sizes get a black row or column more, because H.264 stores colours of two by two pixels.
     ///
     /// # Errors
@@ -107,7 +103,7 @@ impl Encoder {
         to_run: &Run<'_>,
     ) -> Result<Encoded, RendererError> {
         if let Some(missing) =
-            (0..count).map(|place| pictures.join(Self::picture(place))).find(|path| !path.is_file())
+            (0..count).map(|place| pictures.join(picture_name(place))).find(|path| !path.is_file())
         {
             return Err(RendererError::MissingFile(missing.display().to_string()));
         }
@@ -120,10 +116,12 @@ impl Encoder {
             .args(["-frames:v", &count.to_string()])
             .args([
                 "-vf",
-                "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p",
+                "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv:\
+                 flags=bicubic+accurate_rnd+bitexact,format=yuv420p",
             ])
             .args(["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1"])
             .args(["-c:v", CODEC, "-preset", SPEED, "-crf", QUALITY, "-threads", "1"])
+            .args(["-x264-params", "cpu-independent=1"])
             .args(["-maxrate", &bits.to_string(), "-bufsize", &(2 * bits).to_string()])
             .args(["-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"])
             .args(["-movflags", "+faststart", "-y"])

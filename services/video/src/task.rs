@@ -3,9 +3,9 @@
 use crate::encoder::Encoder;
 use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, Spent, TaskResult, TaskSpec, VIDEO_BYTES, VideoFile, VideoResult};
-use forelight_renderer::door::RendererError;
+use forelight_renderer::door::{RendererError, Run};
 use forelight_renderer::process::Sandbox;
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome, failure, with_run};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, FETCHED, Outcome, failure, with_run};
 use std::fs;
 use std::sync::Arc;
 
@@ -29,8 +29,10 @@ impl Execute for VideoTasks {
         };
         let count = spec.pictures.len();
         with_run(assignment, control, self.sandbox.as_deref(), |run| {
+            let progress = |share: f64| (run.progress)(FETCHED + (1.0 - FETCHED) * share);
             let encode = || {
-                let encoded = self.encoder.encode((pictures.path(), count), spec.frames_per_second, run)?;
+                let run = Run { progress: &progress, ..*run };
+                let encoded = self.encoder.encode((pictures.path(), count), spec.frames_per_second, &run)?;
                 let bytes = fs::metadata(&encoded.path).map_err(RendererError::io(&encoded.path))?.len();
                 if bytes > VIDEO_BYTES {
                     let reason = format!("the video has {bytes} bytes; at most {VIDEO_BYTES} are kept");

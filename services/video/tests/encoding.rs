@@ -6,6 +6,7 @@ use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
 use forelight_renderer::door::{Limits, RendererError, Run};
+use forelight_renderer::picture_name;
 use forelight_test_needs::not_run;
 use forelight_video::Encoder;
 use image::{Rgb, RgbImage};
@@ -28,7 +29,7 @@ fn pictures() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     for frame in 0..FRAMES {
         let picture = RgbImage::from_pixel(SIZE.0, SIZE.1, Rgb(color(frame)));
-        picture.save(folder.path().join(Encoder::picture(frame))).unwrap();
+        picture.save(folder.path().join(picture_name(frame))).unwrap();
     }
     folder
 }
@@ -108,7 +109,7 @@ fn the_same_pictures_give_the_same_file() {
 fn missing_and_damaged_pictures_are_named() {
     let Some(encoder) = encoder() else { return };
     let pictures = pictures();
-    let third = pictures.path().join(Encoder::picture(2));
+    let third = pictures.path().join(picture_name(2));
     std::fs::write(&third, b"\x89PNG\r\n\x1a\n no picture").unwrap();
     let error = encoded(&encoder, pictures.path()).unwrap_err();
     assert!(matches!(error, RendererError::Ended { .. }) && error.to_string().contains("png"), "{error}");

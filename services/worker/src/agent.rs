@@ -21,6 +21,7 @@
 use crate::bundles::Bundles;
 use crate::errors::{describe, is_lost, is_unwanted, panic_text};
 use crate::limits::gone_beyond;
+use crate::pictures;
 use bytes::Bytes;
 use forelight_client::{Backoff, Claimed, Client, ClientError};
 use forelight_protocol::{
@@ -384,7 +385,7 @@ impl Agent {
                 })?)),
             };
         let Fetched { bundle, profile, caches, parts, shares } = loop {
-            match self.fetch(lease, pictures.as_deref()).await {
+            match self.fetch(lease, pictures.as_deref(), control).await {
                 Ok(fetched) => break fetched,
                 // A short outage of the service or its artefact store is not the task's fault.
                 Err(error) if error.is_passing() => {
@@ -397,7 +398,8 @@ impl Agent {
         if lease.spec.bundle().is_some() && !tokio::fs::try_exists(&bundle).await.unwrap_or(true) {
             return Err(ExecuteError::Input(format!("bundle {} is gone", bundle.display())));
         }
-        control.log(LogLevel::Info, "bundle fetched");
+        let what = if pictures.is_some() { "pictures" } else { "bundle" };
+        control.log(LogLevel::Info, format!("{what} fetched"));
         let checkpoint = match &lease.spec {
             // Only an earlier attempt can have left a checkpoint. It is optional.
             TaskSpec::Render(_) | TaskSpec::RenderPart(_) if lease.fence > 1 => {
@@ -421,21 +423,18 @@ impl Agent {
 
     /// Fetches the bundle, the profile, the irradiance caches, and the parts and shares of samples of a task. Its
     /// pictures go to their folder; those that are there already stay.
-    async fn fetch(&self, lease: &Lease, pictures: Option<&TempDir>) -> Result<Fetched, ClientError> {
+    async fn fetch(
+        &self,
+        lease: &Lease,
+        folder: Option<&TempDir>,
+        control: &Control,
+    ) -> Result<Fetched, ClientError> {
         let bundle = match lease.spec.bundle() {
             Some(source) => self.bundles.locate(&self.client, source).await?,
             None => PathBuf::new(),
         };
-        if let Some(folder) = pictures {
-            for (place, &hash) in lease.spec.pictures().iter().enumerate() {
-                let path = folder.path().join(format!("{place:06}.png"));
-                if !path.exists() {
-                    let partial = path.with_extension("part");
-                    self.client.artifact_to_file(hash, &partial).await?;
-                    let failed = |source| ClientError::File { path: path.clone(), source };
-                    tokio::fs::rename(&partial, &path).await.map_err(failed)?;
-                }
-            }
+        if let Some(folder) = folder {
+            pictures::fetch(&self.client, lease.spec.pictures(), folder.path(), control).await?;
         }
         let (parts, shares) = match &lease.spec {
             TaskSpec::Render(spec) => (&spec.parts[..], &spec.shares[..]),

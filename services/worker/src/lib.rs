@@ -8,6 +8,7 @@
 //! | `agent` | the life of a task between lease and result |
 //! | `report` | results and errors on their way to the service |
 //! | `bundles` | bundles fetched from the service |
+//! | `pictures` | pictures of a video, fetched for one task |
 //! | `limits` | tasks that exceed their limits |
 //! | `machine` | what this machine has |
 //! | `errors` | what an error of the service or of a task means for the worker |
@@ -17,6 +18,7 @@ mod bundles;
 mod errors;
 mod limits;
 mod machine;
+mod pictures;
 mod report;
 
 pub use agent::{Agent, AgentError, Errand};

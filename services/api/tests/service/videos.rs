@@ -3,7 +3,7 @@
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
     ArtifactHash, FrameState, Job, JobState, JobVideo, Lease, Node, ProblemKind, Retention, TaskKind,
-    TaskSpec,
+    TaskPage, TaskResult, TaskSpec,
 };
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
@@ -67,12 +67,17 @@ async fn a_node_with_ffmpeg_makes_the_video_after_the_last_frame() {
     assert!(farm.claim(&plain).await.is_none());
     let waiting = done.video.unwrap();
     assert_eq!((waiting.state, f64::from(waiting.frames_per_second)), (FrameState::Ready, 25.0));
-    assert!(waiting.error.is_some_and(|reason| reason.starts_with("no node has ffmpeg")));
+    assert!(waiting.waits.is_some_and(|reason| reason.contains("no node has ffmpeg")));
+    // Not even a process that was started for it.
+    let tasks: TaskPage = farm.viewer.json(&format!("/v1/jobs/{}/tasks?page_size=200", job.id)).await;
+    let task = tasks.items.iter().find(|task| task.kind == TaskKind::Video).unwrap();
+    let claim = json!({"node_id": plain.id, "wait_ms": 0, "task_id": task.id});
+    farm.worker.post("/v1/leases", &claim).await.problem(ProblemKind::Conflict).await;
     file(&farm, &job).await.problem(ProblemKind::NotFound).await;
     // Whatever happens to the service.
     let farm = farm.killed_and_restarted().await;
     let node = with_ffmpeg(&farm, "encoder").await;
-    assert_eq!(video(&farm, &job).await.error, None);
+    assert_eq!(video(&farm, &job).await.waits, None);
     let lease = video_task(&farm, &node).await;
     assert_eq!(shown(&lease), (pictures(2..=5), 25.0), "the scene's rate");
     assert_eq!(farm.finish(&lease).await.job_state, JobState::Done);
@@ -143,6 +148,8 @@ async fn a_video_that_fails_leaves_the_job_done_and_can_be_asked_for_again() {
     assert_eq!((again.state, again.error), (FrameState::Ready, None));
     let lease = video_task(&farm, &node).await;
     assert_eq!(shown(&lease).1, 12.5);
+    // What went wrong before is not wrong with it.
+    assert_eq!(video(&farm, &job).await.error, None);
     // Results that do not fit their task are refused.
     let fitting = serde_json::to_value(farm.made_up_result(&lease).await).unwrap();
     for (pointer, wrong) in [("/video/file/frames", json!(3)), ("/video/file/bytes", json!(1u64 << 31))] {
@@ -153,6 +160,11 @@ async fn a_video_that_fails_leaves_the_job_done_and_can_be_asked_for_again() {
         let problem = answer.problem(ProblemKind::Invalid).await;
         assert_eq!(problem.pointer, Some(format!("/result{pointer}")));
     }
+    let mut result = farm.made_up_result(&lease).await;
+    let TaskResult::Video(made) = &mut result else { panic!("a video") };
+    made.file.hash = farm.artifact(b"no video").await;
+    let refused = farm.report(&lease, result).await.problem(ProblemKind::ImplausibleResult).await;
+    assert!(refused.detail.contains("is not a video"), "{refused:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -178,6 +190,9 @@ async fn a_video_is_asked_for_and_deleted_at_any_time() {
     let lease = video_task(&farm, &node).await;
     farm.finish(&lease).await;
     assert_eq!(file(&farm, &job).await.status(), StatusCode::OK);
+    // Asked for again, it stays.
+    let again: Job = set(&farm, &job, json!({})).await.parsed(StatusCode::OK).await;
+    assert_eq!(again.video.unwrap().state, FrameState::Done);
     assert_eq!(delete(&farm, &job).await.video, None);
     file(&farm, &job).await.problem(ProblemKind::NotFound).await;
 
@@ -189,7 +204,22 @@ async fn a_video_is_asked_for_and_deleted_at_any_time() {
     assert_eq!(farm.job(&job).await.video, None);
     assert!(farm.claim(&node).await.is_none());
     let refused = set(&farm, &job, json!({})).await.problem(ProblemKind::Conflict).await;
-    assert!(refused.detail.contains("images were deleted"), "{refused:?}");
+    assert!(refused.detail.contains("images of the job were deleted"), "{refused:?}");
+    // A frame that is rendered again does not stand for all.
+    let frames = json!({"frames": "1"});
+    let path = format!("/v1/jobs/{}/frames", job.id);
+    farm.submitter.post(&format!("{path}/retry"), &frames).await.parsed::<Job>(StatusCode::OK).await;
+    set(&farm, &job, json!({})).await.problem(ProblemKind::Conflict).await;
+    farm.submitter.post(&format!("{path}/cancel"), &frames).await.parsed::<Job>(StatusCode::OK).await;
+
+    // A job that is deleted while its video is encoded.
+    let deleted = submit(&farm, "0", json!({})).await;
+    farm.work_off(&node, &deleted).await;
+    let lease = video_task(&farm, &node).await;
+    let request = farm.operator.request(Method::DELETE, &format!("/v1/jobs/{}", deleted.id));
+    assert_eq!(request.send().await.unwrap().status(), StatusCode::NO_CONTENT);
+    let result = farm.made_up_result(&lease).await;
+    farm.report(&lease, result).await.problem(ProblemKind::NotFound).await;
 
     let cancelled = farm.submit("0").await;
     let cancel = format!("/v1/jobs/{}/cancel", cancelled.id);

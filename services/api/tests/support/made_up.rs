@@ -54,9 +54,9 @@ impl Farm {
         }
     }
 
-    /// A file that names the pictures.
+    /// A file that begins like a video, and names the pictures.
     async fn video(&self, spec: &VideoSpec) -> VideoResult {
-        let content = format!("{:?} at {}", spec.pictures, spec.frames_per_second);
+        let content = format!("....ftyp{:?} at {}", spec.pictures, spec.frames_per_second);
         let frames = u32::try_from(spec.pictures.len()).expect("few frames");
         let hash = self.artifact(content.as_bytes()).await;
         let file = VideoFile { hash, bytes: content.len() as u64, frames };

@@ -64,8 +64,14 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         return tell(&args, &job, "it has no video");
     }
     let mut job = client.job(id).await.with_context(|| format!("cannot read job {id}"))?;
+    if args.out.is_some() && !job.state.is_final() {
+        let reason = format!("job {} is {}: its video is made when it is done", job.name, job.state);
+        let hint = "leave out --out to ask for it; `forelight submit --job ID --out DIR` waits for the job";
+        return Err(BadInput::new(reason).hint(hint).into());
+    }
     if is_to_be_made(job.video.as_ref(), args.fps) {
-        let request = VideoRequest { frames_per_second: args.fps };
+        let present = job.video.as_ref().map(|video| video.frames_per_second);
+        let request = VideoRequest { frames_per_second: args.fps.or(present) };
         job = client.set_video(id, &request).await.context("cannot have a video made")?;
     }
     let Some(out) = &args.out else {
@@ -76,14 +82,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         };
         return tell(&args, &job, said);
     };
-    if !job.state.is_final() {
-        return Err(BadInput::new(format!(
-            "job {} is {}: its video is made when it is done. `forelight submit --job {id} --out DIR` waits for it",
-            job.name, job.state
-        ))
-        .into());
-    }
-    let job = fetch(&client, id, out, &bars, &interrupt).await?;
+    let job = fetch(&client, id, (out, true), &bars, &interrupt).await?;
     tell(&args, &job, &format!("its video is {}", out.display()))
 }
 
@@ -99,11 +98,11 @@ fn is_to_be_made(video: Option<&JobVideo>, fps: Option<FrameRate>) -> bool {
     })
 }
 
-/// Waits for the video of a job that is done, and writes it.
+/// Waits for the video of a job that is done, and writes it. With `for_node`, also until a node can make it.
 pub(super) async fn fetch(
     client: &Client,
     id: JobId,
-    path: &Path,
+    (path, for_node): (&Path, bool),
     bars: &Bars,
     interrupt: &Interrupt,
 ) -> Result<Job> {
@@ -123,9 +122,12 @@ pub(super) async fn fetch(
                 (None, _, JobState::Done) => {}
                 (None, _, state) => bail!("the job is {state}, so its video is not made now"),
             }
-            if video.error != said {
-                video.error.iter().for_each(|reason| bars.note(format!("the video waits: {reason}")));
-                said = video.error;
+            if let Some(reason) = video.waits.as_ref().filter(|_| !for_node) {
+                bail!("the video: {reason}; `forelight video {id} --out FILE` fetches it later");
+            }
+            if video.waits != said {
+                video.waits.iter().for_each(|reason| bars.note(format!("the video: {reason}")));
+                said = video.waits;
             }
             tokio::time::sleep(LOOK).await;
         }
@@ -151,8 +153,14 @@ mod tests {
     #[test]
     fn a_video_is_asked_for_unless_there_is_one_of_this_rate() {
         let rate = |text: &str| text.parse::<FrameRate>().unwrap();
-        let video =
-            |state| JobVideo { frames_per_second: rate("24"), state, progress: 0.0, file: None, error: None };
+        let video = |state| JobVideo {
+            frames_per_second: rate("24"),
+            state,
+            progress: 0.0,
+            file: None,
+            error: None,
+            waits: None,
+        };
         assert!(is_to_be_made(None, None));
         for state in [FrameState::Waiting, FrameState::Ready, FrameState::Leased, FrameState::Done] {
             assert!(!is_to_be_made(Some(&video(state)), None));

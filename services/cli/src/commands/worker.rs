@@ -171,7 +171,8 @@ pub fn equipment(
     let adapter =
         renderer.adapter().context("cannot render previews with the device that --preview names")?;
     let sandbox = options.sandbox.then(|| Sandbox::new(hidden)).transpose()?.map(Arc::new);
-    let encoder = Encoder::find().inspect_err(|reason| tracing::debug!(%reason, "no videos")).ok();
+    let encoder =
+        Encoder::find().inspect_err(|reason| tracing::info!(%reason, "this worker makes no videos")).ok();
     let ffmpeg = encoder.as_ref().map(|encoder| encoder.version().to_owned());
     let video =
         encoder.map(|encoder| Box::new(VideoTasks::new(encoder, sandbox.clone())) as Box<dyn Execute>);

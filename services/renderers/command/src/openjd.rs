@@ -156,7 +156,10 @@ impl OpenJdTable {
 
     fn step_of(&self, job: JobTemplate, folder: &Path) -> Result<OpenJdStep, String> {
         if job.specification_version != REVISION {
-            return Err(format!("specificationVersion is {}; {REVISION} is known", job.specification_version));
+            return Err(format!(
+                "specificationVersion is {}; {REVISION} is known",
+                job.specification_version
+            ));
         }
         let mut names = Names { values: BTreeMap::new() };
         for parameter in &job.parameter_definitions {
@@ -165,9 +168,11 @@ impl OpenJdTable {
                 names.values.insert(format!("{kind}.{}", parameter.name), value.clone());
             }
         }
-        if let Some(unknown) = self.parameters.keys().find(|name| {
-            !job.parameter_definitions.iter().any(|parameter| parameter.name == **name)
-        }) {
+        if let Some(unknown) = self
+            .parameters
+            .keys()
+            .find(|name| !job.parameter_definitions.iter().any(|parameter| parameter.name == **name))
+        {
             return Err(format!("the job has no parameter {unknown}, which openjd.parameters sets"));
         }
         let (step, task) = self.choose(&job.steps)?;
@@ -180,7 +185,9 @@ impl OpenJdTable {
                 Template::text("-"),
                 Template::placeholder("frame"),
             ]),
-            kind => return Err(format!("step {}: parameter {} is {kind}; frames are INT", step.name, task.name)),
+            kind => {
+                return Err(format!("step {}: parameter {} is {kind}; frames are INT", step.name, task.name));
+            }
         };
         for kind in ["Task.Param", "Task.RawParam"] {
             names.values.insert(format!("{kind}.{}", task.name), frame.clone());
@@ -243,11 +250,9 @@ impl OpenJdTable {
         };
         match parameters(step) {
             [frame] => Ok((step, frame)),
-            all => Err(format!(
-                "step {} has {} task parameters; it needs one, the frame",
-                step.name,
-                all.len()
-            )),
+            all => {
+                Err(format!("step {} has {} task parameters; it needs one, the frame", step.name, all.len()))
+            }
         }
     }
 }
@@ -282,8 +287,10 @@ impl Names {
             let (name, after) =
                 after.split_once("}}").ok_or_else(|| format!("`{{{{` without `}}}}` in {text:?}"))?;
             let name = name.trim();
-            let value =
-                self.values.get(name).ok_or_else(|| format!("{{{{{name}}}}} is not known here, in {text:?}"))?;
+            let value = self
+                .values
+                .get(name)
+                .ok_or_else(|| format!("{{{{{name}}}}} is not known here, in {text:?}"))?;
             pieces.extend([Template::text(before), value.clone()]);
             rest = after;
         }

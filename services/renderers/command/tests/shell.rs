@@ -145,8 +145,12 @@ struct World {
 impl World {
     fn new(file: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        for (name, text) in [("script.sh", SCRIPT), ("scene.txt", "a scene"), ("shot.command.toml", file), ("shot.job.yaml", JOB)]
-        {
+        for (name, text) in [
+            ("script.sh", SCRIPT),
+            ("scene.txt", "a scene"),
+            ("shot.command.toml", file),
+            ("shot.job.yaml", JOB),
+        ] {
             std::fs::write(folder.path().join(name), text).unwrap();
         }
         std::fs::create_dir(folder.path().join("scratch")).unwrap();

@@ -2,10 +2,11 @@
 //! fault it is.
 
 use forelight_protocol::{
-    BundleSource, Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, Event, EventKind, JobState, LeaseId, NodeId, TaskError, TaskId, TaskSpec,
+    Timestamp,
 };
 
-use crate::columns::Time;
+use crate::columns::{Json, Time};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, node_event};
@@ -54,13 +55,17 @@ impl Store {
     /// artefacts that it takes over. So neither a node nor a task is blamed for a file that is gone.
     pub async fn after_a_look(&self, lease: LeaseId, error: TaskError, now: Timestamp) -> Result<TaskError> {
         let spec = self.lease(lease).await?.spec;
-        Ok(after_a_look(error, self.missing_input(&spec, now).await?))
+        let missing = match spec.pictures() {
+            [] => self.missing_input(&spec, now).await?,
+            // Thousands of files are not read again. Whether they are known is one query.
+            pictures => self.missing_picture(pictures).await?,
+        };
+        Ok(after_a_look(error, missing))
     }
 
     /// What is gone of a task's input; `None` if nothing is, as far as can be seen.
     async fn missing_input(&self, spec: &TaskSpec, now: Timestamp) -> Result<Option<String>> {
         let mut artifacts = spec.caches();
-        artifacts.extend(spec.pictures());
         match spec.bundle() {
             // What cannot be looked at may be there.
             Some(BundleSource::Path(path)) if !tokio::fs::try_exists(path).await.unwrap_or(true) => {
@@ -84,6 +89,18 @@ impl Store {
             }
         }
         Ok(None)
+    }
+
+    /// The first picture that the farm does not have, or that is known to be damaged.
+    async fn missing_picture(&self, pictures: &[ArtifactHash]) -> Result<Option<String>> {
+        let hashes = Json(pictures.iter().map(ToString::to_string).collect::<Vec<_>>());
+        let missing = sqlx::query_scalar!(
+            r#"SELECT value AS "hash!: String" FROM json_each(?) p LEFT JOIN artifacts a ON a.hash = unhex(p.value)
+               WHERE a.hash IS NULL OR a.hash IN (SELECT hash FROM damaged_artifacts) LIMIT 1"#,
+            hashes
+        );
+        let missing = missing.fetch_optional(self.readers()).await?;
+        Ok(missing.map(|hash| format!("artefact {hash}, a picture of the video")))
     }
 
     /// When the next task that waits after a failure may be handed out, to a node on which it failed or to

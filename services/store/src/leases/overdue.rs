@@ -6,6 +6,7 @@ use crate::columns::{Id, Time};
 use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::events::append;
+use crate::jobs;
 use crate::leases::failing::{Report, fail};
 use crate::leases::read_in;
 use crate::living::{self, Occasion};
@@ -125,6 +126,10 @@ async fn note(
     let lease = read_in(write, row.id.into()).await?;
     append(write, Event { message: Some(message), ..lease.event(kind, now) });
     let job: JobId = row.job_id.into();
+    if jobs::state(write.connection().await?, job).await?.is_final() {
+        // A video is made of a job that is done: no frame waits for it.
+        return Ok(());
+    }
     living::update(write, job, Occasion::Overdue, now).await?;
     replans::want(write, &format!("a task of job {} is {lateness} on {}", row.job, row.node)).await
 }

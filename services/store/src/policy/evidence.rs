@@ -203,9 +203,10 @@ pub(crate) enum Kind {
     OpenExr,
     /// An image in any format that is known: of a renderer that chooses it.
     Image,
+    Mp4,
 }
 
-/// An artefact of a result that must be an image.
+/// An artefact of a result that must be an image or a video.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(crate) struct ExpectedImage {
     pub pointer: String,
@@ -215,7 +216,7 @@ pub(crate) struct ExpectedImage {
     pub size: Option<(u32, u32)>,
 }
 
-/// The images among the artefacts of a result.
+/// The images and videos among the artefacts of a result.
 pub(crate) fn expected_images(spec: &TaskSpec, result: &TaskResult) -> Vec<ExpectedImage> {
     let png = |pointer: String, hash| ExpectedImage { pointer, hash, kind: Kind::Png, size: None };
     match (spec, result) {
@@ -242,6 +243,10 @@ pub(crate) fn expected_images(spec: &TaskSpec, result: &TaskResult) -> Vec<Expec
             let whole = [image, of_size("image_png", image_png), of_size("cost_map_png", cost_map_png)];
             whole.into_iter().chain(preview_png.map(|hash| png(at("preview_png"), hash))).collect()
         }
+        (_, TaskResult::Video(result)) => {
+            let pointer = "/result/video/file/hash".to_owned();
+            vec![ExpectedImage { pointer, hash: result.file.hash, kind: Kind::Mp4, size: None }]
+        }
         _ => Vec::new(),
     }
 }
@@ -254,12 +259,15 @@ impl ExpectedImage {
             Kind::Png => "a PNG image",
             Kind::OpenExr => "an OpenEXR image",
             Kind::Image => "an image",
+            Kind::Mp4 => "a video",
         };
         let found = imagesize::image_type(head).ok();
         let fits = match self.kind {
             Kind::Png => found == Some(ImageType::Png),
             Kind::OpenExr => found == Some(ImageType::Exr),
             Kind::Image => found.is_some(),
+            // ISO/IEC 14496-12: the first box says what the file is.
+            Kind::Mp4 => head.get(4..8) == Some(b"ftyp"),
         };
         if !fits {
             return objection(format!("artefact {} is not {name}", self.hash));

@@ -8,6 +8,7 @@ use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::jobs::read;
 use crate::policy::retention::Rules;
+use crate::tasks::withdraw;
 use crate::videos;
 use crate::writing::run;
 
@@ -114,7 +115,7 @@ async fn delete_images(write: &mut Write, job: JobId, now: Timestamp) -> Result<
         job.0
     );
     run!(write, "UPDATE frames SET artifacts = NULL, preview_png = NULL WHERE job_id = ?", job.0);
-    videos::take_video_back(write, job, now).await?;
+    videos::take_video_back(write, job, "cancelled", now).await?;
     run!(write, "UPDATE jobs SET images_deleted_at = ?, video = NULL WHERE id = ?", now.micros(), job.0);
     Ok(())
 }
@@ -140,6 +141,8 @@ macro_rules! forget {
 
 /// Deletes all rows of a job that has ended, those that refer to others first.
 async fn delete(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    // A video may still be encoded.
+    withdraw(write, job, now).await?;
     past::add(write, job, now).await?;
     // From here on, triggers let its payments and bookings go.
     run!(

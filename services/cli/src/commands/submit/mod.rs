@@ -17,7 +17,7 @@ use forelight_protocol::{
     Ladders, MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest, RendererRequest,
     SceneSummary, Timestamp, VideoRequest, Within,
 };
-use forelight_terminal::failure::BadInput;
+use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
@@ -119,7 +119,7 @@ pub struct Args {
     #[arg(long, value_name = "PATTERN")]
     output: Option<OutputPattern>,
     /// Make a video of the frames when the last of them is finished. A node needs ffmpeg. With --out, it is
-    /// written as video.mp4
+    /// written as video.mp4. The exit code does not depend on it
     #[arg(long)]
     video: bool,
     /// Frames per second of the video, 1 to 240, such as 24 or 23.976 [default: those of the scene, or 24]
@@ -184,7 +184,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         return if args.json { output::json(&job) } else { output::line(job.id.to_string()) };
     }
     bars.note(format!("job {} \"{}\", {} frames", job.id, job.name, job.frames_total));
-    let job = follow::follow(&client, job, &bars, &interrupt).await?;
+    let mut job = follow::follow(&client, job, &bars, &interrupt).await?;
     if job.state == JobState::Quoted {
         return show_quote(&client, &job, args.json).await;
     }
@@ -193,7 +193,13 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     if let Some(folder) = &args.out {
         images::fetch(&client, &job, &frames, folder, &bars, &interrupt).await?;
         if job.state == JobState::Done && job.video.is_some() {
-            video::fetch(&client, job.id, &folder.join("video.mp4"), &bars, &interrupt).await?;
+            // The frames are what was asked for: they are reported whatever becomes of the video.
+            let file = folder.join("video.mp4");
+            match video::fetch(&client, job.id, (&file, false), &bars, &interrupt).await {
+                Ok(with_video) => job = with_video,
+                Err(error) if error.is::<Interrupted>() => return Err(error),
+                Err(error) => bars.note(format!("{error:#}")),
+            }
         }
     }
     if args.json {

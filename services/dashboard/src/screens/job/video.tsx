@@ -94,12 +94,12 @@ function State(props: { job: Job }) {
       return (
         <>
           <p role="status">
-            {video.state === "ready" ? "Waits for a node with ffmpeg" : "Is being encoded"}, at {rate}.
+            {video.state === "ready" ? "It waits for a node with ffmpeg" : "It is being encoded"}, at {rate}.
           </p>
           <progress aria-label="Share of the video that is encoded" max={1} value={video.progress} />
-          {video.error && (
+          {video.waits && (
             <p class="note">
-              <Prose text={video.error} />
+              <Prose text={video.waits} />
             </p>
           )}
         </>
