@@ -226,7 +226,7 @@ fn cpu_time_of_another_renderer_is_divided_by_what_a_frame_shows() {
     // Microseconds of a sample: 2 for a pixel of the wall, 6 for one of the vase. 100 are fixed.
     let preview = preview(&[(0, &[80, 10], 10), (1, &[40, 50], 10)]);
     let cost = |amount, micros: u64| SampleCost { amount, cpu_nanos: (100 + micros) * 1000 };
-    let fixed = |name: &str, micros| FixedPart { name: name.to_owned(), cpu_nanos: micros * 1000 };
+    let fixed = |name: &str, micros: u64| FixedPart { name: name.to_owned(), cpu_nanos: micros * 1000 };
     let measured = |frame, wall: u64, vase: u64, varied| {
         let time = |object, nanos| StratumTime { object: Some(object), material: Some(0), nanos };
         let result = MeasuredFrame {

@@ -111,7 +111,6 @@ pub(crate) async fn take_video_back(
     take_back(write, held.into_iter().map(LeaseId::from), now).await?;
     run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", task);
     run!(write, "DELETE FROM results WHERE task_id = ?", task);
-    run!(write, "UPDATE tasks SET spec = json_set(spec, '$.video.pictures', json('[]')) WHERE id = ?", task);
     tasks::begin_again(write, task, state).await
 }
 

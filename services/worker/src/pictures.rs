@@ -16,16 +16,19 @@ pub(crate) async fn fetch(
     folder: &Path,
     control: &Control,
 ) -> Result<(), ClientError> {
-    let fetched = futures::stream::iter(pictures.iter().enumerate()).map(|(place, &hash)| async move {
-        let path = folder.join(picture_name(place));
-        if !path.exists() {
-            // A picture under its own name is whole.
-            let partial = path.with_extension("part");
-            client.artifact_to_file(hash, &partial).await?;
-            let renamed = tokio::fs::rename(&partial, &path).await;
-            renamed.map_err(|source| ClientError::File { path, source })?;
+    let wanted = pictures.iter().copied().enumerate();
+    let fetched = futures::stream::iter(wanted).map(|(place, hash)| {
+        let (client, path) = (client.clone(), folder.join(picture_name(place)));
+        async move {
+            if !path.exists() {
+                // A picture under its own name is whole.
+                let partial = path.with_extension("part");
+                client.artifact_to_file(hash, &partial).await?;
+                let renamed = tokio::fs::rename(&partial, &path).await;
+                renamed.map_err(|source| ClientError::File { path, source })?;
+            }
+            Ok(())
         }
-        Ok(())
     });
     let mut fetched = fetched.buffer_unordered(AT_ONCE).enumerate().map(|(done, one)| one.map(|()| done + 1));
     while let Some(done) = fetched.try_next().await? {

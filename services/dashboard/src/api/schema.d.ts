@@ -2719,6 +2719,17 @@ export interface components {
             /** @description Writing the files of a finished frame, pictures included. CPU time only. 0 if no files are written. */
             write: components["schemas"]["Spent"];
         };
+        /** @description A part of a frame's cost that does not depend on what is varied. */
+        FixedPart: {
+            /**
+             * Format: int64
+             * @description CPU time over all threads, in nanoseconds.
+             */
+            cpu_nanos: number;
+            /** @description What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `finish`, `write`, and `prepare` for
+             *     what is not told apart. Or a word of its own, 1 to 50 characters. */
+            name: string;
+        };
         /** @description The quote of a job: the output of `forelight forecast --json` and of `GET /v1/jobs/{id}/forecast`. */
         ForecastDoc: {
             cache?: components["schemas"]["CacheQuote"] | null;
@@ -3389,8 +3400,11 @@ export interface components {
              * @description How much of it is encoded, 0 to 1.
              */
             progress: number;
-            /** @description `waiting` until the last frame is finished, `done` when the video is there. */
+            /** @description `waiting` until the last frame is finished, `ready` until a node takes it, `leased` while it is encoded,
+             *     `done` when it is there, `failed` after all attempts, `cancelled` if its job ended otherwise. */
             state: components["schemas"]["FrameState"];
+            /** @description Why no node takes it. Absent if one may. */
+            waits?: string | null;
         };
         /** @description Joins a machine to the farm with a one-time token. */
         JoinRequest: {
@@ -3568,6 +3582,9 @@ export interface components {
         MeasuredFrame: {
             /** @description Measured costs, at two different amounts at least. At most 1000. */
             costs: components["schemas"]["SampleCost"][];
+            /** @description What the costs consist of that do not depend on what is varied. At most 20. Empty if the renderer does not
+             *     say. */
+            fixed?: components["schemas"]["FixedPart"][];
             /**
              * Format: int32
              * @description The frame.

@@ -40,13 +40,13 @@ fn fixed_parts(profiles: &[SampledProfile]) -> Vec<(String, f64)> {
     if profiles.iter().any(|profile| profile.result.fixed.is_empty()) {
         return Vec::new();
     }
-    let mut sums: BTreeMap<&str, f64> = BTreeMap::new();
+    let mut sums: BTreeMap<&str, u64> = BTreeMap::new();
     for SampledProfile { result, node_speed } in profiles {
         for FixedPart { name, cpu_nanos } in &result.fixed {
             *sums.entry(in_words(name)).or_default() += at_speed_one(*cpu_nanos, *node_speed);
         }
     }
-    sums.into_iter().map(|(name, nanos)| (name.to_owned(), nanos)).collect()
+    sums.into_iter().map(|(name, nanos)| (name.to_owned(), nanos as f64)).collect()
 }
 
 /// What a renderer did, from its name in [`FixedPart`].

@@ -161,19 +161,19 @@ impl OpenJdTable {
                 job.specification_version
             ));
         }
-        let mut names = Names { values: BTreeMap::new() };
-        for parameter in &job.parameter_definitions {
-            let value = self.value_of(parameter, folder)?;
-            for kind in ["Param", "RawParam"] {
-                names.values.insert(format!("{kind}.{}", parameter.name), value.clone());
-            }
-        }
         if let Some(unknown) = self
             .parameters
             .keys()
             .find(|name| !job.parameter_definitions.iter().any(|parameter| parameter.name == **name))
         {
             return Err(format!("the job has no parameter {unknown}, which openjd.parameters sets"));
+        }
+        let mut names = Names { values: BTreeMap::new() };
+        for parameter in &job.parameter_definitions {
+            let value = self.value_of(parameter, folder)?;
+            for kind in ["Param", "RawParam"] {
+                names.values.insert(format!("{kind}.{}", parameter.name), value.clone());
+            }
         }
         let (step, task) = self.choose(&job.steps)?;
         let range = frames_of(&task.range, &names)?;

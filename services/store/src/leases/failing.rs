@@ -95,7 +95,7 @@ impl Store {
     async fn missing_picture(&self, pictures: &[ArtifactHash]) -> Result<Option<String>> {
         let hashes = Json(pictures.iter().map(ToString::to_string).collect::<Vec<_>>());
         let missing = sqlx::query_scalar!(
-            r#"SELECT value AS "hash!: String" FROM json_each(?) p LEFT JOIN artifacts a ON a.hash = unhex(p.value)
+            r#"SELECT p.value || '' AS "hash!: String" FROM json_each(?) p LEFT JOIN artifacts a ON a.hash = unhex(p.value)
                WHERE a.hash IS NULL OR a.hash IN (SELECT hash FROM damaged_artifacts) LIMIT 1"#,
             hashes
         );

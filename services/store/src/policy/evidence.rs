@@ -289,7 +289,7 @@ impl ExpectedImage {
 
 #[cfg(test)]
 mod tests {
-    use forelight_protocol::{ByClass, Rays};
+    use forelight_protocol::{ByClass, FrameRate, JobId, Rays, VideoFile, VideoResult, VideoSpec};
 
     use super::*;
 
@@ -368,5 +368,20 @@ mod tests {
         assert!(image(Kind::OpenExr, Some((8, 4))).objection(png).is_some());
         let wrong = image(Kind::Png, Some((80, 4))).objection(png).unwrap();
         assert!(wrong.reason.contains("8 × 4") && wrong.reason.contains("80 × 4"), "{}", wrong.reason);
+    }
+
+    #[test]
+    fn a_video_begins_like_one() {
+        let hash = ArtifactHash([7; 32]);
+        let file = VideoFile { hash, bytes: 100, frames: 1 };
+        let result = TaskResult::Video(VideoResult { file, spent: Spent::default(), peak_memory_bytes: 0 });
+        let frames_per_second = FrameRate::FILM;
+        let spec = VideoSpec { job_id: JobId::new(), frames_per_second, pictures: vec![hash] };
+        let [video] = &expected_images(&TaskSpec::Video(spec), &result)[..] else { panic!("one file") };
+        assert_eq!(video.objection(b"\0\0\0\x20ftypisom"), None);
+        for other in [&b"\x89PNG\r\n\x1a\n"[..], b"ftyp", b""] {
+            let objection = video.objection(other).unwrap();
+            assert!(objection.reason.contains("is not a video"), "{objection:?}");
+        }
     }
 }
