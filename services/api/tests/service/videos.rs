@@ -3,7 +3,7 @@
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
     ArtifactHash, FrameState, Job, JobState, JobVideo, Lease, Node, ProblemKind, Retention, TaskKind,
-    TaskPage, TaskResult, TaskSpec,
+    TaskPage, TaskSpec,
 };
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
