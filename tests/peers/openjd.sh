@@ -150,3 +150,19 @@ check "$other/shot.job.yaml"
 quietly "$environment/bin/openjd" run "$other/shot.job.yaml"
 quietly "$FORELIGHT_BIN" render "$other/shot.command.toml" --frames 3,5,7 --out "$other/here/#.png"
 for frame in 3 5 7; do cmp "$other/images/$frame.png" "$other/here/$frame.png"; done
+
+echo 'a shot of another renderer, in tasks of several frames'
+quietly "$FORELIGHT_BIN" forecast "$other/shot.command.toml" --frames 3,5,7 --width 48 --json
+sed -n '/^{/,$p' "$log" >"$work/other-quote.json"
+quietly "$FORELIGHT_BIN" export "$other/shot.command.toml" --frames 3,5,7 --width 48 --threads 1 \
+  --forecast "$work/other-quote.json" --chunk 1m --out "$other/exported.json"
+quietly "$environment/bin/openjd" check "$other/exported.json"
+quietly "$environment/bin/openjd" run "$other/exported.json" -p "Forelight=$FORELIGHT_BIN" -p "Images=$work/exported"
+quietly "$FORELIGHT_BIN" render "$other/shot.command.toml" --frames 3,5,7 --width 48 --out "$other/here/#.png"
+for frame in 3 5 7; do cmp "$work/exported/$frame.png" "$other/here/$frame.png"; done
+if "$FORELIGHT_BIN" export "$other/shot.command.toml" --frames 3,5,7 --forecast "$work/other-quote.json" \
+  --out "$other/wrong.json" 2>"$log"; then
+  echo 'error: a quote of another size was taken' >&2
+  exit 1
+fi
+grep -q 'it is of another quality (other settings of the renderer)' "$log"

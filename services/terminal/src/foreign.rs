@@ -73,6 +73,13 @@ fn is_command_file(scene: &Path) -> bool {
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnSetting(String, Value);
 
+impl OwnSetting {
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.0
+    }
+}
+
 /// Reads `NAME=VALUE`.
 pub fn own_setting() -> impl TypedValueParser<Value = OwnSetting> {
     clap::builder::StringValueParser::new().try_map(|text| {

@@ -158,7 +158,7 @@ impl Cli {
             Command::Calibrate(args) => blocking(move || calibrate::run(&args)).await,
             Command::Forecast(args) => blocking(move || forecast::run(&args, &interrupt)).await,
             Command::Accuracy(args) => accuracy::run(args, interrupt).await,
-            Command::Export(args) => blocking(move || export::run(&args)).await,
+            Command::Export(args) => blocking(move || export::run(&args, &interrupt)).await,
             Command::Plan(args) => blocking(move || plan::run(&args)).await,
             Command::Simulate(args) => blocking(move || simulate::run(&args, &interrupt)).await,
             Command::InspectBundle(args) => blocking(move || inspect_bundle::run(&args)).await,

@@ -7,8 +7,12 @@ use super::template::{
     Script, Step, TaskParameter, TaskParameterType,
 };
 use clap::ValueEnum;
-use forelight_protocol::{CacheMode, FrameSet, Integrator, MaterialMode, RenderSettings};
+use forelight_protocol::{
+    CacheMode, FrameSet, Integrator, JobSettings, MaterialMode, RenderSettings, ShotSettings,
+};
 use forelight_terminal::options::PreviewBackend;
+use serde_json::Value;
+use std::collections::BTreeMap;
 
 #[derive(Debug, Clone)]
 pub struct ExportedShot {
@@ -18,7 +22,11 @@ pub struct ExportedShot {
     pub bundle: Option<String>,
     pub bundle_is_folder: bool,
     pub frames: FrameSet,
-    pub settings: RenderSettings,
+    pub settings: JobSettings,
+    /// Settings of another renderer that differ from the scene's.
+    pub set: BTreeMap<String, Value>,
+    /// Formats of images, the usual one first.
+    pub formats: Vec<String>,
     /// Number of tasks that fill a level of the cache.
     pub cache_parts: u32,
     /// Threads of a task. `None` is one per core.
@@ -44,7 +52,15 @@ pub struct Chunk {
 /// A flag of `forelight render` and `forelight cache`, and the parameter that holds its value.
 struct Flag {
     flag: &'static str,
+    /// What is before the value, such as `denoise=`.
+    before: String,
     parameter: Parameter,
+}
+
+impl Flag {
+    fn new(flag: &'static str, parameter: Parameter) -> Self {
+        Self { flag, before: String::new(), parameter }
+    }
 }
 
 impl ExportedShot {
@@ -60,7 +76,7 @@ impl ExportedShot {
     }
 
     fn is_cached(&self) -> bool {
-        self.settings.cache == CacheMode::On
+        self.settings.own().is_some_and(|settings| settings.cache == CacheMode::On)
     }
 
     fn parameters(&self) -> Vec<Parameter> {
@@ -80,12 +96,16 @@ impl ExportedShot {
             Parameter::new("Frames", ParameterType::String, frames).default(self.frames.to_string()),
             folder("Images", DataFlow::Out, "Folder of the images and their statistics").default("images"),
             Parameter::new("ImageFormat", ParameterType::String, "Format of the images")
-                .default("exr")
-                .one_of(["exr", "png"]),
-            Parameter::new("Preview", ParameterType::String, preview)
-                .default("auto")
-                .one_of(names::<PreviewBackend>()),
+                .default(self.formats.first().cloned().unwrap_or_default())
+                .one_of(self.formats.iter().cloned()),
         ];
+        if self.settings.own().is_some() {
+            parameters.push(
+                Parameter::new("Preview", ParameterType::String, preview)
+                    .default("auto")
+                    .one_of(names::<PreviewBackend>()),
+            );
+        }
         if let Some(chunk) = self.chunk {
             let frames = "Frames of the first tasks; later ones have as many as fit into ChunkSeconds";
             let whole =
@@ -103,15 +123,42 @@ impl ExportedShot {
 
     /// The flags of quality. All are set, so that a version with other defaults renders the same images.
     fn quality(&self) -> Vec<Flag> {
-        let settings = &self.settings;
-        let whole = |flag, name, value: u32, what| Flag {
-            flag,
-            parameter: Parameter::new(name, ParameterType::Int, what).default(value),
+        match &self.settings {
+            JobSettings::Own(settings) => self.own_quality(settings),
+            JobSettings::Shot(settings) => self.other_quality(settings),
+        }
+    }
+
+    /// What all renderers have, and what was set of another renderer's own settings.
+    fn other_quality(&self, settings: &ShotSettings) -> Vec<Flag> {
+        let ShotSettings { width, height, samples, seed, .. } = settings;
+        let known = [
+            ("--width", "Width", width, "Image width in pixels"),
+            ("--height", "Height", height, "Image height in pixels"),
+            ("--spp", "Spp", samples, "Samples per pixel"),
+            ("--seed", "Seed", seed, "Seed of all random numbers"),
+        ];
+        let whole = known.into_iter().filter_map(|(flag, name, value, what)| {
+            Some(Flag::new(flag, Parameter::new(name, ParameterType::Int, what).default((*value)?)))
+        });
+        let set = self.set.iter().map(|(name, value)| {
+            let parameter = format!("Set_{}", name.replace(|c: char| !c.is_ascii_alphanumeric(), "_"));
+            let what = "A setting of the renderer, as JSON";
+            let parameter = Parameter::new(parameter, ParameterType::String, what).default(value.to_string());
+            Flag { flag: "--set", before: format!("{name}="), parameter }
+        });
+        whole.chain(set).collect()
+    }
+
+    fn own_quality(&self, settings: &RenderSettings) -> Vec<Flag> {
+        let whole = |flag, name: &'static str, value: u32, what: &'static str| {
+            Flag::new(flag, Parameter::new(name, ParameterType::Int, what).default(value))
         };
-        let one_of = |flag, name, value: &'static str, values: Vec<String>, what| Flag {
-            flag,
-            parameter: Parameter::new(name, ParameterType::String, what).default(value).one_of(values),
-        };
+        let one_of =
+            |flag, name: &'static str, value: &'static str, values: Vec<String>, what: &'static str| {
+                let parameter = Parameter::new(name, ParameterType::String, what);
+                Flag::new(flag, parameter.default(value).one_of(values))
+            };
         let integrator = settings.integrator.name();
         let materials = settings.materials.name();
         let mut bounces = whole(
@@ -147,15 +194,13 @@ impl ExportedShot {
                 names::<MaterialMode>(),
                 "The scene's materials (full), or every surface diffuse (lambert)",
             ),
-            Flag { flag: "--seed", parameter: seed.default(settings.seed) },
+            Flag::new("--seed", seed.default(settings.seed)),
         ];
         if self.is_cached() {
             let accuracy = "Error of the irradiance cache, 0.01 to 1";
-            flags.push(Flag {
-                flag: "--cache-accuracy",
-                parameter: Parameter::new("CacheAccuracy", ParameterType::Float, accuracy)
-                    .default((f64::from(settings.cache_accuracy) / 1000.0).to_string()),
-            });
+            let parameter = Parameter::new("CacheAccuracy", ParameterType::Float, accuracy);
+            let value = (f64::from(settings.cache_accuracy) / 1000.0).to_string();
+            flags.push(Flag::new("--cache-accuracy", parameter.default(value)));
             flags.push(whole(
                 "--cache-rays",
                 "CacheRays",
@@ -213,7 +258,8 @@ impl ExportedShot {
             return steps;
         }
         let mut from = "plan".to_owned();
-        for level in (1..=self.settings.ambient_bounces).rev() {
+        let levels = self.settings.own().map_or(0, |settings| settings.ambient_bounces);
+        for level in (1..=levels).rev() {
             let part = |part: &str| cache_file(&format!("level-{level}-part-{part}"));
             let filled = if level == 1 { "shot".to_owned() } else { format!("level-{level}") };
             let which = format!("{}/{}", of_task("Part"), self.cache_parts);
@@ -235,11 +281,13 @@ impl ExportedShot {
     fn how(&self) -> Vec<String> {
         let quality = self.quality().into_iter();
         let mut flags: Vec<String> =
-            quality.flat_map(|Flag { flag, parameter }| [flag.to_owned(), of(parameter.name)]).collect();
+            quality.flat_map(|one| [one.flag.to_owned(), one.before + &of(&one.parameter.name)]).collect();
         if self.is_cached() {
             flags.extend(strings(["--cache", "on"]));
         }
-        flags.extend(["--preview".to_owned(), of("Preview")]);
+        if self.settings.own().is_some() {
+            flags.extend(["--preview".to_owned(), of("Preview")]);
+        }
         if let Some(threads) = self.threads {
             flags.extend(["--threads".to_owned(), threads.to_string()]);
         }
@@ -307,7 +355,9 @@ mod tests {
     use super::{Chunk, ExportedShot};
     use crate::commands::Cli;
     use clap::Parser;
-    use forelight_protocol::{CacheMode, Integrator, RenderSettings, RenderSettingsRequest};
+    use forelight_protocol::{
+        CacheMode, Integrator, JobSettings, RenderSettings, RenderSettingsRequest, ShotSettings,
+    };
     use serde_json::Value;
     use std::collections::BTreeMap;
 
@@ -324,7 +374,9 @@ mod tests {
             bundle: Some("{{x}} \"y\" $(z)".into()),
             bundle_is_folder: true,
             frames: "0-1,5".parse().unwrap(),
-            settings: settings(cache),
+            settings: settings(cache).into(),
+            set: BTreeMap::new(),
+            formats: vec!["exr".into(), "png".into()],
             cache_parts,
             threads: None,
             chunk: None,
@@ -461,12 +513,23 @@ mod tests {
     #[test]
     fn every_command_of_a_job_can_be_typed() {
         let mut path = shot(CacheMode::Off, 1);
-        path.settings.integrator = Integrator::Path;
+        path.settings = RenderSettings { integrator: Integrator::Path, ..settings(CacheMode::Off) }.into();
         path.threads = Some(3);
         let chunk = Some(Chunk { frames: 25, seconds: 600 });
         let chunked = ExportedShot { chunk, ..shot(CacheMode::On, 1) };
         let others = [shot(CacheMode::Off, 1), shot(CacheMode::On, 1), shot(CacheMode::On, 4)];
-        for exported in others.into_iter().chain([path, chunked]) {
+        let other = ExportedShot {
+            settings: JobSettings::Shot(ShotSettings {
+                width: Some(64),
+                height: Some(36),
+                samples: Some(16),
+                seed: Some(0),
+                own: Default::default(),
+            }),
+            set: [("denoise".to_owned(), false.into()), ("a name".to_owned(), "it's {{mine}}".into())].into(),
+            ..shot(CacheMode::Off, 1)
+        };
+        for exported in others.into_iter().chain([path, chunked, other]) {
             let document = document(&exported);
             let frame = if exported.chunk.is_some() { "0-24" } else { "1" };
             let mut values = BTreeMap::from(

@@ -6,6 +6,7 @@
 
 use serde::Serialize;
 use serde_json::Value;
+use std::borrow::Cow;
 
 /// The extension for tasks of several values:
 /// <https://github.com/OpenJobDescription/openjd-specifications/blob/mainline/rfcs/0001-task-chunking.md>.
@@ -38,7 +39,7 @@ pub struct JobTemplate {
 #[serde(rename_all = "camelCase")]
 pub struct Parameter {
     /// The name in `{{Param.…}}`.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     #[serde(rename = "type")]
     pub kind: ParameterType,
     pub description: &'static str,
@@ -57,7 +58,8 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    pub fn new(name: &'static str, kind: ParameterType, description: &'static str) -> Self {
+    pub fn new(name: impl Into<Cow<'static, str>>, kind: ParameterType, description: &'static str) -> Self {
+        let name = name.into();
         let (object_type, data_flow, max_length) = (None, None, None);
         let (allowed_values, default) = (Vec::new(), None);
         Self { name, kind, description, object_type, data_flow, max_length, allowed_values, default }
