@@ -172,8 +172,8 @@ pub struct SampleCost {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FixedPart {
-    /// What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `finish`, `write`, and `prepare` for
-    /// what is not told apart. Or a word of its own, 1 to 50 characters.
+    /// What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `finish`, `write`, and
+    /// `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters.
     #[schema(min_length = 1, max_length = 50, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
     /// CPU time over all threads, in nanoseconds.
@@ -246,8 +246,8 @@ pub struct MeasuredFrame {
     /// Measured costs, at two different amounts at least. At most 1000.
     #[schema(max_items = 1000)]
     pub costs: Vec<SampleCost>,
-    /// What the costs consist of that do not depend on what is varied. At most 20. Empty if the renderer does not
-    /// say.
+    /// What the costs consist of that do not depend on what is varied. At most 20. Empty if the renderer does
+    /// not say.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 20)]
     pub fixed: Vec<FixedPart>,

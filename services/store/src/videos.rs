@@ -24,8 +24,8 @@ use crate::writing::run;
 pub(crate) const FFMPEG: &str = "(ffmpeg)";
 
 impl Store {
-    /// Has a video made of a job's frames, or none with `None`. A job that is done has it made at once, in place of
-    /// an earlier one. Repeating this changes nothing, unless the video failed.
+    /// Has a video made of a job's frames, or none with `None`. A job that is done has it made at once, in
+    /// place of an earlier one. Repeating this changes nothing, unless the video failed.
     ///
     /// A [`StoreError::Conflict`] if the job was cancelled or failed, or images of it were deleted.
     pub async fn set_video(&self, job: JobId, video: Option<VideoRequest>, now: Timestamp) -> Result<Job> {
@@ -71,8 +71,8 @@ async fn lacks_images(write: &mut Write, job: JobId) -> Result<bool> {
     Ok(lacks.fetch_one(write.connection().await?).await?)
 }
 
-/// Makes the video task of a job that is done, if a video is asked for. Without all images none can be made: then
-/// none is asked for any more.
+/// Makes the video task of a job that is done, if a video is asked for. Without all images none can be made:
+/// then none is asked for any more.
 pub(crate) async fn begin(write: &mut Write, job: JobId) -> Result<()> {
     let row = jobs::row(write.connection().await?, job).await?;
     let Some(rate) = row.frame_rate() else { return Ok(()) };

@@ -19,11 +19,13 @@ const CODEC: &str = "libx264";
 /// (https://trac.ffmpeg.org/wiki/Encode/H.264).
 const QUALITY: &str = "18";
 
-/// Speed of the encoder. Of 48 noisy frames of 1920 × 1080, one core encoded 1.9 in a second as `medium` and 5.6 as
+/// Speed of the encoder. Of 48 noisy frames of 1920 × 1080, one core encoded 1.9 in a second as `medium` and
+/// 5.6 as
 /// `veryfast`, and the file was no larger.
 const SPEED: &str = "veryfast";
 
-/// Largest rate of a video in bits per second. Noise of renders hardly compresses, and players read no faster.
+/// Largest rate of a video in bits per second. Noise of renders hardly compresses, and players read no
+/// faster.
 const MOST_BITS: f64 = 60e6;
 
 /// Share of the largest size of a video that its rate may fill. The rest is for the container.
@@ -153,7 +155,8 @@ impl Encoder {
     }
 }
 
-/// The rate as ffmpeg reads it. The rates of television are fractions, which their usual three digits stand for.
+/// The rate as ffmpeg reads it. The rates of television are fractions, which their usual three digits stand
+/// for.
 fn exact(rate: FrameRate) -> String {
     match rate.thousandths() {
         23_976 => "24000/1001".to_owned(),

@@ -2726,8 +2726,8 @@ export interface components {
              * @description CPU time over all threads, in nanoseconds.
              */
             cpu_nanos: number;
-            /** @description What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `finish`, `write`, and `prepare` for
-             *     what is not told apart. Or a word of its own, 1 to 50 characters. */
+            /** @description What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `finish`, `write`, and
+             *     `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters. */
             name: string;
         };
         /** @description The quote of a job: the output of `forelight forecast --json` and of `GET /v1/jobs/{id}/forecast`. */
@@ -3582,8 +3582,8 @@ export interface components {
         MeasuredFrame: {
             /** @description Measured costs, at two different amounts at least. At most 1000. */
             costs: components["schemas"]["SampleCost"][];
-            /** @description What the costs consist of that do not depend on what is varied. At most 20. Empty if the renderer does not
-             *     say. */
+            /** @description What the costs consist of that do not depend on what is varied. At most 20. Empty if the renderer does
+             *     not say. */
             fixed?: components["schemas"]["FixedPart"][];
             /**
              * Format: int32

@@ -34,8 +34,8 @@ fn common_settings(settings: &ShotSettings) -> RenderSettings {
     RenderSettingsRequest { spp: settings.samples, ..RenderSettingsRequest::default() }.complete(size)
 }
 
-/// What the measured frames say of the costs that do not depend on samples: CPU time in nanoseconds of a node of
-/// speed 1, in words. Empty if a frame says nothing.
+/// What the measured frames say of the costs that do not depend on samples: CPU time in nanoseconds of a node
+/// of speed 1, in words. Empty if a frame says nothing.
 fn fixed_parts(profiles: &[SampledProfile]) -> Vec<(String, f64)> {
     if profiles.iter().any(|profile| profile.result.fixed.is_empty()) {
         return Vec::new();
@@ -67,8 +67,8 @@ fn in_words(name: &str) -> &str {
 /// Explains a shot that was measured as a few frames at few samples: all frames, or one.
 ///
 /// What does not depend on the samples is apart. The rest of a frame is divided by what it shows, in
-/// proportion to N_h u_h, with N_h pixels of the frame and u_h the time per pixel in all measured frames. That
-/// needs a renderer that says where the time goes.
+/// proportion to N_h u_h, with N_h pixels of the frame and u_h the time per pixel in all measured frames.
+/// That needs a renderer that says where the time goes.
 ///
 /// # Errors
 /// Those of [`quote_sampled`](crate::quote_sampled), and if there is no such frame.

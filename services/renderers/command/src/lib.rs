@@ -62,8 +62,8 @@
 //! Samples = "{samples}"
 //! ```
 //!
-//! The step's only task parameter is the frame. Its command, arguments, embedded files, variables and time limit are
-//! taken over, and its frames unless this file has some. Environments with actions are refused.
+//! The step's only task parameter is the frame. Its command, arguments, embedded files, variables and time
+//! limit are taken over, and its frames unless this file has some. Environments with actions are refused.
 //!
 //! Only the variables that this file names, `PATH`, `LANG`, `HOME` and `TMPDIR` are in the program's
 //! environment. The last two are an empty folder, which is its working folder too.

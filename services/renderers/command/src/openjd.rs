@@ -1,9 +1,9 @@
-//! Arguments from an Open Job Description template: the same file makes a job for other farms and a renderer here.
-//! Specification: <https://github.com/OpenJobDescription/openjd-specifications>, revision 2023-09.
+//! Arguments from an Open Job Description template: the same file makes a job for other farms and a renderer
+//! here. Specification: <https://github.com/OpenJobDescription/openjd-specifications>, revision 2023-09.
 //!
-//! A step with one task parameter, the frame, is used. Its command, arguments, embedded files and variables become
-//! templates of the command file: parameters that the file sets are replaced by what it says, all others by their
-//! defaults.
+//! A step with one task parameter, the frame, is used. Its command, arguments, embedded files and variables
+//! become templates of the command file: parameters that the file sets are replaced by what it says, all
+//! others by their defaults.
 
 use crate::template::Template;
 use forelight_renderer::door::RendererError;

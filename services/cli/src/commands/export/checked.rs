@@ -1,4 +1,5 @@
-//! What of a shot goes into a template, checked against what a template can hold, and against files of other shots.
+//! What of a shot goes into a template, checked against what a template can hold, and against files of other
+//! shots.
 
 use super::openjd::{Chunk, ExportedShot};
 use super::template::{GREATEST_INTEGER, LARGEST_CHUNK, LONGEST_JOB_NAME, LONGEST_VALUE};
@@ -209,10 +210,10 @@ struct Limits {
 }
 
 impl Limits {
-    /// The requested limit, or limits from a forecast. The limit of a task of frames is that of the most expensive
-    /// row of so many frames, and at least `PATIENCE` times what a chunk should take, since a farm may give later
-    /// tasks more frames. The cache's follows from all frames together. Fails if the forecast is of other frames,
-    /// or out of range.
+    /// The requested limit, or limits from a forecast. The limit of a task of frames is that of the most
+    /// expensive row of so many frames, and at least `PATIENCE` times what a chunk should take, since a farm
+    /// may give later tasks more frames. The cache's follows from all frames together. Fails if the forecast
+    /// is of other frames, or out of range.
     fn new(
         asked: Option<Duration>,
         forecast: Option<&ForecastDoc>,

@@ -48,8 +48,8 @@ With --chunk, a task renders as many frames as take about that long with --threa
 scene once. The farm must know the extension TASK_CHUNKING, and adapts the number to what it measures. The time limit \
 is that of the dearest task. It stays the same where the parameters ChunkFrames and ChunkSeconds are changed.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file. Or a scene of another renderer: a .blend file, a .rif file, an octree,
-    /// or NAME.command.toml
+    /// Scene bundle: a folder or a zip file. Or a scene of another renderer: a .blend file, a .rif file, an
+    /// octree, or NAME.command.toml
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
@@ -78,7 +78,8 @@ pub struct Args {
     /// Time limit of a task, such as 30m or 2h [default: from --forecast, if given]
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     timeout: Option<Duration>,
-    /// Render several frames in a task, which should take this time, such as 10m. Needs --forecast and --threads
+    /// Render several frames in a task, which should take this time, such as 10m. Needs --forecast and
+    /// --threads
     #[arg(long, value_name = "DURATION", value_parser = duration, requires_all = ["forecast", "threads"])]
     chunk: Option<Duration>,
     /// Change a setting of another renderer, such as adaptive_sampling=false. May be repeated
