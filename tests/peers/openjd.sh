@@ -165,4 +165,4 @@ if "$FORELIGHT_BIN" export "$other/shot.command.toml" --frames 3,5,7 --forecast 
   echo 'error: a quote of another size was taken' >&2
   exit 1
 fi
-grep -q 'it is of another quality (other settings of the renderer)' "$log"
+grep -q 'it is of another quality (height: 32 and 16; width: 48 and 24)' "$log"

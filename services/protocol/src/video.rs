@@ -80,7 +80,7 @@ pub struct JobVideo {
     /// `waiting` until the last frame is finished, `ready` until a node takes it, `leased` while it is encoded,
     /// `done` when it is there, `failed` after all attempts, `cancelled` if its job ended otherwise.
     pub state: FrameState,
-    /// How much of it is encoded, 0 to 1.
+    /// How far it is, 0 to 1: half for fetching the images, half for encoding them.
     pub progress: f64,
     /// The file: MP4 with H.264. Absent until it is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]

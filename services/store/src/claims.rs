@@ -199,7 +199,8 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         task_id.0,
         speed * f64::from(node.cores),
         job_id.0,
-        // Frames and their parts have a forecast of their own. How long it takes to put a frame together has none.
+        // Frames and their parts have a forecast of their own. How long it takes to put a frame together has
+        // none.
         lease.spec.frame().filter(|_| matches!(kind, TaskKind::RenderPart | TaskKind::Render)),
         kind.name()
     );
@@ -306,9 +307,9 @@ async fn offer(
     Ok(Some(first).into())
 }
 
-/// A task by its id, if it is ready, or is to be run a second time and the node has not tried it; `None` while
-/// it is leased, or waits after a failure. A [`StoreError::Conflict`] if it is over, or is a video and the node has
-/// no ffmpeg.
+/// A task by its id, if it is ready, or is to be run a second time and the node has not tried it; `None`
+/// while it is leased, or waits after a failure. A [`StoreError::Conflict`] if it is over, or is a video and
+/// the node has no ffmpeg.
 async fn this_task(
     connection: &mut SqliteConnection,
     (task, node): (TaskId, NodeId),

@@ -83,7 +83,8 @@ macro_rules! job_rows {
                division, output, video, CASE WHEN video IS NOT NULL THEN (SELECT json_object('state', t.state,
                'progress', t.progress, 'error', t.error, 'file', r.body -> '$.video.file', 'is_without_node',
                json(iif(EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) p WHERE p.value = t.renderer
-               AND n.removed_at IS NULL), 'false', 'true')))
+               AND n.removed_at IS NULL AND n.worker IS NOT NULL AND NOT n.drain AND NOT n.pause
+               AND n.set_aside IS NULL), 'false', 'true')))
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = jobs.id AND t.kind = 'video') END
                AS "video_task?: crate::columns::Json<crate::videos::VideoTask>", within, limits,
                deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor,

@@ -78,6 +78,7 @@ pub(crate) async fn begin(write: &mut Write, job: JobId) -> Result<()> {
     let Some(rate) = row.frame_rate() else { return Ok(()) };
     if lacks_images(write, job).await? {
         run!(write, "UPDATE jobs SET video = NULL WHERE id = ?", job.0);
+        run!(write, "UPDATE tasks SET state = 'cancelled' WHERE job_id = ? AND kind = 'video'", job.0);
         return Ok(());
     }
     let pictures = sqlx::query_scalar!(
@@ -147,7 +148,8 @@ impl JobRow {
             });
         };
         let waits = (task.state == FrameState::Ready && task.is_without_node).then(|| {
-            "it waits because no node has ffmpeg: install it on one and start its worker again".to_owned()
+            "no worker that takes tasks has ffmpeg: install it on a node, and start its worker again"
+                .to_owned()
         });
         Some(JobVideo {
             frames_per_second,

@@ -10,7 +10,9 @@ use serde_json::{Value, json};
 
 /// A node that has ffmpeg.
 async fn with_ffmpeg(farm: &Farm, name: &str) -> Node {
-    let node = json!({"name": name, "speed": 2.0, "cores": 2, "capabilities": {"ffmpeg": "5.1"}});
+    let (capabilities, worker) = (json!({"ffmpeg": "5.1"}), uuid::Uuid::now_v7());
+    let node =
+        json!({"name": name, "speed": 2.0, "cores": 2, "capabilities": capabilities, "worker": worker});
     farm.worker.post("/v1/nodes", &node).await.parsed(StatusCode::CREATED).await
 }
 
@@ -67,7 +69,7 @@ async fn a_node_with_ffmpeg_makes_the_video_after_the_last_frame() {
     assert!(farm.claim(&plain).await.is_none());
     let waiting = done.video.unwrap();
     assert_eq!((waiting.state, f64::from(waiting.frames_per_second)), (FrameState::Ready, 25.0));
-    assert!(waiting.waits.is_some_and(|reason| reason.contains("no node has ffmpeg")));
+    assert!(waiting.waits.is_some_and(|reason| reason.contains("no worker that takes tasks has ffmpeg")));
     // Not even a process that was started for it.
     let tasks: TaskPage = farm.viewer.json(&format!("/v1/jobs/{}/tasks?page_size=200", job.id)).await;
     let task = tasks.items.iter().find(|task| task.kind == TaskKind::Video).unwrap();
@@ -178,6 +180,10 @@ async fn a_video_is_asked_for_and_deleted_at_any_time() {
     let open: Job = set(&farm, &job, json!({})).await.parsed(StatusCode::OK).await;
     assert_eq!(open.video.unwrap().state, FrameState::Waiting);
     assert_eq!(delete(&farm, &job).await.video, None);
+    let state_of = async || {
+        let tasks: TaskPage = farm.viewer.json(&format!("/v1/jobs/{}/tasks?page_size=200", job.id)).await;
+        tasks.items.iter().find(|task| task.kind == TaskKind::Video).map(|task| task.state)
+    };
     farm.work_off(&node, &job).await;
     assert!(farm.claim(&node).await.is_none(), "none is asked for");
     let done: Job = set(&farm, &job, json!({})).await.parsed(StatusCode::OK).await;
@@ -206,6 +212,7 @@ async fn a_video_is_asked_for_and_deleted_at_any_time() {
     farm.submitter.post(&format!("{path}/retry"), &frames).await.parsed::<Job>(StatusCode::OK).await;
     set(&farm, &job, json!({})).await.problem(ProblemKind::Conflict).await;
     farm.submitter.post(&format!("{path}/cancel"), &frames).await.parsed::<Job>(StatusCode::OK).await;
+    assert_eq!(state_of().await, Some(FrameState::Cancelled), "its task waits for nothing");
 
     // A job that is deleted while its video is encoded.
     let deleted = submit(&farm, "0", json!({})).await;

@@ -10,10 +10,13 @@ use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::{self, Bars};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Time between two looks at a video that is being made.
 const LOOK: Duration = Duration::from_millis(500);
+
+/// Who does not wait for a node waits so long for one to take the video.
+const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Make a video of a job's frames, and fetch it
 #[derive(Debug, clap::Args)]
@@ -110,6 +113,7 @@ pub(super) async fn fetch(
     let stopped = interrupt.token();
     let waiting = async {
         let mut said = None;
+        let since = Instant::now();
         loop {
             let job = client.job(id).await.context("cannot read the job")?;
             let Some(video) = job.video.clone() else { bail!("the job's video was deleted") };
@@ -122,11 +126,13 @@ pub(super) async fn fetch(
                 (None, _, JobState::Done) => {}
                 (None, _, state) => bail!("the job is {state}, so its video is not made now"),
             }
-            if let Some(reason) = video.waits.as_ref().filter(|_| !for_node) {
-                bail!("the video: {reason}; `forelight video {id} --out FILE` fetches it later");
+            let is_left = video.state == FrameState::Ready && since.elapsed() > PATIENCE;
+            if !for_node && (is_left || video.waits.is_some()) {
+                let reason = video.waits.as_deref().unwrap_or("no node has taken it yet");
+                bail!("the video waits ({reason}); `forelight video {id} --out FILE` fetches it later");
             }
             if video.waits != said {
-                video.waits.iter().for_each(|reason| bars.note(format!("the video: {reason}")));
+                video.waits.iter().for_each(|reason| bars.note(format!("the video waits: {reason}")));
                 said = video.waits;
             }
             tokio::time::sleep(LOOK).await;

@@ -41,7 +41,8 @@ impl Client {
         Ok(content.into())
     }
 
-    /// Streams an artefact into a file, and verifies its hash. The system may write the file to the disk later.
+    /// Streams an artefact into a file, and verifies its hash. The system may write the file to the disk
+    /// later.
     pub async fn artifact_to_file(&self, hash: ArtifactHash, path: &Path) -> Result<(), ClientError> {
         let failed = |source| ClientError::File { path: path.into(), source };
         let request = Request::get(format!("/v1/artifacts/{hash}")).timeout(None);

@@ -312,6 +312,11 @@ impl CommandFile {
             return error("arguments: give `arguments`, or a template in `openjd`".to_owned());
         }
         match self.frames {
+            None if self.openjd.is_some() => {
+                let reason =
+                    "frames: the frames of the template are no range such as 1-24: give `first` and `last`";
+                return error(reason.to_owned());
+            }
             None => return error("frames: give `first` and `last`".to_owned()),
             Some(frames) if frames.step == 0 || frames.first > frames.last => {
                 return error("frames: `first` is at most `last`, and `step` at least 1".to_owned());
@@ -330,13 +335,32 @@ impl CommandFile {
         self.check_abilities()
     }
 
+    /// Texts of a job do not become parts of scripts, which would run them.
+    fn check_scripts(&self) -> Result<(), (Option<usize>, String)> {
+        let is_free = |name: &&str| {
+            let parameter = self.parameters.get(*name);
+            parameter.is_some_and(|it| matches!(it.kind, ParameterKind::String) && it.choices.is_none())
+        };
+        for file in &self.embedded {
+            if let Some(name) = file.content.names().find(is_free) {
+                let reason = format!(
+                    "openjd: the embedded file {} contains `{{{name}}}`, any text of a job: pass it to the script as \
+                     an argument or a variable, or give the parameter `choices`",
+                    file.name
+                );
+                return Err((None, reason));
+            }
+        }
+        Ok(())
+    }
+
     fn check_placeholders(&self) -> Result<(), (Option<usize>, String)> {
         let own: Vec<&str> = self.parameters.keys().map(String::as_str).collect();
         let all = [&OF_ALL[..], &OF_CROP, &own].concat();
         let of_job = self.openjd.iter().flat_map(|table| table.parameters.values());
         let files: Vec<String> = self.embedded.iter().map(|file| format!("{FILE}{}", file.name)).collect();
-        let with_files: Vec<&str> =
-            all.iter().copied().chain([SESSION]).chain(files.iter().map(String::as_str)).collect();
+        let of_template = self.openjd.iter().map(|_| SESSION).chain(files.iter().map(String::as_str));
+        let with_files: Vec<&str> = all.iter().copied().chain(of_template).collect();
         let of_job = of_job.map(|one| (one, &all[..]));
         let templates = self.arguments.0.iter().chain(self.environment.values());
         let templates = of_job.chain(templates.map(|one| (one, &with_files[..])));
@@ -370,8 +394,9 @@ impl CommandFile {
             .collect();
         let has = |names: &[&str]| names.iter().all(|name| used.contains(name));
         let places = [&OF_CROP[..4], &["crop_left", "crop_top", "crop_width", "crop_height"], &["crop"]];
+        self.check_scripts()?;
         for (is_there, reason) in [
-            (has(&["out"]) || has(&["out_folder"]), "arguments: no argument has `{out}`"),
+            (has(&["out"]) || has(&["out_folder"]), "arguments: no argument or parameter has `{out}`"),
             (
                 !self.can.contains(&Can::Samples) || has(&["samples"]),
                 "can: `samples` needs an argument with `{samples}`",

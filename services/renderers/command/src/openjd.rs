@@ -22,6 +22,9 @@ pub(crate) const SESSION: &str = "openjd.session";
 /// Beginning of the placeholders of embedded files.
 pub(crate) const FILE: &str = "openjd.file.";
 
+/// The extension for tasks of several frames.
+const CHUNKING: &str = "TASK_CHUNKING";
+
 /// Runs a file by its first line.
 const ENV: &str = "/usr/bin/env";
 
@@ -31,7 +34,7 @@ const ENV: &str = "/usr/bin/env";
 pub(crate) struct OpenJdTable {
     /// The job's template, YAML or JSON, from the file's folder on.
     template: PathBuf,
-    /// Name of the step. `None`: the only one with a task parameter.
+    /// Name of the step. `None`: the only one with task parameters.
     step: Option<String>,
     /// Values of the job's parameters.
     #[serde(default)]
@@ -63,6 +66,8 @@ pub(crate) struct EmbeddedFile {
 struct JobTemplate {
     specification_version: String,
     #[serde(default)]
+    extensions: Vec<String>,
+    #[serde(default)]
     parameter_definitions: Vec<JobParameter>,
     #[serde(default)]
     job_environments: Vec<Environment>,
@@ -91,8 +96,16 @@ struct Step {
     name: String,
     parameter_space: Option<ParameterSpace>,
     #[serde(default)]
+    dependencies: Vec<Dependency>,
+    #[serde(default)]
     step_environments: Vec<Environment>,
     script: Script,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Dependency {
+    depends_on: String,
 }
 
 #[derive(Deserialize)]
@@ -151,15 +164,19 @@ impl OpenJdTable {
         let wrong = |reason: String| RendererError::Scene { scene: path.clone(), reason };
         let job: JobTemplate = yaml_serde::from_str(&text).map_err(|error| wrong(error.to_string()))?;
         let from = path.parent().unwrap_or(Path::new("/"));
-        self.step_of(job, from).map_err(wrong)
+        self.step_of(job, (folder, from)).map_err(wrong)
     }
 
-    fn step_of(&self, job: JobTemplate, folder: &Path) -> Result<OpenJdStep, String> {
+    /// `folders`: of the command file, and of the template.
+    fn step_of(&self, job: JobTemplate, folders: (&Path, &Path)) -> Result<OpenJdStep, String> {
         if job.specification_version != REVISION {
             return Err(format!(
                 "specificationVersion is {}; {REVISION} is known",
                 job.specification_version
             ));
+        }
+        if let Some(extension) = job.extensions.iter().find(|name| *name != CHUNKING) {
+            return Err(format!("it needs the extension {extension}; only {CHUNKING} is known"));
         }
         if let Some(unknown) = self
             .parameters
@@ -170,12 +187,18 @@ impl OpenJdTable {
         }
         let mut names = Names { values: BTreeMap::new() };
         for parameter in &job.parameter_definitions {
-            let value = self.value_of(parameter, folder)?;
+            let value = self.value_of(parameter, folders)?;
             for kind in ["Param", "RawParam"] {
                 names.values.insert(format!("{kind}.{}", parameter.name), value.clone());
             }
         }
         let (step, task) = self.choose(&job.steps)?;
+        if let Some(Dependency { depends_on }) = step.dependencies.first() {
+            return Err(format!(
+                "step {} depends on {depends_on}, which only a farm runs before it",
+                step.name
+            ));
+        }
         let range = frames_of(&task.range, &names)?;
         let frame = match task.kind.as_str() {
             "INT" => Template::placeholder("frame"),
@@ -216,22 +239,33 @@ impl OpenJdTable {
             environment,
             files: files.collect::<Result<_, _>>()?,
             frames: range,
-            seconds: timeout.as_ref().and_then(Value::as_u64),
+            seconds: timeout.as_ref().map(|timeout| names.seconds(timeout)).transpose()?,
         })
     }
 
     /// The value of a job's parameter: what the file says, or its default.
-    fn value_of(&self, parameter: &JobParameter, folder: &Path) -> Result<Template, String> {
+    fn value_of(
+        &self,
+        parameter: &JobParameter,
+        (own_folder, folder): (&Path, &Path),
+    ) -> Result<Template, String> {
         let JobParameter { name, kind, default } = parameter;
         if let Some(set) = self.parameters.get(name) {
-            return Ok(set.get_ref().clone());
+            let set = set.get_ref().clone();
+            // As all paths of a command file, it is from the file's folder on.
+            return Ok(match kind == "PATH" && set.begins_relative() {
+                true => Template::joined([Template::text(&format!("{}/", own_folder.display())), set]),
+                false => set,
+            });
         }
         let text = match default {
             Some(Value::String(text)) => text.clone(),
             Some(value @ (Value::Number(_) | Value::Bool(_))) => value.to_string(),
             _ => return Err(format!("parameter {name} has no default: set it in openjd.parameters")),
         };
-        let text = if kind == "PATH" { folder.join(&text).display().to_string() } else { text };
+        // An empty path is none.
+        let is_path = kind == "PATH" && !text.is_empty();
+        let text = if is_path { folder.join(&text).display().to_string() } else { text };
         Ok(Template::text(&text))
     }
 
@@ -242,7 +276,7 @@ impl OpenJdTable {
         };
         let chosen: Vec<&Step> = match &self.step {
             Some(name) => steps.iter().filter(|step| step.name == *name).collect(),
-            None => steps.iter().filter(|step| parameters(step).len() == 1).collect(),
+            None => steps.iter().filter(|step| !parameters(step).is_empty()).collect(),
         };
         let [step] = chosen[..] else {
             let names: Vec<&str> = steps.iter().map(|step| step.name.as_str()).collect();
@@ -257,7 +291,7 @@ impl OpenJdTable {
     }
 }
 
-/// Frames of a range expression such as `1-24` or `1-24:2`. `None` for a list, which has no such form.
+/// Frames of a range expression such as `1-24` or `1-24:2`. `None` for others, such as lists.
 fn frames_of(range: &Value, names: &Names) -> Result<Option<(i32, i32, u32)>, String> {
     let Value::String(text) = range else { return Ok(None) };
     let text = names.fill(text)?;
@@ -298,10 +332,19 @@ impl Names {
         Ok(Template::joined(pieces))
     }
 
+    /// A time limit: a number, or a format string with one.
+    fn seconds(&self, timeout: &Value) -> Result<u64, String> {
+        let seconds = match timeout {
+            Value::String(text) => self.fill(text)?.fill(&BTreeMap::new()).trim().parse().ok(),
+            number => number.as_u64(),
+        };
+        seconds.ok_or_else(|| format!("timeout {timeout} is not a number of seconds"))
+    }
+
     fn embedded(&self, embedded: &Embedded) -> Result<EmbeddedFile, String> {
         let Embedded { name, filename, data, runnable } = embedded;
         let file = filename.clone().unwrap_or_else(|| name.clone());
-        if file.is_empty() || file.contains(['/', '\\']) || file.starts_with('.') {
+        if ["", ".", ".."].contains(&file.as_str()) || file.contains(['/', '\\', '=']) {
             return Err(format!("embedded file {name}: {file:?} is not the name of a file"));
         }
         Ok(EmbeddedFile { name: name.clone(), file, content: self.fill(data)?, is_runnable: *runnable })

@@ -109,6 +109,17 @@ impl CommandShot {
         for file in files {
             values.insert(format!("{FILE}{}", file.name), place(file).display().to_string());
         }
+        // A script would run what it takes for more than a path.
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+@".contains(c);
+        let scene = self.scene.to_string_lossy();
+        if let Some(file) = files.iter().find(|file| file.content.names().any(|name| name == "scene"))
+            && !scene.chars().all(is_plain)
+        {
+            return self.unsupported(&format!(
+                "takes the path of the scene into its script {}: the path may have ASCII letters, digits and /._-+@ only",
+                file.name
+            ));
+        }
         for file in files {
             let path = place(file);
             let mode = if file.is_runnable { 0o700 } else { 0o600 };

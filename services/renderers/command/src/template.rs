@@ -66,6 +66,11 @@ impl Template {
         Self { pieces: vec![Piece::Placeholder(name.to_owned(), 0)] }
     }
 
+    /// Whether it begins with a text that is no absolute path.
+    pub fn begins_relative(&self) -> bool {
+        matches!(self.pieces.first(), Some(Piece::Text(text)) if !text.is_empty() && !text.starts_with('/'))
+    }
+
     /// Texts one after the other.
     pub fn joined(all: impl IntoIterator<Item = Self>) -> Self {
         Self { pieces: all.into_iter().flat_map(|one| one.pieces).collect() }

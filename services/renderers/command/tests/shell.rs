@@ -359,6 +359,35 @@ fn a_job_of_other_farms_is_a_renderer_with_the_same_arguments() {
 }
 
 #[test]
+fn a_script_gets_no_path_that_it_would_run() {
+    let world = World::new(&FILE_OF_JOB.replace("scene.txt", "scene $(touch x).txt"));
+    std::fs::write(world.folder.path().join("scene $(touch x).txt"), "a scene").unwrap();
+    let error = world.ask(|shot, run| {
+        let settings = shot.description().settings.clone();
+        shot.render(3, &settings, &[], run).unwrap_err().to_string()
+    });
+    assert!(error.contains("the path may have ASCII letters"), "{error}");
+}
+
+#[test]
+fn a_chunk_is_a_range_of_one_frame_and_a_set_path_is_from_the_files_folder_on() {
+    let world = World::new(
+        &FILE_OF_JOB.replace("[openjd.parameters]", "[openjd.parameters]\nScript = \"script.sh\""),
+    );
+    let job = JOB.replace("type: INT, range: \"{{Param.Frames}}\"", "type: \"CHUNK[INT]\", range: \"-2-4\"");
+    let job = job
+        .replace("default: script.sh", "default: \"\"")
+        .replace("jobEnvironments", "extensions: [TASK_CHUNKING]\njobEnvironments");
+    std::fs::write(world.folder.path().join("shot.job.yaml"), job).unwrap();
+    world.ask(|shot, run| {
+        let Description { frames, settings, .. } = shot.description();
+        assert_eq!((frames.first, frames.last), (-2, 4));
+        let rendered = shot.render(3, settings, &[], run).unwrap();
+        assert!(std::fs::read_to_string(&rendered.files[0]).unwrap().starts_with("3-3\n"));
+    });
+}
+
+#[test]
 fn what_only_a_farm_can_do_is_refused_by_name() {
     let with = |from: &str, to: &str, file: &str| {
         let world = World::new(file);
@@ -373,15 +402,29 @@ fn what_only_a_farm_can_do_is_refused_by_name() {
         ("{{Task.Param.Frame}}", "{{Task.Param.Part}}", "{{Task.Param.Part}} is not known"),
         ("type: INT, default: 5", "type: INT", "parameter Depth has no default"),
         ("filename: run.sh", "filename: ../run.sh", "not the name of a file"),
+        (
+            "    parameterSpace:",
+            "    dependencies: [{dependsOn: Check}]\n    parameterSpace:",
+            "depends on Check",
+        ),
+        ("jobEnvironments:", "extensions: [EXPR]\njobEnvironments:", "needs the extension EXPR"),
+        ("timeout: 2", "timeout: \"{{Param.Name}}\"", "is not a number of seconds"),
+        ("range: \"{{Param.Frames}}\"", "range: [1, 5, 6]", "no range such as 1-24"),
         ("steps:", "steps: 7 #", "invalid type"),
     ] {
         let error = with(from, to, FILE_OF_JOB);
-        assert!(error.contains(reason) && error.contains("shot.job.yaml"), "{error}");
+        assert!(error.contains(reason), "{error}");
     }
     let unknown = FILE_OF_JOB.replace("Scene = ", "Scenery = ");
     assert!(with("steps:", "steps:", &unknown).contains("no parameter Scenery"));
     let other = FILE_OF_JOB.replace("template =", "step = \"Check\"\ntemplate =");
     assert!(with("steps:", "steps:", &other).contains("step Check has 0 task parameters"));
+    let free = FILE_OF_JOB.replace("[openjd.parameters]", "[openjd.parameters]\nDepth = \"{mode}\"")
+        + "\n[parameters.mode]\ntype = \"string\"\ndefault = \"good\"\n";
+    let error = with("steps:", "steps:", &free);
+    assert!(error.contains("the embedded file Run contains `{mode}`, any text of a job"), "{error}");
+    let chosen = free + "choices = [\"good\", \"better\"]\n";
+    assert!(open_command(&World::new(&chosen).file()).is_ok());
     let missing = FILE_OF_JOB.replace("shot.job.yaml", "none.yaml");
     assert!(with("steps:", "steps:", &missing).contains("none.yaml"));
     let placeholder = FILE_OF_JOB.replace("{samples}", "{sample}");

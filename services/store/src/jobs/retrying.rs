@@ -199,7 +199,8 @@ async fn forget_result(write: &mut Write, job: JobId, row: &Row) -> Result<()> {
 
 /// Opens a job that is done or failed. Parts of its shared cache that failed or were withdrawn go on too.
 async fn go_on(write: &mut Write, job: &Job, now: Timestamp) -> Result<()> {
-    videos::take_video_back(write, job.id, "waiting", now).await?;
+    let video = if job.video.is_some() { "waiting" } else { "cancelled" };
+    videos::take_video_back(write, job.id, video, now).await?;
     let of_cache = sqlx::query_scalar!(
         "SELECT id FROM tasks WHERE job_id = ? AND frame IS NULL AND kind IN ('cache_fill', 'cache_merge') \
          AND state IN ('failed', 'cancelled')",

@@ -7,11 +7,13 @@ use super::{Args, Source};
 use crate::commands::cache::NO_USE_FOR_A_CACHE;
 use anyhow::Result;
 use forelight_protocol::{
-    CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings,
+    CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings, ShotSettings,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::quantities::{money, seconds};
 use serde::Deserialize;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::Duration;
 
@@ -153,15 +155,36 @@ fn check_quoted(quote: &ForecastDoc, source: &Source) -> Result<()> {
             let spp = quote.chosen_spp.unwrap_or(asked.spp);
             RenderSettings { spp, ..asked.clone() }.differences(settings)
         }
-        _ if *renderer != source.renderer => vec!["another renderer or version".to_owned()],
-        (asked, settings) if asked != settings => vec!["other settings of the renderer".to_owned()],
-        _ => Vec::new(),
+        (JobSettings::Shot(asked), JobSettings::Shot(settings))
+            if renderer
+                .as_ref()
+                .zip(source.renderer.as_ref())
+                .is_some_and(|(asked, id)| asked.allows(id)) =>
+        {
+            differences_of(asked, settings)
+        }
+        _ => vec!["another renderer or version".to_owned()],
     };
     if !differences.is_empty() {
         let why = format!("it is of another quality ({})", differences.join("; "));
         return Err(BadInput::new(format!("--forecast: {why}")).hint(hint).into());
     }
     Ok(())
+}
+
+/// Settings of another renderer that differ, with both values.
+fn differences_of(asked: &ShotSettings, settings: &ShotSettings) -> Vec<String> {
+    let fields = |of: &ShotSettings| -> BTreeMap<String, Value> {
+        let ShotSettings { width, height, samples, seed, own } = of;
+        let common = [("width", width), ("height", height), ("samples", samples), ("seed", seed)];
+        let common = common.map(|(name, value)| (name.to_owned(), (*value).into()));
+        common.into_iter().chain(own.iter().map(|(name, value)| (name.clone(), value.clone()))).collect()
+    };
+    let (asked, settings) = (fields(asked), fields(settings));
+    let names: BTreeSet<&String> = asked.keys().chain(settings.keys()).collect();
+    let value = |of: &BTreeMap<String, Value>, name: &str| of.get(name).cloned().unwrap_or_default();
+    let pairs = names.into_iter().map(|name| (name, value(&asked, name), value(&settings, name)));
+    pairs.filter(|(_, a, b)| a != b).map(|(name, a, b)| format!("{name}: {a} and {b}")).collect()
 }
 
 fn job_name(name: &str) -> Result<&str> {
@@ -264,6 +287,7 @@ fn description(source: &Source, frames: &FrameSet, forecast: Option<&ForecastDoc
         source.digest
     );
     if let Some(renderer) = &source.renderer {
+        let renderer = renderer.to_string().replace(char::is_control, " ");
         text += &format!("Renderer {renderer}.\n");
     }
     if let Some(quote) = forecast {
@@ -283,8 +307,7 @@ fn description(source: &Source, frames: &FrameSet, forecast: Option<&ForecastDoc
 #[cfg(test)]
 mod tests {
     use super::*;
-    use forelight_protocol::{SceneDigest, Spent};
-    use std::collections::BTreeMap;
+    use forelight_protocol::{RendererId, RendererRequest, SceneDigest, Spent};
     use std::fs;
 
     fn message<T: std::fmt::Debug>(result: Result<T>) -> String {
@@ -477,6 +500,36 @@ mod tests {
         check(of(scene(), &settings, Some(37)), &settings).unwrap_err();
         // Quotes of older versions do not say what they are of.
         check(quote("0-9", 1.0), &settings).unwrap();
+    }
+
+    #[test]
+    fn a_quote_of_another_renderer_is_held_against_its_version_and_settings() {
+        let settings = |width, denoise: bool| ShotSettings {
+            width: Some(width),
+            height: Some(2),
+            samples: Some(16),
+            seed: Some(0),
+            own: [("denoise".to_owned(), denoise.into())].into_iter().collect(),
+        };
+        let frames: FrameSet = "0-9".parse().unwrap();
+        let source = |width, denoise| Source {
+            renderer: Some(RendererId { name: "cycles".into(), version: "5.0.1".into() }),
+            settings: JobSettings::Shot(settings(width, denoise)),
+            ..source(forelight_protocol::RenderSettingsRequest::default().complete((4, 2)), &frames)
+        };
+        let asked = |version: &str| ForecastDoc {
+            of: Some(QuotedShot {
+                scene: source(4, true).digest,
+                renderer: Some(RendererRequest { name: "cycles".into(), version: Some(version.into()) }),
+                settings: JobSettings::Shot(settings(4, true)),
+            }),
+            ..quote("0-9", 1.0)
+        };
+        check_quoted(&asked("5.0"), &source(4, true)).unwrap();
+        let refused = message(check_quoted(&asked("5.0.1"), &source(8, false)));
+        assert!(refused.contains("(denoise: true and false; width: 4 and 8)"), "{refused}");
+        let refused = message(check_quoted(&asked("4.5"), &source(4, true)));
+        assert!(refused.contains("another renderer or version"), "{refused}");
     }
 
     #[test]

@@ -7,7 +7,7 @@ mod template;
 use anyhow::Result;
 use checked::{FrameStats, exported};
 use clap::ValueEnum;
-use forelight_protocol::{ForecastDoc, FrameSet, JobSettings, RendererRequest, SceneDigest};
+use forelight_protocol::{ForecastDoc, FrameSet, JobSettings, RendererId, SceneDigest};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{
     Foreign, OwnSetting, is_foreign, own_setting, refuse, refuse_own_settings,
@@ -38,14 +38,15 @@ that reads such templates. The flags become defaults of the job's parameters, wh
 The parameter Bundle has a default only if the bundle is in the template's folder or below it, since a template may \
 not point elsewhere. Otherwise set it at submission.
 
-Scenes of other renderers are rendered by `forelight render` too, which machines need beside the renderer.
+Scenes of other renderers are rendered by `forelight render` too, which machines need beside the renderer. Only the \
+file that is named is an input of the job: what it refers to must be inside it, or on storage that the machines share.
 
 With --cache on, steps before the renders make the irradiance cache of the shot, in a folder that all machines must \
 share. --threads sets the cores that a machine must have, and --stats its memory. With --forecast, a task is stopped \
 after four times its forecast CPU time (P95, on one core), and not before 10 minutes.
 
 With --chunk, a task renders as many frames as take about that long with --threads, but at most 150, and reads the \
-scene once. The farm must know the extension TASK_CHUNKING, and adapts the number to what it measures. The time limit \
+scene once, unless the renderer is a program that is started for each frame. The farm must know the extension TASK_CHUNKING, and adapts the number to what it measures. The time limit \
 is that of the dearest task. It stays the same where the parameters ChunkFrames and ChunkSeconds are changed.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file. Or a scene of another renderer: a .blend file, a .rif file, an
@@ -94,7 +95,7 @@ struct Source {
     name: String,
     digest: SceneDigest,
     /// `None`: our own.
-    renderer: Option<RendererRequest>,
+    renderer: Option<RendererId>,
     settings: JobSettings,
     /// Settings of another renderer that differ from the scene's.
     set: BTreeMap<String, Value>,
@@ -133,7 +134,7 @@ impl Source {
         Ok(Self {
             name,
             digest,
-            renderer: Some(foreign.renderer.id().into()),
+            renderer: Some(foreign.renderer.id().clone()),
             set: set.filter_map(|name| Some((name.to_owned(), settings.own.get(name)?.clone()))).collect(),
             formats: foreign.shot.image_extensions(&settings),
             settings: JobSettings::Shot(settings.complete()),
@@ -147,6 +148,7 @@ enum Format {
     /// Open Job Description, revision 2023-09, as JSON.
     Openjd,
 }
+
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(out) = args.out.as_deref().filter(|out| out.extension().is_none_or(|end| end != "json")) {
         let why = "the name must end in .json, because other programs choose the format by it";

@@ -141,8 +141,10 @@ impl ExportedShot {
         let whole = known.into_iter().filter_map(|(flag, name, value, what)| {
             Some(Flag::new(flag, Parameter::new(name, ParameterType::Int, what).default((*value)?)))
         });
-        let set = self.set.iter().map(|(name, value)| {
-            let parameter = format!("Set_{}", name.replace(|c: char| !c.is_ascii_alphanumeric(), "_"));
+        // Names of parameters are short, and have letters, digits and `_` only.
+        let set = (1..).zip(&self.set).map(|(number, (name, value))| {
+            let plain = name.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '_').take(40);
+            let parameter = format!("Set{number}_{}", plain.collect::<String>());
             let what = "A setting of the renderer, as JSON";
             let parameter = Parameter::new(parameter, ParameterType::String, what).default(value.to_string());
             Flag { flag: "--set", before: format!("{name}="), parameter }
@@ -526,7 +528,7 @@ mod tests {
                 seed: Some(0),
                 own: Default::default(),
             }),
-            set: [("denoise".to_owned(), false.into()), ("a name".to_owned(), "it's {{mine}}".into())].into(),
+            set: ["a-b", "a b", "größe"].map(|name| (name.to_owned(), "it's {{mine}}".into())).into(),
             ..shot(CacheMode::Off, 1)
         };
         for exported in others.into_iter().chain([path, chunked, other]) {
@@ -537,11 +539,15 @@ mod tests {
                     .map(|(name, value)| (format!("Task.Param.{name}"), value.into())),
             );
             for parameter in document["parameterDefinitions"].as_array().unwrap() {
+                let name = parameter["name"].as_str().unwrap();
+                let is_identifier = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+                assert!(is_identifier && name.len() <= 64, "{name}");
+                assert!(!values.contains_key(&format!("Param.{name}")), "{name} is there twice");
                 let default = &parameter["default"];
                 let allowed = parameter["allowedValues"].as_array();
                 assert!(allowed.is_none_or(|allowed| allowed.contains(default)), "{parameter}");
                 let value = default.as_str().map_or_else(|| default.to_string(), str::to_owned);
-                values.insert(format!("Param.{}", parameter["name"].as_str().unwrap()), value);
+                values.insert(format!("Param.{name}"), value);
             }
             for step in document["steps"].as_array().unwrap() {
                 let run = &step["script"]["actions"]["onRun"];

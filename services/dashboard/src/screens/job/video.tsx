@@ -96,7 +96,7 @@ function State(props: { job: Job }) {
           <p role="status">
             {video.state === "ready" ? "It waits for a node with ffmpeg" : "It is being encoded"}, at {rate}.
           </p>
-          <progress aria-label="Share of the video that is encoded" max={1} value={video.progress} />
+          <progress aria-label="How far the video is" max={1} value={video.progress} />
           {video.waits && (
             <p class="note">
               <Prose text={video.waits} />

@@ -7,20 +7,33 @@ sampling and writing.
 
 import contextlib
 import json
+import re
 import time
 
 import bpy
 import forelight_describe
 
 
-# What Cycles prepares, by a word in the state that it tells. The first word that is found counts.
-PREPARED = {
-    "kernel": "kernels",
-    "bvh": "tree",
-    "image": "textures",
-    "synchroniz": "scene",
-    "updating": "scene",
-}
+# What Cycles prepares, by how a field of the state begins that it tells. Names of objects and files are fields of
+# their own, which come later.
+PREPARED = (
+    (re.compile(r"Loading (\w+ )?kernels"), "kernels"),
+    (re.compile(r"(Updating (\w+ )?|Building |Packing |Refitting )BVH"), "tree"),
+    (re.compile(r"Updating (\w+ )?Images"), "textures"),
+    (re.compile(r"Synchronizing|Updating "), "scene"),
+)
+
+# How far the samples are.
+SAMPLE = re.compile(r"\bSample (\d+)/(\d+)")
+
+
+def prepared(text):
+    """What Cycles prepares in this state. None if it does something else."""
+    for field in text.split(" | "):
+        for begins, name in PREPARED:
+            if begins.match(field.strip()):
+                return name
+    return None
 
 
 class Clock:
@@ -51,24 +64,25 @@ class Clock:
     def state(self, text, *_):
         now = time.process_time_ns()
         text = text if isinstance(text, str) else str(text)
+        preparing = prepared(text)
         if self.last_end is None and self.sampling_since is None:
-            self.prepare(text, now)
-        if "Sample " in text:
+            self.prepare(preparing, now)
+        sample = None if preparing else SAMPLE.search(text)
+        if sample:
             if self.sampling_since is None:
                 self.sampling_since = now
-            self.tell(text)
+            self.tell(int(sample[1]), int(sample[2]))
         elif self.sampling_since is not None:
             self.sampling += now - self.sampling_since
             self.sampling_since = None
             self.last_end = now
 
-    def prepare(self, text, now):
+    def prepare(self, preparing, now):
         """Counts the time since the last state for what was prepared then."""
         if self.preparing:
             spent = now - self.preparing_since
             self.prepared[self.preparing] = self.prepared.get(self.preparing, 0) + spent
-        lower = text.lower()
-        self.preparing = next((name for word, name in PREPARED.items() if word in lower), None)
+        self.preparing = preparing
         self.preparing_since = now
 
     def before_samples(self, cpu_nanos):
@@ -76,11 +90,10 @@ class Clock:
         rest = max(0, cpu_nanos - sum(self.prepared.values()))
         return {"prepare": rest, **self.prepared}
 
-    def tell(self, text):
-        done, _, whole = text.rpartition("Sample ")[2].partition(" ")[0].partition("/")
-        if self.progress and done.isdigit() and whole.isdigit() and time.monotonic() - self.told > 0.2:
+    def tell(self, done, whole):
+        if self.progress and time.monotonic() - self.told > 0.2:
             self.told = time.monotonic()
-            self.progress(int(done) / max(1, int(whole)))
+            self.progress(done / max(1, whole))
 
     def cost(self):
         """The whole cost, and the parts of it that samples have no share in."""
