@@ -20,7 +20,15 @@ DOCUMENT = HERE.parent.parent / "openapi.yaml"
 PACKAGE = HERE / "src" / "forelight" / "rest"
 
 # Media types whose bodies are passed on as they are.
-FILES = ["application/zip", "application/x-blender", "image/png", "image/x-exr", "image/svg+xml", "application/yaml"]
+FILES = [
+    "application/zip",
+    "application/x-blender",
+    "image/png",
+    "image/x-exr",
+    "image/svg+xml",
+    "video/mp4",
+    "application/yaml",
+]
 
 
 def with_named_variants(document):
