@@ -3397,7 +3397,7 @@ export interface components {
             frames_per_second: components["schemas"]["FrameRate"];
             /**
              * Format: double
-             * @description How much of it is encoded, 0 to 1.
+             * @description How far it is, 0 to 1: half for fetching the images, half for encoding them.
              */
             progress: number;
             /** @description `waiting` until the last frame is finished, `ready` until a node takes it, `leased` while it is encoded,
