@@ -171,7 +171,9 @@ test("a working farm", { timeout: 480_000 }, async (t) => {
     await page.getByRole("button", { name: "I have kept it" }).click();
     await page.getByRole("button", { name: "Send a test" }).click();
     await page.getByText("delivered").first().waitFor();
-    assert.deepEqual(told, [{ text: "a test: this webhook of forelight works" }]);
+    // The farm goes on meanwhile, and tells of promises too.
+    const tests = told.filter(({ text }) => text.startsWith("a test"));
+    assert.deepEqual(tests, [{ text: "a test: this webhook of forelight works" }]);
 
     await show(page, farm.address, screens(null).kept);
     await page.getByRole("button", { name: "Change: logs", exact: true }).click();

@@ -113,6 +113,9 @@ test("without a pointer", { timeout: 480_000 }, async (t) => {
       "kitchen",
       ...["--name", "slow", "--frames", "0", "--width", "128", "--spp", "32", "--samples", "16"],
     );
+    // Beside other tests, its quote and its plan take their time.
+    const job = () => farm.get(`/v1/jobs/${slow}`);
+    await until("the frame is rendered", async () => (await job()).state === "rendering", 180);
     await show(page, farm.address, [`#/jobs/${slow}?tab=logs`, ".tabs"]);
     await page.getByText("followed live").waitFor();
     await page.locator(".job-title .mark", { hasText: "done" }).waitFor({ timeout: 120_000 });
