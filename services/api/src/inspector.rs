@@ -9,9 +9,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use forelight_protocol::{FrameRate, ProblemKind, SceneDigest, SceneSummary};
+use forelight_protocol::{ProblemKind, SceneSummary};
 use forelight_renderer::door::{Limits as ProcessLimits, RendererError, Run};
 use forelight_renderer::process::{Program, Stream, run};
+use forelight_renderer::summary;
 use forelight_scene::{Limits, Scene, SceneError};
 use parking_lot::Mutex;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -48,24 +49,12 @@ pub fn inspect_bundle(
     bundle: &Path,
 ) -> Result<Result<SceneSummary, String>, serde_json::Error> {
     let limits: Limits = serde_json::from_str(limits)?;
-    Ok(summary(bundle, &limits).map_err(|error| error.to_string()))
+    Ok(load(bundle, &limits).map_err(|error| error.to_string()))
 }
 
-fn summary(path: &Path, limits: &Limits) -> Result<SceneSummary, SceneError> {
+fn load(path: &Path, limits: &Limits) -> Result<SceneSummary, SceneError> {
     let scene = Scene::load(path, limits)?;
-    let first = scene.frame(0)?;
-    let strata = scene.strata();
-    Ok(SceneSummary {
-        name: scene.name().to_owned(),
-        digest: SceneDigest(scene.digest()),
-        frames: scene.frame_count(),
-        width: first.camera.width,
-        height: first.camera.height,
-        objects: strata.objects.len() as u64,
-        materials: strata.materials() as u64,
-        triangles: first.geometry.triangles.len() as u64,
-        frames_per_second: FrameRate::try_from(scene.fps()).ok(),
-    })
+    Ok(summary(&scene, &scene.frame(0)?))
 }
 
 /// Loads bundles, few at a time: each needs a core and memory.
@@ -105,7 +94,7 @@ impl Inspector {
         let work = tokio::task::spawn_blocking(move || {
             let found = match &inspection.program {
                 Some(program) => inspect_outside(program, &path, &limits, &inspection, &cancelled),
-                None => Ok(summary(&path, &limits).map_err(|error| error.to_string())),
+                None => Ok(load(&path, &limits).map_err(|error| error.to_string())),
             };
             drop(held.lock().take());
             found

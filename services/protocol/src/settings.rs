@@ -127,17 +127,6 @@ impl std::fmt::Display for BadSetting {
 impl std::error::Error for BadSetting {}
 
 impl RenderSettings {
-    /// Differences from other settings by their JSON names, such as `spp: 4 and 16`.
-    pub fn differences(&self, other: &Self) -> Vec<String> {
-        let fields = |settings: &Self| match serde_json::to_value(settings) {
-            Ok(serde_json::Value::Object(fields)) => fields,
-            _ => serde_json::Map::new(),
-        };
-        let (here, there) = (fields(self), fields(other));
-        let differ = here.iter().zip(there.values()).filter(|((_, here), there)| here != there);
-        differ.map(|((name, here), there)| format!("{name}: {here} and {there}")).collect()
-    }
-
     /// Most diffuse bounces.
     pub const MOST_BOUNCES: u32 = 8;
     /// Most bounces with the integrator `path`: in effect no limit.

@@ -18,6 +18,7 @@ mod memory;
 mod open_shots;
 pub mod process;
 mod quoting;
+mod summary;
 mod tasks;
 
 pub use execute::{Assignment, Control, Execute, ExecuteError, FETCHED, Outcome, picture_name};
@@ -29,4 +30,5 @@ pub use quoting::{
     free_neighbours, measure_frame, middle_mean, preview_result, profile_pixels, proportional_sites,
     quote_shot, sites,
 };
+pub use summary::summary;
 pub use tasks::{Renderers, failure, scene_digest, scene_name, with_run};

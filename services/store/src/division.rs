@@ -318,8 +318,7 @@ pub(crate) async fn begin_again(
         tasks::begin_again(write, task.id, state).await?;
     }
     for task in tasks.iter().filter(|task| task.kind == TaskKind::RenderPart) {
-        run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", task.id);
-        run!(write, "DELETE FROM results WHERE task_id = ?", task.id);
+        tasks::forget_result(write, task.id).await?;
         tasks::begin_again(write, task.id, if is_prepared { "ready" } else { "waiting" }).await?;
     }
     let is_divided = !tasks.is_empty();

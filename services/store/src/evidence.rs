@@ -14,7 +14,7 @@ use crate::leases::failing::{Report, fail};
 use crate::leases::state::LeaseState;
 use crate::leases::{LeaseInfo, read, read_in};
 use crate::nodes;
-use crate::policy::evidence::{Means, Objection, expected_images, objection, pixels_objection};
+use crate::policy::evidence::{Means, Objection, expected_files, objection, pixels_objection};
 use crate::policy::faults::Fault;
 
 /// While the service was down, the clock may have been set. So that much more time may have passed in a lease
@@ -93,7 +93,7 @@ impl Store {
         Ok(Means { core_micros, cores: node.cores, taken_over_nanos, speed })
     }
 
-    /// The first artefact that is not the image that it should be. Artefacts that are not stored are left to
+    /// The first artefact that is not the image or the video that it should be. Artefacts that are not stored are left to
     /// the commit, which names them.
     async fn wrong_file(
         &self,
@@ -101,8 +101,8 @@ impl Store {
         result: &TaskResult,
         now: Timestamp,
     ) -> Result<Option<Objection>> {
-        for image in expected_images(spec, result) {
-            let reader = match self.artifacts().get(image.hash, now).await {
+        for file in expected_files(spec, result) {
+            let reader = match self.artifacts().get(file.hash, now).await {
                 Ok(reader) => reader,
                 Err(
                     StoreError::NotFound(_)
@@ -113,7 +113,7 @@ impl Store {
             };
             let head: Vec<Bytes> = reader.part(0..HEAD as u64).try_collect().await?;
             let head = head.concat();
-            if let Some(found) = image.objection(&head) {
+            if let Some(found) = file.objection(&head) {
                 return Ok(Some(found));
             }
         }

@@ -237,6 +237,17 @@ pub(crate) async fn take_back(
     Ok(())
 }
 
+/// Takes a task back from every worker that has it.
+pub(crate) async fn take_task_back(write: &mut Write, task: Id, now: Timestamp) -> Result<()> {
+    let held = sqlx::query_scalar!(
+        "SELECT id FROM leases WHERE task_id = ? AND state = 'active' ORDER BY fence",
+        task
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    take_back(write, held.into_iter().map(LeaseId::from), now).await
+}
+
 /// Records that a node, if it exists, was heard of.
 pub(crate) fn touch(write: &mut Write, node: NodeId, now: Timestamp) {
     later!(write, "UPDATE nodes SET last_seen_at = max(last_seen_at, ?) WHERE id = ?", now.micros(), node.0);

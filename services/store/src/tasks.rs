@@ -349,6 +349,13 @@ pub(crate) async fn withdraw(write: &mut Write, job: JobId, now: Timestamp) -> R
     Ok(())
 }
 
+/// Forgets the result of a task that is done.
+pub(crate) async fn forget_result(write: &mut Write, task: Id) -> Result<()> {
+    run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", task);
+    run!(write, "DELETE FROM results WHERE task_id = ?", task);
+    Ok(())
+}
+
 /// Makes a task as if it had never been handed out, except for its fencing token. A budget in force holds it.
 pub(crate) async fn begin_again(write: &mut Write, task: Id, state: &'static str) -> Result<()> {
     run!(

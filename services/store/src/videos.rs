@@ -5,8 +5,8 @@
 //! again, the video is taken back until the last of them is finished. It goes with the images of its job.
 
 use forelight_protocol::{
-    ArtifactHash, AuditAction, FrameRate, FrameState, Job, JobId, JobState, JobVideo, LeaseId, Timestamp,
-    VideoFile, VideoRequest,
+    ArtifactHash, AuditAction, FrameRate, FrameState, Job, JobId, JobState, JobVideo, Timestamp, VideoFile,
+    VideoRequest,
 };
 use serde::Deserialize;
 
@@ -16,7 +16,7 @@ use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::jobs::changing::tell;
 use crate::jobs::{self, JobRow, read};
-use crate::leases::take_back;
+use crate::leases::take_task_back;
 use crate::tasks::{self, Common};
 use crate::writing::run;
 
@@ -103,15 +103,8 @@ pub(crate) async fn take_video_back(
 ) -> Result<()> {
     let task = sqlx::query_scalar!("SELECT id FROM tasks WHERE job_id = ? AND kind = 'video'", job.0);
     let Some(task) = task.fetch_optional(write.connection().await?).await? else { return Ok(()) };
-    let held = sqlx::query_scalar!(
-        "SELECT id FROM leases WHERE task_id = ? AND state = 'active' ORDER BY fence",
-        task
-    )
-    .fetch_all(write.connection().await?)
-    .await?;
-    take_back(write, held.into_iter().map(LeaseId::from), now).await?;
-    run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", task);
-    run!(write, "DELETE FROM results WHERE task_id = ?", task);
+    take_task_back(write, task, now).await?;
+    tasks::forget_result(write, task).await?;
     tasks::begin_again(write, task, state).await
 }
 

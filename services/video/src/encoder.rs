@@ -20,8 +20,7 @@ const CODEC: &str = "libx264";
 const QUALITY: &str = "18";
 
 /// Speed of the encoder. Of 48 noisy frames of 1920 × 1080, one core encoded 1.9 in a second as `medium` and
-/// 5.6 as
-/// `veryfast`, and the file was no larger.
+/// 5.6 as `veryfast`, and the file was no larger.
 const SPEED: &str = "veryfast";
 
 /// Largest rate of a video in bits per second. Noise of renders hardly compresses, and players read no

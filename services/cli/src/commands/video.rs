@@ -2,6 +2,7 @@
 
 use super::cancel::find_any;
 use crate::connection::{ConnectionOptions, connect};
+use crate::job_options::mp4_file;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{FrameRate, FrameState, Job, JobId, JobState, JobVideo, VideoRequest};
@@ -48,13 +49,6 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     connection: ConnectionOptions,
-}
-fn mp4_file(text: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
-    match path.extension() {
-        Some(end) if end.eq_ignore_ascii_case("mp4") => Ok(path),
-        _ => Err("the file is an MP4, so its name must end in .mp4".into()),
-    }
 }
 
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {

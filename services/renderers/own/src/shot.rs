@@ -5,9 +5,8 @@ use crate::costs::{counts, spent};
 use crate::error::RenderError;
 use crate::previewer::{SharedPreviewer, backend, preview_spent};
 use forelight_kept::Folder;
-use forelight_protocol::{
-    FrameRate, PlanCount, ProcessCosts, RenderSettings, SceneDigest, SceneSummary, Spent, StratumName,
-};
+use forelight_protocol::{PlanCount, ProcessCosts, RenderSettings, Spent, StratumName};
+use forelight_renderer::summary;
 use forelight_scene::{Frame, Geometry, Limits, Scene};
 use forelight_tracer::{
     Cache, CacheTotals, Effects, Settings, Tracer, TreeCost, Trees, clocked, tracer_version,
@@ -178,21 +177,6 @@ pub(crate) fn records(tracer: &Tracer) -> Vec<u32> {
     let levels = if settings.cache.is_some() { settings.ambient_bounces as usize } else { 0 };
     let planned = tracer.cache().map_or_else(|| vec![0; levels], Cache::records);
     counts(planned)
-}
-
-fn summary(scene: &Scene, first: &Frame) -> SceneSummary {
-    let strata = scene.strata();
-    SceneSummary {
-        name: scene.name().to_owned(),
-        digest: SceneDigest(scene.digest()),
-        frames: scene.frame_count(),
-        width: first.camera.width,
-        height: first.camera.height,
-        objects: strata.objects.len() as u64,
-        materials: strata.materials() as u64,
-        triangles: first.geometry.triangles.len() as u64,
-        frames_per_second: FrameRate::try_from(scene.fps()).ok(),
-    }
 }
 
 fn strata(frame: &Frame) -> Vec<StratumInfo> {

@@ -4,7 +4,7 @@
 //! again loses its result. Its fencing token grows with the next lease as always, and a late message about
 //! the old result is refused.
 
-use forelight_protocol::{AuditAction, FrameSet, Job, JobId, JobState, LeaseId, Timestamp};
+use forelight_protocol::{AuditAction, FrameSet, Job, JobId, JobState, Timestamp};
 
 use crate::audit::{Deed, note};
 use crate::columns::Id;
@@ -14,12 +14,12 @@ use crate::error::{Result, StoreError};
 use crate::events::job_state;
 use crate::jobs::changing::tell;
 use crate::jobs::{ending, read};
-use crate::leases::take_back;
+use crate::leases::take_task_back;
 use crate::living::{self, Occasion};
 use crate::plans::replans;
 use crate::quotes::calibration;
 use crate::shared_cache::parts;
-use crate::tasks::begin_again;
+use crate::tasks::{self, begin_again};
 use crate::videos;
 use crate::writing::run;
 
@@ -168,13 +168,7 @@ async fn take_all_back<'a>(
     now: Timestamp,
 ) -> Result<()> {
     for row in rows.filter(|row| row.state == "leased") {
-        let held = sqlx::query_scalar!(
-            "SELECT id FROM leases WHERE task_id = ? AND state = 'active' ORDER BY fence",
-            row.task
-        )
-        .fetch_all(write.connection().await?)
-        .await?;
-        take_back(write, held.into_iter().map(LeaseId::from), now).await?;
+        take_task_back(write, row.task, now).await?;
     }
     Ok(())
 }
@@ -185,8 +179,7 @@ fn asked<'a>(rows: &'a [Row], frames: &'a FrameSet) -> impl Iterator<Item = &'a 
 
 /// Forgets the result of a finished frame.
 async fn forget_result(write: &mut Write, job: JobId, row: &Row) -> Result<()> {
-    run!(write, "DELETE FROM result_artifacts WHERE task_id = ?", row.task);
-    run!(write, "DELETE FROM results WHERE task_id = ?", row.task);
+    tasks::forget_result(write, row.task).await?;
     run!(
         write,
         "UPDATE frames SET actual = NULL, actual_work = NULL, actual_cpu = NULL, artifacts = NULL, \

@@ -208,7 +208,7 @@ pub(crate) enum Kind {
 
 /// An artefact of a result that must be an image or a video.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub(crate) struct ExpectedImage {
+pub(crate) struct ExpectedFile {
     pub pointer: String,
     pub hash: ArtifactHash,
     pub kind: Kind,
@@ -217,8 +217,8 @@ pub(crate) struct ExpectedImage {
 }
 
 /// The images and videos among the artefacts of a result.
-pub(crate) fn expected_images(spec: &TaskSpec, result: &TaskResult) -> Vec<ExpectedImage> {
-    let png = |pointer: String, hash| ExpectedImage { pointer, hash, kind: Kind::Png, size: None };
+pub(crate) fn expected_files(spec: &TaskSpec, result: &TaskResult) -> Vec<ExpectedFile> {
+    let png = |pointer: String, hash| ExpectedFile { pointer, hash, kind: Kind::Png, size: None };
     match (spec, result) {
         (_, TaskResult::Preview(result)) => {
             let images = result.frames.iter().enumerate().filter_map(|(i, frame)| {
@@ -238,20 +238,20 @@ pub(crate) fn expected_images(spec: &TaskSpec, result: &TaskResult) -> Vec<Expec
             let at = |name: &str| format!("/result/render/artifacts/{name}");
             let size = spec.settings.size();
             let kind = if spec.renderer.is_some() { Kind::Image } else { Kind::OpenExr };
-            let image = ExpectedImage { pointer: at("image_exr"), hash: image_exr, kind, size };
-            let of_size = |name, hash| ExpectedImage { size, ..png(at(name), hash) };
+            let image = ExpectedFile { pointer: at("image_exr"), hash: image_exr, kind, size };
+            let of_size = |name, hash| ExpectedFile { size, ..png(at(name), hash) };
             let whole = [image, of_size("image_png", image_png), of_size("cost_map_png", cost_map_png)];
             whole.into_iter().chain(preview_png.map(|hash| png(at("preview_png"), hash))).collect()
         }
         (_, TaskResult::Video(result)) => {
             let pointer = "/result/video/file/hash".to_owned();
-            vec![ExpectedImage { pointer, hash: result.file.hash, kind: Kind::Mp4, size: None }]
+            vec![ExpectedFile { pointer, hash: result.file.hash, kind: Kind::Mp4, size: None }]
         }
         _ => Vec::new(),
     }
 }
 
-impl ExpectedImage {
+impl ExpectedFile {
     /// Holds the first bytes of the file against what it must be.
     pub(crate) fn objection(&self, head: &[u8]) -> Option<Objection> {
         let objection = |reason| Some(Objection { pointer: self.pointer.clone(), reason });
@@ -351,7 +351,7 @@ mod tests {
 
     #[test]
     fn a_file_is_the_image_that_it_is_named_and_has_the_size_that_was_asked_for() {
-        let image = |kind, size| ExpectedImage {
+        let image = |kind, size| ExpectedFile {
             pointer: "/image".to_owned(),
             hash: ArtifactHash([7; 32]),
             kind,
@@ -377,7 +377,7 @@ mod tests {
         let result = TaskResult::Video(VideoResult { file, spent: Spent::default(), peak_memory_bytes: 0 });
         let frames_per_second = FrameRate::FILM;
         let spec = VideoSpec { job_id: JobId::new(), frames_per_second, pictures: vec![hash] };
-        let [video] = &expected_images(&TaskSpec::Video(spec), &result)[..] else { panic!("one file") };
+        let [video] = &expected_files(&TaskSpec::Video(spec), &result)[..] else { panic!("one file") };
         assert_eq!(video.objection(b"\0\0\0\x20ftypisom"), None);
         for other in [&b"\x89PNG\r\n\x1a\n"[..], b"ftyp", b""] {
             let objection = video.objection(other).unwrap();

@@ -7,13 +7,14 @@ use super::{Args, Source};
 use crate::commands::cache::NO_USE_FOR_A_CACHE;
 use anyhow::Result;
 use forelight_protocol::{
-    CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings, ShotSettings,
+    CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::quantities::{money, seconds};
 use serde::Deserialize;
-use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet};
+use serde::Serialize;
+use serde_json::{Map, Value};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
@@ -153,7 +154,7 @@ fn check_quoted(quote: &ForecastDoc, source: &Source) -> Result<()> {
     let differences = match (settings, &source.settings) {
         (JobSettings::Own(asked), JobSettings::Own(settings)) => {
             let spp = quote.chosen_spp.unwrap_or(asked.spp);
-            RenderSettings { spp, ..asked.clone() }.differences(settings)
+            differences_of(&RenderSettings { spp, ..asked.clone() }, settings)
         }
         (JobSettings::Shot(asked), JobSettings::Shot(settings))
             if renderer
@@ -172,19 +173,22 @@ fn check_quoted(quote: &ForecastDoc, source: &Source) -> Result<()> {
     Ok(())
 }
 
-/// Settings of another renderer that differ, with both values.
-fn differences_of(asked: &ShotSettings, settings: &ShotSettings) -> Vec<String> {
-    let fields = |of: &ShotSettings| -> BTreeMap<String, Value> {
-        let ShotSettings { width, height, samples, seed, own } = of;
-        let common = [("width", width), ("height", height), ("samples", samples), ("seed", seed)];
-        let common = common.map(|(name, value)| (name.to_owned(), (*value).into()));
-        common.into_iter().chain(own.iter().map(|(name, value)| (name.clone(), value.clone()))).collect()
-    };
+/// Settings that differ by their JSON names, with both values, such as `spp: 4 and 16`.
+fn differences_of(asked: &impl Serialize, settings: &impl Serialize) -> Vec<String> {
     let (asked, settings) = (fields(asked), fields(settings));
     let names: BTreeSet<&String> = asked.keys().chain(settings.keys()).collect();
-    let value = |of: &BTreeMap<String, Value>, name: &str| of.get(name).cloned().unwrap_or_default();
+    let value = |of: &Map<String, Value>, name: &str| of.get(name).cloned().unwrap_or_default();
     let pairs = names.into_iter().map(|name| (name, value(&asked, name), value(&settings, name)));
     pairs.filter(|(_, a, b)| a != b).map(|(name, a, b)| format!("{name}: {a} and {b}")).collect()
+}
+
+/// Settings by name. A renderer's own settings stand beside the common ones.
+fn fields(settings: &impl Serialize) -> Map<String, Value> {
+    let Ok(Value::Object(mut fields)) = serde_json::to_value(settings) else { return Map::new() };
+    if let Some(Value::Object(own)) = fields.remove("own") {
+        fields.extend(own);
+    }
+    fields
 }
 
 fn job_name(name: &str) -> Result<&str> {
@@ -307,7 +311,8 @@ fn description(source: &Source, frames: &FrameSet, forecast: Option<&ForecastDoc
 #[cfg(test)]
 mod tests {
     use super::*;
-    use forelight_protocol::{RendererId, RendererRequest, SceneDigest, Spent};
+    use forelight_protocol::{RendererId, RendererRequest, SceneDigest, ShotSettings, Spent};
+    use std::collections::BTreeMap;
     use std::fs;
 
     fn message<T: std::fmt::Debug>(result: Result<T>) -> String {

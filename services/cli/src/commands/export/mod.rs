@@ -46,8 +46,9 @@ share. --threads sets the cores that a machine must have, and --stats its memory
 after four times its forecast CPU time (P95, on one core), and not before 10 minutes.
 
 With --chunk, a task renders as many frames as take about that long with --threads, but at most 150, and reads the \
-scene once, unless the renderer is a program that is started for each frame. The farm must know the extension TASK_CHUNKING, and adapts the number to what it measures. The time limit \
-is that of the dearest task. It stays the same where the parameters ChunkFrames and ChunkSeconds are changed.")]
+scene once, unless the renderer is a program that is started for each frame. The farm must know the extension \
+TASK_CHUNKING, and adapts the number to what it measures. The time limit is that of the dearest task. It stays the \
+same where the parameters ChunkFrames and ChunkSeconds are changed.")]
 pub struct Args {
     /// Scene bundle: a folder or a zip file. Or a scene of another renderer: a .blend file, a .rif file, an
     /// octree, or NAME.command.toml
