@@ -9,6 +9,7 @@ mod forecast;
 mod images;
 mod paper;
 mod plan;
+mod preview;
 mod rays;
 mod renderers;
 mod report;
@@ -32,6 +33,7 @@ Examples:
   forelight bench effects kitchen/ corridor/
   forelight bench forecast kitchen/ corridor/ --out forecast.json
   forelight bench images kitchen/ --size 256 --pictures images/
+  forelight bench preview kitchen/
   forelight bench rays kitchen/
   forelight bench renderers kitchen.blend --frames 0 --samples 64,256
   forelight bench paper kitchen/ corridor/ --out report/
@@ -61,6 +63,7 @@ enum Bench {
     Workers(farm::workers::Args),
     Plan(plan::Args),
     Images(images::Args),
+    Preview(preview::Args),
     Rays(rays::Args),
     Seconds(seconds::Args),
     Shots(shots::Args),
@@ -81,6 +84,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         Bench::Workers(args) => ("workers", farm::workers::run(args, interrupt)?),
         Bench::Plan(args) => ("plan", plan::run(args)?),
         Bench::Images(args) => ("images", images::run(args, interrupt)?),
+        Bench::Preview(args) => ("preview", preview::run(args, interrupt)?),
         Bench::Rays(args) => ("rays", rays::run(args, interrupt)?),
         Bench::Seconds(args) => ("seconds", seconds::run(args, interrupt)?),
         Bench::Shots(args) => ("shots", shots::run(args, interrupt)?),

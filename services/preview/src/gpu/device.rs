@@ -3,11 +3,21 @@
 use crate::error::PreviewError;
 use parking_lot::Mutex;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, LazyLock, mpsc};
 use std::time::{Duration, Instant};
 
 /// Time limit for one submission. A software driver on a busy machine takes seconds for large tiles.
 const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Vulkan, opened once for the process and never closed: drivers keep data of threads, and one that is unloaded while
+/// threads end may hang.
+static VULKAN: LazyLock<wgpu::Instance> = LazyLock::new(|| {
+    wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::VULKAN,
+        flags: wgpu::InstanceFlags::empty(),
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    })
+});
 
 /// An open device with its queue, and the first failure that it reported asynchronously.
 pub(crate) struct Device {
@@ -23,12 +33,7 @@ pub(crate) struct Device {
 impl Device {
     /// Opens the best usable adapter: discrete, integrated, then virtual GPUs, software renderers last.
     pub fn open() -> Result<Self, PreviewError> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
-            backends: wgpu::Backends::VULKAN,
-            flags: wgpu::InstanceFlags::empty(),
-            ..wgpu::InstanceDescriptor::new_without_display_handle()
-        });
-        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
+        let mut adapters = pollster::block_on(VULKAN.enumerate_adapters(wgpu::Backends::VULKAN));
         adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
             wgpu::DeviceType::DiscreteGpu => 0,
             wgpu::DeviceType::IntegratedGpu => 1,
