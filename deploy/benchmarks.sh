@@ -39,6 +39,7 @@ bench seconds "${scenes[@]}" --width 96 --rounds 3
 bench divide "${scenes[@]}" --width 640 --height 360 --ambient-bounces 1
 bench effects "${scenes[@]}" --width 64 --height 64 --repeats 3
 bench images "${scenes[0]}" --size 128 --repeats 1 --reference '--integrator path --spp 1024'
+bench preview "${scenes[@]}"
 bench rays "${scenes[@]}"
 bench plan
 bench leases

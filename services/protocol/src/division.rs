@@ -120,13 +120,33 @@ pub struct DivideSpec {
     /// The complete shared irradiance cache. Absent without one, and while the task waits for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<ArtifactHash>,
+    /// The complete irradiance cache of the frame. Absent without one, and until it is planned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_cache: Option<ArtifactHash>,
+    /// How far the frame is, if it is rendered in passes. Absent if every pixel gets the settings' samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub passes: Option<Passes>,
+}
+
+/// A divided frame whose samples go where they reduce the error most. The nodes share the pixels of each pass.
+/// After it, the frame is divided anew: the image so far shows where the next samples go.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Passes {
+    /// Largest work of the frame.
+    pub work: u64,
+    /// Unfinished pixels after the last pass: the files of its parts. Empty before the first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 512)]
+    pub before: Vec<ArtifactHash>,
 }
 
 /// Result of dividing a frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DivideResult {
-    /// Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels.
+    /// Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels. Empty
+    /// if the frame is rendered in passes, and the last one is over.
     #[schema(max_items = 512)]
     pub ends: Vec<u32>,
     /// Forecast work of each part, without what every part pays for itself.
@@ -136,10 +156,14 @@ pub struct DivideResult {
     /// Absent without a cache, and if the shared cache is all that the frame needs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<FrameCache>,
-    /// A coarse picture of the frame, from the camera samples that told what its parts will cost. Light from an
-    /// irradiance cache that is not filled yet is missing in it.
+    /// A picture of the frame before its parts: from the camera samples that told what they will cost, or after the
+    /// last pass. Light from an irradiance cache that is not filled yet is missing in it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coarse_png: Option<ArtifactHash>,
+    /// File with the number of samples that each pixel has after the next pass. Absent if the frame is not rendered
+    /// in passes, and after the last one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub samples: Option<ArtifactHash>,
     /// Cost of the task.
     pub spent: Spent,
 }
@@ -188,6 +212,24 @@ pub struct RenderPartSpec {
     /// The complete irradiance cache of the frame. Absent without one, and if the shared one is enough.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame_cache: Option<ArtifactHash>,
+    /// The pass, if the frame is rendered in passes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pass: Option<PartPass>,
+}
+
+/// What a part does in one pass over a frame.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PartPass {
+    /// The pixels of the part. Parts of passes have no other range, so that a worker which knows no passes cannot
+    /// render them in another way.
+    pub pixels: PixelRange,
+    /// File with the number of samples that each pixel of the image has after the pass.
+    pub samples: ArtifactHash,
+    /// Files of the last pass that hold pixels of this part. Empty in the first pass.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schema(max_items = 512)]
+    pub before: Vec<ArtifactHash>,
 }
 
 /// Result of rendering one part of a frame.
@@ -213,7 +255,7 @@ pub enum FinishedPart {
     Samples(SampleShare),
 }
 
-/// Finished pixels of a part, for the task that puts the image together.
+/// Pixels of a part, for the task that puts the image together or divides the frame for the next pass.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PartPixels {
@@ -221,7 +263,7 @@ pub struct PartPixels {
     pub hash: ArtifactHash,
     /// Number of pixels.
     pub count: u32,
-    /// Cost of these pixels alone.
+    /// Cost of these pixels alone, or of what one pass adds to them.
     pub cost: Spent,
 }
 

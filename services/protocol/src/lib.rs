@@ -95,8 +95,8 @@ pub use dashboard::{
     JobCounts, NodeActivity, NodeCounts, ProjectSpending, TaskCounts, WorkerVersion,
 };
 pub use division::{
-    DivideResult, DivideSpec, Division, FinishedPart, FrameCache, FramePart, MOST_PARTS, PartCount,
-    PartPixels, PartRange, PixelRange, RenderPartResult, RenderPartSpec, SampleRange,
+    DivideResult, DivideSpec, Division, FinishedPart, FrameCache, FramePart, MOST_PARTS, PartCount, PartPass,
+    PartPixels, PartRange, Passes, PixelRange, RenderPartResult, RenderPartSpec, SampleRange,
 };
 pub use event::{Event, EventKind, FrameCost, JobNews, JobTerms};
 pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};

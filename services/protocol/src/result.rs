@@ -65,7 +65,8 @@ impl TaskResult {
             TaskResult::CacheFill(result) => vec![result.cache],
             TaskResult::CacheMerge(result) => vec![result.cache],
             TaskResult::Divide(result) => {
-                result.cache.map(|cache| cache.hash).into_iter().chain(result.coarse_png).collect()
+                let cache = result.cache.map(|cache| cache.hash).into_iter();
+                cache.chain(result.coarse_png).chain(result.samples).collect()
             }
             TaskResult::RenderPart(result) => vec![result.finished.hash()],
             TaskResult::Render(result) => {

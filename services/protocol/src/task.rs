@@ -158,7 +158,7 @@ impl TaskSpec {
             TaskSpec::Profile(spec) => spec.cache.into_iter().collect(),
             TaskSpec::CacheFill(spec) => vec![spec.cache],
             TaskSpec::CacheMerge(spec) => spec.parts.clone(),
-            TaskSpec::Divide(spec) => spec.cache.into_iter().collect(),
+            TaskSpec::Divide(spec) => spec.cache.into_iter().chain(spec.frame_cache).collect(),
             TaskSpec::RenderPart(spec) => spec.cache.into_iter().chain(spec.frame_cache).collect(),
             TaskSpec::Render(spec) => spec.cache.into_iter().chain(spec.frame_cache).collect(),
         }
@@ -170,6 +170,24 @@ impl TaskSpec {
             TaskSpec::Divide(spec) => spec.profile,
             TaskSpec::RenderPart(spec) => spec.profile,
             TaskSpec::Render(spec) => spec.profile,
+            _ => None,
+        }
+    }
+
+    /// Pixels of the frame's parts, finished or not, that the task takes over, in its order.
+    pub fn parts(&self) -> &[ArtifactHash] {
+        match self {
+            TaskSpec::Divide(spec) => spec.passes.as_ref().map_or(&[], |passes| &passes.before),
+            TaskSpec::RenderPart(spec) => spec.pass.as_ref().map_or(&[], |pass| &pass.before),
+            TaskSpec::Render(spec) => &spec.parts,
+            _ => &[],
+        }
+    }
+
+    /// The number of samples of each pixel, if the task is a part of a pass.
+    pub fn samples(&self) -> Option<ArtifactHash> {
+        match self {
+            TaskSpec::RenderPart(spec) => spec.pass.as_ref().map(|pass| pass.samples),
             _ => None,
         }
     }

@@ -52,8 +52,6 @@ impl Limit {
             let profiles = with_samples(profiles, spp);
             let mut quote = Measured::new(preview, &profiles).quote(corrections)?;
             quote.job.chosen_spp = Some(spp);
-            // Such a frame puts its samples where the whole image needs them.
-            quote.job.most_parts = 1;
             Ok(quote)
         };
         let mut best = with(1)?;

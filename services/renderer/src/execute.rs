@@ -24,7 +24,9 @@ pub struct Assignment {
     pub profile: Option<Bytes>,
     /// The irradiance caches that the task names, in its order.
     pub caches: Vec<Bytes>,
-    /// Finished pixels of the frame's parts that the task names, in its order.
+    /// The number of samples of each pixel that the task names.
+    pub samples: Option<Bytes>,
+    /// Pixels of the frame's parts that the task names, in its order.
     pub parts: Vec<Bytes>,
     /// Finished shares of the samples that the task names, in its order.
     pub shares: Vec<Bytes>,
@@ -46,6 +48,7 @@ impl Assignment {
             bundle,
             profile: None,
             caches: Vec::new(),
+            samples: None,
             parts: Vec::new(),
             shares: Vec::new(),
             pictures: None,

@@ -174,6 +174,7 @@ impl Rig {
             profile: None,
             cache: None,
             frame_cache: None,
+            pass: None,
         };
         let outcome = self.run(TaskSpec::RenderPart(spec), Vec::new())?;
         let TaskResult::RenderPart(result) = outcome.result else { panic!() };

@@ -12,7 +12,10 @@
 //! shared cache, `divide` waits for it. As in [`crate::shared_cache`], every arrow is part of the transaction
 //! that commits the result before it.
 //!
-//! A frame is divided only while no worker has had it. Once it is, it stays so.
+//! A frame is divided only while no worker has had it. Once it is, it stays so. A frame whose samples go where they
+//! help is divided anew before each pass over its pixels: see [`passes`].
+
+mod passes;
 
 use std::collections::BTreeMap;
 
@@ -73,11 +76,13 @@ async fn begin(
     parts: u32,
     waits: bool,
 ) -> Result<()> {
-    let RenderSpec { frame, profile, cache, .. } = *whole;
+    let RenderSpec { frame, profile, cache, work, .. } = *whole;
+    // In passes, the profile's pixels are rendered as all others.
+    let profile = profile.filter(|_| work.is_none());
     let asked = |part, range| PartAsked { frame, part, parts, range, profile, cache };
     match &common.settings {
         JobSettings::Own(_) => {
-            common.divide(write, asked(0, None), waits).await?;
+            common.divide(write, asked(0, None), work, waits).await?;
             for part in 0..parts {
                 common.render_part(write, asked(part, None)).await?;
             }
@@ -95,19 +100,13 @@ async fn begin(
 /// Continues after a frame was divided.
 pub(crate) async fn divided(write: &mut Write, row: &LeaseRow, result: &DivideResult) -> Result<()> {
     let frame = frame_of(row)?;
-    let mut from = 0;
-    for (part, &to) in (0u32..).zip(&result.ends) {
-        let range = PartRange::Pixels(PixelRange { from, to });
-        run!(
-            write,
-            "UPDATE tasks SET spec = json_set(spec, '$.render_part.range', json(?)) \
-             WHERE job_id = ? AND kind = 'render_part' AND frame = ? AND part = ?",
-            Json(&range),
-            row.job_id.0,
-            frame,
-            part
-        );
-        from = to;
+    if result.ends.is_empty() {
+        let finished = finished_parts(write, row.job_id, frame).await?;
+        return put_together(write, row, frame, &finished).await;
+    }
+    match result.samples {
+        Some(samples) => passes::next_pass(write, row, frame, (result, samples)).await?,
+        None => set_ranges(write, row.job_id, frame, result).await?,
     }
     match result.cache {
         Some(FrameCache { hash, full: false, .. }) => {
@@ -121,6 +120,25 @@ pub(crate) async fn divided(write: &mut Write, row: &LeaseRow, result: &DivideRe
         Some(FrameCache { hash, .. }) => begin_parts(write, row.job_id, frame, Some(hash)).await,
         None => begin_parts(write, row.job_id, frame, None).await,
     }
+}
+
+/// Gives the parts of a frame their pixels.
+async fn set_ranges(write: &mut Write, job: JobId, frame: u32, result: &DivideResult) -> Result<()> {
+    let mut from = 0;
+    for (part, &to) in (0u32..).zip(&result.ends) {
+        let range = PartRange::Pixels(PixelRange { from, to });
+        run!(
+            write,
+            "UPDATE tasks SET spec = json_set(spec, '$.render_part.range', json(?)) \
+             WHERE job_id = ? AND kind = 'render_part' AND frame = ? AND part = ?",
+            Json(&range),
+            job.0,
+            frame,
+            part
+        );
+        from = to;
+    }
+    Ok(())
 }
 
 /// Makes the parts of a divided frame ready. Its own irradiance cache, if it has one, is full.
@@ -181,22 +199,41 @@ pub(crate) async fn part_rendered(
     if is_any_left.fetch_one(write.connection().await?).await? {
         return Ok(());
     }
+    let finished = finished_parts(write, row.job_id, frame).await?;
+    match work_of(write, row.job_id, frame).await? {
+        Some(work) => passes::divide_again(write, row.job_id, frame, work, &finished).await,
+        None => put_together(write, row, frame, &finished).await,
+    }
+}
+
+/// What the parts of a frame have made, in their order.
+async fn finished_parts(write: &mut Write, job: JobId, frame: u32) -> Result<Vec<FinishedPart>> {
     let results = sqlx::query_scalar!(
         "SELECT r.body FROM tasks t JOIN results r ON r.task_id = t.id \
          WHERE t.job_id = ? AND t.kind = 'render_part' AND t.frame = ? ORDER BY t.part",
-        row.job_id.0,
+        job.0,
         frame
     )
     .fetch_all(write.connection().await?)
     .await?;
-    let mut finished = Vec::with_capacity(results.len());
-    for result in results {
-        match result.0 {
-            TaskResult::RenderPart(result) => finished.push(result.finished),
-            other => return Err(corrupt("body", format!("a {} result of a render_part task", other.kind()))),
-        }
-    }
-    put_together(write, row, frame, &finished).await
+    let made = |result: Json<TaskResult>| match result.0 {
+        TaskResult::RenderPart(result) => Ok(result.finished),
+        other => Err(corrupt("body", format!("a {} result of a render_part task", other.kind()))),
+    };
+    results.into_iter().map(made).collect()
+}
+
+/// Largest work of a frame that is rendered in passes. `None` for others.
+async fn work_of(write: &mut Write, job: JobId, frame: u32) -> Result<Option<u64>> {
+    let work = sqlx::query_scalar!(
+        r#"SELECT json_extract(spec, '$.render.work') AS "work: i64" FROM tasks
+           WHERE job_id = ? AND kind = 'render' AND frame = ?"#,
+        job.0,
+        frame
+    )
+    .fetch_optional(write.connection().await?)
+    .await?;
+    Ok(work.flatten().and_then(|work| u64::try_from(work).ok()))
 }
 
 /// Makes the frame's render task ready, with its finished parts. The node that did the last one has the scene
@@ -250,14 +287,20 @@ async fn put_together(
     Ok(())
 }
 
-/// Writes to the frame's render task how far its parts are: they have equal forecast cost.
+/// Writes to the frame's render task how far its parts are. They have equal forecast cost; in passes, the work of the
+/// whole frame is known.
 pub(crate) async fn add_up(write: &mut Write, job: JobId, frame: u32) -> Result<()> {
     run!(
         write,
         "UPDATE tasks SET (progress, pixels_share, pixels_work, pixels_cpu) = \
-         (SELECT avg(CASE p.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN p.progress ELSE 0.0 END), \
-                 min(avg(ifnull(p.pixels_share, 0.0)), 1.0), total(p.pixels_work), total(p.pixels_cpu) \
-          FROM tasks p WHERE p.job_id = ?1 AND p.kind = 'render_part' AND p.frame = ?2) \
+         (SELECT iif(whole IS NULL, progress, min(work / whole, 1.0)), \
+                 iif(whole IS NULL, min(share, 1.0), min(work / whole, 1.0)), work, cpu FROM \
+          (SELECT avg(CASE p.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN p.progress ELSE 0.0 END) AS progress, \
+                  avg(ifnull(p.pixels_share, 0.0)) AS share, \
+                  total(p.pixels_work) + total(p.earlier_work) AS work, \
+                  total(p.pixels_cpu) + total(p.earlier_cpu) AS cpu, \
+                  max(json_extract(tasks.spec, '$.render.work'), 1.0) AS whole \
+           FROM tasks p WHERE p.job_id = ?1 AND p.kind = 'render_part' AND p.frame = ?2)) \
          WHERE job_id = ?1 AND kind = 'render' AND frame = ?2 AND state = 'waiting'",
         job.0,
         frame
@@ -268,9 +311,10 @@ pub(crate) async fn add_up(write: &mut Write, job: JobId, frame: u32) -> Result<
 /// CPU time of a divided frame's parts: as measured, and converted to a node of speed 1, in seconds.
 pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> Result<(f64, f64)> {
     let row = sqlx::query!(
-        r#"SELECT total(t.pixels_cpu) AS "at_speed_one!: f64",
+        r#"SELECT total(t.pixels_cpu) + total(t.earlier_cpu) AS "at_speed_one!: f64",
                   total(coalesce(json_extract(r.body, '$.render_part.finished.pixels.cost.cpu_nanos'),
-                                 json_extract(r.body, '$.render_part.finished.samples.cpu_nanos'))) AS "nanos!: f64"
+                                 json_extract(r.body, '$.render_part.finished.samples.cpu_nanos')))
+                  + total(t.earlier_nanos) AS "nanos!: f64"
            FROM tasks t INDEXED BY tasks_of_parts JOIN results r ON r.task_id = t.id
            WHERE t.job_id = ? AND t.frame = ? AND t.kind = 'render_part'"#,
         job.0,
@@ -281,7 +325,8 @@ pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> R
     Ok((row.nanos * 1e-9, row.at_speed_one))
 }
 
-/// Forgets the pixels of a finished frame's parts, and its coarse picture: its image has them.
+/// Forgets the pixels of a finished frame's parts, and its coarse picture: its image has them. What its irradiance
+/// cache was planned as stays.
 pub(crate) fn forget_parts(write: &mut Write, job: JobId, frame: u32) {
     later!(
         write,
@@ -293,8 +338,10 @@ pub(crate) fn forget_parts(write: &mut Write, job: JobId, frame: u32) {
     later!(
         write,
         "DELETE FROM result_artifacts WHERE (task_id, hash) IN \
-         (SELECT t.id, unhex(json_extract(r.body, '$.divide.coarse_png')) FROM tasks t \
-          JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.frame = ? AND t.kind = 'divide')",
+         (SELECT a.task_id, a.hash FROM tasks t JOIN results r ON r.task_id = t.id \
+          JOIN result_artifacts a ON a.task_id = t.id \
+          WHERE t.job_id = ? AND t.frame = ? AND t.kind = 'divide' \
+          AND a.hash <> unhex(ifnull(json_extract(r.body, '$.divide.cache.hash'), '')))",
         job.0,
         frame
     );
@@ -311,16 +358,35 @@ pub(crate) async fn begin_again(
 ) -> Result<bool> {
     take_parts_back(write, job, frame, now).await?;
     let tasks = tasks_of(write, job, frame).await?;
-    let is_before = |task: &&PartTask| task.kind != TaskKind::RenderPart;
-    let is_prepared = tasks.iter().filter(is_before).all(|task| task.state == "done");
-    for task in tasks.iter().filter(is_before).filter(|task| task.state != "done") {
-        let state = if task.kind == TaskKind::Divide { state } else { "ready" };
-        tasks::begin_again(write, task.id, state).await?;
+    let is_left = |kind, task: &PartTask| task.kind == kind && task.state != "done";
+    let fills = |task: &PartTask| {
+        [TaskKind::CacheFill, TaskKind::CacheMerge].into_iter().any(|kind| is_left(kind, task))
+    };
+    let is_filled = !tasks.iter().any(fills);
+    let work = work_of(write, job, frame).await?;
+    for task in tasks.iter().filter(|task| fills(task)) {
+        tasks::begin_again(write, task.id, "ready").await?;
+    }
+    let mut is_prepared = is_filled;
+    for task in tasks.iter().filter(|task| task.kind == TaskKind::Divide) {
+        match work {
+            // All passes begin again.
+            Some(work) if is_filled => {
+                passes::divide_anew(write, (job, frame), work, state).await?;
+                is_prepared = false;
+            }
+            _ if task.state != "done" => {
+                tasks::begin_again(write, task.id, state).await?;
+                is_prepared = false;
+            }
+            _ => {}
+        }
     }
     for task in tasks.iter().filter(|task| task.kind == TaskKind::RenderPart) {
         tasks::forget_result(write, task.id).await?;
         tasks::begin_again(write, task.id, if is_prepared { "ready" } else { "waiting" }).await?;
     }
+    passes::forget_earlier(write, job, frame).await?;
     let is_divided = !tasks.is_empty();
     if is_divided {
         run!(

@@ -155,7 +155,7 @@ async fn taken_over(connection: &mut sqlx::SqliteConnection, info: &LeaseInfo) -
     };
     let shares = shares.iter().fold(0u64, |sum, share| sum.saturating_add(share.cpu_nanos));
     let before = sqlx::query_scalar!(
-        "SELECT sum(json_extract(r.body, '$.' || t.kind || '.spent.cpu_nanos')) AS \"nanos?: i64\" FROM tasks t \
+        "SELECT sum(json_extract(r.body, '$.' || t.kind || '.spent.cpu_nanos') + t.earlier_nanos) AS \"nanos?: i64\" FROM tasks t \
          JOIN results r ON r.task_id = t.id WHERE t.job_id = ? AND t.frame = ? \
          AND (t.kind = 'profile' OR ? AND t.kind IN ('divide', 'cache_fill', 'cache_merge', 'render_part'))",
         info.job_id.0,

@@ -4,7 +4,7 @@ pub(crate) mod listing;
 
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, FrameRate, JobId,
-    JobSettings, Money, NodeId, PartRange, PreviewSpec, ProfileSpec, RenderPartSpec, RenderSettings,
+    JobSettings, Money, NodeId, PartRange, Passes, PreviewSpec, ProfileSpec, RenderPartSpec, RenderSettings,
     RenderSpec, RendererRequest, SampleShare, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
     VideoSpec,
 };
@@ -223,8 +223,15 @@ impl Common {
         self.insert(write, TaskSpec::Render(spec), if waits { WAITING } else { READY }, None).await
     }
 
-    /// Makes the task that finds the parts of a frame. With `waits`, it waits for the shared cache.
-    pub(crate) async fn divide(&self, write: &mut Write, asked: PartAsked, waits: bool) -> Result<()> {
+    /// Makes the task that finds the parts of a frame. `work` is that of a frame in passes. With `waits`, it waits for
+    /// the shared cache.
+    pub(crate) async fn divide(
+        &self,
+        write: &mut Write,
+        asked: PartAsked,
+        work: Option<u64>,
+        waits: bool,
+    ) -> Result<()> {
         let PartAsked { frame, parts, profile, cache, .. } = asked;
         let spec = DivideSpec {
             job_id: self.job,
@@ -235,6 +242,8 @@ impl Common {
             parts,
             profile,
             cache,
+            frame_cache: None,
+            passes: work.map(|work| Passes { work, before: Vec::new() }),
         };
         self.insert(write, TaskSpec::Divide(spec), if waits { WAITING } else { READY }, None).await
     }
@@ -255,6 +264,7 @@ impl Common {
             profile,
             cache,
             frame_cache: None,
+            pass: None,
         };
         let state = if range.is_some() { READY } else { WAITING };
         self.insert(write, TaskSpec::RenderPart(spec), state, None).await

@@ -138,13 +138,24 @@ impl Farm {
             TaskSpec::Profile(spec) => {
                 TaskResult::Profile(profile_result(spec.frame, self.artifact("a profile").await))
             }
-            TaskSpec::Divide(spec) => TaskResult::Divide(DivideResult {
-                ends: (1..=spec.parts).map(|part| part * 100).collect(),
-                work: vec![10; spec.parts as usize],
-                cache: None,
-                coarse_png: Some(self.artifact("a coarse picture").await),
-                spent: Spent { work: 10, cpu_nanos: 500 },
-            }),
+            TaskSpec::Divide(spec) => {
+                // A frame in passes has one of them.
+                let is_over = spec.passes.as_ref().is_some_and(|passes| !passes.before.is_empty());
+                let parts = if is_over { 0 } else { spec.parts };
+                let samples = if spec.passes.is_some() && !is_over {
+                    Some(self.artifact("samples of a pass").await)
+                } else {
+                    None
+                };
+                TaskResult::Divide(DivideResult {
+                    ends: (1..=parts).map(|part| part * 100).collect(),
+                    work: vec![10; parts as usize],
+                    cache: None,
+                    coarse_png: Some(self.artifact("a coarse picture").await),
+                    samples,
+                    spent: Spent { work: 10, cpu_nanos: 500 },
+                })
+            }
             TaskSpec::RenderPart(spec) => {
                 let hash = self.artifact("a part").await;
                 let cost = Spent { work: 10, cpu_nanos: 500 };

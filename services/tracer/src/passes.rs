@@ -1,7 +1,7 @@
 //! Images refined in passes: each pass adds camera samples to pixels where the previous pass stopped.
 //!
 //! The result does not depend on where one pass ends: samples are summed in f64 in the order of their
-//! indices, and random sequences continue. For this, each pixel keeps the position of its random sequences (8
+//! indices, and random sequences continue. So another process may continue them ([`Unfinished`]). For this, each pixel keeps the position of its random sequences (8
 //! bytes each), and its sum at earlier sample counts. That is about 150 bytes per pixel for `ambient` and
 //! several hundred for `path`.
 
@@ -9,10 +9,11 @@ use crate::cost::share_cpu_time;
 use crate::image::{Image, Totals};
 use crate::pixel::Underway;
 use crate::samples::{SampleCounts, SampleCountsError};
+use crate::settings::Settings;
 use crate::tiling::{TILE, Tiling};
 use crate::tracer::Tracer;
+use crate::unfinished::Unfinished;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Number of samples between two checks whether to stop. They take a few milliseconds.
 const RUN: u32 = 32;
@@ -60,7 +61,7 @@ pub struct Grown {
     pub square: f64,
 }
 
-/// An image in progress. All calls need the same tracer, whose cache must be filled.
+/// An image in progress, or some pixels of one. All calls need the same tracer, whose cache must be filled.
 #[derive(Debug)]
 pub struct Passes {
     width: u32,
@@ -77,35 +78,89 @@ struct Tile {
     pixels: Vec<Underway>,
 }
 
+impl Tile {
+    fn new(indices: Vec<u32>) -> Self {
+        Self { pixels: vec![Underway::default(); indices.len()], indices }
+    }
+
+    fn totals(&self) -> Totals {
+        Totals::of(self.pixels.iter().map(|underway| &underway.pixel))
+    }
+}
+
+/// Pixels that a pass has brought to their numbers of samples.
+#[derive(Debug)]
+pub struct Advanced<'a> {
+    tile: &'a Tile,
+    /// Cost of the samples that this pass added to them.
+    pub cost: Totals,
+}
+
+impl Advanced<'_> {
+    /// Adds the pixels to a file of the same image.
+    pub fn add_to(&self, file: &mut Unfinished) {
+        file.pixels.extend(self.tile.indices.iter().copied().zip(self.tile.pixels.iter().cloned()));
+    }
+}
+
 impl Passes {
     /// An image without samples.
     pub fn new(tracer: &Tracer) -> Self {
-        let (width, height) = (tracer.settings().width, tracer.settings().height);
+        let Settings { width, height, .. } = *tracer.settings();
         let tiling = Tiling::new(width, height, TILE);
-        let tile = |number: u32| {
-            let indices = tiling.pixels(number);
-            Tile { pixels: vec![Underway::default(); indices.len()], indices }
-        };
         // Tiles are scattered, so that an interrupted pass leaves unfinished tiles all over the image.
-        let tiles = scattered(tiling.count()).map(tile).collect();
-        Self { width, height, tiles, totals: Totals::default() }
+        let tiles = scattered(tiling.count()).map(|number| Tile::new(tiling.pixels(number)));
+        Self { width, height, tiles: tiles.collect(), totals: Totals::default() }
+    }
+
+    /// Some pixels of an image, by their indices, without samples.
+    pub fn of(tracer: &Tracer, pixels: &[u32]) -> Self {
+        let Settings { width, height, .. } = *tracer.settings();
+        let tiles = pixels.chunks((TILE * TILE) as usize).map(|indices| Tile::new(indices.to_vec()));
+        Self { width, height, tiles: tiles.collect(), totals: Totals::default() }
+    }
+
+    /// Takes over the samples of files of this image, as far as these are its pixels. Of a pixel in several
+    /// files, the one with the most samples is taken.
+    pub fn take_over(&mut self, files: Vec<Unfinished>) {
+        let mut found: Vec<Option<Underway>> = vec![None; (self.width * self.height) as usize];
+        for (index, pixel) in files.into_iter().flat_map(|file| file.pixels) {
+            let place = &mut found[index as usize];
+            if place.as_ref().is_none_or(|known| known.samples < pixel.samples) {
+                *place = Some(pixel);
+            }
+        }
+        for tile in &mut self.tiles {
+            for (&index, pixel) in tile.indices.iter().zip(&mut tile.pixels) {
+                if let Some(found) = found[index as usize].take() {
+                    *pixel = found;
+                }
+            }
+        }
+        self.totals = self.tiles.iter().map(Tile::totals).fold(Totals::default(), Totals::plus);
+    }
+
+    /// The pixels with their samples so far, for another task.
+    pub fn unfinished(&self, tracer: &Tracer) -> Unfinished {
+        let pixels = self.pixels().map(|(index, pixel)| (index, pixel.clone())).collect();
+        Unfinished { origin: tracer.origin(), fingerprint: tracer.fingerprint(), pixels }
     }
 
     /// Adds samples until every pixel has the number in `wanted`, on the current thread pool. Returns the
     /// cost. `stop` is called before each pixel and every few samples; once `true`, all remaining pixels stay
-    /// unchanged. `progress` receives the number of pixels done. Fails if `wanted` does not have one number
-    /// per pixel.
+    /// unchanged. `progress` receives pixels that are done. Fails if `wanted` does not have one number per
+    /// pixel of the image.
     pub fn go_on(
         &mut self,
         tracer: &Tracer,
         wanted: &SampleCounts,
         stop: &(dyn Fn() -> bool + Sync),
-        progress: &(dyn Fn(u64) + Sync),
+        progress: &(dyn Fn(&Advanced<'_>) + Sync),
     ) -> Result<Totals, SampleCountsError> {
         let wanted = wanted.for_pixels((self.width * self.height) as usize)?;
         tracer.plan();
-        let done = AtomicU64::new(0);
         let of_tile = |tile: &mut Tile| {
+            let before = tile.totals();
             share_cpu_time(|| {
                 let mut traced = Vec::new();
                 for (&index, pixel) in tile.indices.iter().zip(&mut tile.pixels) {
@@ -133,9 +188,9 @@ impl Passes {
                 }
                 traced
             });
-            let pixels = tile.indices.len() as u64;
-            progress(done.fetch_add(pixels, Ordering::Relaxed) + pixels);
-            Totals::of(tile.pixels.iter().map(|underway| &underway.pixel))
+            let totals = tile.totals();
+            progress(&Advanced { tile, cost: totals.minus(&before) });
+            totals
         };
         let totals = self.tiles.par_iter_mut().map(of_tile).reduce(Totals::default, Totals::plus);
         let before = std::mem::replace(&mut self.totals, totals);

@@ -33,6 +33,21 @@ const PURPOSES: usize = 12;
 #[derive(Debug, Clone, Default)]
 pub struct Drawn(Box<[(u8, u32)]>);
 
+impl Drawn {
+    /// The dimension of each sequence, and how far it was drawn.
+    pub fn sequences(&self) -> &[(u8, u32)] {
+        &self.0
+    }
+}
+
+impl FromIterator<(u8, u32)> for Drawn {
+    /// Sequences of dimensions that do not exist are left out.
+    fn from_iter<I: IntoIterator<Item = (u8, u32)>>(sequences: I) -> Self {
+        let exists = |(dimension, _): &(u8, u32)| usize::from(*dimension) < VERTICES * PURPOSES;
+        Self(sequences.into_iter().filter(exists).collect())
+    }
+}
+
 /// The random points of one pixel.
 pub struct Sampler {
     key: u64,

@@ -39,6 +39,17 @@ impl SampleCounts {
         &self.0
     }
 
+    /// The counts as bytes, little-endian, in row-major order.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        self.0.iter().flat_map(|count| count.to_le_bytes()).collect()
+    }
+
+    /// Parses the output of [`Self::to_bytes`]. Fails if one is 0. A half count at the end is left out.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, SampleCountsError> {
+        let (counts, _) = bytes.as_chunks();
+        Self::new(counts.iter().copied().map(u16::from_le_bytes).collect())
+    }
+
     /// The counts, if their number is `expected`.
     pub(crate) fn for_pixels(&self, expected: usize) -> Result<&[u16], SampleCountsError> {
         match self.0.len() {

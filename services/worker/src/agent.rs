@@ -112,6 +112,7 @@ struct Fetched {
     bundle: PathBuf,
     profile: Option<Bytes>,
     caches: Vec<Bytes>,
+    samples: Option<Bytes>,
     parts: Vec<Bytes>,
     shares: Vec<Bytes>,
 }
@@ -384,7 +385,7 @@ impl Agent {
                     ExecuteError::Transient(format!("no folder for the pictures: {error}"))
                 })?)),
             };
-        let Fetched { bundle, profile, caches, parts, shares } = loop {
+        let Fetched { bundle, profile, caches, samples, parts, shares } = loop {
             match self.fetch(lease, pictures.as_deref(), control).await {
                 Ok(fetched) => break fetched,
                 // A short outage of the service or its artefact store is not the task's fault.
@@ -412,6 +413,7 @@ impl Agent {
             bundle,
             profile,
             caches,
+            samples,
             parts,
             shares,
             pictures,
@@ -436,15 +438,18 @@ impl Agent {
         if let Some(folder) = folder {
             pictures::fetch(&self.client, lease.spec.pictures(), folder.path(), control).await?;
         }
-        let (parts, shares) = match &lease.spec {
-            TaskSpec::Render(spec) => (&spec.parts[..], &spec.shares[..]),
-            _ => (&[][..], &[][..]),
+        let shares = match &lease.spec {
+            TaskSpec::Render(spec) => &spec.shares[..],
+            _ => &[],
         };
         let mut fetched = Fetched { bundle, ..Fetched::default() };
         if let Some(hash) = lease.spec.profile() {
             fetched.profile = Some(self.client.artifact(hash, CACHE_BYTES).await?);
         }
-        for &hash in parts {
+        if let Some(hash) = lease.spec.samples() {
+            fetched.samples = Some(self.client.artifact(hash, CACHE_BYTES).await?);
+        }
+        for &hash in lease.spec.parts() {
             fetched.parts.push(self.client.artifact(hash, CACHE_BYTES).await?);
         }
         for hash in lease.spec.caches() {

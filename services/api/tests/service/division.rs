@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use crate::support::made_up::another_renderer;
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    BookingPage, Bundle, FrameRow, FrameState, Job, JobState, Lease, Node, PartRange, ProblemKind,
-    SampleRange, TaskKind, TaskPage, TaskResult, TaskRow, TaskSpec,
+    BookingPage, Bundle, ForecastDoc, FrameRow, FrameState, Job, JobState, Lease, Node, PartRange,
+    ProblemKind, SampleRange, TaskKind, TaskPage, TaskResult, TaskRow, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -74,6 +74,48 @@ async fn the_parts_of_a_frame_are_booked_side_by_side_and_the_frame_is_done_with
     let tasks = farm.tasks(&job, "?frame=0").await;
     let is_left = |task: &TaskRow| task.pixels.is_some() || task.coarse_png.is_some();
     assert!(!tasks.items.iter().any(is_left), "nothing of the parts is kept");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_whose_samples_go_where_they_help_is_divided_for_each_pass() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let plain = farm.divided("0", 2).await;
+    farm.until_booked(&node, &plain).await;
+    let path = format!("/v1/jobs/{}/forecast", plain.id);
+    let quoted: ForecastDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    farm.submitter.post(&format!("/v1/jobs/{}/cancel", plain.id), &json!({})).await;
+    let mut request = farm.job_request("0");
+    request["division"] = json!({"into": 2});
+    request["within"] = json!({"cpu_micros": (5e6 * quoted.total.cpu_seconds.p95) as i64});
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
+    farm.until_booked(&node, &job).await;
+
+    let lease = farm.next(&node, TaskKind::Divide).await;
+    let TaskSpec::Divide(spec) = &lease.spec else { panic!() };
+    let work = spec.passes.as_ref().expect("its samples are not even").work;
+    let TaskResult::Divide(good) = farm.made_up_result(&lease).await else { panic!() };
+    // What a worker would say that knows no passes, and one that says too early that nothing is left.
+    for (samples, ends) in [(None, good.ends.clone()), (None, Vec::new())] {
+        let result = TaskResult::Divide(forelight_protocol::DivideResult { samples, ends, ..good.clone() });
+        let problem = farm.report(&lease, result).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some("/result/divide/samples"));
+    }
+    farm.finish(&lease).await;
+    for _ in 0..2 {
+        let lease = farm.next(&node, TaskKind::RenderPart).await;
+        let TaskSpec::RenderPart(spec) = &lease.spec else { panic!() };
+        assert!(spec.pass.is_some() && spec.range.is_none(), "{spec:?}");
+        farm.finish(&lease).await;
+    }
+    let lease = farm.next(&node, TaskKind::Divide).await;
+    let TaskSpec::Divide(spec) = &lease.spec else { panic!() };
+    assert_eq!(spec.passes.as_ref().unwrap().before.len(), 2);
+    farm.finish(&lease).await;
+    let lease = farm.next(&node, TaskKind::Render).await;
+    let TaskSpec::Render(spec) = &lease.spec else { panic!() };
+    assert_eq!((spec.work, spec.parts.len()), (Some(work), 2));
+    assert_eq!(farm.finish(&lease).await.job_state, JobState::Done);
 }
 
 #[tokio::test(flavor = "multi_thread")]

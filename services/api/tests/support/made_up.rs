@@ -27,7 +27,7 @@ impl Farm {
             }
             TaskSpec::Divide(spec) => {
                 let coarse = self.artifact(b"a coarse picture").await;
-                TaskResult::Divide(divide(spec, coarse))
+                TaskResult::Divide(divide(spec, coarse, self.artifact(b"samples of a pass").await))
             }
             TaskSpec::RenderPart(spec) => TaskResult::RenderPart(self.render_part(spec).await),
             TaskSpec::Render(spec) => TaskResult::Render(self.render(spec).await),
@@ -69,7 +69,8 @@ impl Farm {
         let hash = self.artifact(name.as_bytes()).await;
         let work = frame_work(spec.frame) / u64::from(spec.parts);
         let cost = Spent { work, cpu_nanos: work * 1_000_000 };
-        let finished = match spec.range.expect("a part is handed out once it is known") {
+        let pass = spec.pass.as_ref().map(|pass| PartRange::Pixels(pass.pixels));
+        let finished = match spec.range.or(pass).expect("a part is handed out once it is known") {
             PartRange::Pixels(PixelRange { from, to }) => {
                 FinishedPart::Pixels(PartPixels { hash, count: to - from, cost })
             }
@@ -282,14 +283,17 @@ fn frame_work(frame: u32) -> u64 {
     48 * pixel_work(frame) + 16 * 10
 }
 
-/// Parts of equally many of the 64 pixels.
-fn divide(spec: &DivideSpec, coarse: ArtifactHash) -> DivideResult {
+/// Parts of equally many of the 64 pixels. A frame in passes has one of them, with these samples.
+fn divide(spec: &DivideSpec, coarse: ArtifactHash, samples: ArtifactHash) -> DivideResult {
     let work = frame_work(spec.frame) / u64::from(spec.parts);
+    let is_over = spec.passes.as_ref().is_some_and(|passes| !passes.before.is_empty());
+    let parts = if is_over { 0 } else { spec.parts };
     DivideResult {
-        ends: (1..=spec.parts).map(|part| 64 * part / spec.parts).collect(),
-        work: vec![work; spec.parts as usize],
+        ends: (1..=parts).map(|part| 64 * part / spec.parts).collect(),
+        work: vec![work; parts as usize],
         cache: None,
         coarse_png: Some(coarse),
+        samples: Some(samples).filter(|_| spec.passes.is_some() && !is_over),
         spent: Spent { work: 10, cpu_nanos: 10_000_000 },
     }
 }

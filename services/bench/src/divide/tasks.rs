@@ -125,6 +125,8 @@ impl Tasks {
             parts,
             profile: None,
             cache: None,
+            frame_cache: None,
+            passes: None,
         };
         let outcome = self.run(self.task(TaskSpec::Divide(spec)), interrupt)?;
         let TaskResult::Divide(divided) = outcome.result else { bail!("a division has another result") };
@@ -169,6 +171,7 @@ impl Tasks {
             profile: None,
             cache: None,
             frame_cache: cache.map(|_| FILE),
+            pass: None,
         };
         let caches = cache.into_iter().cloned().collect();
         Assignment { caches, ..self.task(TaskSpec::RenderPart(spec)) }

@@ -3,7 +3,9 @@
 use crate::job_options::png_file;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use forelight_protocol::{AllottedForecast, AllottedStats, BudgetClock, Confidence, Money, WithinStats};
+use forelight_protocol::{
+    AllottedForecast, AllottedStats, BudgetClock, Confidence, Money, Per, Within, WithinStats,
+};
 use forelight_renderer_own::{Aim, AllotOptions, Budget, NEAR_ENOUGH, Stopwatch};
 use forelight_scene::Frame;
 use forelight_terminal::atomic_file::write_bytes;
@@ -22,7 +24,7 @@ use std::time::Instant;
 pub struct AllotArgs {
     /// Render the best image in this time: seconds, or 5m, 1h30m. Replaces --spp: each part of the image gets
     /// the camera samples that help most there. The time includes loading, preview, profile, cache and
-    /// writing. The render checks the clock as it goes
+    /// writing. The render checks the clock as it goes. With --server, it is CPU time on a node of speed 1
     #[arg(long, value_name = "TIME", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = parse_seconds)]
     within: Option<f64>,
     /// Render the best image for this amount of money. Needs --price
@@ -71,11 +73,25 @@ pub struct Wish<'a> {
 impl AllotArgs {
     /// Whether anything is asked for.
     pub fn is_given(&self) -> bool {
-        self.within.is_some()
-            || self.within_money.is_some()
+        self.within.is_some() || self.is_for_this_machine()
+    }
+
+    /// Whether anything is asked for that only a render on this machine can do.
+    pub fn is_for_this_machine(&self) -> bool {
+        self.within_money.is_some()
             || self.error.is_some()
             || self.samples_map.is_some()
             || self.samples_from.is_some()
+    }
+
+    /// The time of `--within`, as a farm counts it.
+    pub fn cpu_time(&self) -> Option<Within> {
+        let cpu_micros = self.within.map(|seconds| Some((seconds * 1e6).ceil() as i64))?;
+        Some(Within { cpu_micros, money: None, per: Per::Frame })
+    }
+
+    pub fn confidence(&self) -> Confidence {
+        self.confidence
     }
 
     /// The flag that limits the time.

@@ -3,7 +3,7 @@
 use forelight_preview::PreviewError;
 use forelight_protocol::BadSetting;
 use forelight_scene::SceneError;
-use forelight_tracer::{CacheError, ProfileError, SampleCountsError};
+use forelight_tracer::{CacheError, PixelFileError, SampleCountsError};
 
 /// Why a bundle cannot be rendered as asked.
 #[derive(Debug, thiserror::Error)]
@@ -17,9 +17,9 @@ pub enum RenderError {
     /// A setting is out of its range.
     #[error("settings: {0}")]
     Settings(#[from] BadSetting),
-    /// The bytes are not a profile.
-    #[error("profile: {0}")]
-    Profile(#[from] ProfileError),
+    /// The bytes are not a file of pixels.
+    #[error("pixels: {0}")]
+    Pixels(#[from] PixelFileError),
     /// An irradiance cache cannot be used.
     #[error("{0}")]
     Cache(#[from] CacheError),
@@ -46,7 +46,7 @@ impl RenderError {
             Self::Preview(error) => matches!(error, PreviewError::Camera(_)),
             Self::Scene(_)
             | Self::Settings(_)
-            | Self::Profile(_)
+            | Self::Pixels(_)
             | Self::Cache(_)
             | Self::Samples(_)
             | Self::ForeignProfile { .. } => true,

@@ -50,7 +50,7 @@ pub use adaptive::time_limit::{Budget, Stopwatch};
 pub use answers::{CacheUse, Counted, Finished, Previewed, Progress, ShotInfo, Step, StratumInfo};
 pub use calibration::{CALIBRATION_VERSION, ROUNDS, calibrate, node_speed};
 pub use costs::{cost_of, cost_of_gather, cost_of_record, seconds};
-pub use division::Divided;
+pub use division::{Divided, colors_of_part};
 pub use error::{RenderError, ShotError};
 pub use frame::OwnFrame;
 pub use opening::{Adapter, OwnRenderer};

@@ -1,7 +1,8 @@
 //! Frames that are divided into parts.
 
 use forelight_protocol::{
-    DivideResult, FrameCache, FramePart, FrameSet, FrameState, JobState, PartRange, PixelRange, TaskKind,
+    DivideResult, DivideSpec, FrameCache, FramePart, FrameSet, FrameState, JobState, PartPass, PartRange,
+    PixelRange, TaskKind,
 };
 
 use super::*;
@@ -10,11 +11,69 @@ impl Farm {
     /// A booked job whose first frame is divided into so many parts, all booked on `node` one after the
     /// other from second 10. Its other frames come after them.
     pub(super) async fn divided_job(&self, request: JobRequest, node: NodeId, parts: u32) -> JobId {
+        self.divided_job_of(request, node, parts, &job_forecast()).await
+    }
+
+    /// The same for a job whose frames are rendered in passes.
+    async fn job_in_passes(&self, frames: &str, node: NodeId, parts: u32) -> JobId {
+        let forecast = JobForecast { chosen_spp: Some(7), ..job_forecast() };
+        self.divided_job_of(request(frames), node, parts, &forecast).await
+    }
+
+    async fn divided_job_of(
+        &self,
+        request: JobRequest,
+        node: NodeId,
+        parts: u32,
+        forecast: &JobForecast,
+    ) -> JobId {
         let job = self.profiled_job(request, node).await;
         let plan = self.plan_in_parts(&job, node, parts).await;
         let frames = frame_forecasts(&job);
-        self.store.book(job.id, &job_forecast(), &frames, None, &plan, at(0)).await.unwrap();
+        self.store.book(job.id, forecast, &frames, None, &plan, at(0)).await.unwrap();
         job.id
+    }
+
+    /// Does the next task of a node, which must be to divide a frame: into two parts that end at these places, for a
+    /// pass with these samples.
+    async fn divide(&self, node: NodeId, ends: [u32; 2], samples: &'static str) -> DivideSpec {
+        let lease = self.claim(node, at(20)).await.unwrap();
+        let TaskSpec::Divide(spec) = lease.spec else { panic!("{:?}", lease.spec) };
+        let result = TaskResult::Divide(DivideResult {
+            ends: ends.into(),
+            work: vec![10, 10],
+            cache: None,
+            coarse_png: None,
+            samples: Some(self.artifact(samples).await),
+            spent: Spent::default(),
+        });
+        self.store.commit_result(lease.lease_id, lease.fence, &result, at(20)).await.unwrap();
+        spec
+    }
+
+    /// Does the next task of a node, which must be a part of a pass.
+    async fn part_of_pass(&self, node: NodeId, file: &'static str, work: u64) -> PartPass {
+        // Each part takes a while.
+        let now = at(work as i64);
+        let lease = self.claim(node, now).await.unwrap();
+        let TaskSpec::RenderPart(spec) = lease.spec else { panic!("{:?}", lease.spec) };
+        let cost = Spent { work, cpu_nanos: 1_000 * work };
+        let hash = self.artifact(file).await;
+        let result = TaskResult::RenderPart(RenderPartResult {
+            finished: FinishedPart::Pixels(PartPixels { hash, count: 100, cost }),
+            spent: cost,
+            peak_memory_bytes: 0,
+        });
+        self.store.commit_result(lease.lease_id, lease.fence, &result, now).await.unwrap();
+        assert_eq!(spec.range, None, "a worker that knows no passes renders nothing");
+        spec.pass.unwrap()
+    }
+
+    /// Whether anything refers to a file.
+    async fn needs(&self, file: &'static str) -> bool {
+        let hash = blake3::hash(file.as_bytes());
+        let needs = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM used_artifacts WHERE hash = ?)");
+        needs.bind(&hash.as_bytes()[..]).fetch_one(self.store.readers()).await.unwrap()
     }
 
     async fn profiled_job(&self, request: JobRequest, node: NodeId) -> Job {
@@ -93,6 +152,7 @@ async fn the_cache_of_a_divided_frame_is_filled_before_its_parts_are_rendered() 
         work: vec![10, 10],
         cache: Some(FrameCache { hash, bytes: 6, full: false }),
         coarse_png: None,
+        samples: None,
         spent: Spent::default(),
     });
     farm.store.commit_result(lease.lease_id, lease.fence, &result, at(20)).await.unwrap();
@@ -185,4 +245,115 @@ async fn cancelling_a_divided_frame_takes_its_parts_from_all_workers() {
     assert_eq!(farm.done(b, 9).await, [(TaskKind::Render, None)]);
     let found = farm.store.job(job).await.unwrap();
     assert_eq!((found.state, found.frames_cancelled), (JobState::Done, 1));
+}
+
+#[tokio::test]
+async fn a_frame_in_passes_is_divided_anew_before_each_of_them() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.job_in_passes("0", node, 2).await;
+    let first = farm.divide(node, [100, 200], "one sample").await;
+    let Some(passes) = &first.passes else { panic!("{first:?}") };
+    assert_eq!((passes.work, passes.before.len(), first.profile), (900, 0, None));
+    let pixels = |from, to| PixelRange { from, to };
+    let hash = |file: &str| ArtifactHash(*blake3::hash(file.as_bytes()).as_bytes());
+    let part = farm.part_of_pass(node, "1a", 90).await;
+    assert_eq!((part.pixels, part.samples), (pixels(0, 100), hash("one sample")));
+    assert!(part.before.is_empty());
+    let frame = farm.store.frame(job, 0).await.unwrap();
+    assert!((frame.progress - 0.1).abs() < 1e-9, "{}", frame.progress);
+    farm.part_of_pass(node, "1b", 90).await;
+
+    // Another division of the pixels: a part takes over the files that hold its pixels, and no others.
+    let second = farm.divide(node, [50, 200], "more samples").await;
+    assert_eq!(second.passes.unwrap().before, [hash("1a"), hash("1b")]);
+    let part = farm.part_of_pass(node, "2a", 200).await;
+    assert_eq!((part.pixels, part.samples), (pixels(0, 50), hash("more samples")));
+    assert_eq!(part.before, [hash("1a")]);
+    let frame = farm.store.frame(job, 0).await.unwrap();
+    assert!((frame.progress - 380.0 / 900.0).abs() < 1e-9, "{}", frame.progress);
+    assert!(farm.needs("1a").await && farm.needs("1b").await, "the other part takes them over");
+    // Service and worker die. Nothing of the passes before is lost.
+    let farm = farm.restarted().await;
+    let part = farm.part_of_pass(node, "2b", 300).await;
+    assert_eq!((part.pixels, part.before), (pixels(50, 200), vec![hash("1a"), hash("1b")]));
+
+    // The image has all its samples.
+    assert_eq!(farm.done(node, 1).await, [(TaskKind::Divide, None)]);
+    assert!(!farm.needs("1a").await && farm.needs("2a").await && farm.needs("2b").await);
+    let lease = farm.claim(node, at(20)).await.unwrap();
+    let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+    assert_eq!((spec.parts.clone(), spec.work), (vec![hash("2a"), hash("2b")], Some(900)));
+    let estimate = farm.store.job(job).await.unwrap().live.unwrap();
+    assert_eq!(estimate.work.spent, 680.0, "all passes are part of the estimate");
+    farm.commit(&lease, at(21)).await;
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+    assert!(!farm.needs("2a").await && !farm.needs("more samples").await, "nothing of the passes is kept");
+}
+
+#[tokio::test]
+async fn a_frame_in_passes_that_is_rendered_again_begins_with_its_first_pass() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.job_in_passes("0-1", node, 2).await;
+    let (divide, part) = (TaskKind::Divide, TaskKind::RenderPart);
+    let all = [(divide, None), (part, Some(0)), (part, Some(1)), (divide, None), (TaskKind::Render, None)];
+    assert_eq!(farm.done(node, 5).await, all);
+    assert_eq!(farm.done(node, 9).await, [(TaskKind::Render, None)], "the other frame is whole");
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+    farm.store.retry_frames(job, &FrameSet::range(0, 0), at(30)).await.unwrap();
+    assert_eq!(farm.done(node, 9).await, all);
+    // In the middle of a pass.
+    farm.store.retry_frames(job, &FrameSet::range(0, 0), at(40)).await.unwrap();
+    farm.divide(node, [100, 200], "one sample").await;
+    farm.part_of_pass(node, "1a", 90).await;
+    farm.part_of_pass(node, "1b", 90).await;
+    farm.divide(node, [100, 200], "more samples").await;
+    let lost = farm.claim(node, at(20)).await.unwrap();
+    farm.store.drop_frames(job, &FrameSet::range(0, 0), at(41)).await.unwrap();
+    farm.store.retry_frames(job, &FrameSet::range(0, 0), at(42)).await.unwrap();
+    let late = farm.result_for(&lost).await;
+    let refused = farm.store.commit_result(lost.lease_id, lost.fence, &late, at(43)).await;
+    assert!(matches!(refused, Err(StoreError::LeaseLost)), "{refused:?}");
+    assert_eq!(farm.done(node, 9).await, all);
+    let frame = farm.store.frame(job, 0).await.unwrap();
+    assert_eq!(frame.state, FrameState::Done);
+}
+
+#[tokio::test]
+async fn the_cache_of_a_frame_in_passes_stays_for_all_of_them() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.job_in_passes("0", node, 2).await;
+    let lease = farm.claim(node, at(20)).await.unwrap();
+    let hash = farm.artifact("a plan").await;
+    let result = TaskResult::Divide(DivideResult {
+        ends: vec![100, 200],
+        work: vec![10, 10],
+        cache: Some(FrameCache { hash, bytes: 6, full: false }),
+        coarse_png: None,
+        samples: Some(farm.artifact("one sample").await),
+        spent: Spent::default(),
+    });
+    farm.store.commit_result(lease.lease_id, lease.fence, &result, at(20)).await.unwrap();
+    let (divide, fill, part) = (TaskKind::Divide, TaskKind::CacheFill, TaskKind::RenderPart);
+    let round = [(fill, Some(0)), (fill, Some(1)), (TaskKind::CacheMerge, None)];
+    assert_eq!(farm.done(node, 3).await, round);
+    assert_eq!(farm.done(node, 3).await, round);
+    assert_eq!(farm.done(node, 2).await, [(part, Some(0)), (part, Some(1))]);
+    let cache = Some(farm.artifact("a cache").await);
+    let again = farm.divide(node, [100, 200], "more samples").await;
+    assert_eq!(again.frame_cache, cache);
+    let lease = farm.claim(node, at(20)).await.unwrap();
+    let TaskSpec::RenderPart(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+    assert_eq!(spec.frame_cache, cache);
+    farm.commit(&lease, at(20)).await;
+    assert_eq!(farm.done(node, 3).await, [(part, Some(1)), (divide, None), (TaskKind::Render, None)]);
+    assert!(farm.needs("a cache").await);
+    // Rendered again, the frame has its cache.
+    farm.store.retry_frames(job, &FrameSet::range(0, 0), at(30)).await.unwrap();
+    let again = farm.divide(node, [100, 200], "one sample").await;
+    assert_eq!((again.frame_cache, again.passes.unwrap().before.len()), (cache, 0));
+    let rest = [(part, Some(0)), (part, Some(1)), (divide, None), (TaskKind::Render, None)];
+    assert_eq!(farm.done(node, 9).await, rest);
 }

@@ -108,10 +108,6 @@ fn check_delivery(app: &App, request: &JobRequest) -> ApiResult<()> {
             format!("{parts} parts; 2 to {MOST_PARTS} are possible"),
         ));
     }
-    if matches!(request.division, Division::Into(_)) && request.within.is_some() {
-        let reason = "frames whose camera samples are chosen for a limit cannot be divided: leave out `division` or `within`";
-        return Err(ApiError::invalid("/division", reason));
-    }
     Ok(())
 }
 

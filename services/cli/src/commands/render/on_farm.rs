@@ -9,7 +9,7 @@ use forelight_pictures::{png, tone_map};
 use forelight_protocol::{
     ArtifactHash, CACHE_BYTES, Division, FrameSet, Job, JobId, JobRequest, JobState, TaskKind, TaskRow,
 };
-use forelight_renderer_own::RenderError;
+use forelight_renderer_own::colors_of_part;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::{is_foreign, refuse_because};
@@ -17,7 +17,6 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
-use forelight_tracer::Profile;
 use image::{ImageFormat, Rgb, RgbImage};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -119,7 +118,7 @@ fn refuse_others(args: &Args) -> Result<()> {
         ("--cost-map", args.cost_map.is_some()),
         ("--profile", args.profile.is_some()),
         ("--cache-file", args.cache_file.is_some()),
-        ("--within, --within-money, --error and --samples-from", args.allot.is_given()),
+        ("--within-money, --error, --samples-map and --samples-from", args.allot.is_for_this_machine()),
     ];
     let hint = "leave it out, or leave out --server";
     refuse_because(&others, "only a render on this machine can do this", hint)
@@ -140,6 +139,8 @@ async fn submit_frame(args: &Args, client: &Client, bars: &Bars) -> Result<Job> 
         division: args.farm.parts,
         project: args.farm.project.clone(),
         settings,
+        within: args.allot.cpu_time(),
+        confidence: args.allot.confidence(),
         ..JobRequest::new(format!("{} frame {frame}", scene.name), bundle, FrameSet::range(frame, frame))
     };
     client.submit(&request, key).await.context("cannot submit the frame")
@@ -183,7 +184,8 @@ fn words(job: &Job, tasks: &[TaskRow]) -> String {
     }
 }
 
-/// A picture that grows by parts, in a file if one is named. It begins as a coarse picture of the frame.
+/// A picture that grows by parts, in a file if one is named. It begins as a coarse picture of the frame; each pass
+/// over a frame replaces it by a better one.
 struct Growing {
     picture: RgbImage,
     file: Option<PathBuf>,
@@ -199,7 +201,7 @@ impl Growing {
     async fn add(&mut self, client: &Client, job: JobId, tasks: &[TaskRow]) -> Result<()> {
         let Some(file) = self.file.clone() else { return Ok(()) };
         let coarse = tasks.iter().find_map(|task| task.coarse_png);
-        let has_begun = match coarse.filter(|_| self.there.is_empty()) {
+        let has_begun = match coarse.filter(|hash| !self.there.contains(hash)) {
             Some(hash) => self.begin(client, hash).await,
             None => false,
         };
@@ -208,12 +210,12 @@ impl Growing {
         for hash in &new {
             // A part is gone once the frame is put together. Then there is the image.
             let Ok(bytes) = client.artifact(*hash, CACHE_BYTES).await else { continue };
-            let part = Profile::from_bytes(&bytes).map_err(RenderError::from);
-            let part = part.with_context(|| format!("a part of job {job} cannot be read"))?;
-            for (index, pixel) in &part.pixels {
+            let colors = colors_of_part(&bytes);
+            let colors = colors.with_context(|| format!("a part of job {job} cannot be read"))?;
+            for (index, color) in colors {
                 let (x, y) = (index % self.picture.width(), index / self.picture.width());
                 if let Some(place) = self.picture.get_pixel_mut_checked(x, y) {
-                    *place = Rgb(tone_map(pixel.color));
+                    *place = Rgb(tone_map(color));
                 }
             }
             self.there.insert(*hash);
@@ -224,11 +226,12 @@ impl Growing {
         Ok(())
     }
 
-    /// Begins with a coarse picture. Without it, parts that are not there yet stay grey. Returns whether it was
-    /// painted.
+    /// Begins with a coarse picture, or with that of the last pass over the frame. Without it, parts that are not
+    /// there yet stay grey. Returns whether it was painted.
     async fn begin(&mut self, client: &Client, coarse: ArtifactHash) -> bool {
         let Ok(bytes) = client.artifact(coarse, CACHE_BYTES).await else { return false };
-        self.there.insert(coarse);
+        // Parts are painted over it.
+        self.there = BTreeSet::from([coarse]);
         let Ok(picture) = image::load_from_memory_with_format(&bytes, ImageFormat::Png) else { return false };
         let fits = (picture.width(), picture.height()) == self.picture.dimensions();
         if fits {

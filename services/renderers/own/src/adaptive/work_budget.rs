@@ -14,8 +14,9 @@ use crate::adaptive::tiles::Tiles;
 use crate::answers::Progress;
 use crate::error::{RenderError, ShotError};
 use crate::frame::OwnFrame;
+use forelight_forecast::accuracy::Survey;
 use forelight_forecast::accuracy::allot::even_numbers;
-use forelight_tracer::{SampleCounts, Totals};
+use forelight_tracer::{Passes, SampleCounts, Totals};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Share of the work that is spread evenly, for features that the first samples of a tile miss.
@@ -27,6 +28,82 @@ const GROWTH: f64 = 2.0;
 /// Share of the work that may be left over: whole samples do not come out even.
 const NEAR: f64 = 0.005;
 
+/// How an amount of work is spent on a frame, pass by pass. Each pass depends on the image so far, and not on who
+/// traced it: the nodes of a farm may share the pixels of every pass.
+pub(crate) struct WorkBudget {
+    tiles: Tiles,
+    pixels: usize,
+    /// Work that is left for pixels.
+    all: f64,
+}
+
+/// A pass to come.
+pub(crate) struct NextPass {
+    /// Samples of each pixel after it.
+    pub samples: SampleCounts,
+    /// Share of the pixels' work that is done after it, at most about 1.
+    pub until: f64,
+}
+
+/// The image after a pass.
+pub(crate) struct Standing {
+    pub samples: SampleCounts,
+    pub survey: Survey,
+    /// Share of the pixels' work that is done, at most 1.
+    pub done: f64,
+    /// `None`: the image is finished.
+    pub next: Option<NextPass>,
+}
+
+impl WorkBudget {
+    /// For a frame, whose cache is filled, that gets `work` in all.
+    pub fn new(ready: &OwnFrame<'_>, work: u64) -> Self {
+        let camera = &ready.frame().camera;
+        Self {
+            tiles: Tiles::unprofiled(camera.width, camera.height),
+            pixels: camera.pixels(),
+            all: work.saturating_sub(before_pixels(ready)).max(1) as f64,
+        }
+    }
+
+    /// The first pass: one sample for every pixel.
+    pub fn first(&self) -> Result<NextPass, RenderError> {
+        Ok(NextPass { samples: self.everywhere(1)?, until: 0.0 })
+    }
+
+    fn everywhere(&self, samples: u32) -> Result<SampleCounts, RenderError> {
+        Ok(SampleCounts::new(vec![samples as u16; self.pixels])?)
+    }
+
+    /// What the image shows after a pass. Every pixel must have a sample.
+    pub fn evaluate(&self, passes: &Passes) -> Result<Standing, ShotError> {
+        let samples = passes.counts().map_err(RenderError::from)?;
+        let survey = self.tiles.survey(passes)?;
+        let done = (passes.totals().work as f64).max(1.0);
+        let next = self.after(&samples, &survey, done)?;
+        Ok(Standing { samples, survey, done: (done / self.all).min(1.0), next })
+    }
+
+    fn after(&self, has: &SampleCounts, survey: &Survey, done: f64) -> Result<Option<NextPass>, RenderError> {
+        let all = self.all;
+        if all - done < NEAR * all {
+            return Ok(None);
+        }
+        let is_first = has.range().1 == 1;
+        let [even, _] = even_numbers(if is_first { (EVEN * all / done).max(TELLING) } else { 1.0 });
+        let with_even = f64::from(even) * done;
+        let (samples, then) = if even < 2 || with_even > all {
+            let then = all.min(GROWTH * done);
+            let Some(samples) = survey.samples_for_budget(then) else { return Ok(None) };
+            (self.tiles.laid_out(&samples)?.or_more(has), then)
+        } else {
+            (self.everywhere(even)?, with_even)
+        };
+        // If nothing is added, nothing varies, or no whole sample is left.
+        Ok((samples != *has).then_some(NextPass { samples, until: then / all }))
+    }
+}
+
 /// Renders a frame, whose cache is filled, with `work` in all, but at least one sample per pixel. `passed`
 /// gets the work of the pixels so far and its share of their budget. `None` if `cancel` was set.
 pub(crate) fn render_for_work(
@@ -36,45 +113,31 @@ pub(crate) fn render_for_work(
     passed: &dyn Fn(f64, &Totals),
     cancel: &AtomicBool,
 ) -> Result<Option<Made>, ShotError> {
-    let camera = &ready.frame().camera;
-    let tiles = Tiles::unprofiled(camera.width, camera.height);
-    let everywhere =
-        |samples: u32| SampleCounts::new(vec![samples as u16; camera.pixels()]).map_err(RenderError::from);
-    let all = work.saturating_sub(before_pixels(ready)).max(1) as f64;
+    let budget = WorkBudget::new(ready, work);
     let mut passes = ready.begin();
-    let mut next = everywhere(1)?;
-    let (mut done, mut then) = (0.0, 0.0);
-    let (samples, survey) = loop {
-        pass(ready, &mut passes, &next, &(done / all..then / all), progress, cancel)?;
+    let mut next = budget.first()?;
+    let mut done = 0.0;
+    loop {
+        pass(ready, &mut passes, &next.samples, &(done..next.until), progress, cancel)?;
         if cancel.load(Ordering::Relaxed) {
             return Ok(None);
         }
-        let counts = passes.counts().map_err(RenderError::from)?;
-        let survey = tiles.survey(&passes)?;
-        let totals = passes.totals();
-        let first = done == 0.0;
-        done = (totals.work as f64).max(1.0);
-        passed((done / all).min(1.0), &totals);
-        let [even, _] = even_numbers(if first { (EVEN * all / done).max(TELLING) } else { 1.0 });
-        if all - done < NEAR * all {
-            break (counts, survey);
+        let standing = budget.evaluate(&passes)?;
+        done = standing.done;
+        passed(done, &passes.totals());
+        match standing.next {
+            Some(pass) => next = pass,
+            None => return Ok(Some(standing.made(ready, &passes))),
         }
-        let with_even = f64::from(even) * done;
-        (next, then) = if even < 2 || with_even > all {
-            let then = all.min(GROWTH * done);
-            match survey.samples_for_budget(then) {
-                Some(samples) => (tiles.laid_out(&samples)?.or_more(&counts), then),
-                None => break (counts, survey),
-            }
-        } else {
-            (everywhere(even)?, with_even)
-        };
-        if next == counts {
-            // Nothing varies, or no whole sample is left.
-            break (counts, survey);
-        }
-    };
-    Ok(Some(Made { finished: ready.finished(&passes), samples, survey, within: None }))
+    }
+}
+
+impl Standing {
+    /// The finished image.
+    pub fn made(self, ready: &OwnFrame<'_>, passes: &Passes) -> Made {
+        let Self { samples, survey, .. } = self;
+        Made { finished: ready.finished(passes), samples, survey, within: None }
+    }
 }
 
 fn before_pixels(ready: &OwnFrame<'_>) -> u64 {

@@ -30,7 +30,22 @@ impl OwnFrame<'_> {
         finished: &[(u32, Pixel)],
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Divided> {
-        let settings = RenderSettings::from(self.tracer.settings());
+        self.divided(self.tracer.settings().spp, parts, finished, stop)
+    }
+
+    /// The same for a pass that gives every pixel its first sample.
+    pub fn divide_first_pass(&self, parts: u32, stop: &(dyn Fn() -> bool + Sync)) -> Option<Divided> {
+        self.divided(1, parts, &[], stop)
+    }
+
+    fn divided(
+        &self,
+        samples: u32,
+        parts: u32,
+        finished: &[(u32, Pixel)],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Divided> {
+        let settings = RenderSettings { spp: samples, ..self.tracer.settings().into() };
         let curve = PixelCurve::new(settings.width, settings.height);
         let growth = Growth::of(&settings);
         let count = probing_samples(settings.pixels() * u64::from(settings.spp), parts);

@@ -1,8 +1,9 @@
 //! The pixels of one part of a frame.
 
 use crate::answers::{Progress, Step};
+use crate::error::RenderError;
 use crate::frame::OwnFrame;
-use forelight_tracer::{Pixel, PixelsFinished, Profile};
+use forelight_tracer::{Pixel, PixelFileError, PixelsFinished, Profile, Unfinished};
 use std::sync::atomic::AtomicBool;
 
 /// Pixels that one thread traces in sequence, as many as a tile of an image has.
@@ -30,5 +31,17 @@ impl OwnFrame<'_> {
     pub fn finished_pixels(&self, pixels: Vec<(u32, Pixel)>) -> Profile {
         let (origin, fingerprint) = (self.tracer.origin(), self.tracer.fingerprint());
         Profile { origin, fingerprint, pixels, cache: None }
+    }
+}
+
+/// The pixels in the file of a part, finished or not: row-major index and colour.
+///
+/// # Errors
+/// If the file is damaged, or of another version.
+pub fn colors_of_part(bytes: &[u8]) -> Result<Vec<(u32, [f32; 3])>, RenderError> {
+    match Profile::from_bytes(bytes) {
+        Ok(profile) => Ok(profile.pixels.iter().map(|(index, pixel)| (*index, pixel.color)).collect()),
+        Err(PixelFileError::Foreign { .. }) => Ok(Unfinished::from_bytes(bytes)?.colors().collect()),
+        Err(error) => Err(error.into()),
     }
 }

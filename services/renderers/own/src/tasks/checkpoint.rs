@@ -1,45 +1,69 @@
-//! Checkpoints: finished tiles of a frame, kept so that another worker can continue if this one is lost.
+//! Checkpoints: pixels of a frame that are done, kept so that another worker can continue if this one is lost.
 
 use bytes::Bytes;
 use forelight_protocol::CHECKPOINT_BYTES;
 use forelight_renderer::Control;
-use forelight_tracer::{Pixel, Profile};
+use forelight_tracer::{Pixel, Profile, Unfinished};
 use parking_lot::Mutex;
 use std::time::{Duration, Instant};
 
-/// Collects finished pixels of a frame, including those taken over.
-pub(crate) struct Checkpoints<'a> {
-    control: &'a Control,
-    interval: Duration,
-    state: Mutex<State>,
+/// A file that pixels are added to.
+pub(crate) trait PixelFile {
+    fn to_bytes(&self) -> Vec<u8>;
 }
 
-struct State {
-    /// `None` if the frame is too large, or has an irradiance cache, without which pixels are worth little.
-    profile: Option<Profile>,
+impl PixelFile for Profile {
+    fn to_bytes(&self) -> Vec<u8> {
+        Profile::to_bytes(self)
+    }
+}
+
+impl PixelFile for Unfinished {
+    fn to_bytes(&self) -> Vec<u8> {
+        Unfinished::to_bytes(self)
+    }
+}
+
+/// Collects pixels that are done, including those taken over.
+pub(crate) struct Checkpoints<'a, F> {
+    control: &'a Control,
+    interval: Duration,
+    state: Mutex<State<F>>,
+}
+
+struct State<F> {
+    /// `None` if it would be too large, or if the frame has an irradiance cache of its own, without which pixels are
+    /// worth little.
+    file: Option<F>,
     last: Instant,
 }
 
-impl<'a> Checkpoints<'a> {
-    /// Begins with the profile that is taken over, or an empty one. `pixels` is the size of the image.
-    pub fn new(control: &'a Control, start: Option<Profile>, pixels: u64) -> Self {
-        let bytes = Profile::bytes_of(pixels);
-        let profile = start.filter(|_| bytes <= CHECKPOINT_BYTES as u64);
-        let state = Mutex::new(State { profile, last: Instant::now() });
+impl<'a, F: PixelFile> Checkpoints<'a, F> {
+    /// Begins with the pixels that are taken over. `bytes` is the size of the whole file.
+    pub fn new(control: &'a Control, start: Option<F>, bytes: u64) -> Self {
+        let file = start.filter(|_| bytes <= CHECKPOINT_BYTES as u64);
+        let state = Mutex::new(State { file, last: Instant::now() });
         Self { control, interval: control.checkpoint_interval(), state }
     }
 
-    /// Adds finished pixels. Offers a new checkpoint if the last one is old enough.
-    pub fn finished(&self, pixels: &[(u32, Pixel)]) {
+    /// Adds pixels. Offers a new checkpoint if the last one is old enough.
+    pub fn add(&self, add: impl FnOnce(&mut F)) {
         let mut state = self.state.lock();
         let due = state.last.elapsed() >= self.interval;
-        let Some(profile) = &mut state.profile else { return };
-        profile.pixels.extend_from_slice(pixels);
+        let Some(file) = &mut state.file else { return };
+        add(file);
         if due {
-            let bytes = Bytes::from(profile.to_bytes());
+            let bytes = Bytes::from(file.to_bytes());
             state.last = Instant::now();
             drop(state);
             self.control.offer_checkpoint(bytes);
         }
+    }
+}
+
+impl Checkpoints<'_, Profile> {
+    /// Adds finished pixels.
+    pub fn finished(&self, pixels: &[(u32, Pixel)]) {
+        self.add(|file| file.pixels.extend_from_slice(pixels));
     }
 }

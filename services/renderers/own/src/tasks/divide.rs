@@ -1,15 +1,31 @@
-//! Finds where the parts of a frame end, and plans its irradiance cache.
+//! Finds where the parts of a frame end, and plans its irradiance cache. A frame that is rendered in passes is
+//! divided before each of them.
 
 use super::given;
+use crate::adaptive::work_budget::WorkBudget;
 use crate::division::Divided;
+use crate::division::passes::picture;
 use crate::frame::OwnFrame;
 use crate::shot::OwnShot;
+use forelight_forecast::Stretch;
 use forelight_pictures::png;
 use forelight_protocol::{
-    CACHE_BYTES, DivideResult, DivideSpec, FrameCache, LogLevel, MOST_PARTS, Spent, TaskResult,
+    CACHE_BYTES, DivideResult, DivideSpec, FrameCache, LogLevel, MOST_PARTS, Passes, Spent, TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
-use forelight_tracer::{Cache, clocked};
+use forelight_tracer::{Cache, Profile, SampleCounts, clocked};
+use image::RgbImage;
+
+/// A frame, divided.
+struct Division {
+    /// Empty if nothing is left to render.
+    parts: Vec<Stretch>,
+    /// What each pixel has after the next pass.
+    samples: Option<SampleCounts>,
+    picture: RgbImage,
+    /// Cost of dividing. `None`: the task's CPU time is that of dividing alone.
+    spent: Option<Spent>,
+}
 
 /// `loading` is the cost of opening the scene, if it was not open yet.
 pub(crate) fn divide(
@@ -24,20 +40,28 @@ pub(crate) fn divide(
         return Err(ExecuteError::Permanent(text));
     }
     let ready = shot.frame(spec.frame, &spec.settings)?;
-    let given::Start { profile, on_cache } = given::start(&ready, (spec.cache, None), assignment, control)?;
+    let caches = (spec.cache, spec.frame_cache);
+    let given::Start { profile, on_cache } = given::start(&ready, caches, assignment, control)?;
     let mut files = Files::default();
-    let (cache, writing) = frame_cache(&ready, &mut files)?;
+    let is_first = spec.passes.as_ref().is_none_or(|passes| passes.before.is_empty());
+    let (cache, writing) = match (spec.frame_cache, assignment.caches.last()) {
+        (Some(hash), Some(cache)) => (Some(FrameCache { hash, bytes: cache.len() as u64, full: true }), 0),
+        _ => frame_cache(&ready, &mut files)?,
+    };
     control.set_progress(0.5);
-    let finished = profile.map_or_else(Vec::new, |profile| profile.pixels);
-    let stop = || control.is_cancelled();
-    let Divided { parts, seen, spent } =
-        ready.divide(spec.parts, &finished, &stop).ok_or(ExecuteError::Cancelled)?;
+    let (divided, dividing) = clocked(|| match &spec.passes {
+        Some(passes) if !is_first => next_pass(&ready, spec, passes, assignment, control),
+        passes => first(&ready, spec.parts, passes.as_ref(), profile, control),
+    });
+    let Division { parts, samples, picture, spent } = divided?;
     let work: u64 = parts.iter().map(|part| part.cost).sum();
-    control.log(
-        LogLevel::Info,
-        format!("divided frame {} into {} parts: {work} units of work in all", spec.frame, parts.len()),
-    );
-    let (coarse, drawing) = clocked(|| png(&ready.coarse_picture(&seen, &finished)));
+    let text = match parts.len() {
+        0 => format!("frame {} has all its samples", spec.frame),
+        count => format!("divided frame {} into {count} parts: {work} units of work in all", spec.frame),
+    };
+    control.log(LogLevel::Info, text);
+    let (coarse, drawing) = clocked(|| png(&picture));
+    let spent = spent.unwrap_or(Spent { work: 0, cpu_nanos: dividing });
     let spent = spent.plus(loading).plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(on_cache));
     let result = DivideResult {
         ends: parts.iter().map(|part| part.to).collect(),
@@ -45,9 +69,46 @@ pub(crate) fn divide(
         cache,
         // Nothing but a picture to look at would be missing.
         coarse_png: coarse.ok().map(|bytes| files.add(bytes)),
+        samples: samples.map(|samples| files.add(samples.to_bytes())),
         spent: Spent { cpu_nanos: spent.cpu_nanos + writing + drawing, ..spent },
     };
     Ok(Outcome { result: TaskResult::Divide(result), artifacts: files.contents })
+}
+
+/// Divides a frame of which nothing is rendered, for its first pass if it has passes.
+fn first(
+    ready: &OwnFrame<'_>,
+    parts: u32,
+    passes: Option<&Passes>,
+    profile: Option<Profile>,
+    control: &Control,
+) -> Result<Division, ExecuteError> {
+    let finished = profile.map_or_else(Vec::new, |profile| profile.pixels);
+    let stop = || control.is_cancelled();
+    let (divided, samples) = match passes {
+        None => (ready.divide(parts, &finished, &stop), None),
+        Some(passes) => {
+            let first = WorkBudget::new(ready, passes.work).first()?;
+            (ready.divide_first_pass(parts, &stop), Some(first.samples))
+        }
+    };
+    let Divided { parts, seen, spent } = divided.ok_or(ExecuteError::Cancelled)?;
+    Ok(Division { parts, samples, picture: ready.coarse_picture(&seen, &finished), spent: Some(spent) })
+}
+
+/// Divides the pass that follows the one whose pixels are given.
+fn next_pass(
+    ready: &OwnFrame<'_>,
+    spec: &DivideSpec,
+    Passes { work, .. }: &Passes,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Division, ExecuteError> {
+    let mut passes = ready.begin();
+    passes.take_over(given::unfinished(ready, &assignment.parts, control)?);
+    let next = WorkBudget::new(ready, *work).evaluate(&passes)?.next.map(|pass| pass.samples);
+    let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
+    Ok(Division { parts, samples: next, picture: picture(&passes), spent: None })
 }
 
 /// The irradiance cache that parts need beside a shared one, and the CPU time of writing it, in nanoseconds.

@@ -5,7 +5,7 @@ use crate::frame::OwnFrame;
 use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, JobSettings, LogLevel, RenderSettings, Spent};
 use forelight_renderer::{Assignment, Control, ExecuteError};
-use forelight_tracer::{Cache, CacheError, Profile};
+use forelight_tracer::{Cache, CacheError, Profile, Unfinished};
 
 /// The settings of a task as our own renderer has them.
 pub(crate) fn own(settings: &JobSettings) -> Result<&RenderSettings, ExecuteError> {
@@ -96,6 +96,23 @@ pub(crate) fn usable(what: &str, bytes: &Bytes, ready: &OwnFrame<'_>, control: &
             None
         }
     }
+}
+
+/// Files of unfinished pixels of this frame. They may come from another version of the renderer.
+pub(crate) fn unfinished(
+    ready: &OwnFrame<'_>,
+    files: &[Bytes],
+    control: &Control,
+) -> Result<Vec<Unfinished>, ExecuteError> {
+    let read = |bytes: &Bytes| {
+        if control.is_cancelled() {
+            return Err(ExecuteError::Cancelled);
+        }
+        let unusable =
+            |error| ExecuteError::Transient(format!("pixels of the last pass cannot be used: {error}"));
+        ready.unfinished(bytes).map_err(unusable)
+    };
+    files.iter().map(read).collect()
 }
 
 /// The one irradiance cache that a task is given.

@@ -3,17 +3,30 @@
 use super::checkpoint::Checkpoints;
 use super::given::{self, own, usable};
 use super::progress::{count, fraction};
-use crate::answers::Progress;
+use crate::answers::{Progress, Step};
+use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use crate::shot::OwnShot;
 use forelight_forecast::PixelCurve;
 use forelight_protocol::{
-    FinishedPart, LogLevel, PartPixels, PartRange, PixelRange, RenderPartResult, RenderPartSpec,
-    RenderSettings, Spent, TaskResult,
+    FinishedPart, FinishedPixels, LogLevel, PartPixels, PartRange, PixelRange, RenderPartResult,
+    RenderPartSpec, RenderSettings, Spent, TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
-use forelight_tracer::{Pixel, Totals, clocked};
+use forelight_tracer::{Advanced, Pixel, Profile, SampleCounts, Totals, Unfinished, clocked};
 use std::sync::Once;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What a part has made.
+struct Made {
+    file: Vec<u8>,
+    /// Number of pixels.
+    count: u64,
+    /// Of the pixels, or of what a pass has added to them.
+    cost: Spent,
+    /// CPU time of writing the file, in nanoseconds.
+    writing: u64,
+}
 
 /// `loading` is the cost of opening the scene, if it was not open yet.
 pub(crate) fn render_part(
@@ -27,19 +40,19 @@ pub(crate) fn render_part(
     let range = range(spec, settings)?;
     let ready = shot.frame(spec.frame, settings)?;
     let start = given::start(&ready, (spec.cache, spec.frame_cache), assignment, control)?;
-    let curve = PixelCurve::new(settings.width, settings.height);
-    let pixels = pixels(&ready, curve.pixels(range.from..range.to), &start, assignment, control)?;
-    let Totals { pixels: number, work, cpu_nanos, .. } = Totals::of(pixels.iter().map(|(_, pixel)| pixel));
-    let cost = Spent { work, cpu_nanos };
-    control.log(
-        LogLevel::Info,
-        format!("part {} of {}: {number} pixels, {work} units of work", spec.part + 1, spec.parts),
-    );
-    let (bytes, writing) = clocked(|| ready.finished_pixels(pixels).to_bytes());
+    let pixels = PixelCurve::new(settings.width, settings.height).pixels(range.from..range.to);
+    let made = match spec.pass {
+        None => finished(&ready, pixels, &start, assignment, control)?,
+        Some(_) => pass(&ready, &pixels, start.on_cache, assignment, control)?,
+    };
+    let Made { file, count, cost, writing } = made;
+    let (part, parts) = (spec.part + 1, spec.parts);
+    control
+        .log(LogLevel::Info, format!("part {part} of {parts}: {count} pixels, {} units of work", cost.work));
     let here = loading.plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(start.on_cache));
     let mut files = Files::default();
     // At most as many pixels as an image has.
-    let finished = PartPixels { hash: files.add(bytes), count: number as u32, cost };
+    let finished = PartPixels { hash: files.add(file), count: count as u32, cost };
     let result = RenderPartResult {
         finished: FinishedPart::Pixels(finished),
         spent: cost.plus(here).plus(Spent { work: 0, cpu_nanos: writing }),
@@ -48,9 +61,74 @@ pub(crate) fn render_part(
     Ok(Outcome { result: TaskResult::RenderPart(result), artifacts: files.contents })
 }
 
+/// Renders the part's pixels.
+fn finished(
+    ready: &OwnFrame<'_>,
+    part: Vec<u32>,
+    start: &given::Start,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Made, ExecuteError> {
+    let pixels = pixels(ready, part, start, assignment, control)?;
+    let Totals { pixels: count, work, cpu_nanos, .. } = Totals::of(pixels.iter().map(|(_, pixel)| pixel));
+    let (file, writing) = clocked(|| ready.finished_pixels(pixels).to_bytes());
+    Ok(Made { file, count, cost: Spent { work, cpu_nanos }, writing })
+}
+
+/// Adds the samples of one pass to the part's pixels. What an earlier worker added is not traced again.
+fn pass(
+    ready: &OwnFrame<'_>,
+    part: &[u32],
+    on_cache: Spent,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Made, ExecuteError> {
+    let samples = assignment.samples.as_ref().map(|bytes| SampleCounts::from_bytes(bytes));
+    let no_samples = || ExecuteError::Transient("the numbers of samples were expected".to_owned());
+    let samples = samples.ok_or_else(no_samples)?.map_err(RenderError::from)?;
+    let mut passes = ready.begin_pixels(part);
+    passes.take_over(given::unfinished(ready, &assignment.parts, control)?);
+    let before = passes.totals();
+    if let Some(checkpoint) = &assignment.checkpoint {
+        match ready.unfinished(checkpoint) {
+            Ok(checkpoint) => passes.take_over(vec![checkpoint]),
+            Err(why) => {
+                control.log(LogLevel::Warn, format!("an earlier worker's samples cannot be used: {why}"))
+            }
+        }
+    }
+    let fills = !ready.has_final_colours();
+    let progress = |progress: Progress| control.set_progress(fraction(progress, fills));
+    if !ready.fill(&progress, control.cancelled()) {
+        return Err(ExecuteError::Cancelled);
+    }
+    control.spent_before_pixels(ready.spent_on_cache_here(on_cache));
+    let all = part.len() as u64;
+    let found = passes.totals().minus(&before);
+    control.finished_pixels(FinishedPixels { done: 0, all, work: found.work, cpu_nanos: found.cpu_nanos });
+    let none = ready.so_far(&ready.begin_pixels(&[]));
+    let checkpoints = Checkpoints::new(control, Some(none), Unfinished::bytes_of(all));
+    let so_far = AtomicU64::new(0);
+    let advanced = |advanced: &Advanced<'_>| {
+        let Totals { pixels: done, work, cpu_nanos, .. } = advanced.cost;
+        control.finished_pixels(FinishedPixels { done, all, work, cpu_nanos });
+        checkpoints.add(|file| advanced.add_to(file));
+        let done = so_far.fetch_add(done, Ordering::Relaxed) + done;
+        progress(Progress { step: Step::Tracing, done, all });
+    };
+    ready.advance(&mut passes, &samples, &|| control.is_cancelled(), &advanced)?;
+    if control.is_cancelled() {
+        return Err(ExecuteError::Cancelled);
+    }
+    let Totals { work, cpu_nanos, .. } = passes.totals().minus(&before);
+    let (file, writing) = clocked(|| ready.so_far(&passes).to_bytes());
+    Ok(Made { file, count: all, cost: Spent { work, cpu_nanos }, writing })
+}
+
 /// The part's range of the image's pixels.
 fn range(spec: &RenderPartSpec, settings: &RenderSettings) -> Result<PixelRange, ExecuteError> {
-    match spec.range {
+    let pass = spec.pass.as_ref().map(|pass| PartRange::Pixels(pass.pixels));
+    match spec.range.or(pass) {
         Some(PartRange::Pixels(range))
             if range.from <= range.to && u64::from(range.to) <= settings.pixels() =>
         {
@@ -91,7 +169,8 @@ fn pixels(
         control.log(LogLevel::Info, text);
     }
     count(&finished, all, control);
-    let checkpoints = Checkpoints::new(control, Some(ready.finished_pixels(finished.clone())), all);
+    let checkpoints =
+        Checkpoints::new(control, Some(ready.finished_pixels(finished.clone())), Profile::bytes_of(all));
     let fills = !ready.has_final_colours();
     let begun = Once::new();
     let watch = |pixels: &[_]| {

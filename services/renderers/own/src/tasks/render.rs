@@ -10,13 +10,13 @@ use crate::shot::OwnShot;
 use crate::tasks::checkpoint::Checkpoints;
 use crate::tasks::given::{self, own, usable};
 use crate::tasks::progress::{count, fraction};
-use crate::tasks::whole::put_together;
+use crate::tasks::whole::{passes_put_together, put_together};
 use forelight_protocol::{
     CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
     TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
-use forelight_tracer::{Pixel, Totals};
+use forelight_tracer::{Pixel, Profile, Totals};
 use std::cell::Cell;
 use std::sync::Once;
 use std::time::Instant;
@@ -32,14 +32,21 @@ pub(crate) fn render(
     let ready = shot.frame(spec.frame, settings)?;
     let ready = &ready;
     control.log(LogLevel::Info, format!("effects of frame {}: {}", spec.frame, ready.effects().join(", ")));
-    let mut rendered = match spec.work {
-        None if !spec.parts.is_empty() => put_together(ready, settings, spec, assignment, control)?,
-        work => {
-            given::caches(ready, (spec.cache, spec.frame_cache), true, assignment, control)?;
-            match work {
-                None => evenly(ready, settings, assignment, control)?,
-                Some(work) => for_work(ready, settings, work, control)?,
-            }
+    let mut rendered = if spec.parts.is_empty() {
+        given::caches(ready, (spec.cache, spec.frame_cache), true, assignment, control)?;
+        match spec.work {
+            None => evenly(ready, settings, assignment, control)?,
+            Some(work) => for_work(ready, settings, work, control)?,
+        }
+    } else {
+        let given::Start { profile, .. } =
+            given::start(ready, (spec.cache, spec.frame_cache), assignment, control)?;
+        match spec.work {
+            None => put_together(ready, settings, profile, assignment, control)?,
+            Some(work) => match passes_put_together(ready, settings, work, assignment, control)? {
+                Some(rendered) => rendered,
+                None => for_work(ready, settings, work, control)?,
+            },
         }
     };
     let seen = ready.preview()?;
@@ -86,7 +93,7 @@ fn evenly(
     let profiled = || usable("the frame's profile", assignment.profile.as_ref()?, ready, control);
     let reuse = finished.or_else(profiled);
     let start_of_checkpoints = (!cached).then(|| reuse.clone().unwrap_or_else(|| ready.profile(&[])));
-    let checkpoints = Checkpoints::new(control, start_of_checkpoints, settings.pixels());
+    let checkpoints = Checkpoints::new(control, start_of_checkpoints, Profile::bytes_of(settings.pixels()));
     let count = |pixels: &[(u32, Pixel)]| count(pixels, settings.pixels(), control);
     if !cached {
         count(reuse.as_ref().map_or(&[], |profile| &profile.pixels));

@@ -1,26 +1,25 @@
 //! Puts a divided frame together from the files of its parts.
 
-use super::given::{self, usable};
+use super::given::{unfinished, usable};
 use super::progress::{count, fraction};
+use crate::adaptive::work_budget::WorkBudget;
 use crate::answers::Progress;
 use crate::frame::OwnFrame;
 use crate::render::{Rendered, rendered};
-use forelight_protocol::{RenderSettings, RenderSpec};
+use forelight_protocol::{FinishedPixels, LogLevel, RenderSettings};
 use forelight_renderer::{Assignment, Control, ExecuteError};
-use forelight_tracer::Pixel;
+use forelight_tracer::{Pixel, Profile};
 use std::time::Instant;
 
 /// Takes over the pixels of all parts and of the frame's profile. Pixels that none of them holds are traced.
 pub(crate) fn put_together(
     ready: &OwnFrame<'_>,
     settings: &RenderSettings,
-    spec: &RenderSpec,
+    profile: Option<Profile>,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Rendered, ExecuteError> {
     let start = Instant::now();
-    let caches = (spec.cache, spec.frame_cache);
-    let given::Start { profile, .. } = given::start(ready, caches, assignment, control)?;
     let all = settings.pixels();
     let mut finished: Vec<Option<Pixel>> = vec![None; ready.frame().camera.pixels()];
     for (bytes, part) in assignment.parts.iter().zip(1..) {
@@ -40,4 +39,35 @@ pub(crate) fn put_together(
     let made = ready.put_together(finished, profile.as_ref(), &progress, &watch, control.cancelled())?;
     let made = made.ok_or(ExecuteError::Cancelled)?;
     Ok(rendered(ready, made, settings, start.elapsed().as_secs_f64()))
+}
+
+/// Takes over the samples of all passes. `None` if they cannot be read, as those of another version of the renderer:
+/// the frame is rendered anew then.
+pub(crate) fn passes_put_together(
+    ready: &OwnFrame<'_>,
+    settings: &RenderSettings,
+    work: u64,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<Option<Rendered>, ExecuteError> {
+    let start = Instant::now();
+    let mut passes = ready.begin();
+    match unfinished(ready, &assignment.parts, control) {
+        Ok(files) => passes.take_over(files),
+        Err(ExecuteError::Cancelled) => return Err(ExecuteError::Cancelled),
+        Err(error) => {
+            control.log(LogLevel::Warn, format!("the frame is rendered again in one piece: {error}"));
+            return Ok(None);
+        }
+    }
+    let (all, totals) = (settings.pixels(), passes.totals());
+    control.finished_pixels(FinishedPixels {
+        done: all,
+        all,
+        work: totals.work,
+        cpu_nanos: totals.cpu_nanos,
+    });
+    let standing = WorkBudget::new(ready, work).evaluate(&passes)?;
+    let made = standing.made(ready, &passes);
+    Ok(Some(made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered))
 }

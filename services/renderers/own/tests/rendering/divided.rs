@@ -31,7 +31,7 @@ fn farm(rig: &Rig) -> Farm {
 }
 
 /// A room in which the window moves.
-fn moving(rig: Rig) -> Rig {
+pub(crate) fn moving(rig: Rig) -> Rig {
     rig.animate(json!({
         "target": "object:window", "property": "translation", "interpolation": "linear",
         "keys": [{ "frame": 0, "value": [0, 0, 0] }, { "frame": 2, "value": [0, 1, 0] }],
@@ -39,13 +39,13 @@ fn moving(rig: Rig) -> Rig {
     rig
 }
 
-fn result(outcome: &Outcome) -> &RenderResult {
+pub(crate) fn result(outcome: &Outcome) -> &RenderResult {
     let TaskResult::Render(result) = &outcome.result else { panic!("{:?}", outcome.result) };
     result
 }
 
 /// All that does not depend on this machine's time and memory, or on what this run traced.
-fn counted(stats: &RenderStats) -> RenderStats {
+pub(crate) fn counted(stats: &RenderStats) -> RenderStats {
     RenderStats {
         work_by_class: None,
         cpu_seconds: 0.0,
@@ -58,7 +58,7 @@ fn counted(stats: &RenderStats) -> RenderStats {
 }
 
 /// Every channel of an image by name, as bits, without the times of its pixels.
-fn channels(exr: &[u8]) -> Vec<(String, Vec<u32>)> {
+pub(crate) fn channels(exr: &[u8]) -> Vec<(String, Vec<u32>)> {
     use exr::prelude::*;
     let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
     let image = image.all_attributes().from_buffered(std::io::Cursor::new(exr)).unwrap();
@@ -73,7 +73,7 @@ fn channels(exr: &[u8]) -> Vec<(String, Vec<u32>)> {
 }
 
 /// Fails on any difference between two renders of a frame.
-fn assert_same(whole: &Outcome, other: &Outcome, what: &str) {
+pub(crate) fn assert_same(whole: &Outcome, other: &Outcome, what: &str) {
     let (one, two) = (result(whole), result(other));
     assert_eq!(counted(&one.stats), counted(&two.stats), "{what}");
     let pictures = |result: &RenderResult| {

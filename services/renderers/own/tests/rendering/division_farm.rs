@@ -4,8 +4,8 @@ use bytes::Bytes;
 use forelight_preview::Choice;
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillResult, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideResult,
-    DivideSpec, FinishedPart, JobId, PartRange, PixelRange, ProfileSpec, RenderPartResult, RenderPartSpec,
-    RenderSettings, RenderSpec, SceneDigest, Spent, TaskResult, TaskSpec,
+    DivideSpec, FinishedPart, JobId, PartPass, PartRange, Passes, PixelRange, ProfileSpec, RenderPartResult,
+    RenderPartSpec, RenderSettings, RenderSpec, SceneDigest, Spent, TaskResult, TaskSpec,
 };
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome, artifact_name};
 use forelight_renderer_own::{OwnRenderer, TaskRunner};
@@ -24,6 +24,19 @@ pub struct Farm {
     pub profile: Option<Bytes>,
     /// The complete cache that the shot's frames share.
     pub shared: Option<Bytes>,
+    /// Largest work of the frame, if it is rendered in passes.
+    pub work: Option<u64>,
+}
+
+/// A frame that was rendered in passes, and put together.
+pub struct InPasses {
+    pub outcome: Outcome,
+    /// Of each pass, its parts.
+    pub passes: Vec<Vec<RenderPartResult>>,
+    /// The picture after each pass.
+    pub pictures: Vec<Bytes>,
+    /// Work of the tasks that filled the frame's cache.
+    pub filled: u64,
 }
 
 /// A frame that was divided, rendered and put together.
@@ -46,6 +59,7 @@ impl Farm {
             frame,
             profile: None,
             shared: None,
+            work: None,
         }
     }
 
@@ -152,7 +166,7 @@ impl Farm {
             frame: self.frame,
             settings: self.settings.clone().into(),
             renderer: None,
-            work: None,
+            work: self.work,
             profile: Self::named(self.profile.as_ref()),
             cache: Self::named(self.shared.as_ref()),
             frame_cache: Self::named(own),
@@ -186,6 +200,16 @@ impl Farm {
     }
 
     fn division(&self, parts: u32) -> Result<(DivideResult, Vec<Bytes>), ExecuteError> {
+        self.division_after(parts, None, &[])
+    }
+
+    /// Divides the frame after a pass, whose files these are.
+    fn division_after(
+        &self,
+        parts: u32,
+        own: Option<&Bytes>,
+        before: &[Bytes],
+    ) -> Result<(DivideResult, Vec<Bytes>), ExecuteError> {
         let spec = DivideSpec {
             job_id: JobId::new(),
             bundle: self.source(),
@@ -195,9 +219,12 @@ impl Farm {
             parts,
             profile: Self::named(self.profile.as_ref()),
             cache: Self::named(self.shared.as_ref()),
+            frame_cache: Self::named(own),
+            passes: self.work.map(|work| Passes { work, before: vec![FILE; before.len()] }),
         };
-        let caches = self.shared.iter().cloned().collect();
-        let outcome = self.run(Assignment { caches, ..self.assignment(TaskSpec::Divide(spec)) })?;
+        let caches = self.shared.iter().chain(own).cloned().collect();
+        let task = self.assignment(TaskSpec::Divide(spec));
+        let outcome = self.run(Assignment { caches, parts: before.to_vec(), ..task })?;
         let TaskResult::Divide(divided) = outcome.result else { panic!() };
         Ok((divided, outcome.artifacts))
     }
@@ -234,6 +261,7 @@ impl Farm {
             profile: Self::named(self.profile.as_ref()),
             cache: Self::named(self.shared.as_ref()),
             frame_cache: Self::named(own),
+            pass: None,
         };
         let caches = self.shared.iter().chain(own).cloned().collect();
         Assignment { caches, ..self.assignment(TaskSpec::RenderPart(spec)) }
@@ -264,6 +292,65 @@ impl Farm {
             .map(|(part, range)| self.render_part(self.part(Some(range), (part, parts), own.as_ref())));
         let (parts, files) = rendered.unzip();
         Divided { outcome: self.put_together(own.as_ref(), files), divided, parts, filled }
+    }
+}
+
+/// Unfinished pixels of a part of a frame, and their file.
+type PassFile = (PixelRange, Bytes);
+
+impl Farm {
+    /// The task of a part of a pass. `last` are the parts of the pass before.
+    pub fn pass_part(
+        &self,
+        pixels: PixelRange,
+        (part, parts): (u32, u32),
+        (own, samples, last): (Option<&Bytes>, &Bytes, &[PassFile]),
+    ) -> Assignment {
+        let overlaps = |(range, _): &&PassFile| range.from < pixels.to && pixels.from < range.to;
+        let before: Vec<Bytes> = last.iter().filter(overlaps).map(|(_, file)| file.clone()).collect();
+        let mut task = self.part(None, (part, parts), own);
+        let TaskSpec::RenderPart(spec) = &mut task.spec else { panic!() };
+        spec.pass = Some(PartPass { pixels, samples: FILE, before: vec![FILE; before.len()] });
+        Assignment { samples: Some(samples.clone()), parts: before, ..task }
+    }
+
+    /// Renders the frame in passes, whose parts `render` renders.
+    pub fn in_passes(
+        &self,
+        parts: u32,
+        render: &dyn Fn(Assignment) -> (RenderPartResult, Bytes),
+    ) -> InPasses {
+        let (mut divided, mut files) = self.division(parts).unwrap();
+        let planned = divided.cache.map(|cache| (named(&files, cache.hash), cache.full));
+        let (own, filled) = match planned {
+            Some((planned, false)) => {
+                let (cache, work) = self.filled(planned, 3);
+                (Some(cache), work)
+            }
+            planned => (planned.map(|(cache, _)| cache), 0),
+        };
+        let own = own.as_ref();
+        let (mut passes, mut pictures, mut last) = (Vec::new(), Vec::new(), Vec::<PassFile>::new());
+        while let Some(samples) = divided.samples {
+            let samples = named(&files, samples);
+            let mut results = Vec::new();
+            let mut made = Vec::new();
+            for (part, range) in (0..).zip(ranges(&divided)) {
+                let PartRange::Pixels(pixels) = range else { panic!() };
+                let task = self.pass_part(pixels, (part, parts), (own, &samples, &last));
+                let (result, file) = render(task);
+                results.push(result);
+                made.push((pixels, file));
+            }
+            passes.push(results);
+            last = made;
+            let before: Vec<Bytes> = last.iter().map(|(_, file)| file.clone()).collect();
+            (divided, files) = self.division_after(parts, own, &before).unwrap();
+            pictures.push(named(&files, divided.coarse_png.unwrap()));
+        }
+        assert!(divided.ends.is_empty() && divided.work.is_empty(), "{divided:?}");
+        let files = last.into_iter().map(|(_, file)| file).collect();
+        InPasses { outcome: self.put_together(own, files), passes, pictures, filled }
     }
 }
 

@@ -5,6 +5,7 @@ mod divided;
 mod division_farm;
 mod kept;
 mod part_costs;
+mod passes;
 mod quotes;
 mod room;
 mod sharing;

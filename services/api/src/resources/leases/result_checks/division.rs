@@ -11,7 +11,14 @@ use crate::error::ApiResult;
 /// The parts cover the frame once, in their order.
 pub(super) fn divide(spec: &DivideSpec, result: &DivideResult) -> ApiResult<()> {
     const AT: &str = "/result/divide";
-    let parts = spec.parts as usize;
+    let is_over =
+        spec.passes.as_ref().is_some_and(|passes| !passes.before.is_empty()) && result.ends.is_empty();
+    if result.samples.is_some() != (spec.passes.is_some() && !is_over) {
+        let reason =
+            "there are samples for a pass exactly if the frame is rendered in passes, and one is left";
+        return wrong(format!("{AT}/samples"), reason);
+    }
+    let parts = if is_over { 0 } else { spec.parts as usize };
     for (name, found) in [("ends", result.ends.len()), ("work", result.work.len())] {
         if found != parts {
             return wrong(format!("{AT}/{name}"), format!("there are {found} numbers for {parts} parts"));
@@ -21,7 +28,7 @@ pub(super) fn divide(spec: &DivideSpec, result: &DivideResult) -> ApiResult<()> 
         return wrong(format!("{AT}/ends"), "a part ends before the one that it follows");
     }
     let (last, pixels) = (result.ends.last().copied().map(u64::from), spec.settings.pixels());
-    if last != Some(pixels) {
+    if last != Some(pixels) && !is_over {
         let reason = format!("the last part ends at pixel {}; the image has {pixels}", last.unwrap_or(0));
         return wrong(format!("{AT}/ends"), reason);
     }
@@ -35,7 +42,8 @@ pub(super) fn divide(spec: &DivideSpec, result: &DivideResult) -> ApiResult<()> 
 /// The part has what its task asks for.
 pub(super) fn render_part(spec: &RenderPartSpec, result: &RenderPartResult) -> ApiResult<()> {
     const AT: &str = "/result/render_part";
-    match (spec.range, &result.finished) {
+    let pass = spec.pass.as_ref().map(|pass| PartRange::Pixels(pass.pixels));
+    match (spec.range.or(pass), &result.finished) {
         (Some(PartRange::Pixels(range)), FinishedPart::Pixels(PartPixels { count, cost, .. })) => {
             let most = range.to.saturating_sub(range.from);
             if *count > most {

@@ -1,0 +1,66 @@
+//! A divided frame that is rendered in passes: the files between its tasks, and the parts of the next pass.
+
+use crate::error::RenderError;
+use crate::frame::OwnFrame;
+use forelight_forecast::{PixelCurve, Stretch, parts_of_equal_cost};
+use forelight_pictures::tone_map;
+use forelight_tracer::{Advanced, Passes, SampleCounts, SoFar, Totals, Unfinished};
+use image::{Rgb, RgbImage};
+
+impl OwnFrame<'_> {
+    /// Reads a file of unfinished pixels, which must be of this image.
+    pub fn unfinished(&self, bytes: &[u8]) -> Result<Unfinished, RenderError> {
+        let file = Unfinished::from_bytes(bytes)?;
+        if file.fingerprint != self.tracer.fingerprint() || !file.fits(self.frame().camera.pixels()) {
+            let differs = file.origin.unlike_image(&self.tracer.origin());
+            return Err(RenderError::ForeignProfile { differs });
+        }
+        Ok(file)
+    }
+
+    /// Starts some pixels of an image in passes, without samples.
+    pub fn begin_pixels(&self, pixels: &[u32]) -> Passes {
+        Passes::of(&self.tracer, pixels)
+    }
+
+    /// The pixels with their samples so far, to be written to a file.
+    pub fn so_far(&self, passes: &Passes) -> Unfinished {
+        passes.unfinished(&self.tracer)
+    }
+
+    /// Brings pixels to these camera samples, on the current thread pool. Any irradiance cache must be filled.
+    /// `advanced` gets pixels that are done. Returns the cost.
+    pub fn advance(
+        &self,
+        passes: &mut Passes,
+        wanted: &SampleCounts,
+        stop: &(dyn Fn() -> bool + Sync),
+        advanced: &(dyn Fn(&Advanced<'_>) + Sync),
+    ) -> Result<Totals, RenderError> {
+        Ok(passes.go_on(&self.tracer, wanted, stop, advanced)?)
+    }
+
+    /// Divides the next pass into parts of equal forecast work: further samples of a pixel cost what its first
+    /// ones did.
+    pub fn divide_pass(&self, passes: &Passes, wanted: &SampleCounts, parts: u32) -> Vec<Stretch> {
+        let camera = &self.frame().camera;
+        let (curve, so_far) = (PixelCurve::new(camera.width, camera.height), passes.so_far());
+        let cost = |pixel: u32| {
+            let SoFar { samples, work, .. } = so_far[pixel as usize];
+            let more = u32::from(wanted.as_slice()[pixel as usize]).saturating_sub(samples);
+            (work as f64 / f64::from(samples.max(1)) * f64::from(more)).round() as u64
+        };
+        let places = curve.pixels(0..curve.count()).into_iter();
+        let runs: Vec<Stretch> =
+            places.zip(1..).map(|(pixel, to)| Stretch { to, cost: cost(pixel) }).collect();
+        parts_of_equal_cost(&runs, parts)
+    }
+}
+
+/// The image so far, as a picture.
+pub(crate) fn picture(passes: &Passes) -> RgbImage {
+    let image = passes.image();
+    RgbImage::from_fn(image.width, image.height, |x, y| {
+        Rgb(tone_map(image.pixels[(y * image.width + x) as usize].color))
+    })
+}

@@ -1,0 +1,141 @@
+//! Frames that are divided anew before each pass over their pixels have the bits of frames in one piece.
+
+use crate::divided::{assert_same, moving, result};
+use crate::division_farm::{Farm, InPasses, pixels};
+use crate::room::Rig;
+use bytes::Bytes;
+use forelight_protocol::{Integrator, RenderPartResult, RenderSettings, TaskResult};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError};
+use forelight_tracer::Unfinished;
+use std::cell::RefCell;
+use std::time::Duration;
+
+/// A frame that gets so many times the work of one sample in every pixel.
+fn farm(rig: &Rig, times: u64) -> Farm {
+    let settings = RenderSettings { spp: 1, ..rig.settings.clone() };
+    let mut farm = Farm::new(&rig.bundle(), settings, 1);
+    let stats = result(&farm.whole()).stats.clone();
+    let cache = stats.cache.map_or(0, |cache| cache.plan_work + cache.fill_work);
+    farm.work = Some(cache + times * (stats.work - cache));
+    farm
+}
+
+/// Renders a frame in passes, by several numbers of parts.
+fn check(farm: &Farm, counts: &[u32], what: &str) {
+    let whole = farm.whole();
+    let stats = &result(&whole).stats;
+    let allotted = stats.allotted.as_ref().expect("samples go where they help");
+    assert!(allotted.most > allotted.least, "{what}: {allotted:?}");
+    for &parts in counts {
+        let what = format!("{what}, {parts} parts");
+        let InPasses { outcome, passes, pictures, filled } =
+            farm.in_passes(parts, &|task| farm.render_part(task));
+        assert_same(&whole, &outcome, &what);
+        assert!(passes.len() > 2, "{what}: {} passes", passes.len());
+        assert_eq!(pictures.len(), passes.len(), "{what}");
+        let last = image::load_from_memory(pictures.last().unwrap()).unwrap().into_rgb8();
+        let png = &result(&outcome).artifacts.image_png;
+        let image = image::load_from_memory(&crate::division_farm::named(&outcome.artifacts, *png)).unwrap();
+        assert!(last == image.into_rgb8(), "{what}: the last picture is not the image");
+        // What the parts of all passes trace is what a frame in one piece traces.
+        let cost: u64 = passes.iter().flatten().map(|part| pixels(part).1.work).sum();
+        let cache = stats.cache.map_or(0, |cache| cache.plan_work + cache.fill_work);
+        assert_eq!(cost, stats.work - cache - stats.work_by_class.unwrap().build, "{what}");
+        assert_eq!(filled, stats.cache.map_or(0, |cache| cache.fill_work), "{what}");
+        for pass in &passes {
+            let count: u64 = pass.iter().map(|part| pixels(part).0).sum();
+            assert_eq!(count, farm.settings.pixels(), "{what}: a pass has all pixels");
+        }
+    }
+}
+
+#[test]
+fn a_frame_in_passes_has_the_bits_of_one_in_one_piece_with_every_integrator() {
+    for (integrator, bounces) in
+        [(Integrator::Ambient, 0), (Integrator::Ambient, 1), (Integrator::Ambient, 2), (Integrator::Path, 3)]
+    {
+        let mut rig = Rig::new();
+        rig.settings.integrator = integrator;
+        rig.settings.ambient_bounces = bounces;
+        check(&farm(&rig, 24), &[1, 2, 7, 64], &format!("{integrator:?} {bounces}"));
+    }
+}
+
+#[test]
+fn a_frame_in_passes_that_makes_its_own_cache_has_the_bits_of_one_in_one_piece() {
+    for bounces in [1, 2] {
+        for moves in [false, true] {
+            let rig = if moves { moving(Rig::cached(bounces)) } else { Rig::cached(bounces) };
+            check(&farm(&rig, 40), &[1, 3, 64], &format!("{bounces} bounces, moving: {moves}"));
+        }
+    }
+}
+
+#[test]
+fn the_parts_of_a_pass_have_about_equal_work() {
+    let rig = Rig::new();
+    let farm = farm(&rig, 200);
+    let made = farm.in_passes(4, &|task| farm.render_part(task));
+    let work = |part: &RenderPartResult| pixels(part).1.work as f64;
+    for (pass, number) in made.passes.iter().zip(0..).skip(1) {
+        let mean = pass.iter().map(work).sum::<f64>() / pass.len() as f64;
+        let most = pass.iter().map(work).fold(0.0, f64::max);
+        assert!(most < 1.25 * mean, "pass {number}: the longest part has {} times the mean", most / mean);
+    }
+}
+
+#[test]
+fn a_part_of_a_pass_that_was_broken_off_goes_on_from_its_samples_to_the_same_bits() {
+    for rig in [Rig::new(), Rig::cached(1)] {
+        let farm = farm(&rig, 60);
+        let whole = farm.whole();
+        let broken_off = RefCell::new(0);
+        let render = |task: Assignment| {
+            let control = Control::with_checkpoints(Duration::ZERO);
+            let checkpoint = std::thread::scope(|scope| {
+                let work = scope.spawn(|| farm.execute(&task, &control));
+                let mut checkpoint = None;
+                while checkpoint.is_none() && !work.is_finished() {
+                    checkpoint = control.take_checkpoint();
+                    std::thread::yield_now();
+                }
+                control.cancel();
+                let ended = work.join().unwrap();
+                assert!(matches!(ended, Err(ExecuteError::Cancelled) | Ok(_)), "{ended:?}");
+                control.take_checkpoint().or(checkpoint)
+            });
+            let control = Control::default();
+            let taken =
+                checkpoint.as_ref().map_or(0, |bytes| Unfinished::from_bytes(bytes).unwrap().totals().work);
+            let outcome = farm.execute(&Assignment { checkpoint, ..task }, &control).unwrap();
+            let TaskResult::RenderPart(result) = outcome.result else { panic!() };
+            let (_, cost) = pixels(&result);
+            let told = control.pixels().unwrap();
+            assert_eq!((told.done, told.work), (told.all, cost.work), "taken over: {taken}");
+            *broken_off.borrow_mut() += u32::from(taken > 0);
+            (result, outcome.artifacts[0].clone())
+        };
+        let made = farm.in_passes(2, &render);
+        assert_same(&whole, &made.outcome, "broken off");
+        assert!(*broken_off.borrow() > 2, "{} parts went on from their samples", broken_off.borrow());
+    }
+}
+
+#[test]
+fn a_frame_whose_passes_cannot_be_read_is_rendered_again() {
+    let rig = Rig::cached(1);
+    let farm = farm(&rig, 12);
+    let files = RefCell::new(Vec::new());
+    let keep = |task| {
+        let (result, file) = farm.render_part(task);
+        files.borrow_mut().push(file.clone());
+        (result, file)
+    };
+    let made = farm.in_passes(2, &keep);
+    let mut damaged: Vec<Bytes> = files.borrow().iter().rev().take(2).rev().cloned().collect();
+    damaged[1] = Bytes::from_static(b"FLpass00 of another version");
+    let whole = farm.whole();
+    assert_same(&whole, &made.outcome, "not damaged");
+    // Its cache is not among the files, so the frame makes it again.
+    assert_same(&whole, &farm.put_together(None, damaged), "damaged");
+}
