@@ -2497,8 +2497,10 @@ export interface components {
         DivideResult: {
             cache?: components["schemas"]["FrameCache"] | null;
             coarse_png?: components["schemas"]["ArtifactHash"] | null;
-            /** @description Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels. */
+            /** @description Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels. Empty
+             *     if the frame is rendered in passes, and the last one is over. */
             ends: number[];
+            samples?: components["schemas"]["ArtifactHash"] | null;
             /** @description Cost of the task. */
             spent: components["schemas"]["Spent"];
             /** @description Forecast work of each part, without what every part pays for itself. */
@@ -2516,6 +2518,7 @@ export interface components {
              * @description The frame.
              */
             frame: number;
+            frame_cache?: components["schemas"]["ArtifactHash"] | null;
             /** @description The job. */
             job_id: components["schemas"]["JobId"];
             /**
@@ -2523,6 +2526,7 @@ export interface components {
              * @description Number of parts.
              */
             parts: number;
+            passes?: components["schemas"]["Passes"] | null;
             profile?: components["schemas"]["ArtifactHash"] | null;
             /** @description The job's settings. */
             settings: components["schemas"]["RenderSettings"];
@@ -4175,9 +4179,19 @@ export interface components {
          * @description Number of parts of a frame: 2 to 512.
          */
         PartCount: number;
-        /** @description Finished pixels of a part, for the task that puts the image together. */
+        /** @description What a part does in one pass over a frame. */
+        PartPass: {
+            /** @description Files of the last pass that hold pixels of this part. Empty in the first pass. */
+            before?: components["schemas"]["ArtifactHash"][];
+            /** @description The pixels of the part. Parts of passes have no other range, so that a worker which knows no passes cannot
+             *     render them in another way. */
+            pixels: components["schemas"]["PixelRange"];
+            /** @description File with the number of samples that each pixel of the image has after the pass. */
+            samples: components["schemas"]["ArtifactHash"];
+        };
+        /** @description Pixels of a part, for the task that puts the image together or divides the frame for the next pass. */
         PartPixels: {
-            /** @description Cost of these pixels alone. */
+            /** @description Cost of these pixels alone, or of what one pass adds to them. */
             cost: components["schemas"]["Spent"];
             /**
              * Format: int32
@@ -4207,6 +4221,17 @@ export interface components {
             /**
              * Format: double
              * @description Its work.
+             */
+            work: number;
+        };
+        /** @description A divided frame whose samples go where they reduce the error most. The nodes share the pixels of each pass.
+         *     After it, the frame is divided anew: the image so far shows where the next samples go. */
+        Passes: {
+            /** @description Unfinished pixels after the last pass: the files of its parts. Empty before the first. */
+            before?: components["schemas"]["ArtifactHash"][];
+            /**
+             * Format: int64
+             * @description Largest work of the frame.
              */
             work: number;
         };
@@ -4946,6 +4971,7 @@ export interface components {
              * @description Number of parts of the frame.
              */
             parts: number;
+            pass?: components["schemas"]["PartPass"] | null;
             profile?: components["schemas"]["ArtifactHash"] | null;
             range?: components["schemas"]["PartRange"] | null;
             renderer?: components["schemas"]["RendererRequest"] | null;
