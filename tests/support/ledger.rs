@@ -135,8 +135,11 @@ const WRONGS: [(&str, &str); 14] = [
     ),
     ("leases that are still held", "SELECT count(*) FROM leases WHERE state = 'active'"),
     (
-        "tasks without exactly one committed lease",
-        "SELECT count(*) FROM tasks t WHERE (SELECT count(*) FROM leases l WHERE l.task_id = t.id AND l.state = 'committed') <> 1",
+        "tasks without exactly one committed lease, or one for each pass over their frame",
+        "SELECT count(*) FROM tasks t WHERE (SELECT count(*) FROM leases l WHERE l.task_id = t.id AND l.state = 'committed') <> \
+         CASE WHEN t.kind IN ('divide', 'render_part') THEN ifnull((SELECT count(*) - (t.kind = 'render_part') FROM leases l \
+         JOIN tasks d ON d.id = l.task_id WHERE d.job_id = t.job_id AND d.frame = t.frame AND d.kind = 'divide' \
+         AND json_extract(d.spec, '$.divide.passes') IS NOT NULL AND l.state = 'committed' HAVING count(*) > 0), 1) ELSE 1 END",
     ),
     (
         "tasks without exactly one result",
@@ -152,11 +155,13 @@ const WRONGS: [(&str, &str); 14] = [
     ),
     (
         "tasks whose lost workers were miscounted",
-        "SELECT count(*) FROM tasks t WHERE t.expiries <> (SELECT count(*) FROM leases l WHERE l.task_id = t.id AND l.state = 'expired')",
+        // A task that has a pass behind it begins to count anew.
+        "SELECT count(*) FROM tasks t WHERE t.expiries <> (SELECT count(*) FROM leases l WHERE l.task_id = t.id AND l.state = 'expired' \
+         AND l.fence > ifnull((SELECT max(c.fence) FROM leases c WHERE c.task_id = t.id AND c.state = 'committed' AND c.fence < t.fence), 0))",
     ),
     (
         "results that were not told, or told twice",
-        "SELECT abs((SELECT count(*) FROM events WHERE kind = 'task_done') - (SELECT count(*) FROM results))",
+        "SELECT abs((SELECT count(*) FROM events WHERE kind = 'task_done') - (SELECT count(*) FROM leases WHERE state = 'committed'))",
     ),
     (
         "hand-outs that were not told, or told twice",
