@@ -233,16 +233,32 @@ pub struct PartPass {
 }
 
 /// Result of rendering one part of a frame.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderPartResult {
     /// What is finished.
     pub finished: FinishedPart,
+    /// What is left, if the worker was told to leave the rest of its pixels to other nodes. Absent if nothing is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rest: Option<RestOfPart>,
     /// Cost of the task, including what each part pays for itself: loading, its acceleration structure.
     pub spent: Spent,
     /// Largest resident memory in bytes. 0 if unknown.
     #[serde(default)]
     pub peak_memory_bytes: u64,
+}
+
+/// Where a part is divided again that takes longer than forecast. The first piece is finished; others are new parts
+/// of the frame.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RestOfPart {
+    /// Where each piece ends along the curve, ascending. The last one is the end of the part.
+    #[schema(min_items = 2, max_items = 512)]
+    pub ends: Vec<u32>,
+    /// Work of each piece: of the first one as measured, of the others as forecast.
+    #[schema(min_items = 2, max_items = 512)]
+    pub work: Vec<u64>,
 }
 
 /// A finished part of a frame.

@@ -96,7 +96,7 @@ pub use dashboard::{
 };
 pub use division::{
     DivideResult, DivideSpec, Division, FinishedPart, FrameCache, FramePart, MOST_PARTS, PartCount, PartPass,
-    PartPixels, PartRange, Passes, PixelRange, RenderPartResult, RenderPartSpec, SampleRange,
+    PartPixels, PartRange, Passes, PixelRange, RenderPartResult, RenderPartSpec, RestOfPart, SampleRange,
 };
 pub use event::{Event, EventKind, FrameCost, JobNews, JobTerms};
 pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};

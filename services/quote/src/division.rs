@@ -38,11 +38,22 @@ pub fn parts(asked: Division, frame_seconds: f64, overhead_seconds: f64, most: u
         Division::Whole => Parts::UpTo(1),
         Division::Into(PartCount(parts)) => Parts::Exactly(parts.clamp(1, most)),
         Division::Auto => {
-            let least = LEAST_PART_SECONDS.max(overhead_seconds / MOST_OVERHEAD);
             // The conversion saturates, and what is no number is 0.
-            Parts::UpTo(((frame_seconds / least) as u32).clamp(1, most))
+            Parts::UpTo(((frame_seconds / least_part(overhead_seconds)) as u32).clamp(1, most))
         }
     }
+}
+
+/// Into how many parts the rest of a part is divided that takes longer than forecast, so that idle nodes help. `rest`
+/// is how long it would take. 1: it is not divided.
+pub fn parts_of_rest(rest_seconds: f64, overhead_seconds: f64, idle_nodes: u32) -> u32 {
+    ((rest_seconds / least_part(overhead_seconds)) as u32)
+        .clamp(1, idle_nodes.saturating_add(1).min(MOST_PARTS))
+}
+
+/// Seconds of the shortest part that pays.
+fn least_part(overhead_seconds: f64) -> f64 {
+    LEAST_PART_SECONDS.max(overhead_seconds / MOST_OVERHEAD)
 }
 
 /// The samples of each part of a frame that has `samples` in every pixel, after those that are finished. They
@@ -102,5 +113,16 @@ mod tests {
         assert_eq!(parts(Division::Whole, 1e9, 0.0, MOST_PARTS), Parts::UpTo(1));
         assert_eq!(parts(Division::Into(PartCount(8)), 1.0, 1.0, MOST_PARTS), Parts::Exactly(8));
         assert_eq!(parts(Division::Into(PartCount(8)), 1.0, 1.0, 3), Parts::Exactly(3));
+    }
+
+    #[test]
+    fn the_rest_of_a_part_is_divided_while_nodes_are_idle_and_pieces_are_worth_it() {
+        assert_eq!(parts_of_rest(3_600.0, 0.1, 3), 4);
+        assert_eq!(parts_of_rest(3_600.0, 0.1, 0), 1);
+        assert_eq!(parts_of_rest(119.0, 0.1, 9), 1);
+        assert_eq!(parts_of_rest(130.0, 0.1, 9), 2);
+        assert_eq!(parts_of_rest(3_600.0, 36.0, 9), 2);
+        assert_eq!(parts_of_rest(f64::NAN, 0.1, 9), 1);
+        assert_eq!(parts_of_rest(1e12, 0.1, u32::MAX), MOST_PARTS);
     }
 }

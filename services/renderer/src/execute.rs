@@ -9,7 +9,7 @@ use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 use tempfile::TempDir;
 
@@ -110,6 +110,8 @@ pub struct Control {
     checkpoint: Mutex<Option<Bytes>>,
     pixels: Mutex<Option<FinishedPixels>>,
     before_pixels: Mutex<Spent>,
+    /// Into how many parts the rest is to be divided. 0: it is not.
+    divide_rest: AtomicU32,
 }
 
 /// Log lines of one attempt at a task.
@@ -143,6 +145,16 @@ impl Control {
     /// Takes the checkpoint that was offered since the last call.
     pub fn take_checkpoint(&self) -> Option<Bytes> {
         self.checkpoint.lock().take()
+    }
+
+    /// Has the pixels that are not begun left to others, in so many parts.
+    pub fn divide_rest(&self, parts: u32) {
+        self.divide_rest.store(parts, Ordering::Relaxed);
+    }
+
+    /// Into how many parts the pixels are to be divided that are not begun, if others are to render them.
+    pub fn rest_in_parts(&self) -> Option<u32> {
+        Some(self.divide_rest.load(Ordering::Relaxed)).filter(|&parts| parts > 1)
     }
 
     /// Adds finished pixels and their cost. The first call sets the number of all pixels.

@@ -191,6 +191,7 @@ impl Task<'_> {
         let share = SampleShare { offset, count, cpu_nanos, hash: files.add(read(&artefact.path)?) };
         let result = RenderPartResult {
             finished: FinishedPart::Samples(share),
+            rest: None,
             spent: as_spent(measured.cost.cpu_nanos),
             peak_memory_bytes: measured.cost.peak_memory_bytes,
         };

@@ -187,7 +187,8 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at, beside, p95) \
          VALUES (?, ?, ?, ?, ?, 'active', ?, ?, \
          coalesce((SELECT 1 - o.beside FROM leases o WHERE o.task_id = ? AND o.state = 'active'), 0), \
-         (SELECT CAST(f.cpu_p95 / f.parts * j.factor / ? * 1000000 AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
+         (SELECT CAST(f.cpu_p95 * ifnull((SELECT share FROM tasks WHERE id = ?), 1.0 / f.parts) * j.factor / ? * 1000000 \
+                      AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
          WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0 AND (? = 'render_part' OR f.parts = 1)))",
         lease.lease_id.0,
         task_id.0,
@@ -196,6 +197,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         speed,
         now.micros(),
         lease.expires_at.micros(),
+        task_id.0,
         task_id.0,
         speed * f64::from(node.cores),
         job_id.0,

@@ -15,6 +15,7 @@
 //! A frame is divided only while no worker has had it. Once it is, it stays so. A frame whose samples go where they
 //! help is divided anew before each pass over its pixels: see [`passes`].
 
+pub(crate) mod again;
 mod passes;
 
 use std::collections::BTreeMap;
@@ -189,6 +190,9 @@ pub(crate) async fn part_rendered(
         cpu_at_speed_one,
         row.task_id.0
     );
+    if let Some(rest) = &result.rest {
+        again::divide_rest(write, row, frame, rest).await?;
+    }
     add_up(write, row.job_id, frame).await?;
     let is_any_left = sqlx::query_scalar!(
         r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE job_id = ? AND kind = 'render_part' AND frame = ? AND state <> 'done')
@@ -287,16 +291,17 @@ async fn put_together(
     Ok(())
 }
 
-/// Writes to the frame's render task how far its parts are. They have equal forecast cost; in passes, the work of the
-/// whole frame is known.
+/// Writes to the frame's render task how far its parts are. Each has its share of the
+/// forecast cost; in passes, the work of the whole frame is known.
 pub(crate) async fn add_up(write: &mut Write, job: JobId, frame: u32) -> Result<()> {
     run!(
         write,
         "UPDATE tasks SET (progress, pixels_share, pixels_work, pixels_cpu) = \
          (SELECT iif(whole IS NULL, progress, min(work / whole, 1.0)), \
                  iif(whole IS NULL, min(share, 1.0), min(work / whole, 1.0)), work, cpu FROM \
-          (SELECT avg(CASE p.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN p.progress ELSE 0.0 END) AS progress, \
-                  avg(ifnull(p.pixels_share, 0.0)) AS share, \
+          (SELECT total(ifnull(p.share, 1.0) * CASE p.state WHEN 'done' THEN 1.0 WHEN 'leased' THEN p.progress ELSE 0.0 END) \
+                  / total(ifnull(p.share, 1.0)) AS progress, \
+                  total(ifnull(p.share, 1.0) * ifnull(p.pixels_share, 0.0)) / total(ifnull(p.share, 1.0)) AS share, \
                   total(p.pixels_work) + total(p.earlier_work) AS work, \
                   total(p.pixels_cpu) + total(p.earlier_cpu) AS cpu, \
                   max(json_extract(tasks.spec, '$.render.work'), 1.0) AS whole \

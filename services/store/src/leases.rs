@@ -103,6 +103,8 @@ pub(crate) struct LeaseRow {
     pub has_another: bool,
     /// Whether the task's frame is divided into parts.
     pub is_divided: bool,
+    /// Into how many parts the worker is to divide what it has not begun.
+    pub divide_rest: Option<u32>,
 }
 
 impl LeaseRow {
@@ -119,7 +121,7 @@ macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
             "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.part, t.renderer, t.failures, \
-             t.expiries, l.progress, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
+             t.expiries, l.progress, l.divide_rest, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
              (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar, \
              EXISTS (SELECT 1 FROM leases o WHERE o.task_id = t.id AND o.state = 'active' AND o.id <> l.id) \
              AS has_another, coalesce((SELECT f.parts > 1 FROM frames f WHERE f.job_id = t.job_id AND f.frame = t.frame), 0) \

@@ -155,7 +155,7 @@ impl Store {
                       coalesce(b.start_at, s.start_at) AS "start_at?: Time", coalesce(b.end_at, s.end_at) AS "end_at?: Time",
                       CASE t.kind WHEN 'cache_fill' THEN json_extract(j.forecast, '$.cache.shared_cache.cpu_seconds.p95')
                                                          / json_extract(t.spec, '$.cache_fill.parts')
-                           WHEN 'render_part' THEN f.cpu_p95 / f.parts
+                           WHEN 'render_part' THEN f.cpu_p95 * ifnull(t.share, 1.0 / f.parts)
                            WHEN 'render' THEN iif(f.parts = 1, f.cpu_p95, NULL) ELSE f.cpu_p95 END AS "cpu_p95?: f64",
                       (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements
                        WHERE task_id = t.id) AS "lost?: String",

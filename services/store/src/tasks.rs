@@ -270,6 +270,11 @@ impl Common {
         self.insert(write, TaskSpec::RenderPart(spec), state, None).await
     }
 
+    /// Makes the task of one more part of a frame.
+    pub(crate) async fn one_more_part(&self, write: &mut Write, spec: RenderPartSpec) -> Result<()> {
+        self.insert(write, TaskSpec::RenderPart(spec), READY, None).await
+    }
+
     /// Makes the task of the video, or lets it begin again.
     pub(crate) async fn video(
         &self,

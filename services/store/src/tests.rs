@@ -166,6 +166,7 @@ impl Farm {
                         }
                         _ => FinishedPart::Pixels(PartPixels { hash, count: 100, cost }),
                     },
+                    rest: None,
                     spent: cost,
                     peak_memory_bytes: 0,
                 })

@@ -24,7 +24,7 @@ use glam::Vec3;
 use parking_lot::Mutex;
 use rayon::prelude::*;
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 pub use prepare::Trees;
@@ -355,7 +355,7 @@ impl Tracer {
         let tiles: Vec<Vec<u32>> = (0..tiling.count()).map(open).collect();
         let before = reused.iter().filter(|&&known| known).count() as u64;
         progress(before);
-        let traced = self.trace(&tiles, &|done| progress(before + done), finished, cancel)?;
+        let traced = self.trace(&tiles, &|| false, &|done| progress(before + done), finished, cancel)?;
         for (index, pixel) in traced.into_iter().flatten() {
             known[index as usize] = Some(pixel);
         }
@@ -363,17 +363,20 @@ impl Tracer {
         Some(Image { width, height, pixels: pixels?, reused })
     }
 
-    /// Traces lists of pixels, by row-major indices, on the current thread pool. One thread traces a list, in
-    /// its order. Any cache must be filled. `progress` receives the number of pixels done, and `finished` the
-    /// pixels of each list once traced, including those of an interrupted one. `None` if `cancel` was set.
+    /// Traces lists of pixels, by row-major indices, on the current thread pool. Lists are begun in their order, and
+    /// one thread traces a list, in its order. Any cache must be filled. No further list is begun once `enough`
+    /// returns true: the lists returned are the first ones. `progress` receives the number of pixels done, and
+    /// `finished` the pixels of each list once traced, including those of an interrupted one. `None` if `cancel` was
+    /// set.
     pub fn trace(
         &self,
         lists: &[Vec<u32>],
+        enough: &(dyn Fn() -> bool + Sync),
         progress: &(dyn Fn(u64) + Sync),
         finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Option<Vec<Vec<(u32, Pixel)>>> {
-        let done = AtomicU64::new(0);
+        let (next, done) = (AtomicUsize::new(0), AtomicU64::new(0));
         let wanted = || !cancel.load(Ordering::Relaxed);
         let trace = |list: &Vec<u32>| {
             let pixels = || {
@@ -388,8 +391,21 @@ impl Tracer {
             progress(done.fetch_add(count, Ordering::Relaxed) + count);
             traced
         };
-        let traced = lists.par_iter().map(trace).collect();
-        wanted().then_some(traced)
+        // Each thread takes the next list that nobody has begun.
+        let take = |_| {
+            let mut own = Vec::new();
+            while wanted() && !enough() {
+                let place = next.fetch_add(1, Ordering::Relaxed);
+                let Some(list) = lists.get(place) else { break };
+                own.push((place, trace(list)));
+            }
+            own
+        };
+        let threads = rayon::current_num_threads();
+        let mut traced: Vec<_> =
+            (0..threads).into_par_iter().with_max_len(1).map(take).collect::<Vec<_>>().concat();
+        traced.sort_unstable_by_key(|(place, _)| *place);
+        wanted().then(|| traced.into_iter().map(|(_, pixels)| pixels).collect())
     }
 
     /// Traces the first camera samples alone of pixels, by row-major index, on the current thread pool.

@@ -496,6 +496,7 @@ impl Agent {
                 Ok(renewed) => {
                     self.heed(&renewed, lease);
                     control.sent(&renewal.log);
+                    renewed.divide_rest.into_iter().for_each(|parts| control.divide_rest(parts));
                     if renewed.order != order {
                         order = renewed.order;
                         let paused = order == LeaseOrder::Pause;

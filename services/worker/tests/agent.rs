@@ -107,7 +107,7 @@ async fn renew(State(farm): State<Shared>, Json(renewal): Json<RenewRequest>) ->
             let now = Timestamp::now();
             let expires_at = now.plus_micros(TTL_MS as i64 * 1000);
             let sleep_until = farm.bedtime.map(|micros| now.plus_micros(micros));
-            Json(Renewal { expires_at, order, drain: false, sleep_until }).into_response()
+            Json(Renewal { expires_at, order, drain: false, sleep_until, divide_rest: None }).into_response()
         }
         Err(kind) => problem(kind),
     }

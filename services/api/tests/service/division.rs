@@ -174,9 +174,27 @@ async fn what_does_not_divide_a_frame_is_refused_with_its_place() {
     let forelight_protocol::FinishedPart::Pixels(pixels) = good.finished else { panic!() };
     let finished =
         forelight_protocol::FinishedPart::Pixels(forelight_protocol::PartPixels { count: 65, ..pixels });
-    let result = TaskResult::RenderPart(forelight_protocol::RenderPartResult { finished, ..good });
+    let result = TaskResult::RenderPart(forelight_protocol::RenderPartResult { finished, ..good.clone() });
     let problem = farm.report(&lease, result).await.problem(ProblemKind::Invalid).await;
     assert_eq!(problem.pointer.as_deref(), Some("/result/render_part/finished/pixels/count"));
+    // The first part has the pixels 0 to 31.
+    for (ends, work) in [
+        (vec![10], vec![1]),
+        (vec![10, 32], vec![1]),
+        (vec![20, 10, 32], vec![1, 1, 1]),
+        (vec![10, 20, 31], vec![1, 1, 1]),
+        (vec![10, 20, 33], vec![1, 1, 1]),
+        (vec![10; 513], vec![1; 513]),
+    ] {
+        let rest = Some(forelight_protocol::RestOfPart { ends, work });
+        let result = TaskResult::RenderPart(forelight_protocol::RenderPartResult { rest, ..good.clone() });
+        let problem = farm.report(&lease, result).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some("/result/render_part/rest/ends"));
+    }
+    let rest = Some(forelight_protocol::RestOfPart { ends: vec![10, 32], work: vec![1, 1] });
+    let result = TaskResult::RenderPart(forelight_protocol::RenderPartResult { rest, ..good });
+    assert_eq!(farm.report(&lease, result).await.status(), StatusCode::OK);
+    assert_eq!(farm.frame(&job, 0).await.parts, 3);
 }
 
 #[tokio::test(flavor = "multi_thread")]

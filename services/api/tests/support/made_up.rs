@@ -78,7 +78,7 @@ impl Farm {
                 FinishedPart::Samples(SampleShare { offset, count, cpu_nanos: cost.cpu_nanos, hash })
             }
         };
-        RenderPartResult { finished, spent: cost, peak_memory_bytes: 1 << 20 }
+        RenderPartResult { finished, rest: None, spent: cost, peak_memory_bytes: 1 << 20 }
     }
 
     async fn profile(&self, spec: &ProfileSpec) -> ProfileResult {

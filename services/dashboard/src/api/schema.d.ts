@@ -4943,6 +4943,7 @@ export interface components {
              * @description Largest resident memory in bytes. 0 if unknown.
              */
             peak_memory_bytes?: number;
+            rest?: components["schemas"]["RestOfPart"] | null;
             /** @description Cost of the task, including what each part pays for itself: loading, its acceleration structure. */
             spent: components["schemas"]["Spent"];
         };
@@ -5260,6 +5261,12 @@ export interface components {
         };
         /** @description The answer to a renewal. */
         Renewal: {
+            /**
+             * Format: int32
+             * @description For a part of a frame that takes longer than forecast while nodes are idle: into how many parts the pixels are
+             *     divided that are not begun. Finish those that are, and report the rest. Absent otherwise.
+             */
+            divide_rest?: number | null;
             /** @description Whether the node is being drained, so that this is its last task for now. */
             drain?: boolean;
             /** @description When the lease expires unless it is renewed again. */
@@ -5267,6 +5274,14 @@ export interface components {
             /** @description The order to the worker. */
             order: components["schemas"]["LeaseOrder"];
             sleep_until?: components["schemas"]["Timestamp"] | null;
+        };
+        /** @description Where a part is divided again that takes longer than forecast. The first piece is finished; others are new parts
+         *     of the frame. */
+        RestOfPart: {
+            /** @description Where each piece ends along the curve, ascending. The last one is the end of the part. */
+            ends: number[];
+            /** @description Work of each piece: of the first one as measured, of the others as forecast. */
+            work: number[];
         };
         /** @description The answer to the end of a task. It is sent after the result is committed to the database. */
         ResultAnswer: {

@@ -34,7 +34,9 @@ impl Store {
         let row = read_in(&mut write, lease).await?;
         let sleep_until = sleep_of(write.connection().await?, row.node_id, row.has_calendar, now).await?;
         if row.fence == fence && row.state == LeaseState::Revoked {
-            return Ok(Renewal { expires_at: now, order: LeaseOrder::Stop, drain: row.drain, sleep_until });
+            let order = LeaseOrder::Stop;
+            let drain = row.drain;
+            return Ok(Renewal { expires_at: now, order, drain, sleep_until, divide_rest: None });
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
@@ -91,7 +93,7 @@ impl Store {
         logs::keep(&mut write, &row, log).await?;
         self.commit(write).await?;
         let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
-        Ok(Renewal { expires_at, order, drain: row.drain, sleep_until })
+        Ok(Renewal { expires_at, order, drain: row.drain, sleep_until, divide_rest: row.divide_rest })
     }
 
     /// Gives a task back unfinished. This counts neither as an error nor as an expiry. Does nothing if the

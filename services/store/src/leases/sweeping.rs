@@ -47,6 +47,7 @@ impl Store {
         forget_old_deliveries(&mut write, now).await?;
         self.commit(write).await?;
         self.look_at_running(now).await?;
+        self.divide_late_parts(now).await?;
         self.forget_checkpoints().await?;
         Ok(swept)
     }

@@ -168,7 +168,7 @@ fn in_order(a: &NodePlace, b: &NodePlace) -> std::cmp::Ordering {
     a.number.total_cmp(&b.number).then_with(|| a.name.cmp(&b.name)).then(a.id.cmp(&b.id))
 }
 
-/// All nodes without their tasks and what their machines can do. Oldest first.
+/// All nodes without what their machines can do. Oldest first.
 pub(crate) async fn without_capabilities(connection: &mut SqliteConnection) -> Result<Vec<Node>> {
     let rows = node_rows!(brief, "WHERE n.removed_at IS NULL ORDER BY n.id").fetch_all(connection).await?;
     Ok(rows.into_iter().map(Node::from).collect())

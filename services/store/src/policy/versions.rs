@@ -31,7 +31,7 @@ pub(crate) fn is_left(nodes: &[Node], version: &str, now: Timestamp) -> bool {
     nodes.iter().any(|node| node.own_version() == Some(version) && works(node))
 }
 
-fn is_there(node: &Node, now: Timestamp) -> bool {
+pub(crate) fn is_there(node: &Node, now: Timestamp) -> bool {
     silence(node, now) <= LOST
 }
 

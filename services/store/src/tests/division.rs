@@ -1,8 +1,8 @@
 //! Frames that are divided into parts.
 
 use forelight_protocol::{
-    DivideResult, DivideSpec, FrameCache, FramePart, FrameSet, FrameState, JobState, PartPass, PartRange,
-    PixelRange, TaskKind,
+    DivideResult, DivideSpec, FinishedPixels, FrameCache, FramePart, FrameSet, FrameState, JobState,
+    PartPass, PartRange, PixelRange, RestOfPart, TaskKind,
 };
 
 use super::*;
@@ -61,6 +61,7 @@ impl Farm {
         let hash = self.artifact(file).await;
         let result = TaskResult::RenderPart(RenderPartResult {
             finished: FinishedPart::Pixels(PartPixels { hash, count: 100, cost }),
+            rest: None,
             spent: cost,
             peak_memory_bytes: 0,
         });
@@ -356,4 +357,68 @@ async fn the_cache_of_a_frame_in_passes_stays_for_all_of_them() {
     assert_eq!((again.frame_cache, again.passes.unwrap().before.len()), (cache, 0));
     let rest = [(part, Some(0)), (part, Some(1)), (divide, None), (TaskKind::Render, None)];
     assert_eq!(farm.done(node, 9).await, rest);
+}
+
+#[tokio::test]
+async fn the_rest_of_a_late_part_is_divided_among_idle_nodes() {
+    let farm = Farm::new().await;
+    let (a, b, c) = (farm.node("a").await.id, farm.node("b").await.id, farm.node("c").await.id);
+    let job = farm.divided_job(request("0"), a, 2).await;
+    farm.done(a, 2).await;
+    let slow = farm.claim(a, at(30)).await.unwrap();
+    assert_eq!(slow.spec.part(), Some(1));
+    // Nodes that ask for work are idle, and there.
+    let wait = async |now| {
+        for node in [b, c] {
+            assert!(farm.claim(node, at(now)).await.is_none());
+        }
+    };
+    let renew = async |progress, now| {
+        let pixels = FinishedPixels { done: 10, all: 100, work: 1, cpu_nanos: 5 };
+        let renewal =
+            RenewRequest { fence: slow.fence, progress, pixels: Some(pixels), ..RenewRequest::default() };
+        let ttl = Duration::from_secs(100_000);
+        farm.store.renew(slow.lease_id, &renewal, ttl, at(now)).await.unwrap().divide_rest
+    };
+    assert_eq!(renew(0.02, 32).await, None);
+    wait(33).await;
+    farm.store.sweep(at(33)).await.unwrap();
+    assert_eq!(renew(0.03, 34).await, None, "it is not late yet");
+    // Far beyond its forecast of a few seconds, and half an hour is left.
+    assert_eq!(renew(0.1, 230).await, None);
+    wait(231).await;
+    farm.store.sweep(at(231)).await.unwrap();
+    farm.store.sweep(at(232)).await.unwrap();
+    assert_eq!(renew(0.1, 233).await, Some(3), "one for each idle node, and one for its own");
+    let told = farm.events(EventKind::TaskLate).await;
+    assert!(
+        told.iter().any(|event| event.message.as_ref().is_some_and(|text| text.contains("into 3 parts")))
+    );
+
+    let TaskResult::RenderPart(made) = farm.result_for(&slow).await else { panic!() };
+    let rest = RestOfPart { ends: vec![110, 140, 160, 200], work: vec![25, 25, 25, 25] };
+    let result = TaskResult::RenderPart(RenderPartResult { rest: Some(rest), ..made });
+    farm.store.commit_result(slow.lease_id, slow.fence, &result, at(240)).await.unwrap();
+    let frame = farm.store.frame(job, 0).await.unwrap();
+    assert_eq!((frame.parts, frame.parts_done), (5, 2));
+    // Half of the frame, and a quarter of the other half.
+    assert!((frame.progress - 0.625).abs() < 1e-9, "{}", frame.progress);
+    let mut ranges = Vec::new();
+    for node in [b, c, a] {
+        let lease = farm.claim(node, at(241)).await.unwrap();
+        let TaskSpec::RenderPart(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+        ranges.push((spec.part, spec.range));
+        farm.commit(&lease, at(242)).await;
+    }
+    let pixels = |from, to| Some(PartRange::Pixels(PixelRange { from, to }));
+    assert_eq!(ranges, [(2, pixels(110, 140)), (3, pixels(140, 160)), (4, pixels(160, 200))]);
+    let lease = farm.claim(a, at(243)).await.unwrap();
+    let TaskSpec::Render(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+    assert_eq!(spec.parts.len(), 5);
+    farm.commit(&lease, at(244)).await;
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+    // Rendered again, it has its five parts.
+    farm.store.retry_frames(job, &FrameSet::range(0, 0), at(250)).await.unwrap();
+    assert_eq!(farm.done(a, 9).await.len(), 6);
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
 }

@@ -9,6 +9,7 @@ use forelight_pictures::tone_map;
 use forelight_protocol::{PixelRange, RenderSettings, Spent};
 use forelight_tracer::Pixel;
 use image::{Rgb, RgbImage};
+use std::ops::Range;
 
 /// A frame, divided into parts along the [`PixelCurve`] of its image.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,17 +31,34 @@ impl OwnFrame<'_> {
         finished: &[(u32, Pixel)],
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Divided> {
-        self.divided(self.tracer.settings().spp, parts, finished, stop)
+        self.divided(self.tracer.settings().spp, self.places(), parts, finished, stop)
+    }
+
+    /// The same for some of the frame's places.
+    pub fn divide_places(
+        &self,
+        places: Range<u32>,
+        parts: u32,
+        finished: &[(u32, Pixel)],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Divided> {
+        self.divided(self.tracer.settings().spp, places, parts, finished, stop)
+    }
+
+    fn places(&self) -> Range<u32> {
+        let camera = &self.frame().camera;
+        0..PixelCurve::new(camera.width, camera.height).count()
     }
 
     /// The same for a pass that gives every pixel its first sample.
     pub fn divide_first_pass(&self, parts: u32, stop: &(dyn Fn() -> bool + Sync)) -> Option<Divided> {
-        self.divided(1, parts, &[], stop)
+        self.divided(1, self.places(), parts, &[], stop)
     }
 
     fn divided(
         &self,
         samples: u32,
+        places: Range<u32>,
         parts: u32,
         finished: &[(u32, Pixel)],
         stop: &(dyn Fn() -> bool + Sync),
@@ -48,22 +66,27 @@ impl OwnFrame<'_> {
         let settings = RenderSettings { spp: samples, ..self.tracer.settings().into() };
         let curve = PixelCurve::new(settings.width, settings.height);
         let growth = Growth::of(&settings);
-        let count = probing_samples(settings.pixels() * u64::from(settings.spp), parts);
+        let count = probing_samples(places.len() as u64 * u64::from(settings.spp), parts);
         let count = u32::try_from(count).unwrap_or(u32::MAX);
-        let probes = probes(curve.count(), count, settings.seed);
+        let first = places.start;
+        let moved =
+            |probe: Probe| Probe { from: first + probe.from, to: first + probe.to, at: first + probe.at };
+        let probes = probes(places.end - first, count, settings.seed);
+        let probes: Vec<Probe> = probes.into_iter().map(moved).collect();
         let pixels: Vec<u32> = probes.iter().map(|probe| curve.pixel(probe.at)).collect();
         let (traced, probing) = self.tracer.first_samples(&pixels, growth.samples(), stop)?;
         let open = open_pixels(&curve, &probes, finished);
         let run = |((probe, after), open): ((&Probe, &Vec<Pixel>), u32)| Stretch {
-            to: probe.to,
+            to: probe.to - first,
             cost: (growth.whole(after) * f64::from(open)).round() as u64,
         };
         let runs: Vec<Stretch> = probes.iter().zip(&traced).zip(open).map(run).collect();
         let color = |after: &Vec<Pixel>| after.last().map_or([0.0; 3], |pixel| pixel.color);
         let seen = probes.iter().zip(&traced);
         let seen = seen.map(|(probe, after)| (PixelRange { from: probe.from, to: probe.to }, color(after)));
+        let parts = parts_of_equal_cost(&runs, parts).into_iter();
         Some(Divided {
-            parts: parts_of_equal_cost(&runs, parts),
+            parts: parts.map(|part| Stretch { to: first + part.to, ..part }).collect(),
             seen: seen.collect(),
             spent: spent(probing),
         })

@@ -11,10 +11,12 @@ const TOGETHER: usize = 256;
 
 impl OwnFrame<'_> {
     /// Renders pixels by index on the current thread pool, and fills the irradiance cache before if it is not
-    /// full. `progress` counts pixels of `pixels`. `None` if `cancel` was set.
+    /// full. No further pixels are begun once `enough` returns true: those returned are the first ones. `progress`
+    /// counts pixels of `pixels`. `None` if `cancel` was set.
     pub fn render_pixels(
         &self,
         pixels: &[u32],
+        enough: &(dyn Fn() -> bool + Sync),
         progress: &(dyn Fn(Progress) + Sync),
         finished: &PixelsFinished<'_>,
         cancel: &AtomicBool,
@@ -24,7 +26,7 @@ impl OwnFrame<'_> {
         }
         let lists: Vec<Vec<u32>> = pixels.chunks(TOGETHER).map(<[u32]>::to_vec).collect();
         let traced = |done| progress(Progress { step: Step::Tracing, done, all: pixels.len() as u64 });
-        Some(self.tracer.trace(&lists, &traced, finished, cancel)?.concat())
+        Some(self.tracer.trace(&lists, enough, &traced, finished, cancel)?.concat())
     }
 
     /// A file of finished pixels of this image.

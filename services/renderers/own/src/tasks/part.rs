@@ -10,7 +10,7 @@ use crate::shot::OwnShot;
 use forelight_forecast::PixelCurve;
 use forelight_protocol::{
     FinishedPart, FinishedPixels, LogLevel, PartPixels, PartRange, PixelRange, RenderPartResult,
-    RenderPartSpec, RenderSettings, Spent, TaskResult,
+    RenderPartSpec, RenderSettings, RestOfPart, Spent, TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
 use forelight_tracer::{Advanced, Pixel, Profile, SampleCounts, Totals, Unfinished, clocked};
@@ -26,6 +26,8 @@ struct Made {
     cost: Spent,
     /// CPU time of writing the file, in nanoseconds.
     writing: u64,
+    /// What is left to others, and the cost of dividing it.
+    rest: Option<(RestOfPart, Spent)>,
 }
 
 /// `loading` is the cost of opening the scene, if it was not open yet.
@@ -42,10 +44,10 @@ pub(crate) fn render_part(
     let start = given::start(&ready, (spec.cache, spec.frame_cache), assignment, control)?;
     let pixels = PixelCurve::new(settings.width, settings.height).pixels(range.from..range.to);
     let made = match spec.pass {
-        None => finished(&ready, pixels, &start, assignment, control)?,
+        None => finished(&ready, (range, pixels), &start, assignment, control)?,
         Some(_) => pass(&ready, &pixels, start.on_cache, assignment, control)?,
     };
-    let Made { file, count, cost, writing } = made;
+    let Made { file, count, cost, writing, rest } = made;
     let (part, parts) = (spec.part + 1, spec.parts);
     control
         .log(LogLevel::Info, format!("part {part} of {parts}: {count} pixels, {} units of work", cost.work));
@@ -53,26 +55,53 @@ pub(crate) fn render_part(
     let mut files = Files::default();
     // At most as many pixels as an image has.
     let finished = PartPixels { hash: files.add(file), count: count as u32, cost };
+    let (rest, dividing) = rest.map_or((None, Spent::default()), |(rest, spent)| (Some(rest), spent));
     let result = RenderPartResult {
         finished: FinishedPart::Pixels(finished),
-        spent: cost.plus(here).plus(Spent { work: 0, cpu_nanos: writing }),
+        rest,
+        spent: cost.plus(here).plus(dividing).plus(Spent { work: 0, cpu_nanos: writing }),
         peak_memory_bytes: forelight_renderer::peak_rss_bytes(),
     };
     Ok(Outcome { result: TaskResult::RenderPart(result), artifacts: files.contents })
 }
 
-/// Renders the part's pixels.
+/// Renders the part's pixels, or as many as are begun when the rest is to be left to others.
 fn finished(
     ready: &OwnFrame<'_>,
-    part: Vec<u32>,
+    (range, part): (PixelRange, Vec<u32>),
     start: &given::Start,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Made, ExecuteError> {
-    let pixels = pixels(ready, part, start, assignment, control)?;
+    let pixels = pixels(ready, part.clone(), start, assignment, control)?;
     let Totals { pixels: count, work, cpu_nanos, .. } = Totals::of(pixels.iter().map(|(_, pixel)| pixel));
+    let rest = rest(ready, (range, &part), (&pixels, work), start, control)?;
     let (file, writing) = clocked(|| ready.finished_pixels(pixels).to_bytes());
-    Ok(Made { file, count, cost: Spent { work, cpu_nanos }, writing })
+    Ok(Made { file, count, cost: Spent { work, cpu_nanos }, writing, rest })
+}
+
+/// Divides what is left of a part. `None` if nothing is.
+fn rest(
+    ready: &OwnFrame<'_>,
+    (range, part): (PixelRange, &[u32]),
+    (finished, work): (&[(u32, Pixel)], u64),
+    start: &given::Start,
+    control: &Control,
+) -> Result<Option<(RestOfPart, Spent)>, ExecuteError> {
+    let profiled = start.profile.iter().flat_map(|profile| &profile.pixels);
+    let known: Vec<(u32, Pixel)> = finished.iter().chain(profiled).copied().collect();
+    let mut is_known = vec![false; ready.frame().camera.pixels()];
+    known.iter().for_each(|(index, _)| is_known[*index as usize] = true);
+    let Some(done) = part.iter().position(|&index| !is_known[index as usize]) else { return Ok(None) };
+    // A part has at most as many pixels as an image.
+    let first = range.from + done as u32;
+    let parts = control.rest_in_parts().unwrap_or(1);
+    let divided = ready.divide_places(first..range.to, parts, &known, &|| control.is_cancelled());
+    let divided = divided.ok_or(ExecuteError::Cancelled)?;
+    control.log(LogLevel::Info, format!("the rest of the part is left to others, in {parts} parts"));
+    let ends = std::iter::once(first).chain(divided.parts.iter().map(|part| part.to)).collect();
+    let work = std::iter::once(work).chain(divided.parts.iter().map(|part| part.cost)).collect();
+    Ok(Some((RestOfPart { ends, work }, divided.spent)))
 }
 
 /// Adds the samples of one pass to the part's pixels. What an earlier worker added is not traced again.
@@ -122,7 +151,7 @@ fn pass(
     }
     let Totals { work, cpu_nanos, .. } = passes.totals().minus(&before);
     let (file, writing) = clocked(|| ready.so_far(&passes).to_bytes());
-    Ok(Made { file, count: all, cost: Spent { work, cpu_nanos }, writing })
+    Ok(Made { file, count: all, cost: Spent { work, cpu_nanos }, writing, rest: None })
 }
 
 /// The part's range of the image's pixels.
@@ -179,7 +208,8 @@ fn pixels(
         checkpoints.finished(pixels);
     };
     let progress = |progress: Progress| control.set_progress(fraction(progress, fills));
-    let traced = ready.render_pixels(&open, &progress, &watch, control.cancelled());
+    let enough = || control.rest_in_parts().is_some();
+    let traced = ready.render_pixels(&open, &enough, &progress, &watch, control.cancelled());
     finished.extend(traced.ok_or(ExecuteError::Cancelled)?);
     finished.sort_unstable_by_key(|(index, _)| *index);
     Ok(finished)

@@ -260,6 +260,56 @@ fn a_part_that_was_broken_off_goes_on_from_its_finished_pixels_to_the_same_bits(
 }
 
 #[test]
+fn what_a_part_leaves_to_others_is_rendered_once_and_to_the_same_bits() {
+    for rig in [Rig::new(), Rig::cached(1)] {
+        let mut farm = farm(&rig);
+        // Large enough that threads have not begun all pixels when the first are finished.
+        farm.settings = RenderSettings { width: 128, height: 96, spp: 4, ..farm.settings };
+        let whole = farm.whole();
+        for profiled in [false, true] {
+            if profiled && farm.settings.cache == CacheMode::Off {
+                farm.profile();
+            }
+            let whole = if profiled { farm.whole() } else { whole.clone() };
+            let (divided, own, _) = farm.divide(2);
+            let [first, second] = ranges(&divided)[..] else { panic!() };
+            let PartRange::Pixels(range) = first else { panic!() };
+            let task = farm.part(Some(first), (0, 2), own.as_ref());
+            let control = Control::default();
+            // Others become idle as soon as a few pixels are finished.
+            let outcome = std::thread::scope(|scope| {
+                let work = scope.spawn(|| farm.execute(&task, &control));
+                while control.pixels().is_none_or(|pixels| pixels.done == 0) && !work.is_finished() {
+                    std::thread::yield_now();
+                }
+                control.divide_rest(3);
+                work.join().unwrap().unwrap()
+            });
+            let TaskResult::RenderPart(result) = &outcome.result else { panic!() };
+            let rest = result.rest.as_ref().expect("most pixels are left");
+            assert_eq!((rest.ends.len(), rest.work.len()), (4, 4));
+            assert!(rest.ends.is_sorted() && rest.ends.last() == Some(&range.to), "{rest:?}");
+            let (count, cost) = pixels(result);
+            assert!(count > 0 && rest.work[0] == cost.work, "{rest:?}");
+            // Pieces of equal forecast cost.
+            let (least, most) = (rest.work[1..].iter().min(), rest.work[1..].iter().max());
+            assert!(*most.unwrap() < 2 * *least.unwrap(), "{rest:?}");
+            let pieces = rest.ends.windows(2).map(|ends| PixelRange { from: ends[0], to: ends[1] });
+            let others: Vec<PartRange> = pieces.map(PartRange::Pixels).chain([second]).collect();
+            let rendered = others.iter().zip(1..);
+            let made = rendered
+                .map(|(range, part)| farm.render_part(farm.part(Some(*range), (part, 5), own.as_ref())));
+            let (results, mut files): (Vec<_>, Vec<_>) = made.unzip();
+            files.insert(0, outcome.artifacts[0].clone());
+            let all: u64 = results.iter().map(|result| pixels(result).0).sum::<u64>() + count;
+            let stats = &self::result(&whole).stats;
+            assert_eq!(all + stats.reused_pixels, farm.settings.pixels(), "no pixel twice");
+            assert_same(&whole, &farm.put_together(own.as_ref(), files), "divided again");
+        }
+    }
+}
+
+#[test]
 fn pixels_that_no_part_brought_are_traced() {
     for rig in [Rig::new(), Rig::cached(2)] {
         let farm = farm(&rig);

@@ -1,8 +1,8 @@
 //! Results of divided frames.
 
 use forelight_protocol::{
-    DivideResult, DivideSpec, FinishedPart, PartPixels, PartRange, RenderPartResult, RenderPartSpec,
-    SampleShare,
+    DivideResult, DivideSpec, FinishedPart, MOST_PARTS, PartPixels, PartRange, RenderPartResult,
+    RenderPartSpec, RestOfPart, SampleShare,
 };
 
 use super::fields::{cache_bytes, spent, storable, wrong};
@@ -67,6 +67,30 @@ pub(super) fn render_part(spec: &RenderPartSpec, result: &RenderPartResult) -> A
         }
         _ => return wrong(format!("{AT}/finished"), "the part is divided in another way"),
     }
+    if let Some(left) = &result.rest {
+        rest(spec, &result.finished, left)?;
+    }
     storable(&format!("{AT}/peak_memory_bytes"), [result.peak_memory_bytes])?;
     spent(&format!("{AT}/spent"), result.spent)
+}
+
+/// The pieces cover the part once.
+fn rest(spec: &RenderPartSpec, finished: &FinishedPart, rest: &RestOfPart) -> ApiResult<()> {
+    const AT: &str = "/result/render_part/rest";
+    let RestOfPart { ends, work } = rest;
+    let (Some(PartRange::Pixels(range)), FinishedPart::Pixels(_)) = (spec.range, finished) else {
+        return wrong(AT.to_owned(), "only a part of a frame's pixels can be divided again");
+    };
+    if !(2..=MOST_PARTS as usize).contains(&ends.len()) || work.len() != ends.len() {
+        let (ends, work) = (ends.len(), work.len());
+        return wrong(
+            format!("{AT}/ends"),
+            format!("there are {ends} ends and {work} numbers of work; 2 to {MOST_PARTS} are possible"),
+        );
+    }
+    if !ends.is_sorted() || ends[0] < range.from || ends.last() != Some(&range.to) {
+        let reason = format!("they must ascend from {} or more to {}", range.from, range.to);
+        return wrong(format!("{AT}/ends"), reason);
+    }
+    storable(&format!("{AT}/work"), work.iter().copied())
 }

@@ -1,0 +1,154 @@
+//! Parts that take longer than forecast are divided again, so that idle nodes help.
+//!
+//! The worker hears of it with its next renewal. It finishes the pixels that it has begun, divides the others into
+//! parts of equal forecast cost, and reports both. So nothing is rendered twice, and a worker that does not know of
+//! this only goes on.
+
+use forelight_protocol::{
+    Event, EventKind, LeaseId, MOST_PARTS, Node, PartRange, PixelRange, RenderPartSpec, RestOfPart, TaskSpec,
+    Timestamp,
+};
+use forelight_quote::JobForecast;
+use forelight_quote::division::{overhead_seconds, parts_of_rest};
+
+use crate::columns::{Json, corrupt};
+use crate::database::{Store, Write};
+use crate::error::Result;
+use crate::events::append;
+use crate::leases::{LeaseRow, read_in};
+use crate::nodes::listing::without_capabilities;
+use crate::plans::replans;
+use crate::policy::availability::{Opening, opening};
+use crate::policy::overdue::AttemptTimes;
+use crate::policy::versions::is_there;
+use crate::tasks::Common;
+use crate::writing::run;
+
+impl Store {
+    /// Has the rest of late parts divided, as far as nodes are idle and the pieces are worth it.
+    pub(crate) async fn divide_late_parts(&self, now: Timestamp) -> Result<()> {
+        let late = sqlx::query!(
+            r#"SELECT l.id, l.granted_at, l.counts_from, l.progress_at, l.progress, f.parts AS "parts!: u32",
+                      j.forecast AS "forecast!: Json<JobForecast>"
+               FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id
+               JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
+               WHERE l.state = 'active' AND l.lateness = 'late' AND l.divide_rest IS NULL AND t.kind = 'render_part'
+                     AND t.again = 0 AND json_extract(t.spec, '$.render_part.range.pixels.to') IS NOT NULL
+                     AND j.forecast IS NOT NULL
+               ORDER BY l.granted_at, l.id"#
+        )
+        .fetch_all(self.readers())
+        .await?;
+        if late.is_empty() {
+            return Ok(());
+        }
+        let mut idle = self.idle_nodes(now).await?;
+        for row in late {
+            let since =
+                AttemptTimes::new(row.granted_at, row.counts_from, row.progress_at).attempt(0.0, None).since;
+            let elapsed = now.micros_since(since).max(0) as f64 * 1e-6;
+            let rest = if row.progress > 0.0 { elapsed * (1.0 - row.progress) / row.progress } else { 0.0 };
+            let most = MOST_PARTS.saturating_sub(row.parts).max(1);
+            let parts = parts_of_rest(rest, overhead_seconds(&row.forecast.0), idle).min(most);
+            if parts > 1 {
+                idle = idle.saturating_sub(parts - 1);
+                self.divide_late_part(row.id.into(), parts, now).await?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn divide_late_part(&self, lease: LeaseId, parts: u32, now: Timestamp) -> Result<()> {
+        let mut write = self.write().await?;
+        let changed = run!(
+            write,
+            "UPDATE leases SET divide_rest = ? WHERE id = ? AND state = 'active'",
+            parts,
+            lease.0
+        );
+        if changed == 1 {
+            let row = read_in(&mut write, lease).await?;
+            let message = format!(
+                "it takes longer than forecast; the rest is divided into {parts} parts for idle nodes"
+            );
+            append(&mut write, Event { message: Some(message), ..row.event(EventKind::TaskLate, now) });
+        }
+        self.commit(write).await
+    }
+
+    /// Number of nodes that would take a task now, less the tasks that wait for one.
+    async fn idle_nodes(&self, now: Timestamp) -> Result<u32> {
+        let mut connection = self.readers().acquire().await?;
+        let nodes = without_capabilities(&mut connection).await?;
+        let is_idle = |node: &&Node| {
+            node.task_id.is_none()
+                && node.takes_tasks()
+                && is_there(node, now)
+                && matches!(opening(node, now), Opening::Awake(_))
+        };
+        let idle = nodes.iter().filter(is_idle).count();
+        let ready = sqlx::query_scalar!("SELECT count(*) FROM tasks WHERE state = 'ready' AND held = 0");
+        let ready = ready.fetch_one(&mut *connection).await?;
+        Ok(u32::try_from(idle as i64 - ready).unwrap_or(0))
+    }
+}
+
+/// Makes parts of what a worker has left of a part.
+pub(super) async fn divide_rest(
+    write: &mut Write,
+    row: &LeaseRow,
+    frame: u32,
+    rest: &RestOfPart,
+) -> Result<()> {
+    let own = sqlx::query!("SELECT spec, share FROM tasks WHERE id = ?", row.task_id.0);
+    let own = own.fetch_one(write.connection().await?).await?;
+    let TaskSpec::RenderPart(spec) = own.spec.0 else {
+        return Err(corrupt("spec", "not that of a render_part task"));
+    };
+    let (Some(PartRange::Pixels(range)), [first, ..]) = (spec.range, rest.ends.as_slice()) else {
+        return Err(corrupt("spec", "not that of a part of pixels"));
+    };
+    let parts = sqlx::query_scalar!(
+        r#"SELECT parts AS "parts: u32" FROM frames WHERE job_id = ? AND frame = ?"#,
+        row.job_id.0,
+        frame
+    );
+    let parts = parts.fetch_one(write.connection().await?).await?;
+    let more = u32::try_from(rest.ends.len() - 1).unwrap_or(u32::MAX);
+    let all = parts.saturating_add(more);
+    run!(
+        write,
+        "UPDATE tasks SET share = ifnull(share, 1.0 / ?) WHERE job_id = ? AND frame = ? AND kind = 'render_part'",
+        parts,
+        row.job_id.0,
+        frame
+    );
+    run!(write, "UPDATE frames SET parts = ? WHERE job_id = ? AND frame = ?", all, row.job_id.0, frame);
+    let whole = own.share.unwrap_or(1.0 / f64::from(parts.max(1)));
+    let work: f64 = rest.work.iter().map(|&work| work as f64).sum();
+    let share_of = |work_of_piece: u64| whole * work_of_piece as f64 / work.max(1.0);
+    let finished = PartRange::Pixels(PixelRange { from: range.from, to: *first });
+    run!(
+        write,
+        "UPDATE tasks SET spec = json_set(spec, '$.render_part.range', json(?)), share = ? WHERE id = ?",
+        Json(&finished),
+        share_of(rest.work[0]),
+        row.task_id.0
+    );
+    let common = Common::read(write.connection().await?, row.job_id).await?;
+    let pieces = rest.ends.windows(2).zip(&rest.work[1..]).zip(parts..all);
+    for ((ends, &work), part) in pieces {
+        let range = Some(PartRange::Pixels(PixelRange { from: ends[0], to: ends[1] }));
+        let spec = RenderPartSpec { part, parts: all, range, ..spec.clone() };
+        common.one_more_part(write, spec).await?;
+        run!(
+            write,
+            "UPDATE tasks SET share = ? WHERE job_id = ? AND frame = ? AND kind = 'render_part' AND part = ?",
+            share_of(work),
+            row.job_id.0,
+            frame,
+            part
+        );
+    }
+    replans::want(write, &format!("a part of frame {frame} was divided again")).await
+}
