@@ -18,22 +18,20 @@
 //!   install. One that is too new waits until the service is upgraded.
 //! * **This process is told to stop.** The work is stopped and the lease given back, for another node.
 
+mod inputs;
+
 use crate::bundles::Bundles;
 use crate::errors::{describe, is_lost, is_unwanted, panic_text};
 use crate::limits::gone_beyond;
-use crate::pictures;
-use bytes::Bytes;
 use forelight_client::{Backoff, Claimed, Client, ClientError};
 use forelight_protocol::{
-    CACHE_BYTES, ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind,
-    RenewRequest, Renewal, TaskId, TaskLimits, TaskSpec, Timestamp,
+    ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind, RenewRequest, Renewal,
+    TaskId, TaskLimits, Timestamp,
 };
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
+use forelight_renderer::{Control, Execute, ExecuteError, Outcome};
 use parking_lot::Mutex;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
-use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
@@ -104,17 +102,6 @@ pub enum Errand {
     Needless,
     /// It was told to stop. If it held the task, it gave the lease back.
     Stopped,
-}
-
-/// The inputs of a task, on this machine.
-#[derive(Default)]
-struct Fetched {
-    bundle: PathBuf,
-    profile: Option<Bytes>,
-    caches: Vec<Bytes>,
-    samples: Option<Bytes>,
-    parts: Vec<Bytes>,
-    shares: Vec<Bytes>,
 }
 
 /// How the work on a lease ended.
@@ -368,97 +355,6 @@ impl Agent {
             Ok(done) => done,
             Err(panic) => Err(ExecuteError::Transient(format!("the renderer failed: {}", panic_text(panic)))),
         }
-    }
-
-    /// Prepares the inputs of a task.
-    async fn prepare(&self, lease: &Lease, control: &Control) -> Result<Assignment, ExecuteError> {
-        let failed = |error: ClientError| {
-            let message = describe(&error);
-            // What the service does not have now, it will not have later.
-            let missing = error.is(ProblemKind::NotFound) || error.is(ProblemKind::ArtifactLost);
-            if missing { ExecuteError::Input(message) } else { ExecuteError::Transient(message) }
-        };
-        let pictures =
-            match lease.spec.pictures() {
-                [] => None,
-                _ => Some(Arc::new(self.bundles.folder_for_pictures().map_err(|error| {
-                    ExecuteError::Transient(format!("no folder for the pictures: {error}"))
-                })?)),
-            };
-        let Fetched { bundle, profile, caches, samples, parts, shares } = loop {
-            match self.fetch(lease, pictures.as_deref(), control).await {
-                Ok(fetched) => break fetched,
-                // A short outage of the service or its artefact store is not the task's fault.
-                Err(error) if error.is_passing() => {
-                    tracing::warn!(task = %lease.task_id, %error, "task inputs not available yet; retrying");
-                    tokio::time::sleep(AFTER_REFUSAL).await;
-                }
-                Err(error) => return Err(failed(error)),
-            }
-        };
-        if lease.spec.bundle().is_some() && !tokio::fs::try_exists(&bundle).await.unwrap_or(true) {
-            return Err(ExecuteError::Input(format!("bundle {} is gone", bundle.display())));
-        }
-        let what = if pictures.is_some() { "pictures" } else { "bundle" };
-        control.log(LogLevel::Info, format!("{what} fetched"));
-        let checkpoint = match &lease.spec {
-            // Only an earlier attempt can have left a checkpoint. It is optional.
-            TaskSpec::Render(_) | TaskSpec::RenderPart(_) if lease.fence > 1 => {
-                self.client.checkpoint(lease.lease_id).await.unwrap_or_default()
-            }
-            _ => None,
-        };
-        Ok(Assignment {
-            spec: lease.spec.clone(),
-            bundle,
-            profile,
-            caches,
-            samples,
-            parts,
-            shares,
-            pictures,
-            checkpoint,
-            limits: lease.limits.and(self.limits),
-            threads: self.registration.cores,
-        })
-    }
-
-    /// Fetches the bundle, the profile, the irradiance caches, and the parts and shares of samples of a task. Its
-    /// pictures go to their folder; those that are there already stay.
-    async fn fetch(
-        &self,
-        lease: &Lease,
-        folder: Option<&TempDir>,
-        control: &Control,
-    ) -> Result<Fetched, ClientError> {
-        let bundle = match lease.spec.bundle() {
-            Some(source) => self.bundles.locate(&self.client, source).await?,
-            None => PathBuf::new(),
-        };
-        if let Some(folder) = folder {
-            pictures::fetch(&self.client, lease.spec.pictures(), folder.path(), control).await?;
-        }
-        let shares = match &lease.spec {
-            TaskSpec::Render(spec) => &spec.shares[..],
-            _ => &[],
-        };
-        let mut fetched = Fetched { bundle, ..Fetched::default() };
-        if let Some(hash) = lease.spec.profile() {
-            fetched.profile = Some(self.client.artifact(hash, CACHE_BYTES).await?);
-        }
-        if let Some(hash) = lease.spec.samples() {
-            fetched.samples = Some(self.client.artifact(hash, CACHE_BYTES).await?);
-        }
-        for &hash in lease.spec.parts() {
-            fetched.parts.push(self.client.artifact(hash, CACHE_BYTES).await?);
-        }
-        for hash in lease.spec.caches() {
-            fetched.caches.push(self.client.artifact(hash, CACHE_BYTES).await?);
-        }
-        for share in shares {
-            fetched.shares.push(self.client.artifact(share.hash, CACHE_BYTES).await?);
-        }
-        Ok(fetched)
     }
 
     /// Renews the lease three times per lifetime and passes orders on. Returns when the lease is lost.
