@@ -189,11 +189,11 @@ is "SELECT count(DISTINCT l.node_id) FROM leases l JOIN (SELECT t.id $of_parts) 
 same_bits "$work/whole.exr" "$(find "$work/divided" -name '*0003*.exr' | head -1)"
 
 echo 'the parts of each pass over a frame are an array of their own'
-submit deploy/scenes/corridor --frames 3 "${size[@]}" --samples 16 --profile-frames 1 --parts 3 --within 2s --name passes >/dev/null
+submit deploy/scenes/corridor --frames 3 "${size[@]}" --samples 16 --profile-frames 1 --parts 3 --within 8s --name passes >/dev/null
 wait_for 300 is "SELECT state FROM jobs WHERE name = 'passes'" done
 of_parts="FROM tasks t JOIN jobs j ON j.id = t.job_id AND j.name = 'passes' AND t.kind = 'render_part'"
 arrays="SELECT e.array_id, count(*) AS elements FROM slurm_elements e JOIN (SELECT t.id $of_parts) p ON p.id = e.task_id GROUP BY e.array_id"
-is "SELECT (count(*) > 2) || ' ' || min(elements) || ' ' || max(elements) FROM ($arrays)" '1 3 3' ||
+is "SELECT (count(*) > 4) || ' ' || min(elements) || ' ' || max(elements) FROM ($arrays)" '1 3 3' ||
   fail 'the parts of each pass are not one array of three'
 
 echo 'a daemon dies, and Slurm runs its frame a second time while the first process goes on'

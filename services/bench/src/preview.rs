@@ -54,7 +54,7 @@ struct Row {
     strata: usize,
     width: u32,
     height: u32,
-    frames: usize,
+    frames: u32,
     /// Of the first frame on the GPU, counted.
     first_seconds: f64,
     gpu_counts_seconds: f64,
@@ -62,7 +62,7 @@ struct Row {
     cpu_image_seconds: f64,
     /// Share of the pixels with the same object and material.
     same: f64,
-    /// Of the pixels that show the same triangle's stratum: share with the same bits of position and normal.
+    /// Of these pixels: share whose position and normal have the same bits.
     same_bits: f64,
 }
 
@@ -93,23 +93,26 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     report(&measured).printed(args.json, &measured)
 }
 
-/// Frames of a shot, spread from the first to the last; a still as often as it is asked for.
-fn frames(scene: &Scene, size: (u32, u32), most: u32) -> Result<Vec<Frame>> {
+/// One of so many frames of a shot, spread from the first to the last; a still as often as it is asked for.
+fn frame(scene: &Scene, size: (u32, u32), (place, count): (u32, u32)) -> Result<Frame> {
     let last = scene.frame_count().saturating_sub(1);
-    let number = |i: u32| (u64::from(i) * u64::from(last) / u64::from(most.max(2) - 1)) as u32;
-    (0..most).map(|i| Ok(scene.frame_with(number(i), Some(size))?)).collect()
+    let number = u64::from(place) * u64::from(last) / u64::from(count - 1);
+    // At most the number of the last frame.
+    Ok(scene.frame_with(number as u32, Some(size))?)
 }
 
 fn measure(bundle: &Path, scene: &Scene, size: (u32, u32), most: u32, interrupt: &Interrupt) -> Result<Row> {
-    let frames = frames(scene, size, most)?;
     // One that has not seen the scene.
     let (mut gpu, mut cpu) = (Previewer::new(Choice::Gpu)?, Previewer::new(Choice::Cpu)?);
     let (mut first, mut counts, mut images, mut on_cpu) = (0.0, Vec::new(), Vec::new(), Vec::new());
     let mut agreement = Agreement::default();
-    for (frame, place) in frames.iter().zip(0..) {
+    let (mut triangles, mut strata) = (0, 0);
+    for place in 0..most {
         if interrupt.is_set() {
             return Err(Interrupted.into());
         }
+        let frame = &frame(scene, size, (place, most))?;
+        (triangles, strata) = (frame.geometry.triangles.len(), frame.geometry.strata.pairs.len());
         let (counted, seconds) = timed(|| gpu.counts(frame));
         let counted: Counts = counted?;
         if place == 0 {
@@ -126,14 +129,13 @@ fn measure(bundle: &Path, scene: &Scene, size: (u32, u32), most: u32, interrupt:
         agreement.add(&image, &twin);
     }
     let median = |values| upper_median(&sorted(values)).unwrap_or(0.0);
-    let geometry = &frames[0].geometry;
     Ok(Row {
         bundle: bundle.display().to_string(),
-        triangles: geometry.triangles.len(),
-        strata: geometry.strata.pairs.len(),
+        triangles,
+        strata,
         width: size.0,
         height: size.1,
-        frames: frames.len(),
+        frames: most,
         first_seconds: first,
         gpu_counts_seconds: median(counts),
         gpu_image_seconds: median(images),

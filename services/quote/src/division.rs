@@ -44,6 +44,21 @@ pub fn parts(asked: Division, frame_seconds: f64, overhead_seconds: f64, most: u
     }
 }
 
+/// Pixels of a part of a pass: at 700 bytes each, its file has less than 1 GiB.
+const MOST_PIXELS_OF_PASS: u64 = 1_500_000;
+
+/// Most parts of a frame of so many pixels that is rendered in passes. 1 if the number of parts that is asked for would
+/// make their files too large: the frame is rendered as a whole.
+pub fn most_in_passes(asked: Division, pixels: u64) -> u32 {
+    let fewest = match asked {
+        Division::Whole => 1,
+        // A plan may choose any number.
+        Division::Auto => 2,
+        Division::Into(PartCount(parts)) => u64::from(parts),
+    };
+    if pixels <= fewest * MOST_PIXELS_OF_PASS { MOST_PARTS } else { 1 }
+}
+
 /// Into how many parts the rest of a part is divided that takes longer than forecast, so that idle nodes help. `rest`
 /// is how long it would take. 1: it is not divided.
 pub fn parts_of_rest(rest_seconds: f64, overhead_seconds: f64, idle_nodes: u32) -> u32 {
@@ -113,6 +128,15 @@ mod tests {
         assert_eq!(parts(Division::Whole, 1e9, 0.0, MOST_PARTS), Parts::UpTo(1));
         assert_eq!(parts(Division::Into(PartCount(8)), 1.0, 1.0, MOST_PARTS), Parts::Exactly(8));
         assert_eq!(parts(Division::Into(PartCount(8)), 1.0, 1.0, 3), Parts::Exactly(3));
+    }
+
+    #[test]
+    fn frames_in_passes_are_divided_if_the_files_of_their_parts_are_small_enough() {
+        assert_eq!(most_in_passes(Division::Auto, 1920 * 1080), MOST_PARTS);
+        assert_eq!(most_in_passes(Division::Auto, 3840 * 2160), 1);
+        assert_eq!(most_in_passes(Division::Into(PartCount(5)), 3840 * 2160), 1);
+        assert_eq!(most_in_passes(Division::Into(PartCount(6)), 3840 * 2160), MOST_PARTS);
+        assert_eq!(most_in_passes(Division::Whole, 64), MOST_PARTS);
     }
 
     #[test]

@@ -12,8 +12,9 @@
 //! shared cache, `divide` waits for it. As in [`crate::shared_cache`], every arrow is part of the transaction
 //! that commits the result before it.
 //!
-//! A frame is divided only while no worker has had it. Once it is, it stays so. A frame whose samples go where they
-//! help is divided anew before each pass over its pixels: see [`passes`].
+//! A frame is divided only while no worker has had it. Once it is, it stays so, but for parts that take longer than
+//! forecast: see [`again`]. A frame whose samples go where they help is divided anew before each pass over its pixels:
+//! see [`passes`].
 
 pub(crate) mod again;
 mod passes;
@@ -410,9 +411,10 @@ pub(crate) async fn begin_again(
     Ok(is_divided)
 }
 
-/// Cancels the tasks of a frame's parts, if it is divided.
+/// Cancels the tasks of a frame's parts, if it is divided, and forgets their pixels.
 pub(crate) async fn cancel_parts(write: &mut Write, job: JobId, frame: u32, now: Timestamp) -> Result<()> {
     take_parts_back(write, job, frame, now).await?;
+    forget_parts(write, job, frame);
     run!(
         write,
         "UPDATE tasks SET state = 'cancelled', finished_at = ? WHERE job_id = ? AND frame = ? \

@@ -297,12 +297,13 @@ async fn waiting(write: &mut Write, job: JobId) -> Result<Vec<FramePart>> {
     Ok(rows.into_iter().map(|row| FramePart { frame: row.frame, part: row.part, parts: row.parts }).collect())
 }
 
-/// The bookings of the job's present plan. Those of a frame that was divided since are left out.
+/// The bookings of the job's present plan. Those of a frame that was divided since are left out; where a part was
+/// divided again, the others keep theirs.
 async fn bookings_before(write: &mut Write, job: JobId) -> Result<BTreeMap<FramePart, NewBooking>> {
     let rows = sqlx::query!(
-        "SELECT b.frame, b.part, b.parts, b.node_id, b.start_at, b.end_at FROM bookings b \
+        "SELECT b.frame, b.part, f.parts, b.node_id, b.start_at, b.end_at FROM bookings b \
          JOIN jobs j ON j.plan_id = b.plan_id AND j.id = b.job_id \
-         JOIN frames f ON f.job_id = b.job_id AND f.frame = b.frame AND f.parts = b.parts WHERE j.id = ?",
+         JOIN frames f ON f.job_id = b.job_id AND f.frame = b.frame AND (f.parts = b.parts OR b.parts > 1) WHERE j.id = ?",
         job.0
     )
     .fetch_all(write.connection().await?)

@@ -147,7 +147,7 @@ macro_rules! of_task {
 
 impl Store {
     /// The ready tasks that are in no open array, and those that are to be run a second time beside an
-    /// attempt that makes no progress. By deadline, priority, age of the job, and booked time. Videos are
+    /// attempt that makes no progress. What was lost before a task's last result does not count. By deadline, priority, age of the job, and booked time. Videos are
     /// left to workers that have ffmpeg: Slurm does not know which of its machines have it.
     pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>> {
         let rows = sqlx::query!(
@@ -157,9 +157,13 @@ impl Store {
                                                          / json_extract(t.spec, '$.cache_fill.parts')
                            WHEN 'render_part' THEN f.cpu_p95 * ifnull(t.share, 1.0 / f.parts)
                            WHEN 'render' THEN iif(f.parts = 1, f.cpu_p95, NULL) ELSE f.cpu_p95 END AS "cpu_p95?: f64",
-                      (SELECT group_concat(outcome, char(10) ORDER BY ended_at, array_id) FROM slurm_elements
-                       WHERE task_id = t.id) AS "lost?: String",
-                      (SELECT max(ended_at) FROM slurm_elements WHERE task_id = t.id) AS "lost_at?: Time",
+                      (SELECT group_concat(e.outcome, char(10) ORDER BY e.ended_at, e.array_id) FROM slurm_elements e
+                       JOIN slurm_arrays a ON a.id = e.array_id WHERE e.task_id = t.id AND a.created_at >= ifnull((SELECT
+                       max(l.ended_at) FROM leases l WHERE l.task_id = t.id AND l.state = 'committed'), 0))
+                       AS "lost?: String",
+                      (SELECT max(e.ended_at) FROM slurm_elements e JOIN slurm_arrays a ON a.id = e.array_id
+                       WHERE e.task_id = t.id AND a.created_at >= ifnull((SELECT max(l.ended_at) FROM leases l
+                       WHERE l.task_id = t.id AND l.state = 'committed'), 0)) AS "lost_at?: Time",
                       iif(t.state = 'leased', (SELECT h.name FROM nodes h WHERE h.id = t.node_id), NULL) AS "beside?: String"
                FROM tasks t JOIN jobs j ON j.id = t.job_id
                LEFT JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
@@ -348,15 +352,18 @@ impl Store {
         );
         if ended == 1 {
             let row = sqlx::query!(
-                "SELECT t.id, t.job_id, t.kind, t.frame, t.state, a.slurm_id FROM slurm_elements e \
-                 JOIN tasks t ON t.id = e.task_id JOIN slurm_arrays a ON a.id = e.array_id \
-                 WHERE e.array_id = ? AND e.position = ?",
+                r#"SELECT t.id, t.job_id, t.kind, t.frame, a.slurm_id, t.state = 'ready' AND NOT EXISTS
+                          (SELECT 1 FROM leases l WHERE l.task_id = t.id AND l.state = 'committed'
+                           AND l.ended_at >= a.created_at) AS "is_lost!: bool" FROM slurm_elements e
+                   JOIN tasks t ON t.id = e.task_id JOIN slurm_arrays a ON a.id = e.array_id
+                   WHERE e.array_id = ? AND e.position = ?"#,
                 array,
                 position
             )
             .fetch_one(write.connection().await?)
             .await?;
-            if row.state == "ready" {
+            // A task that is ready again after a pass has its result.
+            if row.is_lost {
                 let number = row
                     .slurm_id
                     .map_or("never submitted".to_owned(), |slurm| format!("job {slurm}_{position}"));

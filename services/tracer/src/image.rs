@@ -83,10 +83,12 @@ impl Totals {
     pub fn minus(&self, before: &Self) -> Self {
         Self {
             pixels: self.pixels,
-            rays: std::array::from_fn(|kind| self.rays[kind] - before.rays[kind]),
-            work: self.work - before.work,
-            work_by_ray: std::array::from_fn(|kind| self.work_by_ray[kind] - before.work_by_ray[kind]),
-            cpu_nanos: self.cpu_nanos - before.cpu_nanos,
+            rays: std::array::from_fn(|kind| self.rays[kind].saturating_sub(before.rays[kind])),
+            work: self.work.saturating_sub(before.work),
+            work_by_ray: std::array::from_fn(|kind| {
+                self.work_by_ray[kind].saturating_sub(before.work_by_ray[kind])
+            }),
+            cpu_nanos: self.cpu_nanos.saturating_sub(before.cpu_nanos),
         }
     }
 }

@@ -67,9 +67,13 @@ pub struct Passes {
     width: u32,
     height: u32,
     tiles: Vec<Tile>,
+    /// For each pixel of the image, its tile and its place there. [`NOWHERE`] for pixels that are not among these.
+    places: Vec<[u32; 2]>,
     /// Cost of all passes.
     totals: Totals,
 }
+
+const NOWHERE: [u32; 2] = [u32::MAX; 2];
 
 /// Pixels that one thread processes in sequence.
 #[derive(Debug)]
@@ -110,34 +114,46 @@ impl Passes {
         let tiling = Tiling::new(width, height, TILE);
         // Tiles are scattered, so that an interrupted pass leaves unfinished tiles all over the image.
         let tiles = scattered(tiling.count()).map(|number| Tile::new(tiling.pixels(number)));
-        Self { width, height, tiles: tiles.collect(), totals: Totals::default() }
+        Self::with(width, height, tiles.collect())
     }
 
     /// Some pixels of an image, by their indices, without samples.
     pub fn of(tracer: &Tracer, pixels: &[u32]) -> Self {
         let Settings { width, height, .. } = *tracer.settings();
         let tiles = pixels.chunks((TILE * TILE) as usize).map(|indices| Tile::new(indices.to_vec()));
-        Self { width, height, tiles: tiles.collect(), totals: Totals::default() }
+        Self::with(width, height, tiles.collect())
     }
 
-    /// Takes over the samples of files of this image, as far as these are its pixels. Of a pixel in several
-    /// files, the one with the most samples is taken.
-    pub fn take_over(&mut self, files: Vec<Unfinished>) {
-        let mut found: Vec<Option<Underway>> = vec![None; (self.width * self.height) as usize];
-        for (index, pixel) in files.into_iter().flat_map(|file| file.pixels) {
-            let place = &mut found[index as usize];
-            if place.as_ref().is_none_or(|known| known.samples < pixel.samples) {
-                *place = Some(pixel);
+    fn with(width: u32, height: u32, tiles: Vec<Tile>) -> Self {
+        let mut places = vec![NOWHERE; (width * height) as usize];
+        for (number, tile) in (0..).zip(&tiles) {
+            for (&index, place) in tile.indices.iter().zip(0..) {
+                places[index as usize] = [number, place];
             }
         }
-        for tile in &mut self.tiles {
-            for (&index, pixel) in tile.indices.iter().zip(&mut tile.pixels) {
-                if let Some(found) = found[index as usize].take() {
-                    *pixel = found;
+        Self { width, height, tiles, places, totals: Totals::default() }
+    }
+
+    /// Takes over the samples of files of this image, as far as these are its pixels: of pixels that have more there,
+    /// but not more than `most`. Stops at the first file that is an error.
+    pub fn take_over<E>(
+        &mut self,
+        files: impl IntoIterator<Item = Result<Unfinished, E>>,
+        most: Option<&SampleCounts>,
+    ) -> Result<(), E> {
+        for file in files {
+            for (index, pixel) in file?.pixels {
+                let [tile, place] = self.places[index as usize];
+                let Some(tile) = self.tiles.get_mut(tile as usize) else { continue };
+                let known = &mut tile.pixels[place as usize];
+                let most = most.map_or(u32::MAX, |most| u32::from(most.as_slice()[index as usize]));
+                if (known.samples + 1..=most).contains(&pixel.samples) {
+                    *known = pixel;
                 }
             }
         }
         self.totals = self.tiles.iter().map(Tile::totals).fold(Totals::default(), Totals::plus);
+        Ok(())
     }
 
     /// The pixels with their samples so far, for another task.

@@ -30,7 +30,7 @@ pub enum PixelFileError {
         expected: usize,
     },
     /// The checksum, or a number in the contents, is wrong.
-    #[error("damaged: the checksum does not match")]
+    #[error("damaged: its checksum or its contents do not match")]
     Damaged,
 }
 

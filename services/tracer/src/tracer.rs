@@ -402,8 +402,8 @@ impl Tracer {
             own
         };
         let threads = rayon::current_num_threads();
-        let mut traced: Vec<_> =
-            (0..threads).into_par_iter().with_max_len(1).map(take).collect::<Vec<_>>().concat();
+        let traced: Vec<Vec<_>> = (0..threads).into_par_iter().with_max_len(1).map(take).collect();
+        let mut traced: Vec<_> = traced.into_iter().flatten().collect();
         traced.sort_unstable_by_key(|(place, _)| *place);
         wanted().then(|| traced.into_iter().map(|(_, pixels)| pixels).collect())
     }

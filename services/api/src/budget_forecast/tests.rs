@@ -109,6 +109,7 @@ fn forecast_of(
     let frames = FrameSet::range(0, numbers.len() as u32 - 1).to_string();
     let frame = |open: &OpenBooking| FarmFrame {
         frame: open.booking.frame_part(),
+        share: 1.0 / f64::from(open.booking.parts),
         p50: FRAME,
         p80: FRAME,
         p95: FRAME,

@@ -133,6 +133,7 @@ fn fresh((job, terms): (Job, i64), kept: &JobForecast, frames: &[FrameForecast],
             .iter()
             .map(|each| FarmFrame {
                 frame: each.frame.into(),
+                share: 1.0,
                 p50: each.cpu_seconds.p50,
                 p80: each.cpu_seconds.p80,
                 p95: each.cpu_seconds.p95,

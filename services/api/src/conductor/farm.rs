@@ -8,7 +8,7 @@ use forelight_protocol::{
     Timestamp,
 };
 use forelight_quote::JobForecast;
-use forelight_quote::division::{Parts, overhead_seconds, parts};
+use forelight_quote::division::{Parts, most_in_passes, overhead_seconds, parts};
 use forelight_quote::living::is_news;
 use forelight_store::{
     FarmFrame, FarmJob, HALF_LIFE, Opening, ProjectUse, Projected, Projection, Store, StoreError, Wanted,
@@ -239,6 +239,11 @@ fn planner_job(
     let of_parts = parts as f64 * overhead;
     let (width, height) = job.settings.size().unwrap_or((1, 1));
     let most_parts = forecast.most_parts.min(width.saturating_mul(height));
+    let most_parts = match forecast.chosen_spp {
+        None => most_parts,
+        // Its samples go where they help, so it is rendered in passes.
+        Some(_) => most_parts.min(most_in_passes(job.division, u64::from(width) * u64::from(height))),
+    };
     planner::Job {
         id,
         class,
@@ -299,7 +304,7 @@ fn spare_work(snapshot: &Snapshot, jobs: &[planner::Job]) -> u64 {
         let factor = learned(farm_job);
         for frame in &farm_job.frames {
             if let Some(bought) = bought.get(&number(frame.frame)) {
-                most = most.max(units(share(frame.p95, frame.frame) * factor).saturating_sub(*bought));
+                most = most.max(units(frame.p95 * frame.share * factor).saturating_sub(*bought));
             }
         }
     }
@@ -433,7 +438,7 @@ fn planner_frame(
     overhead: f64,
     (asked, most_parts): (Division, u32),
 ) -> planner::Frame {
-    let (p50, p80) = (share(each.p50, each.frame), share(each.p80, each.frame));
+    let (p50, p80) = (each.p50 * each.share, each.p80 * each.share);
     let own = if each.frame.parts > 1 { overhead } else { 0.0 };
     let frame = frame(number(each.frame), p50 * factor + own, p80 * factor + own);
     if !each.untouched {
@@ -445,11 +450,6 @@ fn planner_frame(
         Parts::Exactly(parts) => planner::Division::Into(parts),
     };
     planner::Frame { division, ..frame }
-}
-
-/// The share of a frame's cost that one of its parts has.
-fn share(seconds: f64, frame: FramePart) -> f64 {
-    seconds / f64::from(frame.parts.max(1))
 }
 
 pub(crate) fn frame(number: i64, p50: f64, p80: f64) -> planner::Frame {

@@ -191,10 +191,11 @@ async fn what_does_not_divide_a_frame_is_refused_with_its_place() {
         let problem = farm.report(&lease, result).await.problem(ProblemKind::Invalid).await;
         assert_eq!(problem.pointer.as_deref(), Some("/result/render_part/rest/ends"));
     }
+    // Nobody asked the worker to leave anything.
     let rest = Some(forelight_protocol::RestOfPart { ends: vec![10, 32], work: vec![1, 1] });
     let result = TaskResult::RenderPart(forelight_protocol::RenderPartResult { rest, ..good });
-    assert_eq!(farm.report(&lease, result).await.status(), StatusCode::OK);
-    assert_eq!(farm.frame(&job, 0).await.parts, 3);
+    assert_eq!(farm.report(&lease, result).await.status(), StatusCode::CONFLICT);
+    assert_eq!(farm.frame(&job, 0).await.parts, 2);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -94,6 +94,11 @@ impl AllotArgs {
         self.confidence
     }
 
+    /// Number of pixels to profile.
+    pub fn samples(&self) -> u32 {
+        self.samples
+    }
+
     /// The flag that limits the time.
     pub fn limit(&self) -> &'static str {
         if self.within_money.is_some() { "--within-money" } else { "--within" }

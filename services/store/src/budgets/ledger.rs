@@ -154,7 +154,7 @@ pub(crate) async fn committed(
     now: Timestamp,
 ) -> Result<Money> {
     let rows = rows!(
-        ", f.cpu_p50 / f.parts AS \"cpu_p50!: f64\", l.node_speed * n.cores AS \"speed!: f64\"",
+        ", f.cpu_p50 * ifnull(t.share, 1.0 / f.parts) AS \"cpu_p50!: f64\", l.node_speed * n.cores AS \"speed!: f64\"",
         "JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
          WHERE d.project = ? AND d.until_at IS NULL AND t.booked_part IS NOT NULL AND f.cpu_p50 IS NOT NULL",

@@ -4,16 +4,18 @@
 //! parts of equal forecast cost, and reports both. So nothing is rendered twice, and a worker that does not know of
 //! this only goes on.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use forelight_protocol::{
-    Event, EventKind, LeaseId, MOST_PARTS, Node, PartRange, PixelRange, RenderPartSpec, RestOfPart, TaskSpec,
-    Timestamp,
+    Event, EventKind, LeaseId, MOST_PARTS, Node, NodeId, PartRange, PixelRange, RenderPartSpec, RestOfPart,
+    TaskSpec, Timestamp,
 };
 use forelight_quote::JobForecast;
 use forelight_quote::division::{overhead_seconds, parts_of_rest};
 
-use crate::columns::{Json, corrupt};
+use crate::columns::{Id, Json, corrupt};
 use crate::database::{Store, Write};
-use crate::error::Result;
+use crate::error::{Result, StoreError};
 use crate::events::append;
 use crate::leases::{LeaseRow, read_in};
 use crate::nodes::listing::without_capabilities;
@@ -28,12 +30,15 @@ impl Store {
     /// Has the rest of late parts divided, as far as nodes are idle and the pieces are worth it.
     pub(crate) async fn divide_late_parts(&self, now: Timestamp) -> Result<()> {
         let late = sqlx::query!(
-            r#"SELECT l.id, l.granted_at, l.counts_from, l.progress_at, l.progress, f.parts AS "parts!: u32",
-                      j.forecast AS "forecast!: Json<JobForecast>"
+            r#"SELECT l.id, l.granted_at, l.counts_from, l.progress_at, l.progress, t.job_id, t.frame AS "frame!: u32",
+                      t.renderer, j.forecast AS "forecast!: Json<JobForecast>",
+                      f.parts + (SELECT total(o.divide_rest - 1) FROM tasks p JOIN leases o ON o.task_id = p.id
+                                 AND o.state = 'active' WHERE p.job_id = t.job_id AND p.frame = t.frame)
+                      AS "parts!: i64"
                FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id
                JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
                WHERE l.state = 'active' AND l.lateness = 'late' AND l.divide_rest IS NULL AND t.kind = 'render_part'
-                     AND t.again = 0 AND json_extract(t.spec, '$.render_part.range.pixels.to') IS NOT NULL
+                     AND t.again = 0 AND t.held = 0 AND json_extract(t.spec, '$.render_part.range.pixels.to') IS NOT NULL
                      AND j.forecast IS NOT NULL
                ORDER BY l.granted_at, l.id"#
         )
@@ -43,15 +48,21 @@ impl Store {
             return Ok(());
         }
         let mut idle = self.idle_nodes(now).await?;
+        // Of each frame, the parts that were asked for now.
+        let mut asked: BTreeMap<(Id, u32), u32> = BTreeMap::new();
         for row in late {
             let since =
                 AttemptTimes::new(row.granted_at, row.counts_from, row.progress_at).attempt(0.0, None).since;
             let elapsed = now.micros_since(since).max(0) as f64 * 1e-6;
             let rest = if row.progress > 0.0 { elapsed * (1.0 - row.progress) / row.progress } else { 0.0 };
-            let most = MOST_PARTS.saturating_sub(row.parts).max(1);
-            let parts = parts_of_rest(rest, overhead_seconds(&row.forecast.0), idle).min(most);
+            let asked = asked.entry((row.job_id, row.frame)).or_default();
+            let all = u32::try_from(row.parts).unwrap_or(MOST_PARTS).saturating_add(*asked);
+            let most = MOST_PARTS.saturating_sub(all).saturating_add(1);
+            let helpers = idle.with(row.renderer.as_deref());
+            let parts = parts_of_rest(rest, overhead_seconds(&row.forecast.0), helpers).min(most);
             if parts > 1 {
-                idle = idle.saturating_sub(parts - 1);
+                *asked += parts - 1;
+                idle.promised += i64::from(parts - 1);
                 self.divide_late_part(row.id.into(), parts, now).await?;
             }
         }
@@ -76,8 +87,8 @@ impl Store {
         self.commit(write).await
     }
 
-    /// Number of nodes that would take a task now, less the tasks that wait for one.
-    async fn idle_nodes(&self, now: Timestamp) -> Result<u32> {
+    /// The nodes that would take a task now.
+    async fn idle_nodes(&self, now: Timestamp) -> Result<IdleNodes> {
         let mut connection = self.readers().acquire().await?;
         let nodes = without_capabilities(&mut connection).await?;
         let is_idle = |node: &&Node| {
@@ -86,10 +97,43 @@ impl Store {
                 && is_there(node, now)
                 && matches!(opening(node, now), Opening::Awake(_))
         };
-        let idle = nodes.iter().filter(is_idle).count();
-        let ready = sqlx::query_scalar!("SELECT count(*) FROM tasks WHERE state = 'ready' AND held = 0");
-        let ready = ready.fetch_one(&mut *connection).await?;
-        Ok(u32::try_from(idle as i64 - ready).unwrap_or(0))
+        let idle: BTreeSet<NodeId> = nodes.iter().filter(is_idle).map(|node| node.id).collect();
+        let renderers = sqlx::query!(
+            r#"SELECT n.id, r.value || '' AS "renderer!: String" FROM nodes n, json_each(n.renderers) r
+               WHERE n.removed_at IS NULL"#
+        );
+        let renderers = renderers.fetch_all(&mut *connection).await?;
+        let renderers = renderers.into_iter().map(|row| (NodeId::from(row.id), row.renderer));
+        // Tasks that wait for a node, and parts that workers have been told to make.
+        let promised = sqlx::query_scalar!(
+            r#"SELECT (SELECT count(*) FROM tasks WHERE state = 'ready' AND held = 0)
+                      + (SELECT ifnull(sum(divide_rest - 1), 0) FROM leases WHERE state = 'active') AS "promised!: i64""#
+        );
+        let promised = promised.fetch_one(&mut *connection).await?;
+        Ok(IdleNodes {
+            renderers: renderers.filter(|(node, _)| idle.contains(node)).collect(),
+            all: idle,
+            promised,
+        })
+    }
+}
+
+/// Nodes that would take a task now.
+struct IdleNodes {
+    all: BTreeSet<NodeId>,
+    renderers: Vec<(NodeId, String)>,
+    /// Number of tasks that they will be given.
+    promised: i64,
+}
+
+impl IdleNodes {
+    /// Number of those that have a renderer, and nothing else to do.
+    fn with(&self, renderer: Option<&str>) -> u32 {
+        let found = match renderer {
+            None => self.all.len(),
+            Some(renderer) => self.renderers.iter().filter(|(_, has)| has == renderer).count(),
+        };
+        u32::try_from(found as i64 - self.promised).unwrap_or(0)
     }
 }
 
@@ -108,6 +152,11 @@ pub(super) async fn divide_rest(
     let (Some(PartRange::Pixels(range)), [first, ..]) = (spec.range, rest.ends.as_slice()) else {
         return Err(corrupt("spec", "not that of a part of pixels"));
     };
+    let asked = row.divide_rest.unwrap_or(0);
+    if rest.ends.len() > asked as usize + 1 {
+        let reason = format!("the worker was asked to leave its rest in {asked} parts");
+        return Err(StoreError::Conflict(reason));
+    }
     let parts = sqlx::query_scalar!(
         r#"SELECT parts AS "parts: u32" FROM frames WHERE job_id = ? AND frame = ?"#,
         row.job_id.0,
@@ -126,7 +175,10 @@ pub(super) async fn divide_rest(
     run!(write, "UPDATE frames SET parts = ? WHERE job_id = ? AND frame = ?", all, row.job_id.0, frame);
     let whole = own.share.unwrap_or(1.0 / f64::from(parts.max(1)));
     let work: f64 = rest.work.iter().map(|&work| work as f64).sum();
-    let share_of = |work_of_piece: u64| whole * work_of_piece as f64 / work.max(1.0);
+    let share_of = |work_of_piece: u64| match work {
+        0.0 => whole / rest.work.len() as f64,
+        work => whole * work_of_piece as f64 / work,
+    };
     let finished = PartRange::Pixels(PixelRange { from: range.from, to: *first });
     run!(
         write,

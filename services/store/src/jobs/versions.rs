@@ -108,13 +108,14 @@ async fn replace(
     Ok(())
 }
 
-/// Renders the parts of divided frames again that another version has rendered, or is rendering. A frame of which all
+/// Renders the parts and passes of divided frames again that another version has rendered, or is rendering. A frame of which all
 /// parts are there only has to be put together, and stays.
 async fn render_parts_again(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
     let frames = sqlx::query_scalar!(
         r#"SELECT DISTINCT p.frame AS "frame!: u32" FROM tasks p
            JOIN tasks r ON r.job_id = p.job_id AND r.frame = p.frame AND r.kind = 'render' AND r.state = 'waiting'
-           WHERE p.job_id = ? AND p.kind = 'render_part' AND p.state IN ('leased', 'done') ORDER BY p.frame"#,
+           WHERE p.job_id = ? AND (p.kind = 'render_part' AND p.state IN ('leased', 'done')
+                 OR p.kind = 'divide' AND json_array_length(p.spec, '$.divide.passes.before') > 0) ORDER BY p.frame"#,
         job.0
     )
     .fetch_all(write.connection().await?)
@@ -123,7 +124,7 @@ async fn render_parts_again(write: &mut Write, job: JobId, now: Timestamp) -> Re
         return Ok(());
     }
     for frame in frames {
-        division::begin_again(write, job, frame, "waiting", now).await?;
+        division::begin_again(write, job, frame, "ready", now).await?;
     }
     living::update(write, job, Occasion::Booked, now).await
 }

@@ -74,9 +74,11 @@ impl Store {
             Some(BundleSource::Path(_)) | None => {}
             Some(BundleSource::Artifact(hash)) => artifacts.push(*hash),
         }
-        if let TaskSpec::Render(render) = spec {
-            artifacts.extend(render.profile);
-            artifacts.extend(render.shares.iter().map(|share| share.hash));
+        artifacts.extend(spec.profile().into_iter().chain(spec.samples()));
+        match spec {
+            // Pixels of parts that cannot be read are rendered again.
+            TaskSpec::Render(render) => artifacts.extend(render.shares.iter().map(|share| share.hash)),
+            spec => artifacts.extend(spec.parts()),
         }
         for hash in artifacts {
             match self.artifacts().get(hash, now).await {

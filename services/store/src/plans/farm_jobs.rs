@@ -42,6 +42,8 @@ pub struct FarmJob {
 pub struct FarmFrame {
     /// Which one.
     pub frame: FramePart,
+    /// Share of the frame's forecast cost. 1: it is the whole frame.
+    pub share: f64,
     /// Forecast CPU seconds of the whole frame, median.
     pub p50: f64,
     /// Forecast CPU seconds, 80 % quantile.
@@ -93,7 +95,7 @@ async fn frames_of(
 ) -> Result<BTreeMap<JobId, Vec<BookedFrame>>> {
     let rows = sqlx::query!(
         r#"SELECT f.job_id, f.frame, f.parts AS "parts!: u32", coalesce(p.part, 0) AS "part!: u32",
-                  f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
+                  ifnull(p.share, 1.0 / f.parts) AS "share!: f64", f.cpu_p50 AS "cpu_p50!", f.cpu_p80 AS "cpu_p80!", f.cpu_p95 AS "cpu_p95!",
                   coalesce(p.state, t.state) NOT IN ('leased', 'done') AND NOT f.dropped AS "waits!: bool",
                   coalesce(p.held, t.held) AS "held!: bool",
                   p.id IS NULL AND t.fence = 0 AS "untouched!: bool",
@@ -117,6 +119,7 @@ async fn frames_of(
     for row in rows {
         let frame = FarmFrame {
             frame: FramePart { frame: row.frame, part: row.part, parts: row.parts },
+            share: row.share,
             p50: row.cpu_p50,
             p80: row.cpu_p80,
             p95: row.cpu_p95,

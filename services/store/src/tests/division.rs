@@ -15,7 +15,7 @@ impl Farm {
     }
 
     /// The same for a job whose frames are rendered in passes.
-    async fn job_in_passes(&self, frames: &str, node: NodeId, parts: u32) -> JobId {
+    pub(super) async fn job_in_passes(&self, frames: &str, node: NodeId, parts: u32) -> JobId {
         let forecast = JobForecast { chosen_spp: Some(7), ..job_forecast() };
         self.divided_job_of(request(frames), node, parts, &forecast).await
     }
@@ -36,7 +36,7 @@ impl Farm {
 
     /// Does the next task of a node, which must be to divide a frame: into two parts that end at these places, for a
     /// pass with these samples.
-    async fn divide(&self, node: NodeId, ends: [u32; 2], samples: &'static str) -> DivideSpec {
+    pub(super) async fn divide(&self, node: NodeId, ends: [u32; 2], samples: &'static str) -> DivideSpec {
         let lease = self.claim(node, at(20)).await.unwrap();
         let TaskSpec::Divide(spec) = lease.spec else { panic!("{:?}", lease.spec) };
         let result = TaskResult::Divide(DivideResult {
@@ -52,7 +52,7 @@ impl Farm {
     }
 
     /// Does the next task of a node, which must be a part of a pass.
-    async fn part_of_pass(&self, node: NodeId, file: &'static str, work: u64) -> PartPass {
+    pub(super) async fn part_of_pass(&self, node: NodeId, file: &'static str, work: u64) -> PartPass {
         // Each part takes a while.
         let now = at(work as i64);
         let lease = self.claim(node, now).await.unwrap();

@@ -92,6 +92,33 @@ async fn a_divided_frame_comes_from_one_version() {
 }
 
 #[tokio::test]
+async fn a_frame_in_passes_comes_from_one_version() {
+    // Whatever of the first passes is done, all begin again.
+    for done in 1..=5 {
+        let farm = Farm::new().await;
+        let node = farm.node_with("a", 13, at(0)).await;
+        let job = farm.job_in_passes("0", node, 2).await;
+        for step in 1..=done {
+            match step {
+                1 => drop(farm.divide(node, [100, 200], "one sample").await),
+                4 => drop(farm.divide(node, [100, 200], "more samples").await),
+                _ => drop(farm.part_of_pass(node, ["", "", "a", "b", "", "c"][step], 20).await),
+            }
+        }
+        farm.node_with("a", 14, at(21)).await;
+        farm.store.sweep(at(21)).await.unwrap();
+        assert_eq!(farm.version(job).await.map(|(version, _)| version), Some("tracer-14".to_owned()));
+        let part = |part| (TaskKind::RenderPart, Some(part));
+        let all =
+            [(TaskKind::Divide, None), part(0), part(1), (TaskKind::Divide, None), (TaskKind::Render, None)];
+        let found = farm.done(node, 9).await;
+        // Of the first division alone, nothing is of the other version.
+        assert_eq!(found, all[usize::from(done == 1)..], "after {done} tasks");
+        assert_eq!(farm.store.job(job).await.unwrap().state, forelight_protocol::JobState::Done);
+    }
+}
+
+#[tokio::test]
 async fn a_version_is_given_up_when_its_last_node_is_drained_or_lost_and_not_when_it_is_paused() {
     let lost = at(10).plus_micros(LOST + 1);
     let drain = NodeChange { drain: Some(true), ..NodeChange::default() };

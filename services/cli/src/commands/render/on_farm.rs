@@ -140,6 +140,7 @@ async fn submit_frame(args: &Args, client: &Client, bars: &Bars) -> Result<Job> 
         project: args.farm.project.clone(),
         settings,
         within: args.allot.cpu_time(),
+        samples: args.allot.samples(),
         confidence: args.allot.confidence(),
         ..JobRequest::new(format!("{} frame {frame}", scene.name), bundle, FrameSet::range(frame, frame))
     };

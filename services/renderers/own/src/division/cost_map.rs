@@ -34,15 +34,14 @@ impl OwnFrame<'_> {
         self.divided(self.tracer.settings().spp, self.places(), parts, finished, stop)
     }
 
-    /// The same for some of the frame's places.
+    /// The same for some of the frame's places, of which nothing is finished.
     pub fn divide_places(
         &self,
         places: Range<u32>,
         parts: u32,
-        finished: &[(u32, Pixel)],
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Divided> {
-        self.divided(self.tracer.settings().spp, places, parts, finished, stop)
+        self.divided(self.tracer.settings().spp, places, parts, &[], stop)
     }
 
     fn places(&self) -> Range<u32> {

@@ -56,7 +56,10 @@ impl<'a, F: PixelFile> Checkpoints<'a, F> {
             let bytes = Bytes::from(file.to_bytes());
             state.last = Instant::now();
             drop(state);
-            self.control.offer_checkpoint(bytes);
+            // The size of unfinished pixels is not known before.
+            if bytes.len() <= CHECKPOINT_BYTES {
+                self.control.offer_checkpoint(bytes);
+            }
         }
     }
 }

@@ -105,7 +105,7 @@ fn next_pass(
     control: &Control,
 ) -> Result<Division, ExecuteError> {
     let mut passes = ready.begin();
-    passes.take_over(given::unfinished(ready, &assignment.parts, control)?);
+    given::take_over(&mut passes, ready, assignment, control)?;
     let next = WorkBudget::new(ready, *work).evaluate(&passes)?.next.map(|pass| pass.samples);
     let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
     Ok(Division { parts, samples: next, picture: picture(&passes), spent: None })

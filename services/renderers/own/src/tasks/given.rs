@@ -5,7 +5,7 @@ use crate::frame::OwnFrame;
 use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, JobSettings, LogLevel, RenderSettings, Spent};
 use forelight_renderer::{Assignment, Control, ExecuteError};
-use forelight_tracer::{Cache, CacheError, Profile, Unfinished};
+use forelight_tracer::{Cache, CacheError, Passes, Profile};
 
 /// The settings of a task as our own renderer has them.
 pub(crate) fn own(settings: &JobSettings) -> Result<&RenderSettings, ExecuteError> {
@@ -98,12 +98,13 @@ pub(crate) fn usable(what: &str, bytes: &Bytes, ready: &OwnFrame<'_>, control: &
     }
 }
 
-/// Files of unfinished pixels of this frame. They may come from another version of the renderer.
-pub(crate) fn unfinished(
+/// Takes over the pixels of the last pass over this frame. They may come from another version of the renderer.
+pub(crate) fn take_over(
+    passes: &mut Passes,
     ready: &OwnFrame<'_>,
-    files: &[Bytes],
+    assignment: &Assignment,
     control: &Control,
-) -> Result<Vec<Unfinished>, ExecuteError> {
+) -> Result<(), ExecuteError> {
     let read = |bytes: &Bytes| {
         if control.is_cancelled() {
             return Err(ExecuteError::Cancelled);
@@ -112,7 +113,7 @@ pub(crate) fn unfinished(
             |error| ExecuteError::Transient(format!("pixels of the last pass cannot be used: {error}"));
         ready.unfinished(bytes).map_err(unusable)
     };
-    files.iter().map(read).collect()
+    passes.take_over(assignment.parts.iter().map(read), None)
 }
 
 /// The one irradiance cache that a task is given.

@@ -14,6 +14,7 @@ use forelight_protocol::{
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
 use forelight_tracer::{Advanced, Pixel, Profile, SampleCounts, Totals, Unfinished, clocked};
+use std::ops::Range;
 use std::sync::Once;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -73,35 +74,48 @@ fn finished(
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Made, ExecuteError> {
-    let pixels = pixels(ready, part.clone(), start, assignment, control)?;
+    let mut pixels = pixels(ready, part.clone(), start, assignment, control)?;
+    let left = left(ready, &part, &pixels, start);
+    if let Some(done) = left {
+        // What an earlier worker finished behind the first gap is left as well.
+        let mut is_left = vec![false; ready.frame().camera.pixels()];
+        part[done..].iter().for_each(|&index| is_left[index as usize] = true);
+        pixels.retain(|(index, _)| !is_left[*index as usize]);
+    }
     let Totals { pixels: count, work, cpu_nanos, .. } = Totals::of(pixels.iter().map(|(_, pixel)| pixel));
-    let rest = rest(ready, (range, &part), (&pixels, work), start, control)?;
+    // A part has at most as many pixels as an image.
+    let rest = left.map(|done| rest(ready, range.from + done as u32..range.to, work, control)).transpose()?;
     let (file, writing) = clocked(|| ready.finished_pixels(pixels).to_bytes());
     Ok(Made { file, count, cost: Spent { work, cpu_nanos }, writing, rest })
 }
 
-/// Divides what is left of a part. `None` if nothing is.
+/// How many pixels of a part are known before the first that is not. `None` if all are.
+fn left(
+    ready: &OwnFrame<'_>,
+    part: &[u32],
+    finished: &[(u32, Pixel)],
+    start: &given::Start,
+) -> Option<usize> {
+    let profiled = start.profile.iter().flat_map(|profile| &profile.pixels);
+    let mut is_known = vec![false; ready.frame().camera.pixels()];
+    finished.iter().chain(profiled).for_each(|(index, _)| is_known[*index as usize] = true);
+    part.iter().position(|&index| !is_known[index as usize])
+}
+
+/// Divides the places that are left of a part of which `work` is done. Also returns the cost of that.
 fn rest(
     ready: &OwnFrame<'_>,
-    (range, part): (PixelRange, &[u32]),
-    (finished, work): (&[(u32, Pixel)], u64),
-    start: &given::Start,
+    places: Range<u32>,
+    work: u64,
     control: &Control,
-) -> Result<Option<(RestOfPart, Spent)>, ExecuteError> {
-    let profiled = start.profile.iter().flat_map(|profile| &profile.pixels);
-    let known: Vec<(u32, Pixel)> = finished.iter().chain(profiled).copied().collect();
-    let mut is_known = vec![false; ready.frame().camera.pixels()];
-    known.iter().for_each(|(index, _)| is_known[*index as usize] = true);
-    let Some(done) = part.iter().position(|&index| !is_known[index as usize]) else { return Ok(None) };
-    // A part has at most as many pixels as an image.
-    let first = range.from + done as u32;
-    let parts = control.rest_in_parts().unwrap_or(1);
-    let divided = ready.divide_places(first..range.to, parts, &known, &|| control.is_cancelled());
+) -> Result<(RestOfPart, Spent), ExecuteError> {
+    let (first, parts) = (places.start, control.rest_in_parts().unwrap_or(1));
+    let divided = ready.divide_places(places, parts, &|| control.is_cancelled());
     let divided = divided.ok_or(ExecuteError::Cancelled)?;
     control.log(LogLevel::Info, format!("the rest of the part is left to others, in {parts} parts"));
     let ends = std::iter::once(first).chain(divided.parts.iter().map(|part| part.to)).collect();
     let work = std::iter::once(work).chain(divided.parts.iter().map(|part| part.cost)).collect();
-    Ok(Some((RestOfPart { ends, work }, divided.spent)))
+    Ok((RestOfPart { ends, work }, divided.spent))
 }
 
 /// Adds the samples of one pass to the part's pixels. What an earlier worker added is not traced again.
@@ -116,16 +130,18 @@ fn pass(
     let no_samples = || ExecuteError::Transient("the numbers of samples were expected".to_owned());
     let samples = samples.ok_or_else(no_samples)?.map_err(RenderError::from)?;
     let mut passes = ready.begin_pixels(part);
-    passes.take_over(given::unfinished(ready, &assignment.parts, control)?);
+    given::take_over(&mut passes, ready, assignment, control)?;
     let before = passes.totals();
-    if let Some(checkpoint) = &assignment.checkpoint {
-        match ready.unfinished(checkpoint) {
-            Ok(checkpoint) => passes.take_over(vec![checkpoint]),
-            Err(why) => {
-                control.log(LogLevel::Warn, format!("an earlier worker's samples cannot be used: {why}"))
-            }
+    let checkpoint = assignment.checkpoint.as_ref().map(|bytes| ready.unfinished(bytes));
+    let checkpoint = checkpoint.and_then(|found| match found {
+        Ok(found) => Some(found),
+        Err(why) => {
+            control.log(LogLevel::Warn, format!("an earlier worker's samples cannot be used: {why}"));
+            None
         }
-    }
+    });
+    let kept = checkpoint.clone().unwrap_or_else(|| ready.so_far(&ready.begin_pixels(&[])));
+    passes.take_over(checkpoint.map(Ok::<_, ExecuteError>), Some(&samples))?;
     let fills = !ready.has_final_colours();
     let progress = |progress: Progress| control.set_progress(fraction(progress, fills));
     if !ready.fill(&progress, control.cancelled()) {
@@ -135,8 +151,7 @@ fn pass(
     let all = part.len() as u64;
     let found = passes.totals().minus(&before);
     control.finished_pixels(FinishedPixels { done: 0, all, work: found.work, cpu_nanos: found.cpu_nanos });
-    let none = ready.so_far(&ready.begin_pixels(&[]));
-    let checkpoints = Checkpoints::new(control, Some(none), Unfinished::bytes_of(all));
+    let checkpoints = Checkpoints::new(control, Some(kept), Unfinished::bytes_of(all));
     let so_far = AtomicU64::new(0);
     let advanced = |advanced: &Advanced<'_>| {
         let Totals { pixels: done, work, cpu_nanos, .. } = advanced.cost;

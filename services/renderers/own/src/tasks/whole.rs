@@ -1,6 +1,6 @@
 //! Puts a divided frame together from the files of its parts.
 
-use super::given::{unfinished, usable};
+use super::given::{take_over, usable};
 use super::progress::{count, fraction};
 use crate::adaptive::work_budget::WorkBudget;
 use crate::answers::Progress;
@@ -52,8 +52,8 @@ pub(crate) fn passes_put_together(
 ) -> Result<Option<Rendered>, ExecuteError> {
     let start = Instant::now();
     let mut passes = ready.begin();
-    match unfinished(ready, &assignment.parts, control) {
-        Ok(files) => passes.take_over(files),
+    match take_over(&mut passes, ready, assignment, control) {
+        Ok(()) => {}
         Err(ExecuteError::Cancelled) => return Err(ExecuteError::Cancelled),
         Err(error) => {
             control.log(LogLevel::Warn, format!("the frame is rendered again in one piece: {error}"));

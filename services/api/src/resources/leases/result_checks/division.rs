@@ -34,6 +34,9 @@ pub(super) fn divide(spec: &DivideSpec, result: &DivideResult) -> ApiResult<()> 
     }
     storable(&format!("{AT}/work"), result.work.iter().copied())?;
     if let Some(cache) = &result.cache {
+        if spec.frame_cache.is_some() && !cache.full {
+            return wrong(format!("{AT}/cache/full"), "the frame's irradiance cache was full before");
+        }
         cache_bytes(&format!("{AT}/cache/bytes"), cache.bytes)?;
     }
     spent(&format!("{AT}/spent"), result.spent)
