@@ -6,7 +6,7 @@ use forelight_protocol::{
     RenewRequest, ResultRequest, TaskSpec, Timestamp,
 };
 use forelight_scene::{Limits, Scene, SceneError};
-use forelight_tracer::{Cache, CacheSettings, Profile, Settings, Tracer};
+use forelight_tracer::{Cache, CacheSettings, Passes, Profile, SampleCounts, Settings, Tracer, Unfinished};
 use serde::{Serialize, de::DeserializeOwned};
 use serde_json::Value;
 use std::cell::RefCell;
@@ -39,6 +39,7 @@ const PARSERS: [Parser; 11] = [
     Parser { name: "image", read: image, seeds: image_seeds },
     Parser { name: "archive", read: archive, seeds: || vec![archive_seed()] },
     Parser { name: "profile", read: profile, seeds: || vec![profile_seed(), profile_with_cache_seed()] },
+    Parser { name: "unfinished", read: unfinished, seeds: || vec![unfinished_seed()] },
     Parser { name: "cache", read: cache, seeds: || vec![cache_seed()] },
     Parser { name: "protocol", read: protocol, seeds: protocol_seeds },
     Parser { name: "quantities", read: quantities, seeds: quantity_seeds },
@@ -259,6 +260,14 @@ pub fn profile(bytes: &[u8]) {
     });
 }
 
+/// Pixels between two passes.
+pub fn unfinished(bytes: &[u8]) {
+    sealed(bytes, |bytes| match Unfinished::from_bytes(bytes) {
+        Ok(file) => assert_eq!(file.to_bytes(), bytes),
+        Err(error) => one_line(&error.to_string()),
+    });
+}
+
 /// The good bundle, ready to be traced with an irradiance cache.
 fn traced() -> Tracer {
     let folder = tempfile::tempdir().expect("a temporary folder can be made");
@@ -273,6 +282,16 @@ fn profile_seed() -> Vec<u8> {
     let tracer = traced();
     let pixels = (0..3).zip(tracer.profile(&[0, 1, 2])).collect();
     Profile { origin: tracer.origin(), fingerprint: tracer.fingerprint(), pixels, cache: None }.to_bytes()
+}
+
+fn unfinished_seed() -> Vec<u8> {
+    let tracer = traced();
+    tracer.plan();
+    assert!(tracer.fill(&|_, _| (), &AtomicBool::new(false)));
+    let mut passes = Passes::of(&tracer, &[0, 2, 3]);
+    let two = SampleCounts::new(vec![2; 4]).expect("every pixel has samples");
+    passes.go_on(&tracer, &two, &|| false, &|_| ()).expect("the image has four pixels");
+    passes.unfinished(&tracer).to_bytes()
 }
 
 fn profile_with_cache_seed() -> Vec<u8> {

@@ -146,7 +146,10 @@ impl Passes {
                 let [tile, place] = self.places[index as usize];
                 let Some(tile) = self.tiles.get_mut(tile as usize) else { continue };
                 let known = &mut tile.pixels[place as usize];
-                let most = most.map_or(u32::MAX, |most| u32::from(most.as_slice()[index as usize]));
+                // Nothing is taken over if there are too few numbers: `go_on` refuses them.
+                let of_pixel =
+                    |most: &SampleCounts| most.as_slice().get(index as usize).map_or(0, |&n| n.into());
+                let most: u32 = most.map_or(u32::MAX, of_pixel);
                 if (known.samples + 1..=most).contains(&pixel.samples) {
                     *known = pixel;
                 }

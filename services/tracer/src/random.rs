@@ -38,13 +38,11 @@ impl Drawn {
     pub fn sequences(&self) -> &[(u8, u32)] {
         &self.0
     }
-}
 
-impl FromIterator<(u8, u32)> for Drawn {
-    /// Sequences of dimensions that do not exist are left out.
-    fn from_iter<I: IntoIterator<Item = (u8, u32)>>(sequences: I) -> Self {
+    /// From what [`Self::sequences`] returned. `None` if a dimension does not exist.
+    pub fn of(sequences: Vec<(u8, u32)>) -> Option<Self> {
         let exists = |(dimension, _): &(u8, u32)| usize::from(*dimension) < VERTICES * PURPOSES;
-        Self(sequences.into_iter().filter(exists).collect())
+        sequences.iter().all(exists).then(|| Self(sequences.into()))
     }
 }
 

@@ -107,6 +107,62 @@ fn pixel(reader: &mut Reader<'_>) -> Option<(u32, Underway)> {
     }
     let pixel: Pixel = reader.pixel()?;
     let sequences = reader.u16()?;
-    let drawn: Option<Drawn> = (0..sequences).map(|_| Some((reader.u8()?, reader.u32()?))).collect();
-    Some((index, Underway { drawn: drawn?, sum: sum_of_all, squares, samples, before, pixel }))
+    let sequences: Option<Vec<_>> = (0..sequences).map(|_| Some((reader.u8()?, reader.u32()?))).collect();
+    let drawn = Drawn::of(sequences?)?;
+    // A pixel has at most as many samples as [`crate::SampleCounts`] can ask for.
+    let fits = samples <= u32::from(u16::MAX);
+    fits.then_some((index, Underway { drawn, sum: sum_of_all, squares, samples, before, pixel }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pixel::Coverage;
+    use glam::Vec3;
+
+    fn file() -> Unfinished {
+        let pixel = |index: u32| {
+            let mut underway = Underway::default();
+            for sample in 0..index {
+                underway.add(Vec3::new(0.25, sample as f32, 1e-30));
+            }
+            underway.squares = 0.1 * f64::from(index);
+            underway.drawn = Drawn::of(vec![(0, index), (191, 7)]).unwrap();
+            underway.pixel.work = 1000 * u64::from(index);
+            underway.pixel.coverage = Coverage { all: index as u16, ..Coverage::NONE };
+            (31 * index, underway)
+        };
+        Unfinished { origin: Origin::default(), fingerprint: [9; 32], pixels: (0..5).map(pixel).collect() }
+    }
+
+    #[test]
+    fn a_file_reads_back_as_it_was_written() {
+        let bytes = file().to_bytes();
+        let read = Unfinished::from_bytes(&bytes).unwrap();
+        assert_eq!(read.to_bytes(), bytes);
+        assert_eq!((read.totals().pixels, read.totals().work), (5, 10_000));
+        assert!(read.fits(125) && !read.fits(124));
+        assert!(read.colors().eq(file().colors()));
+    }
+
+    #[test]
+    fn every_truncation_and_every_flipped_bit_is_refused() {
+        let bytes = file().to_bytes();
+        for length in 0..bytes.len() {
+            assert!(Unfinished::from_bytes(&bytes[..length]).is_err(), "{length} bytes were accepted");
+        }
+        for bit in 0..bytes.len() * 8 {
+            let mut damaged = bytes.clone();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert!(Unfinished::from_bytes(&damaged).is_err(), "bit {bit} was not missed");
+        }
+    }
+
+    #[test]
+    fn sequences_and_numbers_of_samples_that_cannot_be_are_refused() {
+        assert!(Drawn::of(vec![(192, 1)]).is_none());
+        let mut file = file();
+        file.pixels[0].1.samples = 65_536;
+        assert_eq!(Unfinished::from_bytes(&file.to_bytes()).unwrap_err(), PixelFileError::Damaged);
+    }
 }

@@ -32,7 +32,7 @@ impl Store {
         let late = sqlx::query!(
             r#"SELECT l.id, l.granted_at, l.counts_from, l.progress_at, l.progress, t.job_id, t.frame AS "frame!: u32",
                       t.renderer, j.forecast AS "forecast!: Json<JobForecast>",
-                      f.parts + (SELECT total(o.divide_rest - 1) FROM tasks p JOIN leases o ON o.task_id = p.id
+                      f.parts + (SELECT ifnull(sum(o.divide_rest - 1), 0) FROM tasks p JOIN leases o ON o.task_id = p.id
                                  AND o.state = 'active' WHERE p.job_id = t.job_id AND p.frame = t.frame)
                       AS "parts!: i64"
                FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id
