@@ -1,13 +1,11 @@
 //! Finds ffmpeg, and encodes pictures with it.
 
 use forelight_protocol::{FrameRate, VIDEO_BYTES};
-use forelight_renderer::door::{Limits, RendererError, Run};
+use forelight_renderer::door::{RendererError, Run};
 use forelight_renderer::picture_name;
-use forelight_renderer::process::{Program, Usage, run};
+use forelight_renderer::process::{Program, Usage, ask, run};
 use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 /// Variable with the path of ffmpeg.
 const VARIABLE: &str = "FORELIGHT_FFMPEG";
@@ -29,9 +27,6 @@ const MOST_BITS: f64 = 60e6;
 
 /// Share of the largest size of a video that its rate may fill. The rest is for the container.
 const FILLED: f64 = 0.9;
-
-/// Time for ffmpeg to say what it has.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Lines of ffmpeg in the message of an error.
 const LAST_LINES: usize = 6;
@@ -185,12 +180,8 @@ fn version_in(line: &str) -> Option<String> {
 }
 
 fn said_by(program: &Path, option: &str, on_line: &mut dyn FnMut(&str)) -> Result<(), RendererError> {
-    let folder = std::env::temp_dir();
-    let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
-    let cancelled = AtomicBool::new(false);
-    let asking = Run::silent(&cancelled, &folder, limits);
-    let question = Program::new(program, &folder).args(["-hide_banner", option]);
-    match run(&question, &[], &asking, &mut |line| on_line(&line.text)) {
+    let question = |folder: &Path| Program::new(program, folder).args(["-hide_banner", option]);
+    match ask(question, &[], &mut |line| on_line(&line.text)) {
         Ok(_) => Ok(()),
         Err(error) => Err(not_usable(format!("{error}; install ffmpeg, or name it in {VARIABLE}"))),
     }

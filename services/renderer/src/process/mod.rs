@@ -7,6 +7,7 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `program` | what is started |
+//! | `question` | a program that only says its version, or what it can |
 //! | `sandbox` | what it may write, read and reach, if the worker says so |
 //! | `session` | a running program: lines in and out, orders |
 //! | `exchange` | a running program that answers bytes |
@@ -23,6 +24,7 @@ mod group;
 mod lines;
 mod messages;
 mod program;
+mod question;
 mod sandbox;
 mod session;
 mod supervisor;
@@ -31,6 +33,7 @@ pub use exchange::{Exchange, MOST_BYTES};
 pub use lines::{LONGEST_LINE, Line, Stream};
 pub use messages::{COMMON_MESSAGES, Meaning, Message};
 pub use program::Program;
+pub use question::ask;
 pub use sandbox::Sandbox;
 pub use session::{Finished, Session, run, run_on_files};
 pub use supervisor::Usage;

@@ -1,10 +1,8 @@
 //! Finds Blender, and starts it.
 
-use forelight_renderer::door::{Limits, RendererError, RendererId, Run};
-use forelight_renderer::process::{Meaning, Message, Program, run};
+use forelight_renderer::door::{RendererError, RendererId};
+use forelight_renderer::process::{Meaning, Message, Program, ask};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 /// Variable with the path of a Python that has the module `bpy`.
 const PYTHON: &str = "FORELIGHT_BPY_PYTHON";
@@ -12,9 +10,6 @@ const PYTHON: &str = "FORELIGHT_BPY_PYTHON";
 /// Oldest version, and the first major version that is too new.
 const OLDEST: (u32, u32) = (4, 2);
 const TOO_NEW: u32 = 6;
-
-/// Time for a program to say its version. Loading all of Blender from a cold disk takes a while.
-const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Messages of Blender.
 pub(crate) const MESSAGES: &[Message] = &[
@@ -96,16 +91,12 @@ impl Cycles {
 
 impl How {
     fn version(&self) -> Result<String, RendererError> {
-        let folder = tempfile::tempdir().map_err(RendererError::io("temporary folder"))?;
-        let program = match self {
-            Self::Program(path) => Program::new(path, folder.path()).args(["--background", "--version"]),
-            Self::Module(path) => Program::new(path, folder.path()).args(["-I", "-B", "-c", FIND_MODULE]),
+        let program = |folder: &Path| match self {
+            Self::Program(path) => Program::new(path, folder).args(["--background", "--version"]),
+            Self::Module(path) => Program::new(path, folder).args(["-I", "-B", "-c", FIND_MODULE]),
         };
-        let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
-        let cancelled = AtomicBool::new(false);
-        let outside = Run::silent(&cancelled, folder.path(), limits);
         let mut version = None;
-        run(&program, MESSAGES, &outside, &mut |line| {
+        ask(program, MESSAGES, &mut |line| {
             if let Some(rest) = line.text.strip_prefix("Blender ") {
                 version = rest.split_whitespace().next().map(str::to_owned);
             }

@@ -1,18 +1,13 @@
 //! Finds the program that a file describes.
 
 use crate::file::CommandFile;
-use forelight_renderer::door::{Limits, Renderer as _, RendererError, RendererId, Run, Settings};
-use forelight_renderer::process::{Program, run};
+use forelight_renderer::door::{Renderer as _, RendererError, RendererId, Settings};
+use forelight_renderer::process::{Program, ask};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 /// End of the name of such a file.
 pub const EXTENSION: &str = ".command.toml";
-
-/// Time for a program to say its version.
-const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A renderer that one can only start, as its file describes it.
 #[derive(Debug, Clone)]
@@ -75,17 +70,14 @@ fn find(program: &str, file: &Path, name: &str) -> Result<PathBuf, RendererError
 
 /// The first line that matches the pattern, or else the first line.
 fn version(file: &CommandFile, command: &[String], path: &Path) -> Result<String, RendererError> {
-    let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
     let first = command.first().map_or("", String::as_str);
-    let mut program = Program::new(find(first, path, &file.name)?, folder.path()).args(&command[1..]);
-    for name in &file.pass_on {
-        program = program.pass_on(name);
-    }
-    let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
-    let cancelled = AtomicBool::new(false);
-    let outside = Run::silent(&cancelled, folder.path(), limits);
+    let found = find(first, path, &file.name)?;
+    let program = |folder: &Path| {
+        let program = Program::new(found, folder).args(&command[1..]);
+        file.pass_on.iter().fold(program, |program, name| program.pass_on(name))
+    };
     let mut version = None;
-    let result = run(&program, &[], &outside, &mut |line| {
+    let result = ask(program, &[], &mut |line| {
         let found = match &file.version_pattern {
             Some(pattern) => pattern.find(&line.text),
             None => Some(line.text.trim()),

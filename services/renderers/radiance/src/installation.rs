@@ -1,13 +1,11 @@
 //! Finds Radiance, and starts its programs.
 
 use crate::settings::defaults;
-use forelight_renderer::door::{Limits, RendererError, RendererId, Run};
-use forelight_renderer::process::{Meaning, Message, Program, run};
+use forelight_renderer::door::{RendererError, RendererId};
+use forelight_renderer::process::{Meaning, Message, Program, ask};
 use serde_json::{Map, Value};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 /// Variable with the folder of Radiance's programs.
 const FOLDER: &str = "FORELIGHT_RADIANCE";
@@ -20,9 +18,6 @@ const LIBRARY_FILE: &str = "rayinit.cal";
 
 /// Programs that are needed.
 const PROGRAMS: [&str; 5] = ["rtrace", "vwrays", "oconv", "xform", "rad"];
-
-/// Time for a program to say its version.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Messages of Radiance.
 pub(crate) const MESSAGES: &[Message] = &[
@@ -111,13 +106,9 @@ impl Radiance {
     }
 
     fn lines_of(&self, program: &str, arguments: &[&str]) -> Result<Vec<String>, RendererError> {
-        let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
-        let program = self.program(program, folder.path(), folder.path()).args(arguments.iter().copied());
-        let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
-        let cancelled = AtomicBool::new(false);
-        let outside = Run::silent(&cancelled, folder.path(), limits);
+        let program = |folder: &Path| self.program(program, folder, folder).args(arguments.iter().copied());
         let mut lines = Vec::new();
-        run(&program, MESSAGES, &outside, &mut |line| lines.push(line.text.clone()))?;
+        ask(program, MESSAGES, &mut |line| lines.push(line.text.clone()))?;
         Ok(lines)
     }
 }
