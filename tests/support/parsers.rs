@@ -30,7 +30,7 @@ pub fn all() -> impl Iterator<Item = Parser> {
 }
 
 /// Parsers of scenes, artefacts and messages.
-const PARSERS: [Parser; 11] = [
+const PARSERS: [Parser; 12] = [
     Parser { name: "description", read: description, seeds: description_seeds },
     Parser { name: "obj", read: obj, seeds: || vec![OBJ.into()] },
     Parser { name: "mtl", read: mtl, seeds: || vec![MTL.into()] },

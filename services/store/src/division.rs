@@ -231,7 +231,7 @@ async fn finished_parts(write: &mut Write, job: JobId, frame: u32) -> Result<Vec
 /// Largest work of a frame that is rendered in passes. `None` for others.
 async fn work_of(write: &mut Write, job: JobId, frame: u32) -> Result<Option<u64>> {
     let work = sqlx::query_scalar!(
-        r#"SELECT json_extract(spec, '$.render.work') AS "work: i64" FROM tasks
+        r#"SELECT json_extract(spec, '$.render.work') AS "work?: i64" FROM tasks
            WHERE job_id = ? AND kind = 'render' AND frame = ?"#,
         job.0,
         frame
