@@ -128,8 +128,8 @@ pub struct DivideSpec {
     pub passes: Option<Passes>,
 }
 
-/// A divided frame whose samples go where they reduce the error most. The nodes share the pixels of each pass.
-/// After it, the frame is divided anew: the image so far shows where the next samples go.
+/// A divided frame whose samples go where they reduce the error most. The nodes share the pixels of each
+/// pass. After it, the frame is divided anew: the image so far shows where the next samples go.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Passes {
@@ -145,8 +145,8 @@ pub struct Passes {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DivideResult {
-    /// Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels. Empty
-    /// if the frame is rendered in passes, and the last one is over.
+    /// Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels.
+    /// Empty if the frame is rendered in passes, and the last one is over.
     #[schema(max_items = 512)]
     pub ends: Vec<u32>,
     /// Forecast work of each part, without what every part pays for itself.
@@ -156,12 +156,12 @@ pub struct DivideResult {
     /// Absent without a cache, and if the shared cache is all that the frame needs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<FrameCache>,
-    /// A picture of the frame before its parts: from the camera samples that told what they will cost, or after the
-    /// last pass. Light from an irradiance cache that is not filled yet is missing in it.
+    /// A picture of the frame before its parts: from the camera samples that told what they will cost, or
+    /// after the last pass. Light from an irradiance cache that is not filled yet is missing in it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coarse_png: Option<ArtifactHash>,
-    /// File with the number of samples that each pixel has after the next pass. Absent if the frame is not rendered
-    /// in passes, and after the last one.
+    /// File with the number of samples that each pixel has after the next pass. Absent if the frame is not
+    /// rendered in passes, and after the last one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<ArtifactHash>,
     /// Cost of the task.
@@ -217,12 +217,19 @@ pub struct RenderPartSpec {
     pub pass: Option<PartPass>,
 }
 
+impl RenderPartSpec {
+    /// What the part has to render, in a pass too. `None` while the frame is being divided.
+    pub fn assigned_range(&self) -> Option<PartRange> {
+        self.range.or_else(|| self.pass.as_ref().map(|pass| PartRange::Pixels(pass.pixels)))
+    }
+}
+
 /// What a part does in one pass over a frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PartPass {
-    /// The pixels of the part. Parts of passes have no other range, so that a worker which knows no passes cannot
-    /// render them in another way.
+    /// The pixels of the part. Parts of passes have no other range, so that a worker which knows no passes
+    /// cannot render them in another way.
     pub pixels: PixelRange,
     /// File with the number of samples that each pixel of the image has after the pass.
     pub samples: ArtifactHash,
@@ -238,7 +245,8 @@ pub struct PartPass {
 pub struct RenderPartResult {
     /// What is finished.
     pub finished: FinishedPart,
-    /// What is left, if the worker was told to leave the rest of its pixels to other nodes. Absent if nothing is.
+    /// What is left, if the worker was told to leave the rest of its pixels to other nodes. Absent if nothing
+    /// is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestOfPart>,
     /// Cost of the task, including what each part pays for itself: loading, its acceleration structure.
@@ -248,8 +256,8 @@ pub struct RenderPartResult {
     pub peak_memory_bytes: u64,
 }
 
-/// Where a part is divided again that takes longer than forecast. The first piece is finished; others are new parts
-/// of the frame.
+/// Where a part is divided again that takes longer than forecast. The first piece is finished; others are new
+/// parts of the frame.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RestOfPart {

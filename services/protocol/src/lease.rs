@@ -158,8 +158,8 @@ pub struct Renewal {
     /// The node's next window: ask for no task before. Absent while its window is open.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sleep_until: Option<Timestamp>,
-    /// For a part of a frame that takes longer than forecast while nodes are idle: into how many parts the pixels are
-    /// divided that are not begun. Finish those that are, and report the rest. Absent otherwise.
+    /// For a part of a frame that takes longer than forecast while nodes are idle: into how many parts the
+    /// pixels are divided that are not begun. Finish those that are, and report the rest. Absent otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 2, maximum = 512)]
     pub divide_rest: Option<u32>,

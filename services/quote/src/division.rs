@@ -47,8 +47,8 @@ pub fn parts(asked: Division, frame_seconds: f64, overhead_seconds: f64, most: u
 /// Pixels of a part of a pass: at 700 bytes each, its file has less than 1 GiB.
 const MOST_PIXELS_OF_PASS: u64 = 1_500_000;
 
-/// Most parts of a frame of so many pixels that is rendered in passes. 1 if the number of parts that is asked for would
-/// make their files too large: the frame is rendered as a whole.
+/// Most parts of a frame of so many pixels that is rendered in passes. 1 if the number of parts that is asked
+/// for would make their files too large: the frame is rendered as a whole.
 pub fn most_in_passes(asked: Division, pixels: u64) -> u32 {
     let fewest = match asked {
         Division::Whole => 1,
@@ -59,8 +59,8 @@ pub fn most_in_passes(asked: Division, pixels: u64) -> u32 {
     if pixels <= fewest * MOST_PIXELS_OF_PASS { MOST_PARTS } else { 1 }
 }
 
-/// Into how many parts the rest of a part is divided that takes longer than forecast, so that idle nodes help. `rest`
-/// is how long it would take. 1: it is not divided.
+/// Into how many parts the rest of a part is divided that takes longer than forecast, so that idle nodes
+/// help. `rest` is how long it would take. 1: it is not divided.
 pub fn parts_of_rest(rest_seconds: f64, overhead_seconds: f64, idle_nodes: u32) -> u32 {
     ((rest_seconds / least_part(overhead_seconds)) as u32)
         .clamp(1, idle_nodes.saturating_add(1).min(MOST_PARTS))

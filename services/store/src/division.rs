@@ -12,9 +12,9 @@
 //! shared cache, `divide` waits for it. As in [`crate::shared_cache`], every arrow is part of the transaction
 //! that commits the result before it.
 //!
-//! A frame is divided only while no worker has had it. Once it is, it stays so, but for parts that take longer than
-//! forecast: see [`again`]. A frame whose samples go where they help is divided anew before each pass over its pixels:
-//! see [`passes`].
+//! A frame is divided only while no worker has had it. Once it is, it stays so, but for parts that take
+//! longer than forecast: see [`again`]. A frame whose samples go where they help is divided anew before each
+//! pass over its pixels: see [`passes`].
 
 pub(crate) mod again;
 mod passes;
@@ -331,8 +331,8 @@ pub(crate) async fn cpu_of_parts(write: &mut Write, job: JobId, frame: u32) -> R
     Ok((row.nanos * 1e-9, row.at_speed_one))
 }
 
-/// Forgets the pixels of a finished frame's parts, and its coarse picture: its image has them. What its irradiance
-/// cache was planned as stays.
+/// Forgets the pixels of a finished frame's parts, and its coarse picture: its image has them. What its
+/// irradiance cache was planned as stays.
 pub(crate) fn forget_parts(write: &mut Write, job: JobId, frame: u32) {
     later!(
         write,

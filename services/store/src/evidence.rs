@@ -93,8 +93,8 @@ impl Store {
         Ok(Means { core_micros, cores: node.cores, taken_over_nanos, speed })
     }
 
-    /// The first artefact that is not the image or the video that it should be. Artefacts that are not stored are left to
-    /// the commit, which names them.
+    /// The first artefact that is not the image or the video that it should be. Artefacts that are not stored
+    /// are left to the commit, which names them.
     async fn wrong_file(
         &self,
         spec: &TaskSpec,

@@ -297,8 +297,8 @@ async fn waiting(write: &mut Write, job: JobId) -> Result<Vec<FramePart>> {
     Ok(rows.into_iter().map(|row| FramePart { frame: row.frame, part: row.part, parts: row.parts }).collect())
 }
 
-/// The bookings of the job's present plan. Those of a frame that was divided since are left out; where a part was
-/// divided again, the others keep theirs.
+/// The bookings of the job's present plan. Those of a frame that was divided since are left out; where a part
+/// was divided again, the others keep theirs.
 async fn bookings_before(write: &mut Write, job: JobId) -> Result<BTreeMap<FramePart, NewBooking>> {
     let rows = sqlx::query!(
         "SELECT b.frame, b.part, f.parts, b.node_id, b.start_at, b.end_at FROM bookings b \

@@ -223,8 +223,8 @@ impl Common {
         self.insert(write, TaskSpec::Render(spec), if waits { WAITING } else { READY }, None).await
     }
 
-    /// Makes the task that finds the parts of a frame. `work` is that of a frame in passes. With `waits`, it waits for
-    /// the shared cache.
+    /// Makes the task that finds the parts of a frame. `work` is that of a frame in passes. With `waits`, it
+    /// waits for the shared cache.
     pub(crate) async fn divide(
         &self,
         write: &mut Write,

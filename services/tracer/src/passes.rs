@@ -1,9 +1,9 @@
 //! Images refined in passes: each pass adds camera samples to pixels where the previous pass stopped.
 //!
 //! The result does not depend on where one pass ends: samples are summed in f64 in the order of their
-//! indices, and random sequences continue. So another process may continue them ([`Unfinished`]). For this, each pixel keeps the position of its random sequences (8
-//! bytes each), and its sum at earlier sample counts. That is about 150 bytes per pixel for `ambient` and
-//! several hundred for `path`.
+//! indices, and random sequences continue. So another process may continue them ([`Unfinished`]). For this,
+//! each pixel keeps the position of its random sequences (8 bytes each), and its sum at earlier sample
+//! counts. That is about 150 bytes per pixel for `ambient` and several hundred for `path`.
 
 use crate::cost::share_cpu_time;
 use crate::image::{Image, Totals};
@@ -67,7 +67,8 @@ pub struct Passes {
     width: u32,
     height: u32,
     tiles: Vec<Tile>,
-    /// For each pixel of the image, its tile and its place there. [`NOWHERE`] for pixels that are not among these.
+    /// For each pixel of the image, its tile and its place there. [`NOWHERE`] for pixels that are not among
+    /// these.
     places: Vec<[u32; 2]>,
     /// Cost of all passes.
     totals: Totals,
@@ -134,8 +135,8 @@ impl Passes {
         Self { width, height, tiles, places, totals: Totals::default() }
     }
 
-    /// Takes over the samples of files of this image, as far as these are its pixels: of pixels that have more there,
-    /// but not more than `most`. Stops at the first file that is an error.
+    /// Takes over the samples of files of this image, as far as these are its pixels: of pixels that have
+    /// more there, but not more than `most`. Stops at the first file that is an error.
     pub fn take_over<E>(
         &mut self,
         files: impl IntoIterator<Item = Result<Unfinished, E>>,

@@ -1,6 +1,7 @@
 //! What the files of pixels have in common: their frame, and how a pixel is written.
 //!
-//! Little-endian: magic bytes, origin, fingerprint, number of pixels, contents, BLAKE3 hash of everything before.
+//! Little-endian: magic bytes, origin, fingerprint, number of pixels, contents, BLAKE3 hash of everything
+//! before.
 
 use crate::pixel::Coverage;
 use crate::{Origin, Pixel};
@@ -82,8 +83,8 @@ pub(crate) fn sealed(mut out: Vec<u8>) -> Vec<u8> {
     out
 }
 
-/// Writes a pixel: colour, rays, work, work by ray, extra work, CPU nanoseconds, uncovered, stratum, strata of the
-/// coverage, their samples, all samples.
+/// Writes a pixel: colour, rays, work, work by ray, extra work, CPU nanoseconds, uncovered, stratum, strata
+/// of the coverage, their samples, all samples.
 pub(crate) fn push_pixel(out: &mut Vec<u8>, pixel: &Pixel) {
     pixel.color.iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
     pixel.rays.iter().for_each(|r| out.extend_from_slice(&r.to_le_bytes()));

@@ -363,11 +363,11 @@ impl Tracer {
         Some(Image { width, height, pixels: pixels?, reused })
     }
 
-    /// Traces lists of pixels, by row-major indices, on the current thread pool. Lists are begun in their order, and
-    /// one thread traces a list, in its order. Any cache must be filled. No further list is begun once `enough`
-    /// returns true: the lists returned are the first ones. `progress` receives the number of pixels done, and
-    /// `finished` the pixels of each list once traced, including those of an interrupted one. `None` if `cancel` was
-    /// set.
+    /// Traces lists of pixels, by row-major indices, on the current thread pool. Lists are begun in their
+    /// order, and one thread traces a list, in its order. Any cache must be filled. No further list is begun
+    /// once `enough` returns true: the lists returned are the first ones. `progress` receives the number of
+    /// pixels done, and `finished` the pixels of each list once traced, including those of an interrupted
+    /// one. `None` if `cancel` was set.
     pub fn trace(
         &self,
         lists: &[Vec<u32>],

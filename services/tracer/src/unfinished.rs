@@ -25,9 +25,9 @@ pub struct Unfinished {
 }
 
 impl Unfinished {
-    /// Serialises the pixels. Each is: index, number of samples, their sum, sum of their squares, number and sum
-    /// at the last two powers of two, the pixel, number of random sequences, and each sequence's dimension and
-    /// how far it is drawn.
+    /// Serialises the pixels. Each is: index, number of samples, their sum, sum of their squares, number and
+    /// sum at the last two powers of two, the pixel, number of random sequences, and each sequence's
+    /// dimension and how far it is drawn.
     pub fn to_bytes(&self) -> Vec<u8> {
         let count = self.pixels.len() as u32;
         let header = Header { origin: self.origin, fingerprint: self.fingerprint, count };
@@ -72,8 +72,8 @@ impl Unfinished {
         }
     }
 
-    /// Largest size in bytes of this number of pixels, if each has as many random sequences as pixels of direct light
-    /// and diffuse bounces have.
+    /// Largest size in bytes of this number of pixels, if each has as many random sequences as pixels of
+    /// direct light and diffuse bounces have.
     pub const fn bytes_of(pixels: u64) -> u64 {
         const SEQUENCES: usize = 16;
         pixels.saturating_mul((FIXED + SEQUENCES * SEQUENCE) as u64)

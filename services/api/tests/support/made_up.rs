@@ -69,8 +69,7 @@ impl Farm {
         let hash = self.artifact(name.as_bytes()).await;
         let work = frame_work(spec.frame) / u64::from(spec.parts);
         let cost = Spent { work, cpu_nanos: work * 1_000_000 };
-        let pass = spec.pass.as_ref().map(|pass| PartRange::Pixels(pass.pixels));
-        let finished = match spec.range.or(pass).expect("a part is handed out once it is known") {
+        let finished = match spec.assigned_range().expect("a part is handed out once it is known") {
             PartRange::Pixels(PixelRange { from, to }) => {
                 FinishedPart::Pixels(PartPixels { hash, count: to - from, cost })
             }

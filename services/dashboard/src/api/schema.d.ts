@@ -2497,8 +2497,8 @@ export interface components {
         DivideResult: {
             cache?: components["schemas"]["FrameCache"] | null;
             coarse_png?: components["schemas"]["ArtifactHash"] | null;
-            /** @description Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels. Empty
-             *     if the frame is rendered in passes, and the last one is over. */
+            /** @description Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels.
+             *     Empty if the frame is rendered in passes, and the last one is over. */
             ends: number[];
             samples?: components["schemas"]["ArtifactHash"] | null;
             /** @description Cost of the task. */
@@ -4183,8 +4183,8 @@ export interface components {
         PartPass: {
             /** @description Files of the last pass that hold pixels of this part. Empty in the first pass. */
             before?: components["schemas"]["ArtifactHash"][];
-            /** @description The pixels of the part. Parts of passes have no other range, so that a worker which knows no passes cannot
-             *     render them in another way. */
+            /** @description The pixels of the part. Parts of passes have no other range, so that a worker which knows no passes
+             *     cannot render them in another way. */
             pixels: components["schemas"]["PixelRange"];
             /** @description File with the number of samples that each pixel of the image has after the pass. */
             samples: components["schemas"]["ArtifactHash"];
@@ -4224,8 +4224,8 @@ export interface components {
              */
             work: number;
         };
-        /** @description A divided frame whose samples go where they reduce the error most. The nodes share the pixels of each pass.
-         *     After it, the frame is divided anew: the image so far shows where the next samples go. */
+        /** @description A divided frame whose samples go where they reduce the error most. The nodes share the pixels of each
+         *     pass. After it, the frame is divided anew: the image so far shows where the next samples go. */
         Passes: {
             /** @description Unfinished pixels after the last pass: the files of its parts. Empty before the first. */
             before?: components["schemas"]["ArtifactHash"][];
@@ -5263,8 +5263,8 @@ export interface components {
         Renewal: {
             /**
              * Format: int32
-             * @description For a part of a frame that takes longer than forecast while nodes are idle: into how many parts the pixels are
-             *     divided that are not begun. Finish those that are, and report the rest. Absent otherwise.
+             * @description For a part of a frame that takes longer than forecast while nodes are idle: into how many parts the
+             *     pixels are divided that are not begun. Finish those that are, and report the rest. Absent otherwise.
              */
             divide_rest?: number | null;
             /** @description Whether the node is being drained, so that this is its last task for now. */
@@ -5275,8 +5275,8 @@ export interface components {
             order: components["schemas"]["LeaseOrder"];
             sleep_until?: components["schemas"]["Timestamp"] | null;
         };
-        /** @description Where a part is divided again that takes longer than forecast. The first piece is finished; others are new parts
-         *     of the frame. */
+        /** @description Where a part is divided again that takes longer than forecast. The first piece is finished; others are new
+         *     parts of the frame. */
         RestOfPart: {
             /** @description Where each piece ends along the curve, ascending. The last one is the end of the part. */
             ends: number[];

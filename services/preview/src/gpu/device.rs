@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 /// Time limit for one submission. A software driver on a busy machine takes seconds for large tiles.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Vulkan, opened once for the process and never closed: drivers keep data of threads, and one that is unloaded while
-/// threads end may hang.
+/// Vulkan, opened once for the process and never closed: drivers keep data of threads, and one that is
+/// unloaded while threads end may hang.
 static VULKAN: LazyLock<wgpu::Instance> = LazyLock::new(|| {
     wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends: wgpu::Backends::VULKAN,

@@ -12,8 +12,8 @@ use std::time::Duration;
 /// Time for a program to answer. Loading a large one from a cold disk takes a while.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Runs a program that says something about itself, such as its version, and ends. It gets an empty folder, which is
-/// deleted afterwards. `on_line` gets what it says.
+/// Runs a program that says something about itself, such as its version, and ends. It gets an empty folder,
+/// which is deleted afterwards. `on_line` gets what it says.
 ///
 /// # Errors
 /// Those of [`run`], if it takes longer than two minutes, and if there can be no folder.

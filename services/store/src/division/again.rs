@@ -1,8 +1,8 @@
 //! Parts that take longer than forecast are divided again, so that idle nodes help.
 //!
-//! The worker hears of it with its next renewal. It finishes the pixels that it has begun, divides the others into
-//! parts of equal forecast cost, and reports both. So nothing is rendered twice, and a worker that does not know of
-//! this only goes on.
+//! The worker hears of it with its next renewal. It finishes the pixels that it has begun, divides the others
+//! into parts of equal forecast cost, and reports both. So nothing is rendered twice, and a worker that does
+//! not know of this only goes on.
 
 use std::collections::{BTreeMap, BTreeSet};
 

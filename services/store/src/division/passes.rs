@@ -7,8 +7,8 @@
 //!                     ──► the frame's render task (ready), if the image has all its samples
 //! ```
 //!
-//! So `divide` and the parts are the same tasks in every pass. Pixels of the last pass are kept until the next one
-//! is over.
+//! So `divide` and the parts are the same tasks in every pass. Pixels of the last pass are kept until the
+//! next one is over.
 
 use forelight_protocol::{
     ArtifactHash, DivideResult, FinishedPart, JobId, PartPass, Passes, PixelRange, RenderPartSpec,
@@ -36,7 +36,8 @@ pub(super) async fn divide_again(
     Ok(())
 }
 
-/// Lets a frame's `divide` task begin again before the first pass. Its irradiance cache, if it is full, stays.
+/// Lets a frame's `divide` task begin again before the first pass. Its irradiance cache, if it is full,
+/// stays.
 pub(super) async fn divide_anew(
     write: &mut Write,
     (job, frame): (JobId, u32),
@@ -131,8 +132,8 @@ async fn parts_of_last_pass(write: &mut Write, job: JobId, frame: u32) -> Result
         .collect()
 }
 
-/// Lets a part begin again. What it did is counted, and its file stays with the `divide` task until the next pass is
-/// over.
+/// Lets a part begin again. What it did is counted, and its file stays with the `divide` task until the next
+/// pass is over.
 async fn end_pass(write: &mut Write, row: &LeaseRow, part: &Part) -> Result<()> {
     run!(
         write,

@@ -108,8 +108,8 @@ async fn replace(
     Ok(())
 }
 
-/// Renders the parts and passes of divided frames again that another version has rendered, or is rendering. A frame of which all
-/// parts are there only has to be put together, and stays.
+/// Renders the parts and passes of divided frames again that another version has rendered, or is rendering. A
+/// frame of which all parts are there only has to be put together, and stays.
 async fn render_parts_again(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
     let frames = sqlx::query_scalar!(
         r#"SELECT DISTINCT p.frame AS "frame!: u32" FROM tasks p

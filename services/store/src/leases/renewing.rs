@@ -25,18 +25,19 @@ impl Store {
     pub async fn renew(
         &self,
         lease: LeaseId,
-        renewal: &RenewRequest,
+        request: &RenewRequest,
         ttl: Duration,
         now: Timestamp,
     ) -> Result<Renewal> {
-        let &RenewRequest { fence, progress, pixels, paused, ref log } = renewal;
+        let &RenewRequest { fence, progress, pixels, paused, ref log } = request;
         let mut write = self.write().await?;
         let row = read_in(&mut write, lease).await?;
         let sleep_until = sleep_of(write.connection().await?, row.node_id, row.has_calendar, now).await?;
+        let drain = row.drain;
+        let renewal =
+            |expires_at, order, divide_rest| Renewal { expires_at, order, drain, sleep_until, divide_rest };
         if row.fence == fence && row.state == LeaseState::Revoked {
-            let order = LeaseOrder::Stop;
-            let drain = row.drain;
-            return Ok(Renewal { expires_at: now, order, drain, sleep_until, divide_rest: None });
+            return Ok(renewal(now, LeaseOrder::Stop, None));
         }
         if row.fence != fence || row.state != LeaseState::Active {
             return self.refuse(write, &row, now).await;
@@ -93,7 +94,7 @@ impl Store {
         logs::keep(&mut write, &row, log).await?;
         self.commit(write).await?;
         let order = if row.pause { LeaseOrder::Pause } else { LeaseOrder::Continue };
-        Ok(Renewal { expires_at, order, drain: row.drain, sleep_until, divide_rest: row.divide_rest })
+        Ok(renewal(expires_at, order, row.divide_rest))
     }
 
     /// Gives a task back unfinished. This counts neither as an error nor as an expiry. Does nothing if the

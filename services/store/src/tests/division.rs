@@ -34,8 +34,8 @@ impl Farm {
         job.id
     }
 
-    /// Does the next task of a node, which must be to divide a frame: into two parts that end at these places, for a
-    /// pass with these samples.
+    /// Does the next task of a node, which must be to divide a frame: into two parts that end at these
+    /// places, for a pass with these samples.
     pub(super) async fn divide(&self, node: NodeId, ends: [u32; 2], samples: &'static str) -> DivideSpec {
         let lease = self.claim(node, at(20)).await.unwrap();
         let TaskSpec::Divide(spec) = lease.spec else { panic!("{:?}", lease.spec) };

@@ -55,8 +55,8 @@ impl Agent {
         Ok(Assignment { pictures, checkpoint, limits, threads, ..fetched })
     }
 
-    /// Fetches the bundle, and the files that a task takes over. Its pictures go to their folder; those that are there
-    /// already stay.
+    /// Fetches the bundle, and the files that a task takes over. Its pictures go to their folder; those that
+    /// are there already stay.
     async fn fetch(
         &self,
         lease: &Lease,

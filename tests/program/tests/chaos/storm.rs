@@ -1,9 +1,9 @@
 //! Combines all faults. Workers and service are killed at random moments. The network loses, doubles and
 //! delays messages. The service's clock jumps by hours in both directions, and its disk is full at times.
 //! Meanwhile job after job is rendered. Every second job shares an irradiance cache, which workers plan, fill
-//! in parts and merge; frames of half of the jobs are divided into three parts. Frames of every fifth job get their
-//! samples in passes. Every frame must be delivered once, with the bits of an undisturbed render, and the database must
-//! be consistent.
+//! in parts and merge; frames of half of the jobs are divided into three parts. Frames of every fifth job get
+//! their samples in passes. Every frame must be delivered once, with the bits of an undisturbed render, and
+//! the database must be consistent.
 //!
 //! The faults follow from a seed; exact times depend on the machine. The default is twelve kills, a full run
 //! two hundred:
@@ -55,8 +55,8 @@ fn is_divided(job: usize) -> bool {
     matches!(job % 4, 1 | 2) || is_in_passes(job) || number("FORELIGHT_STORM_DIVIDED", 0) > 0
 }
 
-/// True if the frames of this job get as many samples as fit into a time. How many depends on measured times, so these
-/// frames have no undisturbed render to compare with.
+/// True if the frames of this job get as many samples as fit into a time. How many depends on measured times,
+/// so these frames have no undisturbed render to compare with.
 fn is_in_passes(number: usize) -> bool {
     number % 5 == 3
 }

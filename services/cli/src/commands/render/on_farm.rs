@@ -185,8 +185,8 @@ fn words(job: &Job, tasks: &[TaskRow]) -> String {
     }
 }
 
-/// A picture that grows by parts, in a file if one is named. It begins as a coarse picture of the frame; each pass
-/// over a frame replaces it by a better one.
+/// A picture that grows by parts, in a file if one is named. It begins as a coarse picture of the frame; each
+/// pass over a frame replaces it by a better one.
 struct Growing {
     picture: RgbImage,
     file: Option<PathBuf>,
@@ -227,8 +227,8 @@ impl Growing {
         Ok(())
     }
 
-    /// Begins with a coarse picture, or with that of the last pass over the frame. Without it, parts that are not
-    /// there yet stay grey. Returns whether it was painted.
+    /// Begins with a coarse picture, or with that of the last pass over the frame. Without it, parts that are
+    /// not there yet stay grey. Returns whether it was painted.
     async fn begin(&mut self, client: &Client, coarse: ArtifactHash) -> bool {
         let Ok(bytes) = client.artifact(coarse, CACHE_BYTES).await else { return false };
         // Parts are painted over it.

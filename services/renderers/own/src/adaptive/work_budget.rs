@@ -28,8 +28,8 @@ const GROWTH: f64 = 2.0;
 /// Share of the work that may be left over: whole samples do not come out even.
 const NEAR: f64 = 0.005;
 
-/// How an amount of work is spent on a frame, pass by pass. Each pass depends on the image so far, and not on who
-/// traced it: the nodes of a farm may share the pixels of every pass.
+/// How an amount of work is spent on a frame, pass by pass. Each pass depends on the image so far, and not on
+/// who traced it: the nodes of a farm may share the pixels of every pass.
 pub(crate) struct WorkBudget {
     tiles: Tiles,
     pixels: usize,

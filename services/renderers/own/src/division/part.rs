@@ -11,8 +11,8 @@ const TOGETHER: usize = 256;
 
 impl OwnFrame<'_> {
     /// Renders pixels by index on the current thread pool, and fills the irradiance cache before if it is not
-    /// full. No further pixels are begun once `enough` returns true: those returned are the first ones. `progress`
-    /// counts pixels of `pixels`. `None` if `cancel` was set.
+    /// full. No further pixels are begun once `enough` returns true: those returned are the first ones.
+    /// `progress` counts pixels of `pixels`. `None` if `cancel` was set.
     pub fn render_pixels(
         &self,
         pixels: &[u32],

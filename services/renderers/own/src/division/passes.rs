@@ -28,8 +28,8 @@ impl OwnFrame<'_> {
         passes.unfinished(&self.tracer)
     }
 
-    /// Brings pixels to these camera samples, on the current thread pool. Any irradiance cache must be filled.
-    /// `advanced` gets pixels that are done. Returns the cost.
+    /// Brings pixels to these camera samples, on the current thread pool. Any irradiance cache must be
+    /// filled. `advanced` gets pixels that are done. Returns the cost.
     pub fn advance(
         &self,
         passes: &mut Passes,
@@ -40,8 +40,8 @@ impl OwnFrame<'_> {
         Ok(passes.go_on(&self.tracer, wanted, stop, advanced)?)
     }
 
-    /// Divides the next pass into parts of equal forecast work: further samples of a pixel cost what its first
-    /// ones did.
+    /// Divides the next pass into parts of equal forecast work: further samples of a pixel cost what its
+    /// first ones did.
     pub fn divide_pass(&self, passes: &Passes, wanted: &SampleCounts, parts: u32) -> Vec<Stretch> {
         let camera = &self.frame().camera;
         let (curve, so_far) = (PixelCurve::new(camera.width, camera.height), passes.so_far());

@@ -1,4 +1,5 @@
-//! Checkpoints: pixels of a frame that are done, kept so that another worker can continue if this one is lost.
+//! Checkpoints: pixels of a frame that are done, kept so that another worker can continue if this one is
+//! lost.
 
 use bytes::Bytes;
 use forelight_protocol::CHECKPOINT_BYTES;
@@ -32,8 +33,8 @@ pub(crate) struct Checkpoints<'a, F> {
 }
 
 struct State<F> {
-    /// `None` if it would be too large, or if the frame has an irradiance cache of its own, without which pixels are
-    /// worth little.
+    /// `None` if it would be too large, or if the frame has an irradiance cache of its own, without which
+    /// pixels are worth little.
     file: Option<F>,
     last: Instant,
 }

@@ -1,5 +1,5 @@
-//! Finds where the parts of a frame end, and plans its irradiance cache. A frame that is rendered in passes is
-//! divided before each of them.
+//! Finds where the parts of a frame end, and plans its irradiance cache. A frame that is rendered in passes
+//! is divided before each of them.
 
 use super::given;
 use crate::adaptive::work_budget::WorkBudget;
@@ -23,8 +23,8 @@ struct Division {
     /// What each pixel has after the next pass.
     samples: Option<SampleCounts>,
     picture: RgbImage,
-    /// Cost of dividing. `None`: the task's CPU time is that of dividing alone.
-    spent: Option<Spent>,
+    /// Cost of dividing.
+    spent: Spent,
 }
 
 /// `loading` is the cost of opening the scene, if it was not open yet.
@@ -49,10 +49,10 @@ pub(crate) fn divide(
         _ => frame_cache(&ready, &mut files)?,
     };
     control.set_progress(0.5);
-    let (divided, dividing) = clocked(|| match &spec.passes {
+    let divided = match &spec.passes {
         Some(passes) if !is_first => next_pass(&ready, spec, passes, assignment, control),
         passes => first(&ready, spec.parts, passes.as_ref(), profile, control),
-    });
+    };
     let Division { parts, samples, picture, spent } = divided?;
     let work: u64 = parts.iter().map(|part| part.cost).sum();
     let text = match parts.len() {
@@ -61,7 +61,6 @@ pub(crate) fn divide(
     };
     control.log(LogLevel::Info, text);
     let (coarse, drawing) = clocked(|| png(&picture));
-    let spent = spent.unwrap_or(Spent { work: 0, cpu_nanos: dividing });
     let spent = spent.plus(loading).plus(ready.spent_on_setup()).plus(ready.spent_on_cache_here(on_cache));
     let result = DivideResult {
         ends: parts.iter().map(|part| part.to).collect(),
@@ -93,7 +92,7 @@ fn first(
         }
     };
     let Divided { parts, seen, spent } = divided.ok_or(ExecuteError::Cancelled)?;
-    Ok(Division { parts, samples, picture: ready.coarse_picture(&seen, &finished), spent: Some(spent) })
+    Ok(Division { parts, samples, picture: ready.coarse_picture(&seen, &finished), spent })
 }
 
 /// Divides the pass that follows the one whose pixels are given.
@@ -104,11 +103,15 @@ fn next_pass(
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Division, ExecuteError> {
-    let mut passes = ready.begin();
-    given::take_over(&mut passes, ready, assignment, control)?;
-    let next = WorkBudget::new(ready, *work).evaluate(&passes)?.next.map(|pass| pass.samples);
-    let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
-    Ok(Division { parts, samples: next, picture: picture(&passes), spent: None })
+    let (divided, cpu_nanos) = clocked(|| {
+        let mut passes = ready.begin();
+        given::take_over(&mut passes, ready, assignment, control)?;
+        let next = WorkBudget::new(ready, *work).evaluate(&passes)?.next.map(|pass| pass.samples);
+        let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
+        Ok::<_, ExecuteError>((parts, next, picture(&passes)))
+    });
+    let (parts, samples, picture) = divided?;
+    Ok(Division { parts, samples, picture, spent: Spent { work: 0, cpu_nanos } })
 }
 
 /// The irradiance cache that parts need beside a shared one, and the CPU time of writing it, in nanoseconds.

@@ -98,7 +98,8 @@ pub(crate) fn usable(what: &str, bytes: &Bytes, ready: &OwnFrame<'_>, control: &
     }
 }
 
-/// Takes over the pixels of the last pass over this frame. They may come from another version of the renderer.
+/// Takes over the pixels of the last pass over this frame. They may come from another version of the
+/// renderer.
 pub(crate) fn take_over(
     passes: &mut Passes,
     ready: &OwnFrame<'_>,

@@ -171,8 +171,7 @@ fn pass(
 
 /// The part's range of the image's pixels.
 fn range(spec: &RenderPartSpec, settings: &RenderSettings) -> Result<PixelRange, ExecuteError> {
-    let pass = spec.pass.as_ref().map(|pass| PartRange::Pixels(pass.pixels));
-    match spec.range.or(pass) {
+    match spec.assigned_range() {
         Some(PartRange::Pixels(range))
             if range.from <= range.to && u64::from(range.to) <= settings.pixels() =>
         {

@@ -41,8 +41,8 @@ pub(crate) fn put_together(
     Ok(rendered(ready, made, settings, start.elapsed().as_secs_f64()))
 }
 
-/// Takes over the samples of all passes. `None` if they cannot be read, as those of another version of the renderer:
-/// the frame is rendered anew then.
+/// Takes over the samples of all passes. `None` if they cannot be read, as those of another version of the
+/// renderer: the frame is rendered anew then.
 pub(crate) fn passes_put_together(
     ready: &OwnFrame<'_>,
     settings: &RenderSettings,

@@ -45,7 +45,7 @@ pub(crate) fn result(outcome: &Outcome) -> &RenderResult {
 }
 
 /// All that does not depend on this machine's time and memory, or on what this run traced.
-pub(crate) fn counted(stats: &RenderStats) -> RenderStats {
+fn counted(stats: &RenderStats) -> RenderStats {
     RenderStats {
         work_by_class: None,
         cpu_seconds: 0.0,
@@ -58,7 +58,7 @@ pub(crate) fn counted(stats: &RenderStats) -> RenderStats {
 }
 
 /// Every channel of an image by name, as bits, without the times of its pixels.
-pub(crate) fn channels(exr: &[u8]) -> Vec<(String, Vec<u32>)> {
+fn channels(exr: &[u8]) -> Vec<(String, Vec<u32>)> {
     use exr::prelude::*;
     let image = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
     let image = image.all_attributes().from_buffered(std::io::Cursor::new(exr)).unwrap();

@@ -232,12 +232,18 @@ impl Farm {
     /// Finds the parts, and fills the frame's own cache. Returns that and the work of filling.
     pub fn divide(&self, parts: u32) -> (DivideResult, Option<Bytes>, u64) {
         let (divided, planned) = self.divide_only(parts);
+        let (own, work) = self.filled_if_planned(&divided, planned);
+        (divided, own, work)
+    }
+
+    /// The frame's own cache, filled, and the work of that.
+    fn filled_if_planned(&self, divided: &DivideResult, planned: Option<Bytes>) -> (Option<Bytes>, u64) {
         match (planned, divided.cache) {
             (Some(planned), Some(found)) if !found.full => {
                 let (cache, work) = self.filled(planned, 3);
-                (divided, Some(cache), work)
+                (Some(cache), work)
             }
-            (cache, _) => (divided, cache, 0),
+            (cache, _) => (cache, 0),
         }
     }
 
@@ -321,14 +327,8 @@ impl Farm {
         render: &dyn Fn(Assignment) -> (RenderPartResult, Bytes),
     ) -> InPasses {
         let (mut divided, mut files) = self.division(parts).unwrap();
-        let planned = divided.cache.map(|cache| (named(&files, cache.hash), cache.full));
-        let (own, filled) = match planned {
-            Some((planned, false)) => {
-                let (cache, work) = self.filled(planned, 3);
-                (Some(cache), work)
-            }
-            planned => (planned.map(|(cache, _)| cache), 0),
-        };
+        let planned = divided.cache.map(|cache| named(&files, cache.hash));
+        let (own, filled) = self.filled_if_planned(&divided, planned);
         let own = own.as_ref();
         let (mut passes, mut pictures, mut last) = (Vec::new(), Vec::new(), Vec::<PassFile>::new());
         while let Some(samples) = divided.samples {

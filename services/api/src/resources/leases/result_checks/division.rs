@@ -45,8 +45,7 @@ pub(super) fn divide(spec: &DivideSpec, result: &DivideResult) -> ApiResult<()> 
 /// The part has what its task asks for.
 pub(super) fn render_part(spec: &RenderPartSpec, result: &RenderPartResult) -> ApiResult<()> {
     const AT: &str = "/result/render_part";
-    let pass = spec.pass.as_ref().map(|pass| PartRange::Pixels(pass.pixels));
-    match (spec.range.or(pass), &result.finished) {
+    match (spec.assigned_range(), &result.finished) {
         (Some(PartRange::Pixels(range)), FinishedPart::Pixels(PartPixels { count, cost, .. })) => {
             let most = range.to.saturating_sub(range.from);
             if *count > most {
