@@ -404,10 +404,11 @@ async fn a_worker_that_ends_gives_its_frame_back_and_one_that_sleeps_beyond_its_
     .await;
     let other = service.worker("other", "worker-other");
     let done = until_done(&http, &job).await;
-    assert_eq!(http.metric("forelight_leases_lost_total").await, 0);
+    // On a busy machine, the other worker may have lost a lease of its own. It is idle from here on.
+    let lost = http.metric("forelight_leases_lost_total").await;
     sleeper.signal("CONT");
     eventually("the sleeper to be refused", PATIENCE, async || {
-        (http.metric("forelight_leases_lost_total").await > 0).then_some(())
+        (http.metric("forelight_leases_lost_total").await > lost).then_some(())
     })
     .await;
     assert_eq!(job_of(&http, &job).await, done, "the sleeper changed the job");
