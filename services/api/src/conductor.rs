@@ -41,7 +41,7 @@ use forelight_protocol::{
 };
 use forelight_quote::{
     Limit, Measured, MeasuredProfile, Most, Quote, QuoteBasis, QuoteError, QuoteKind, SharedCacheToBuild,
-    Spreads, frames_to_profile, is_shared_cache_worth_planning, quote, quote_sampled,
+    Spreads, frames_to_profile, is_shared_cache_worth_planning, quote, quote_for_error, quote_sampled,
 };
 use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 
@@ -143,7 +143,7 @@ impl Conductor {
     async fn choose(&self, job: &Job) -> Result<(), AdvanceError> {
         let Some(preview) = self.store.preview_result(job.id).await? else { return Ok(()) };
         let most = job.profile_frames.map(|most| most as usize);
-        let plan_cache = job.within.is_none() && is_shared_cache_worth_planning(job.cache, &preview);
+        let plan_cache = job.has_even_samples() && is_shared_cache_worth_planning(job.cache, &preview);
         let frames = compute(move || Ok(frames_to_profile(&preview, Strategy::Snapshot, most)?)).await?;
         tracing::info!(job = %job.id, ?frames, plan_cache, "frames to profile");
         Ok(self.store.start_profiling(job.id, &frames, plan_cache, self.clock.now()).await?)
@@ -198,7 +198,7 @@ impl Conductor {
         if planned == PlannedCache::Pending {
             return Ok(());
         }
-        if job.profile_frames.is_none() && job.within.is_none() {
+        if job.profile_frames.is_none() && job.has_even_samples() {
             let (preview, profiles) = (preview.clone(), profiles.clone());
             let more = compute(move || Ok(Measured::new(&preview, &profiles).more_to_profile()?)).await?;
             if !more.is_empty() {
@@ -208,17 +208,21 @@ impl Conductor {
         }
         let kind = QuoteKind::of(&profiles, settings);
         let experience = self.experience(kind.as_ref()).await?;
-        let limit = match &job.within {
-            Some(within) => Some(limit(within, job, self.nodes_for_plans(self.clock.now()).await?)?),
-            None => None,
+        let chosen = match (&job.within, job.error_target) {
+            (Some(within), _) => {
+                Chosen::Within(limit(within, job, self.nodes_for_plans(self.clock.now()).await?)?)
+            }
+            (None, Some(_)) => Chosen::ForError,
+            (None, None) => Chosen::AsAsked,
         };
         let (asked, settings) = (job.clone(), settings.clone());
         let (quote, rungs) = compute(move || {
-            quote_job((&asked, &settings), &preview, &profiles, &planned, &experience, limit)
+            quote_job((&asked, &settings), &preview, &profiles, &planned, &experience, chosen)
         })
         .await?;
-        // Frames with a fixed amount of work do not show forecast errors.
-        let basis = kind.filter(|_| job.within.is_none()).map(|kind| quote.basis(kind));
+        // Frames with a fixed amount of work do not show forecast errors. With an error target, they show those
+        // of the noise, too.
+        let basis = kind.filter(|_| job.has_even_samples()).map(|kind| quote.basis(kind));
         self.book_at_last(job, &quote, basis.as_ref(), &rungs).await
     }
 
@@ -240,9 +244,9 @@ impl Conductor {
             let records = plan.records.iter().map(|&count| u64::from(count)).sum();
             Some(SharedCacheToBuild { cache: plan.cache?, bytes: plan.bytes, records })
         });
-        let measured = match job.within {
-            Some(_) => None,
-            None => JobProfile::read(&self.store, job).await?,
+        let measured = match job.has_even_samples() {
+            true => JobProfile::read(&self.store, job).await?,
+            false => None,
         };
         let rungs = match measured {
             Some(measured) => measured.rungs().await?,
@@ -281,17 +285,30 @@ impl Conductor {
     }
 }
 
+/// How the camera samples of a job are chosen.
+enum Chosen {
+    AsAsked,
+    Within(Limit),
+    ForError,
+}
+
 fn quote_job(
     (job, settings): (&Job, &RenderSettings),
     preview: &PreviewResult,
     profiles: &[MeasuredProfile],
     planned: &PlannedCache,
     experience: &Experience,
-    limit: Option<Limit>,
+    chosen: Chosen,
 ) -> Result<(Quote, Vec<AccuracyRung>), AdvanceError> {
     let corrections = experience.corrections();
-    if let Some(limit) = limit {
-        return Ok((limit.quote(preview, profiles, corrections.as_ref())?, Vec::new()));
+    match chosen {
+        Chosen::AsAsked => {}
+        Chosen::Within(limit) => {
+            return Ok((limit.quote(preview, profiles, corrections.as_ref())?, Vec::new()));
+        }
+        Chosen::ForError => {
+            return Ok((quote_for_error(preview, profiles, corrections.as_ref())?, Vec::new()));
+        }
     }
     let measured = Measured::new(preview, profiles).with_cache(planned.plan());
     let quote = quote(job.cache, settings, &measured, corrections.as_ref())?;

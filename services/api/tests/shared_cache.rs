@@ -162,6 +162,7 @@ async fn assert_offline_images_are_the_same(
     let name = ArtifactHash(*blake3::hash(&file).as_bytes());
     for row in frames {
         let spec = RenderSpec {
+            error_target: None,
             job_id: job.id,
             bundle: forelight_protocol::BundleSource::Path(scenes().join("corridor").display().to_string()),
             digest: job.scene.digest,

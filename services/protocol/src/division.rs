@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleSource, JobId, JobSettings, RenderSettings, RendererRequest, SampleShare,
-    SceneDigest, Spent,
+    ArtifactHash, BundleSource, ErrorTarget, JobId, JobSettings, RenderSettings, RendererRequest,
+    SampleShare, SceneDigest, Spent,
 };
 
 /// Largest number of parts of a frame.
@@ -133,8 +133,11 @@ pub struct DivideSpec {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Passes {
-    /// Largest work of the frame.
+    /// Largest work of the frame. With an error target, its forecast.
     pub work: u64,
+    /// The image is finished when its error is small enough. Absent: when the work is spent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_target: Option<ErrorTarget>,
     /// Unfinished pixels after the last pass: the files of its parts. Empty before the first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 512)]

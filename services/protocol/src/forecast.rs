@@ -147,8 +147,9 @@ pub struct ForecastDoc {
     /// Lights and objects that provably do not affect the profiled frames. They are not simulated.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Camera samples per pixel chosen for the job's limit (`within`). Absent without a limit. A frame may
-    /// use the work of this many, and puts them where they reduce the image's error most.
+    /// Camera samples per pixel chosen for the job's limit (`within`) or its `error_target`; of the latter, the
+    /// mean of the profiled frames. Absent without either. A frame uses about the work of this many, and puts
+    /// them where they reduce the image's error most.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub chosen_spp: Option<u32>,
     /// Mean cost per frame that does not depend on its pixels, at speed 1. Included in the forecasts.
@@ -164,8 +165,8 @@ pub struct ForecastDoc {
     /// requested one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cpu_seconds_on: Vec<NodeSeconds>,
-    /// How the irradiance caches are made: shared or per frame. Absent without caches, and with a limit,
-    /// where each frame makes its own.
+    /// How the irradiance caches are made: shared or per frame. Absent without caches, and with a limit
+    /// or an error target, where each frame makes its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<CacheQuote>,
     /// Total cost at the mean price of the farm's nodes, with a shared cache. Absent without nodes.

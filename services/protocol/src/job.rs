@@ -6,10 +6,10 @@ use utoipa::ToSchema;
 use crate::division::{is_one, one};
 use crate::node::given;
 use crate::{
-    ArtifactHash, BundleRef, CacheSharing, Confidence, Division, FinishQuantiles, FrameForecast, FrameSet,
-    JobId, JobSettings, JobState, JobVerdict, JobVideo, Ladders, LiveForecast, Money, NodeId, OutputPattern,
-    PageToken, PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats, RenderedBy, RendererRequest,
-    SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, VideoRequest, Waits,
+    ArtifactHash, BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FinishQuantiles, FrameForecast,
+    FrameSet, JobId, JobSettings, JobState, JobVerdict, JobVideo, Ladders, LiveForecast, Money, NodeId,
+    OutputPattern, PageToken, PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats, RenderedBy,
+    RendererRequest, SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, VideoRequest, Waits,
 };
 
 /// Request for a new job.
@@ -63,6 +63,11 @@ pub struct JobRequest {
     /// reduce the image's error most.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,
+    /// The largest error of each image. A frame gets as many camera samples as it takes, where they help most;
+    /// `settings.spp` is that of the profile, at least 4. Cannot be combined with `within`, `ladders: all` and
+    /// a shared cache.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_target: Option<ErrorTarget>,
     /// When all frames must be finished. If absent, there is no deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline: Option<Timestamp>,
@@ -107,6 +112,7 @@ impl JobRequest {
             profile_frames: None,
             ladders: Ladders::default(),
             within: None,
+            error_target: None,
             deadline: None,
             budget: None,
             confidence: Confidence::default(),
@@ -262,6 +268,9 @@ pub struct Job {
     /// Limit on time or money from which `settings.spp` is chosen. Absent if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Within>,
+    /// The largest error of each image. Absent if there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_target: Option<ErrorTarget>,
     /// When all frames must be finished. Absent if there is no deadline.
     pub deadline: Option<Timestamp>,
     /// Largest cost of the job. Absent if there is no limit.
@@ -323,6 +332,12 @@ pub struct Job {
 }
 
 impl Job {
+    /// Whether every pixel gets the camera samples of the settings. Otherwise they are chosen for a limit or an
+    /// error, and go where they help.
+    pub fn has_even_samples(&self) -> bool {
+        self.within.is_none() && self.error_target.is_none()
+    }
+
     /// The renderer that a node must have for its tasks. `None`: every node will do.
     pub fn needs(&self) -> Option<RendererRequest> {
         let own = || self.rendered_by.as_ref().map(|by| RendererRequest::own(&by.version));

@@ -24,6 +24,7 @@ mod calibration;
 mod confidence;
 mod dashboard;
 mod division;
+mod error_target;
 mod event;
 mod explanation;
 mod fixed_costs;
@@ -98,6 +99,7 @@ pub use division::{
     DivideResult, DivideSpec, Division, FinishedPart, FrameCache, FramePart, MOST_PARTS, PartCount, PartPass,
     PartPixels, PartRange, Passes, PixelRange, RenderPartResult, RenderPartSpec, RestOfPart, SampleRange,
 };
+pub use error_target::{ErrorTarget, SamplesForError};
 pub use event::{Event, EventKind, FrameCost, JobNews, JobTerms};
 pub use explanation::{Explanation, Halving, ObjectShare, PartShare, RayShare};
 pub use fixed_costs::{FixedCosts, ProcessCosts};

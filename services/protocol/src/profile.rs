@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{AccuracyDoc, ArtifactHash, ByClass, FixedCosts, LeftOut, ProcessCosts, Spent, Stratum};
+use crate::{
+    AccuracyDoc, ArtifactHash, ByClass, FixedCosts, LeftOut, ProcessCosts, SamplesForError, Spent, Stratum,
+};
 
 /// One profiled pixel.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
@@ -159,6 +161,9 @@ pub struct ProfileResult {
     /// cache, and with too few camera samples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub noise: Vec<NoiseCell>,
+    /// Camera samples that reach the job's error target. Absent without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub samples_for_error: Option<SamplesForError>,
     /// Names of the effects that the frame needs, sorted.
     #[serde(default)]
     pub effects: Vec<String>,

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, JobId, JobSettings,
-    RenderPartSpec, RendererRequest, SceneDigest, VideoSpec,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, ErrorTarget, JobId,
+    JobSettings, Passes, RenderPartSpec, RendererRequest, SceneDigest, VideoSpec,
 };
 
 /// Kind of a task.
@@ -288,6 +288,10 @@ pub struct ProfileSpec {
     /// Whether to measure ladders of other qualities around the settings as well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ladders: bool,
+    /// Error target of the job. The profile then says how many samples reach it. Any irradiance cache is
+    /// filled first, and goes into the profile. Absent without a target.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_target: Option<ErrorTarget>,
     /// Planned irradiance cache that all frames could share; pixels are also measured with it. Absent without
     /// one, and while waiting.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -310,10 +314,13 @@ pub struct RenderSpec {
     /// The renderer. Absent for forelight's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub renderer: Option<RendererRequest>,
-    /// Largest work of the frame. Every pixel gets one camera sample; others go where they reduce the error
-    /// most. If absent, the settings' samples.
+    /// Largest work of the frame, or with an error target its forecast. Every pixel gets one camera sample;
+    /// others go where they reduce the error most. If absent, the settings' samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work: Option<u64>,
+    /// The image is finished when its error is small enough. Absent: when the work is spent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_target: Option<ErrorTarget>,
     /// Finished pixels of this frame's profile, to take over. Absent if the frame was not profiled.
     pub profile: Option<ArtifactHash>,
     /// The complete shared irradiance cache. Absent without one, and while the task waits for it.
@@ -328,6 +335,13 @@ pub struct RenderSpec {
     /// Finished shares of this frame's samples, to take over, in the order of their samples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shares: Vec<SampleShare>,
+}
+
+impl RenderSpec {
+    /// How the frame is rendered in passes. `None` if every pixel gets the settings' samples.
+    pub fn passes(&self) -> Option<Passes> {
+        self.work.map(|work| Passes { work, error_target: self.error_target, before: Vec::new() })
+    }
 }
 
 /// A share of a frame's samples that is finished.

@@ -40,6 +40,9 @@ pub enum QuoteError {
     /// The job has no such frame.
     #[error("the job has no frame {0}")]
     NoFrame(u32),
+    /// A profile does not say what the job's error takes.
+    #[error("error_target: the profile of frame {0} does not say how many camera samples reach the error")]
+    NoSamplesForError(u32),
     /// Even one camera sample per pixel exceeds the limit.
     #[error(
         "within: with one camera sample per pixel, the minimum, {what} takes {needed} at {confidence}; \

@@ -10,7 +10,7 @@
 //! 2. [`Measured::more_to_profile`] picks more if the forecast is still uncertain and they cost little.
 //! 3. [`quote`] forecasts every frame. It prices irradiance caches of each frame's own and one shared cache,
 //!    and takes the cheaper way. [`Limit::quote`] instead finds the most camera samples within a limit of
-//!    time or money.
+//!    time or money, and [`quote_for_error`] prices those that an error takes.
 //! 4. [`Measured::explain`] shows where the work goes, and [`Measured::qualities`] what other qualities cost.
 //!
 //! | file | subject |
@@ -23,6 +23,7 @@
 //! | `job_forecast` | the quote as it is stored and shown |
 //! | `sharing` | one irradiance cache for the shot, or one per frame |
 //! | `limit` | the most samples within a limit of time or money |
+//! | `error_target` | the samples that an error takes |
 //! | `samples` | cost of profiled pixels at other numbers of camera samples |
 //! | `pixel_costs` | cost of single pixels |
 //! | `living` | the estimate of a running job: when to update it, when it exceeds its booking |
@@ -33,6 +34,7 @@
 mod choose;
 pub mod division;
 mod error;
+mod error_target;
 mod estimate;
 mod explanation;
 mod job_forecast;
@@ -51,6 +53,7 @@ mod tests;
 
 pub use choose::frames_to_profile;
 pub use error::QuoteError;
+pub use error_target::quote_for_error;
 pub use estimate::Estimate;
 pub use explanation::explain_sampled;
 pub use job_forecast::{JobForecast, Quote, QuoteBasis, QuoteKind, SharedCacheToBuild, Spreads, quantiles};

@@ -72,6 +72,7 @@ fn profile(frame: u32, strata: Vec<Stratum>, counts: &[usize]) -> MeasuredProfil
         shared_samples: Vec::new(),
         shared_cache_samples: Vec::new(),
         cache_samples: Vec::new(),
+        samples_for_error: None,
         noise: Vec::new(),
         effects: vec!["ambient".to_owned(), "mirror".to_owned()],
         work_by_class: None,

@@ -189,6 +189,7 @@ impl Rig {
     fn render(&self, shares: Vec<(SampleShare, Bytes)>) -> (Bytes, u64) {
         let (shares, files): (Vec<SampleShare>, Vec<Bytes>) = shares.into_iter().unzip();
         let spec = RenderSpec {
+            error_target: None,
             job_id: JobId::new(),
             bundle: BundleSource::Path(self.scene.display().to_string()),
             digest: scene_digest(&self.scene).unwrap(),

@@ -22,8 +22,8 @@ mod passes;
 use std::collections::BTreeMap;
 
 use forelight_protocol::{
-    ArtifactHash, DivideResult, FinishedPart, FrameCache, JobId, JobSettings, LeaseId, PartRange, PixelRange,
-    RenderPartResult, RenderSpec, TaskKind, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, DivideResult, FinishedPart, FrameCache, JobId, JobSettings, LeaseId, PartRange, Passes,
+    PixelRange, RenderPartResult, RenderSpec, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_quote::division::sample_ranges;
 
@@ -78,15 +78,16 @@ async fn begin(
     parts: u32,
     waits: bool,
 ) -> Result<()> {
-    let RenderSpec { frame, profile, cache, work, .. } = *whole;
-    // In passes, the profile's pixels are rendered as all others.
-    let profile = profile.filter(|_| work.is_none());
+    let RenderSpec { frame, profile, cache, .. } = *whole;
     let asked = |part, range| PartAsked { frame, part, parts, range, profile, cache };
+    // In passes, the profile's pixels are rendered as all others, and the division has read its cache.
+    let in_parts =
+        |asked: PartAsked| PartAsked { profile: profile.filter(|_| whole.work.is_none()), ..asked };
     match &common.settings {
         JobSettings::Own(_) => {
-            common.divide(write, asked(0, None), work, waits).await?;
+            common.divide(write, asked(0, None), whole.passes(), waits).await?;
             for part in 0..parts {
-                common.render_part(write, asked(part, None)).await?;
+                common.render_part(write, in_parts(asked(part, None))).await?;
             }
         }
         JobSettings::Shot(settings) => {
@@ -205,8 +206,8 @@ pub(crate) async fn part_rendered(
         return Ok(());
     }
     let finished = finished_parts(write, row.job_id, frame).await?;
-    match work_of(write, row.job_id, frame).await? {
-        Some(work) => passes::divide_again(write, row.job_id, frame, work, &finished).await,
+    match passes_of(write, row.job_id, frame).await? {
+        Some(passes) => passes::divide_again(write, row.job_id, frame, passes, &finished).await,
         None => put_together(write, row, frame, &finished).await,
     }
 }
@@ -228,17 +229,19 @@ async fn finished_parts(write: &mut Write, job: JobId, frame: u32) -> Result<Vec
     results.into_iter().map(made).collect()
 }
 
-/// Largest work of a frame that is rendered in passes. `None` for others.
-async fn work_of(write: &mut Write, job: JobId, frame: u32) -> Result<Option<u64>> {
-    let work = sqlx::query_scalar!(
-        r#"SELECT json_extract(spec, '$.render.work') AS "work?: i64" FROM tasks
-           WHERE job_id = ? AND kind = 'render' AND frame = ?"#,
+/// How a frame is rendered in passes, before the first. `None` for frames that are not.
+async fn passes_of(write: &mut Write, job: JobId, frame: u32) -> Result<Option<Passes>> {
+    let spec = sqlx::query_scalar!(
+        "SELECT spec FROM tasks WHERE job_id = ? AND kind = 'render' AND frame = ?",
         job.0,
         frame
     )
     .fetch_optional(write.connection().await?)
     .await?;
-    Ok(work.flatten().and_then(|work| u64::try_from(work).ok()))
+    Ok(match spec.map(|spec| spec.0) {
+        Some(TaskSpec::Render(spec)) => spec.passes(),
+        _ => None,
+    })
 }
 
 /// Makes the frame's render task ready, with its finished parts. The node that did the last one has the scene
@@ -369,16 +372,16 @@ pub(crate) async fn begin_again(
         [TaskKind::CacheFill, TaskKind::CacheMerge].into_iter().any(|kind| is_left(kind, task))
     };
     let is_filled = !tasks.iter().any(fills);
-    let work = work_of(write, job, frame).await?;
+    let passes = passes_of(write, job, frame).await?;
     for task in tasks.iter().filter(|task| fills(task)) {
         tasks::begin_again(write, task.id, "ready").await?;
     }
     let mut is_prepared = is_filled;
     for task in tasks.iter().filter(|task| task.kind == TaskKind::Divide) {
-        match work {
+        match &passes {
             // All passes begin again.
-            Some(work) if is_filled => {
-                passes::divide_anew(write, (job, frame), work, state).await?;
+            Some(passes) if is_filled => {
+                passes::divide_anew(write, (job, frame), passes, state).await?;
                 is_prepared = false;
             }
             _ if task.state != "done" => {

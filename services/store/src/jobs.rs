@@ -15,8 +15,9 @@ pub(crate) mod versions;
 use std::collections::BTreeMap;
 
 use forelight_protocol::{
-    BundleRef, BundleSource, CacheSharing, Confidence, Division, FrameSet, Job, JobId, JobSettings, JobState,
-    JobVerdict, Ladders, Money, RenderedBy, RendererRequest, SceneSummary, TaskLimits, VideoRequest, Within,
+    BundleRef, BundleSource, CacheSharing, Confidence, Division, ErrorTarget, FrameSet, Job, JobId,
+    JobSettings, JobState, JobVerdict, Ladders, Money, RenderedBy, RendererRequest, SceneSummary, TaskLimits,
+    VideoRequest, Within,
 };
 use sqlx::SqliteConnection;
 
@@ -54,6 +55,7 @@ pub(crate) struct JobRow {
     pub video: Option<Json<VideoRequest>>,
     pub video_task: Option<Json<VideoTask>>,
     pub within: Option<Json<Within>>,
+    pub error_target: Option<Json<ErrorTarget>>,
     pub limits: Json<TaskLimits>,
     pub deadline_at: Option<Time>,
     pub budget: Option<i64>,
@@ -86,7 +88,7 @@ macro_rules! job_rows {
                AND n.removed_at IS NULL AND n.worker IS NOT NULL AND NOT n.drain AND NOT n.pause
                AND n.set_aside IS NULL), 'false', 'true')))
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = jobs.id AND t.kind = 'video') END
-               AS "video_task?: crate::columns::Json<crate::videos::VideoTask>", within, limits,
+               AS "video_task?: crate::columns::Json<crate::videos::VideoTask>", within, error_target, limits,
                deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor,
                hold, terms, terms_planned, error, created_at, finished_at FROM jobs "#
                 + $rest
@@ -194,6 +196,7 @@ impl JobRow {
             profile_frames: (!self.profiles_more).then_some(self.profile_frames),
             ladders: self.ladders.0,
             within: self.within.map(|it| it.0),
+            error_target: self.error_target.map(|it| it.0),
             deadline: self.deadline_at.map(Into::into),
             budget: self.budget.map(Money),
             confidence: self.confidence.0,

@@ -9,8 +9,8 @@ use std::collections::BTreeSet;
 use std::collections::btree_map::{BTreeMap, Entry};
 
 use forelight_protocol::{
-    BookingId, Event, EventKind, FrameForecast, FramePart, JobId, JobNews, JobSettings, JobState, JobVerdict,
-    NodeId, PlanId, PlanReason, Timestamp,
+    BookingId, CacheMode, Event, EventKind, FrameForecast, FramePart, JobId, JobNews, JobSettings, JobState,
+    JobVerdict, NodeId, PlanId, PlanReason, Timestamp,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 
@@ -92,12 +92,15 @@ impl Store {
         let mut common = Common::of(&row);
         let mut finished: BTreeMap<u32, Finished> =
             Self::finished_by_profiles(write.connection().await?, job).await?.into_iter().collect();
-        if let Some(spp) = forecast.chosen_spp
-            && let JobSettings::Own(settings) = &mut common.settings
-        {
-            settings.spp = spp;
-            // Profiled pixels belong to images with the same number of samples in every pixel.
-            finished.clear();
+        if let (Some(spp), JobSettings::Own(settings)) = (forecast.chosen_spp, &mut common.settings) {
+            if common.error_target.is_none() {
+                settings.spp = spp;
+            }
+            // Profiled pixels belong to images with the same number of samples in every pixel. With an error
+            // target, an irradiance cache was filled for them, which the frame can use.
+            if common.error_target.is_none() || settings.cache == CacheMode::Off {
+                finished.clear();
+            }
         }
         let work: BTreeMap<u32, u64> = match forecast.chosen_spp {
             Some(_) => frames.iter().map(|each| (each.frame, each.work.mean.round() as u64)).collect(),

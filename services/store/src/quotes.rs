@@ -99,7 +99,8 @@ pub(crate) async fn keep(
         job.0
     );
     if let Some(spp) = forecast.chosen_spp
-        && let JobSettings::Own(mut settings) = jobs::row(write.connection().await?, job).await?.settings.0
+        && let jobs::JobRow { error_target: None, settings: Json(JobSettings::Own(mut settings)), .. } =
+            jobs::row(write.connection().await?, job).await?
     {
         settings.spp = spp;
         run!(write, "UPDATE jobs SET settings = ? WHERE id = ?", Json(JobSettings::Own(settings)), job.0);

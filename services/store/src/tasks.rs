@@ -3,10 +3,10 @@
 pub(crate) mod listing;
 
 use forelight_protocol::{
-    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, FrameRate, JobId,
-    JobSettings, Money, NodeId, PartRange, Passes, PreviewSpec, ProfileSpec, RenderPartSpec, RenderSettings,
-    RenderSpec, RendererRequest, SampleShare, SceneDigest, TaskId, TaskLimits, TaskSpec, Timestamp,
-    VideoSpec,
+    ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, ErrorTarget,
+    FrameRate, JobId, JobSettings, Money, NodeId, PartRange, Passes, PreviewSpec, ProfileSpec,
+    RenderPartSpec, RenderSettings, RenderSpec, RendererRequest, SampleShare, SceneDigest, TaskId,
+    TaskLimits, TaskSpec, Timestamp, VideoSpec,
 };
 use sqlx::SqliteConnection;
 
@@ -41,6 +41,7 @@ pub(crate) struct Common {
     pub renderer: Option<RendererRequest>,
     /// The version of our own renderer that a node must have.
     pub own: Option<RendererRequest>,
+    pub error_target: Option<ErrorTarget>,
     pub deadline: Option<Timestamp>,
     pub priority: i32,
     pub limits: TaskLimits,
@@ -77,7 +78,7 @@ pub(crate) struct PartAsked {
 /// A frame to render.
 pub(crate) struct RenderAsked {
     pub frame: u32,
-    /// Largest work of the frame. `None`: the settings' samples.
+    /// Largest work of the frame, or with an error target its forecast. `None`: the settings' samples.
     pub work: Option<u64>,
     pub finished: Finished,
 }
@@ -100,6 +101,7 @@ impl Common {
             settings: row.settings.0.clone(),
             renderer: row.renderer.as_ref().map(|it| it.0.clone()),
             own: row.rendered_by.as_ref().map(|it| RendererRequest::own(&it.0.version)),
+            error_target: row.error_target.as_ref().map(|it| it.0),
             deadline: row.deadline_at.map(Into::into),
             priority: row.priority,
             limits: row.limits.0,
@@ -139,6 +141,7 @@ impl Common {
             settings: self.settings.clone(),
             renderer: self.renderer.clone(),
             ladders,
+            error_target: self.error_target,
             cache,
         };
         self.insert(write, TaskSpec::Profile(spec), if waits { WAITING } else { READY }, None).await
@@ -214,6 +217,7 @@ impl Common {
             settings: self.settings.clone(),
             renderer: self.renderer.clone(),
             work,
+            error_target: self.error_target,
             profile,
             cache: None,
             frame_cache: None,
@@ -223,13 +227,13 @@ impl Common {
         self.insert(write, TaskSpec::Render(spec), if waits { WAITING } else { READY }, None).await
     }
 
-    /// Makes the task that finds the parts of a frame. `work` is that of a frame in passes. With `waits`, it
-    /// waits for the shared cache.
+    /// Makes the task that finds the parts of a frame, which may be rendered in passes. With `waits`, it waits
+    /// for the shared cache.
     pub(crate) async fn divide(
         &self,
         write: &mut Write,
         asked: PartAsked,
-        work: Option<u64>,
+        passes: Option<Passes>,
         waits: bool,
     ) -> Result<()> {
         let PartAsked { frame, parts, profile, cache, .. } = asked;
@@ -243,7 +247,7 @@ impl Common {
             profile,
             cache,
             frame_cache: None,
-            passes: work.map(|work| Passes { work, before: Vec::new() }),
+            passes,
         };
         self.insert(write, TaskSpec::Divide(spec), if waits { WAITING } else { READY }, None).await
     }

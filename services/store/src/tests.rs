@@ -320,6 +320,7 @@ fn profile_result(frame: u32, profile: ArtifactHash) -> ProfileResult {
         shared_cache_samples: Vec::new(),
         cache_samples: Vec::new(),
         noise: Vec::new(),
+        samples_for_error: None,
         effects: vec!["ambient".to_owned()],
         work_by_class: None,
         left_out: Vec::new(),

@@ -36,7 +36,7 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
   let long;
   let finer;
 
-  await step("takes a folder that is dropped, and quotes it again with another budget", async () => {
+  await step("takes a folder that is dropped, and quotes it again for a noise and with a budget", async () => {
     await farm.start("farm", ...WORKERS);
     long = await farm.submit("kitchen", ...SMALL, "--name", "long", "--frames", "0-11", "--hold");
     await page.goto(await farm.link());
@@ -55,10 +55,16 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     await press("Change it");
     await page.getByRole("heading", { name: "Change small" }).waitFor();
     await page.getByLabel("Budget").fill("1.25");
+    await page.getByLabel("Noise at most").fill("40");
+    await press("Get a quote");
+    await page.getByText("from 4 camera samples on").waitFor();
+    await page.getByLabel("Camera samples per pixel").fill("");
     await press("Get a quote");
     small = await quoted(first);
-    const { budget, bundle, state } = await job(small);
+    await page.getByText("noise at most 40 %").waitFor();
+    const { budget, bundle, error_target, state } = await job(small);
     assert.deepEqual([budget, state, (await job(first)).state], [1_250_000, "quoted", "cancelled"]);
+    assert.equal(error_target.ppm, 400_000);
     const { scene } = await job(long);
     assert.equal((await job(small)).scene.digest, scene.digest, "all files of the folder arrived");
     assert.equal(bundle.id, (await job(first)).bundle.id);

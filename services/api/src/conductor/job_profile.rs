@@ -11,7 +11,7 @@ use super::{AdvanceError, compute};
 #[derive(Clone, Debug)]
 pub(crate) struct JobProfile {
     preview: PreviewResult,
-    /// Profiles at the camera samples of the job's settings. A job with a limit is profiled at others.
+    /// Profiles at the camera samples that were chosen for the job, which may be profiled at others.
     profiles: Vec<MeasuredProfile>,
     /// Plan of the shared irradiance cache. Empty if frames share none.
     shared: PlannedCache,
@@ -26,11 +26,13 @@ impl JobProfile {
         let Some(preview) = store.preview_result(job.id).await? else { return Ok(None) };
         let profiles = store.profile_results(job.id).await?.filter(|profiles| !profiles.is_empty());
         let Some(profiles) = profiles else { return Ok(None) };
-        let profiles = with_samples(&profiles, settings.spp);
         let quote = store.forecast(job.id).await?;
+        let chosen = quote.as_ref().and_then(|quote| quote.chosen_spp);
+        let settings = RenderSettings { spp: chosen.unwrap_or(settings.spp), ..settings.clone() };
+        let profiles = with_samples(&profiles, settings.spp);
         let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);
         let shared = if shares { store.planned_cache(job.id).await? } else { PlannedCache::NotAsked };
-        Ok(Some(Self { preview, profiles, shared, settings: settings.clone() }))
+        Ok(Some(Self { preview, profiles, shared, settings }))
     }
 
     fn measured(&self) -> Measured<'_> {

@@ -27,7 +27,7 @@ impl Farm {
     }
 
     /// The next task of a node, which must be of this kind.
-    async fn next(&self, node: &Node, kind: TaskKind) -> Lease {
+    pub(crate) async fn next(&self, node: &Node, kind: TaskKind) -> Lease {
         let lease = self.next_task(node).await;
         assert_eq!(lease.spec.kind(), kind);
         lease

@@ -10,6 +10,7 @@ mod delivery;
 mod division;
 mod document;
 mod encryption;
+mod error_targets;
 mod events;
 mod job_life;
 mod lists;

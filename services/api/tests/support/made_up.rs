@@ -8,9 +8,9 @@ use forelight_protocol::{
     MeasuredShare, MissingLadder, NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange, PreviewBackend,
     PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled,
     Quantiles, Rays, RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec,
-    RenderStats, RendererId, SampleCost, SampleRange, SampleShare, SceneSummary, ShotSettings, Spent,
-    SpentOnForecast, Stratum, StratumName, StratumTime, TaskResult, TaskSpec, Varied, VideoFile, VideoResult,
-    VideoSpec,
+    RenderStats, RendererId, SampleCost, SampleRange, SampleShare, SamplesForError, SceneSummary,
+    ShotSettings, Spent, SpentOnForecast, Stratum, StratumName, StratumTime, TaskResult, TaskSpec, Varied,
+    VideoFile, VideoResult, VideoSpec,
 };
 
 impl Farm {
@@ -103,6 +103,10 @@ impl Farm {
             shared_cache_samples: Vec::new(),
             cache_samples: Vec::new(),
             noise: made_up_noise(spec.settings.own().unwrap().spp),
+            samples_for_error: spec.error_target.map(|target| {
+                let p50 = 2.0 / target.share() + 0.25;
+                SamplesForError { p50, p80: 1.1 * p50, p95: 1.25 * p50 }
+            }),
             effects: vec!["ambient".to_owned()],
             work_by_class: Some(ByClass { rays: 800, memory: 200, ..ByClass::default() }),
             left_out: Vec::new(),

@@ -185,6 +185,7 @@ impl Tasks {
         interrupt: &Interrupt,
     ) -> Result<(RenderStats, ArtifactHash)> {
         let spec = RenderSpec {
+            error_target: None,
             job_id: JobId::new(),
             bundle: self.source(),
             digest: self.digest,

@@ -4,13 +4,12 @@ use crate::job_options::png_file;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use forelight_protocol::{
-    AllottedForecast, AllottedStats, BudgetClock, Confidence, Money, Per, Within, WithinStats,
+    AllottedForecast, AllottedStats, BudgetClock, Confidence, ErrorTarget, Money, Per, Within, WithinStats,
 };
 use forelight_renderer_own::{Aim, AllotOptions, Budget, NEAR_ENOUGH, Stopwatch};
 use forelight_scene::Frame;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
-use forelight_terminal::options::positive;
 use forelight_terminal::quantities::{count, money, parse_money, parse_seconds, seconds};
 use forelight_tracer::{Image, SampleCounts};
 use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Luma};
@@ -38,7 +37,7 @@ pub struct AllotArgs {
     clock: ClockName,
     /// Render the cheapest image with at most this noise, as a percentage of its mean (root mean square over
     /// the pixels). It may exceed the noise by a hundredth. A pixel gets at most 65,535 camera samples
-    #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = positive)]
+    #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = error_percent)]
     error: Option<f64>,
     /// Probability with which the image stays below --error, or with which the smallest image fits into
     /// --within
@@ -70,24 +69,32 @@ pub struct Wish<'a> {
     started: Instant,
 }
 
+/// Parses an error in per cent of an image's mean.
+pub fn error_percent(text: &str) -> Result<f64, String> {
+    let percent: f64 = text.parse().map_err(|_| "expected a number such as 1.5".to_owned())?;
+    ErrorTarget::of_percent(percent, Confidence::default()).map(|_| percent)
+}
+
 impl AllotArgs {
     /// Whether anything is asked for.
     pub fn is_given(&self) -> bool {
-        self.within.is_some() || self.is_for_this_machine()
+        self.within.is_some() || self.error.is_some() || self.is_for_this_machine()
     }
 
     /// Whether anything is asked for that only a render on this machine can do.
     pub fn is_for_this_machine(&self) -> bool {
-        self.within_money.is_some()
-            || self.error.is_some()
-            || self.samples_map.is_some()
-            || self.samples_from.is_some()
+        self.within_money.is_some() || self.samples_map.is_some() || self.samples_from.is_some()
     }
 
     /// The time of `--within`, as a farm counts it.
     pub fn cpu_time(&self) -> Option<Within> {
         let cpu_micros = self.within.map(|seconds| Some((seconds * 1e6).ceil() as i64))?;
         Some(Within { cpu_micros, money: None, per: Per::Frame })
+    }
+
+    /// The error of `--error`, for a farm.
+    pub fn error_target(&self) -> Option<ErrorTarget> {
+        self.error.and_then(|percent| ErrorTarget::of_percent(percent, self.confidence).ok())
     }
 
     pub fn confidence(&self) -> Confidence {

@@ -215,6 +215,8 @@ mod tests {
     fn wrong_values_name_the_flag() {
         for (line, flag) in [
             ("forelight submit b --per-frame", "--within"),
+            ("forelight submit b --error 0", "--error"),
+            ("forelight submit b --error 2 --within 3h", "--error"),
             ("forelight submit b --frames 3-1", "--frames"),
             ("forelight submit b --deadline soon", "--deadline"),
             ("forelight submit b --budget=-3", "--budget"),

@@ -5,7 +5,7 @@ import type { Job, JobChange, JobRequest, PlanChange, RenderSettings } from "../
 
 /** A request that repeats a job. */
 export function requestOf(job: Job): JobRequest {
-  const { settings, renderer, within, limits, cache, ladders, division, output, video } = job;
+  const { settings, renderer, within, error_target, limits, cache, ladders, division, output, video } = job;
   return {
     name: job.name,
     project: job.project,
@@ -21,6 +21,7 @@ export function requestOf(job: Job): JobRequest {
     profile_frames: job.profile_frames ?? null,
     ...(renderer ? { renderer } : {}),
     ...(within ? { within } : {}),
+    ...(error_target ? { error_target } : {}),
     ...(limits ? { limits } : {}),
     ...(cache ? { cache } : {}),
     ...(ladders ? { ladders } : {}),

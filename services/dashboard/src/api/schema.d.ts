@@ -2536,6 +2536,16 @@ export interface components {
             /** @description Every frame is divided into this many parts, 2 to 512. */
             into: components["schemas"]["PartCount"];
         };
+        /** @description The largest error of an image. Pixels get as many camera samples as it takes, where they help most. */
+        ErrorTarget: {
+            /** @description Probability with which the error is not above that. An image may exceed it by a hundredth. */
+            confidence?: components["schemas"]["Confidence"];
+            /**
+             * Format: int32
+             * @description Root mean square error over the pixels, in millionths of the image's mean: 20000 is 2 %.
+             */
+            ppm: number;
+        };
         /** @description One event. Fields that do not apply to its kind are absent. */
         Event: {
             /** @description When it happened. */
@@ -2741,8 +2751,9 @@ export interface components {
             calibrated: boolean;
             /**
              * Format: int32
-             * @description Camera samples per pixel chosen for the job's limit (`within`). Absent without a limit. A frame may
-             *     use the work of this many, and puts them where they reduce the image's error most.
+             * @description Camera samples per pixel chosen for the job's limit (`within`) or its `error_target`; of the latter, the
+             *     mean of the profiled frames. Absent without either. A frame uses about the work of this many, and puts
+             *     them where they reduce the image's error most.
              */
             chosen_spp?: number | null;
             cost?: components["schemas"]["MoneyQuantiles"] | null;
@@ -3121,6 +3132,7 @@ export interface components {
             division?: components["schemas"]["Division"];
             /** @description Why the job failed. Absent if it did not. */
             error?: string | null;
+            error_target?: components["schemas"]["ErrorTarget"] | null;
             eta?: components["schemas"]["Timestamp"] | null;
             finish?: components["schemas"]["FinishQuantiles"] | null;
             finished_at?: components["schemas"]["Timestamp"] | null;
@@ -3317,6 +3329,7 @@ export interface components {
             deadline?: components["schemas"]["Timestamp"] | null;
             /** @description Whether frames are divided into parts that several nodes render at the same time. */
             division?: components["schemas"]["Division"];
+            error_target?: components["schemas"]["ErrorTarget"] | null;
             /** @description The frames to render. */
             frames: components["schemas"]["FrameSet"];
             /** @description Whether to wait with the complete quote until somebody accepts it. Nothing is booked before. */
@@ -4229,9 +4242,10 @@ export interface components {
         Passes: {
             /** @description Unfinished pixels after the last pass: the files of its parts. Empty before the first. */
             before?: components["schemas"]["ArtifactHash"][];
+            error_target?: components["schemas"]["ErrorTarget"] | null;
             /**
              * Format: int64
-             * @description Largest work of the frame.
+             * @description Largest work of the frame. With an error target, its forecast.
              */
             work: number;
         };
@@ -4553,6 +4567,7 @@ export interface components {
             renderer?: string | null;
             /** @description The profiled pixels, each once. */
             samples: components["schemas"]["ProfileSample"][];
+            samples_for_error?: components["schemas"]["SamplesForError"] | null;
             /** @description The same for the task's shared cache, whose gathers look up more records. */
             shared_cache_samples?: components["schemas"]["CacheSample"][];
             /** @description Costs of these pixels with the task's shared cache, in the same order. Empty without one. */
@@ -4604,6 +4619,7 @@ export interface components {
             cache?: components["schemas"]["ArtifactHash"] | null;
             /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
             digest: components["schemas"]["SceneDigest"];
+            error_target?: components["schemas"]["ErrorTarget"] | null;
             /**
              * Format: int32
              * @description The frame.
@@ -5118,6 +5134,7 @@ export interface components {
             cache?: components["schemas"]["ArtifactHash"] | null;
             /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
             digest: components["schemas"]["SceneDigest"];
+            error_target?: components["schemas"]["ErrorTarget"] | null;
             /**
              * Format: int32
              * @description The frame.
@@ -5136,8 +5153,8 @@ export interface components {
             shares?: components["schemas"]["SampleShare"][];
             /**
              * Format: int64
-             * @description Largest work of the frame. Every pixel gets one camera sample; others go where they reduce the error
-             *     most. If absent, the settings' samples.
+             * @description Largest work of the frame, or with an error target its forecast. Every pixel gets one camera sample;
+             *     others go where they reduce the error most. If absent, the settings' samples.
              */
             work?: number | null;
         };
@@ -5383,6 +5400,25 @@ export interface components {
              * @description Number of samples before it.
              */
             offset: number;
+        };
+        /** @description Camera samples per pixel that reach a job's error target in one frame, by what a profile says: as many in
+         *     every pixel would cost what the frame costs whose samples go where they help. */
+        SamplesForError: {
+            /**
+             * Format: double
+             * @description Enough with 50 % probability.
+             */
+            p50: number;
+            /**
+             * Format: double
+             * @description Enough with 80 % probability.
+             */
+            p80: number;
+            /**
+             * Format: double
+             * @description Enough with 95 % probability.
+             */
+            p95: number;
         };
         /**
          * @description BLAKE3 hash of the paths and contents of all files of a scene: 64 lower-case hexadecimal digits. Equal

@@ -73,6 +73,7 @@ pub fn profile_pixels(
         cache_samples: Vec::new(),
         shared_cache_samples: Vec::new(),
         noise: Vec::new(),
+        samples_for_error: None,
         effects: Vec::new(),
         left_out: Vec::new(),
         renderer: Some(renderer.to_string()),

@@ -49,8 +49,10 @@ impl OwnShot {
 }
 
 impl OwnFrame<'_> {
-    /// Totals of the irradiance cache, if there is one.
+    /// Totals of the irradiance cache, if there is one. A cache that was given is taken now if it was not needed
+    /// before.
     pub(crate) fn cache_use(&self, taken_over: CacheTotals) -> Option<CacheUse> {
+        self.tracer.plan();
         let use_of =
             |cache: &Cache| CacheUse { all: cache.totals(), taken_over, shared: cache.shared().clone() };
         self.tracer.cache().map(use_of)

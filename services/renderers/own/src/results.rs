@@ -78,6 +78,7 @@ pub fn profile_result(
         cache_samples: profiled.records.iter().map(cache_sample).collect(),
         shared_cache_samples: Vec::new(),
         noise: noise_cells(info, settings, profiled),
+        samples_for_error: None,
         effects: profiled.effects.clone(),
         left_out: profiled.left_out.clone(),
         renderer: Some(info.renderer.clone()),

@@ -100,6 +100,7 @@ impl Rig {
 
     fn render(&self) -> TaskSpec {
         TaskSpec::Render(RenderSpec {
+            error_target: None,
             job_id: JobId::new(),
             bundle: self.bundle(),
             digest: self.digest,
@@ -207,7 +208,9 @@ fn a_cache_that_is_damaged_fails_for_good_and_one_of_another_kind_is_not_added_t
 fn a_frame_whose_shared_cache_is_of_another_kind_makes_its_own() {
     let rig = Rig::new();
     let TaskSpec::Render(spec) = rig.render() else { panic!() };
-    let alone = rig.run(TaskSpec::Render(RenderSpec { cache: None, ..spec }), Vec::new()).unwrap();
+    let alone = rig
+        .run(TaskSpec::Render(RenderSpec { error_target: None, cache: None, ..spec }), Vec::new())
+        .unwrap();
     let other = rig.planned(&RenderSettings { seed: 9, ..rig.settings.clone() });
     for bytes in [Bytes::from_static(b"FLcach05 and so on"), other] {
         let control = Control::default();

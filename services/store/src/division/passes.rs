@@ -27,11 +27,11 @@ pub(super) async fn divide_again(
     write: &mut Write,
     job: JobId,
     frame: u32,
-    work: u64,
+    passes: Passes,
     finished: &[FinishedPart],
 ) -> Result<()> {
     let before = finished.iter().map(FinishedPart::hash).collect();
-    begin_division(write, job, frame, Passes { work, before }, "ready").await?;
+    begin_division(write, (job, frame), &Passes { before, ..passes }, "ready").await?;
     write.made_work = true;
     Ok(())
 }
@@ -41,17 +41,16 @@ pub(super) async fn divide_again(
 pub(super) async fn divide_anew(
     write: &mut Write,
     (job, frame): (JobId, u32),
-    work: u64,
+    passes: &Passes,
     state: &'static str,
 ) -> Result<()> {
-    begin_division(write, job, frame, Passes { work, before: Vec::new() }, state).await
+    begin_division(write, (job, frame), passes, state).await
 }
 
 async fn begin_division(
     write: &mut Write,
-    job: JobId,
-    frame: u32,
-    passes: Passes,
+    (job, frame): (JobId, u32),
+    passes: &Passes,
     state: &'static str,
 ) -> Result<()> {
     let tasks = sqlx::query_scalar!(
@@ -59,7 +58,7 @@ async fn begin_division(
            json_extract((SELECT r.spec FROM tasks r WHERE r.job_id = ?2 AND r.frame = ?3 AND r.kind = 'render'),
            '$.render.frame_cache'))
            WHERE job_id = ?2 AND frame = ?3 AND kind = 'divide' RETURNING id AS "id!: Id""#,
-        Json(&passes),
+        Json(passes),
         job.0,
         frame
     )

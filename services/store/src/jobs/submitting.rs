@@ -66,6 +66,7 @@ impl Store {
             settings: settings.clone(),
             renderer: request.renderer.clone(),
             own: None,
+            error_target: new.request.error_target,
             deadline: request.deadline,
             priority: request.priority,
             limits: request.limits,
@@ -105,7 +106,7 @@ async fn insert(
         "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
          frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
          priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output, \
-         submitted_by, video) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         submitted_by, video, error_target) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         job_id.0,
         request.name,
         request.project,
@@ -134,7 +135,8 @@ async fn insert(
         Json(&request.division),
         request.output.as_ref().map(ToString::to_string),
         submitter,
-        request.video.as_ref().map(Json)
+        request.video.as_ref().map(Json),
+        request.error_target.map(Json)
     );
     Ok(())
 }

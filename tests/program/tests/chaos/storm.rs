@@ -45,49 +45,66 @@ fn number(variable: &str, default: u64) -> u64 {
     std::env::var(variable).ok().map_or(default, |text| text.parse().expect("a number"))
 }
 
-/// True if the frames of this job share an irradiance cache: every second job, starting with the first.
-fn is_cached(number: usize) -> bool {
-    number.is_multiple_of(2) && !is_in_passes(number)
+/// How the frames of a job are rendered.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// With equally many samples for every pixel.
+    Even,
+    /// The same, with one irradiance cache that all frames share.
+    SharedCache,
+    /// In passes, until the error is small enough.
+    ForError,
+}
+
+/// Per cent of the image's mean.
+const ERROR: &str = "20";
+
+impl Kind {
+    const ALL: [Self; 3] = [Self::Even, Self::SharedCache, Self::ForError];
+
+    /// The kind of a job. The first has a cache.
+    fn of(job: usize) -> Self {
+        match job {
+            _ if job % 5 == 3 => Self::ForError,
+            _ if job.is_multiple_of(2) => Self::SharedCache,
+            _ => Self::Even,
+        }
+    }
 }
 
 /// True if the frames of this job are divided. Each kind of job comes with and without it.
 fn is_divided(job: usize) -> bool {
-    matches!(job % 4, 1 | 2) || is_in_passes(job) || number("FORELIGHT_STORM_DIVIDED", 0) > 0
+    matches!(job % 4, 1 | 2) || job % 10 == 3 || number("FORELIGHT_STORM_DIVIDED", 0) > 0
 }
 
-/// True if the frames of this job get as many samples as fit into a time. How many depends on measured times,
-/// so these frames have no undisturbed render to compare with.
-fn is_in_passes(number: usize) -> bool {
-    number % 5 == 3
-}
-
-/// Flags of the two kinds of jobs.
-fn quality(cached: bool) -> Vec<String> {
+/// Flags of a kind of job.
+fn quality(kind: Kind) -> Vec<String> {
     let mut flags = vec!["--width".into(), WIDTH.to_string(), "--height".into(), HEIGHT.to_string()];
-    if cached {
+    let samples = SAMPLES_PER_PIXEL.to_string();
+    let own: &[&str] = match kind {
+        Kind::Even => &["--spp", &samples],
         // Two bounces, so that two levels are filled and merged one after the other.
-        let cache = ["--spp", "2", "--cache", "on", "--cache-rays", "48", "--ambient-bounces", "2"];
-        flags.extend(cache.map(str::to_owned));
-    } else {
-        flags.extend(["--spp".to_owned(), SAMPLES_PER_PIXEL.to_string()]);
-    }
+        Kind::SharedCache => &["--spp", "2", "--cache", "on", "--cache-rays", "48", "--ambient-bounces", "2"],
+        Kind::ForError => &["--error", ERROR],
+    };
+    flags.extend(own.iter().map(|&flag| flag.to_owned()));
     flags
 }
 
 /// Frames of the program without a farm. Frames that share a cache use one file for it.
-fn undisturbed(cached: bool) -> BTreeMap<u32, (Channels, RenderStats)> {
+fn undisturbed(kind: Kind) -> BTreeMap<u32, (Channels, RenderStats)> {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name).display().to_string();
     let run = |words: &[&str], flags: &[String]| {
         let scene = shipped(SCENE).display().to_string();
         let mut arguments: Vec<String> = words.iter().map(|&word| word.to_owned()).collect();
         arguments.extend([scene, "--preview".to_owned(), "cpu".to_owned()]);
-        arguments.extend(quality(cached));
+        arguments.extend(quality(kind));
         arguments.extend_from_slice(flags);
         run_well(&arguments)
     };
     let flags = |flags: &[&str]| flags.iter().map(|&flag| flag.to_owned()).collect::<Vec<_>>();
-    if cached {
+    if kind == Kind::SharedCache {
         let frames = format!("0-{}", FRAMES - 1);
         run(&["cache", "plan"], &flags(&["--frames", &frames, "--out", &file("plan")]));
         run(&["cache", "fill"], &flags(&["--cache-file", &file("plan"), "--out", &file("full")]));
@@ -95,7 +112,7 @@ fn undisturbed(cached: bool) -> BTreeMap<u32, (Channels, RenderStats)> {
     let render = |frame: u32| {
         let out = file(&format!("{frame}.exr"));
         let mut own = flags(&["--frame", &frame.to_string(), "--out", &out, "--json"]);
-        if cached {
+        if kind == Kind::SharedCache {
             own.extend(flags(&["--cache-file", &file("full")]));
         }
         let stats: RenderStats = serde_json::from_str(&run(&["render"], &own)).unwrap();
@@ -112,14 +129,14 @@ async fn submit(http: &Http, bundle: &Bundle, number: usize) -> Job {
     if is_divided(number) {
         request["division"] = json!({"into": 3});
     }
-    if is_cached(number) {
+    if Kind::of(number) == Kind::SharedCache {
         request["cache"] = json!("shared");
         request["settings"] = json!({
             "width": WIDTH, "height": HEIGHT, "spp": 2, "cache": "on", "cache_rays": 48, "ambient_bounces": 2,
         });
     }
-    if is_in_passes(number) {
-        request["within"] = json!({"cpu_micros": 1_500_000, "per": "frame"});
+    if Kind::of(number) == Kind::ForError {
+        request["error_target"] = json!({"ppm": ERROR.parse::<u32>().unwrap() * 10_000});
     }
     // The disk is not full now, but a service that has just started may be busy.
     let key = format!("storm-{number}");
@@ -257,7 +274,7 @@ impl Storm {
 async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses_no_frame_and_changes_no_bit()
 {
     let wanted = number("FORELIGHT_STORM_KILLS", 12);
-    let references = [false, true].map(undisturbed);
+    let references = Kind::ALL.map(undisturbed);
     let mut storm = Storm::new(number("FORELIGHT_STORM_SEED", 1)).await;
     let http = storm.service.http(Role::Operator);
     let bundle: Bundle = http.upload(zipped(&shipped(SCENE)), None).await.parsed(StatusCode::CREATED).await;
@@ -281,7 +298,8 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
         jobs.push(submit(&http, &bundle, 1).await);
     }
     for (number, job) in jobs.iter().enumerate() {
-        let reference = &references[usize::from(is_cached(number))];
+        let kind = Kind::of(number);
+        let reference = &references[kind as usize];
         let done = eventually("the end of a job", PATIENCE, async || {
             let job = job_of(&http, job).await;
             job.state.is_final().then_some(job)
@@ -289,17 +307,17 @@ async fn a_storm_of_kills_lost_messages_full_disks_and_clocks_that_are_set_loses
         .await;
         assert_eq!(done.state, JobState::Done, "{:?}", done.error);
         assert_eq!((done.frames_done, done.progress), (FRAMES, 1.0));
-        assert_eq!(done.shared_cache.is_some_and(|cache| cache.ready), is_cached(number), "{}", done.name);
+        assert_eq!(
+            done.shared_cache.is_some_and(|cache| cache.ready),
+            kind == Kind::SharedCache,
+            "{}",
+            done.name
+        );
         for row in frames_of(&http, job).await {
             let (image, stats) = &reference[&row.frame];
             assert_eq!(row.state, FrameState::Done, "frame {}", row.frame);
             assert_eq!(row.parts, if is_divided(number) { 3 } else { 1 }, "frame {}", row.frame);
             let actual = row.actual.as_ref().unwrap();
-            if is_in_passes(number) {
-                let allotted = actual.allotted.as_ref().expect("its samples are not even");
-                assert!(allotted.most > allotted.least, "frame {}: {allotted:?}", row.frame);
-                continue;
-            }
             assert_eq!(counts(actual), counts(stats), "frame {}", row.frame);
             let path = format!("/v1/jobs/{}/frames/{}/image.exr", job.id, row.frame);
             let what = format!("frame {} of {} and of an undisturbed render", row.frame, done.name);

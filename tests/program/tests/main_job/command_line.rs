@@ -1,7 +1,7 @@
 //! Jobs that `forelight submit` sends and follows.
 
 use crate::{HEIGHT, WIDTH, farm, in_a_year};
-use forelight_protocol::{ForecastDoc, FrameRow, Quantiles};
+use forelight_protocol::{ForecastDoc, FrameRow, Quantiles, RenderStats};
 use forelight_tests::bundles::{shipped, zip_of};
 use forelight_tests::pictures::{Channels, assert_png};
 use forelight_tests::processes::{run, run_well};
@@ -118,6 +118,31 @@ async fn a_time_for_a_shot_is_spent_frame_by_frame_where_it_pays() {
         assert!((share - 1.0).abs() < 0.02, "{share} of the work that it was given");
         let samples = actual.allotted.as_ref().expect("how its samples lie");
         assert!(samples.most > samples.least && samples.error.p50 > 0.0, "{samples:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frame_for_an_error_has_the_bits_that_it_has_without_a_farm_divided_or_not() {
+    let service = farm().await;
+    let (scene, data) = (shipped("corridor").display().to_string(), service.data().display().to_string());
+    let at = ["--server", service.address(), "--data", &data];
+    let quality = ["--width", "48", "--error", "15", "--preview", "cpu"];
+    for cache in [&[][..], &["--cache", "on", "--cache-rays", "48"]] {
+        let render = |name: &str, more: &[&str]| -> (Channels, RenderStats) {
+            let out = service.folder().join(name).display().to_string();
+            let words = [&["render", &scene, "--frame", "24", "--out", &out, "--json"][..], cache, more];
+            let stats = serde_json::from_str(&run_well(&words.concat())).expect("the frame's cost");
+            (Channels::of(&std::fs::read(&out).unwrap()), stats)
+        };
+        let (alone, stats) = render("alone.exr", &quality);
+        let error = stats.allotted.clone().expect("its samples differ by pixel").error.p80;
+        assert!(error <= 0.15 * 1.01, "{error}");
+        for parts in ["1", "3"] {
+            let on_farm = [&at[..], &quality[..4], &["--parts", parts]].concat();
+            let (image, on_farm) = render("farm.exr", &on_farm);
+            image.assert_same(&alone, &format!("{parts} parts, {cache:?}"));
+            assert_eq!((on_farm.work, on_farm.rays), (stats.work, stats.rays), "{parts} parts, {cache:?}");
+        }
     }
 }
 

@@ -1,8 +1,8 @@
 //! Checks of a job request. Each error names its field.
 
 use forelight_protocol::{
-    BadSetting, BundleSource, CacheMode, CacheSharing, Division, JobRequest, JobSettings, Ladders,
-    MOST_PARTS, Money, OWN_RENDERER, PartCount, RenderSettings, RenderSettingsRequest, SceneSummary,
+    BadSetting, BundleSource, CacheMode, CacheSharing, Division, ErrorTarget, JobRequest, JobSettings,
+    Ladders, MOST_PARTS, Money, OWN_RENDERER, PartCount, RenderSettings, RenderSettingsRequest, SceneSummary,
     Timestamp,
 };
 use forelight_store::tokens::Principal;
@@ -40,6 +40,13 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
             _ => return Err(ApiError::invalid("/within", "give exactly one of `cpu_micros` and `money`")),
         }
     }
+    if let Some(target) = request.error_target {
+        within("/error_target/ppm", i64::from(target.ppm), 1..=i64::from(ErrorTarget::MOST_PPM))?;
+        if request.within.is_some() {
+            let reason = "either a limit or an error sets the camera samples: leave out this or `within`";
+            return Err(ApiError::invalid("/error_target", reason));
+        }
+    }
     check_terms(app, request.deadline, request.budget)?;
     let frames = request.frames.count();
     if frames > app.limits.frames {
@@ -67,14 +74,7 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
         let reason = "a cache cannot be shared where there is none: set `settings.cache` to `on`";
         return Err(ApiError::invalid("/cache", reason));
     }
-    if request.cache == CacheSharing::Shared && request.within.is_some() {
-        let reason = "frames whose camera samples are chosen for a limit make their own caches: leave out `cache` or `within`";
-        return Err(ApiError::invalid("/cache", reason));
-    }
-    if request.ladders == Ladders::All && request.within.is_some() {
-        let reason = "camera samples are chosen for a limit here, not by what they cost: leave out `ladders` or `within`";
-        return Err(ApiError::invalid("/ladders", reason));
-    }
+    check_chosen_samples(&request)?;
     let (source, scene) = find_bundle(app, caller, &mut request).await?;
     if bundle_inspection::is_unknown(&scene) {
         let reason = "only another renderer can open this scene: name it in `renderer`";
@@ -92,6 +92,37 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
     check_size(app, &settings)?;
     Ok(NewJob { request, scene, source, settings: settings.into() })
 }
+
+/// Checks what cannot be combined with camera samples that are chosen for a limit or an error.
+fn check_chosen_samples(request: &JobRequest) -> ApiResult<()> {
+    let chosen_by = match (request.within, request.error_target) {
+        (Some(_), _) => "within",
+        (None, Some(_)) => "error_target",
+        (None, None) => return Ok(()),
+    };
+    if request.cache == CacheSharing::Shared {
+        let reason = format!(
+            "frames whose camera samples differ make their own caches: leave out `cache` or `{chosen_by}`"
+        );
+        return Err(ApiError::invalid("/cache", reason));
+    }
+    if request.ladders == Ladders::All {
+        let reason = format!(
+            "camera samples are chosen here, not by what they cost: leave out `ladders` or `{chosen_by}`"
+        );
+        return Err(ApiError::invalid("/ladders", reason));
+    }
+    if request.error_target.is_some() && request.settings.spp.is_some_and(|spp| spp < LEAST_SPP_FOR_NOISE) {
+        let reason = format!(
+            "a profile shows the noise of an image from {LEAST_SPP_FOR_NOISE} camera samples on: leave this out"
+        );
+        return Err(ApiError::invalid("/settings/spp", reason));
+    }
+    Ok(())
+}
+
+/// Fewest camera samples of a profiled pixel that show how the image's error falls: two doublings.
+const LEAST_SPP_FOR_NOISE: u32 = 4;
 
 /// Where images go, and whether frames are divided, is checked for every renderer.
 fn check_delivery(app: &App, request: &JobRequest) -> ApiResult<()> {
@@ -137,6 +168,7 @@ async fn other_renderer(app: &App, caller: &Principal, mut request: JobRequest) 
     for (field, is_given) in [
         ("/cache", request.cache == CacheSharing::Shared),
         ("/within", request.within.is_some()),
+        ("/error_target", request.error_target.is_some()),
         ("/ladders", request.ladders == Ladders::All),
     ] {
         if is_given {

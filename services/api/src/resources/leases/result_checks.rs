@@ -158,6 +158,9 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     let pixels = u64::from(width) * u64::from(height);
     frame(&format!("{AT}/frame"), stats.frame, spec.frame)?;
     once(&format!("{AT}/once"), stats.once)?;
+    if spec.work.is_some() && stats.allotted.is_none() {
+        return wrong(format!("{AT}/allotted"), "the task's camera samples differ by pixel: say how");
+    }
     stats.allotted.iter().try_for_each(|allotted| samples_where_they_pay(spec, allotted))?;
     let spp = stats.allotted.as_ref().map_or(samples, |allotted| allotted.mean.round() as u32);
     for (name, actual, expected) in

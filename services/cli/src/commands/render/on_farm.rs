@@ -118,7 +118,7 @@ fn refuse_others(args: &Args) -> Result<()> {
         ("--cost-map", args.cost_map.is_some()),
         ("--profile", args.profile.is_some()),
         ("--cache-file", args.cache_file.is_some()),
-        ("--within-money, --error, --samples-map and --samples-from", args.allot.is_for_this_machine()),
+        ("--within-money, --samples-map and --samples-from", args.allot.is_for_this_machine()),
     ];
     let hint = "leave it out, or leave out --server";
     refuse_because(&others, "only a render on this machine can do this", hint)
@@ -140,6 +140,7 @@ async fn submit_frame(args: &Args, client: &Client, bars: &Bars) -> Result<Job> 
         project: args.farm.project.clone(),
         settings,
         within: args.allot.cpu_time(),
+        error_target: args.allot.error_target(),
         samples: args.allot.samples(),
         confidence: args.allot.confidence(),
         ..JobRequest::new(format!("{} frame {frame}", scene.name), bundle, FrameSet::range(frame, frame))

@@ -5,6 +5,7 @@ mod foreign;
 mod images;
 mod report;
 
+use super::allot::error_percent;
 use super::video;
 use super::worker::task_limits;
 use crate::archive;
@@ -13,9 +14,9 @@ use crate::connection::connect;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
-    BundleRef, CacheSharing, Confidence, Division, FrameRate, FrameSet, Job, JobId, JobRequest, JobState,
-    Ladders, MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest, RendererRequest,
-    SceneSummary, Timestamp, VideoRequest, Within,
+    BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FrameRate, FrameSet, Job, JobId, JobRequest,
+    JobState, Ladders, MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest,
+    RendererRequest, SceneSummary, Timestamp, VideoRequest, Within,
 };
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse_own_settings};
@@ -33,6 +34,7 @@ use uuid::Uuid;
 Examples:
   forelight submit kitchen/ --frames 0-47 --deadline 2h --data farm-data --out images/
   forelight submit kitchen/ --frames 0-47 --within 3h --confidence p95 --data farm-data
+  forelight submit kitchen/ --frames 0-47 --error 2 --data farm-data
   forelight submit kitchen.zip --frames 0,12 --budget 12.50 --server http://farm:7878
   forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
   forelight submit /mnt/shots/kitchen.blend --shared --frames 1-250 --spp 256 --set denoise=false
@@ -79,6 +81,14 @@ pub struct Args {
     /// Apply --within or --within-money to each frame, instead of all frames together
     #[arg(long, requires = "limit")]
     per_frame: bool,
+    /// Take the camera samples that keep the noise of each image at or below this percentage of its mean (root
+    /// mean square over the pixels), and put them where they help most. --spp then sets only the samples of the
+    /// profile. A pixel gets at most 65,535 camera samples
+    #[arg(long, value_name = "PERCENT", conflicts_with_all = ["limit", "ladders"], value_parser = error_percent)]
+    error: Option<f64>,
+    /// Probability with which an image keeps to --error
+    #[arg(long, value_name = "LEVEL", default_value = "p80", requires = "error")]
+    error_confidence: Confidence,
     /// Quantile of the forecast that the booking and the choice of samples use
     #[arg(long, value_name = "LEVEL", default_value = "p80")]
     confidence: Confidence,
@@ -289,6 +299,9 @@ fn request(
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },
         within: within(args),
+        error_target: args
+            .error
+            .and_then(|percent| ErrorTarget::of_percent(percent, args.error_confidence).ok()),
         deadline,
         budget: args.budget.map(Money),
         confidence: args.confidence,

@@ -12,6 +12,8 @@ export interface Draft {
   width: string;
   height: string;
   spp: string;
+  /** Largest noise of an image, in per cent of its mean. Empty: samples are given. */
+  error: string;
   integrator: "" | "ambient" | "path";
   cache: "" | "on" | "off";
   bounces: string;
@@ -40,6 +42,7 @@ export function draftFor(bundle: Bundle): Draft {
     width: "",
     height: "",
     spp: "",
+    error: "",
     integrator: "",
     cache: "",
     bounces: "",
@@ -69,6 +72,7 @@ export function draftOf(job: Job): Draft {
     width: text(width),
     height: follows ? "" : text(height),
     spp: text(settings["spp"] ?? settings["samples"]),
+    error: job.error_target ? String(job.error_target.ppm / 1e4) : "",
     integrator: (settings["integrator"] as Draft["integrator"]) ?? "",
     cache: (settings["cache"] as Draft["cache"]) ?? "",
     bounces: text(settings["ambient_bounces"]),
@@ -121,6 +125,10 @@ export function requestOf(
     if (/^\d{1,7}$/.test(text)) settings[setting] = Number(text);
     else wrong[field] = "Write a whole number.";
   }
+  const error = Number(draft.error.trim().replace(",", "."));
+  if (draft.error.trim() !== "" && !(error >= 0.0001 && error <= 100)) {
+    wrong.error = "Write a number of per cent such as 1.5.";
+  }
   const [renderer, version] = draft.renderer.trim().split(/\s+/);
   for (const setting of ["integrator", "cache"] as const) {
     if (draft[setting]) settings[setting] = draft[setting];
@@ -130,7 +138,12 @@ export function requestOf(
   if (draft.budget.trim() !== "" && budget === null) wrong.budget = "Write an amount such as 12.50.";
   const priority = draft.priority.trim() === "" ? 0 : Number(draft.priority);
   if (!Number.isInteger(priority)) wrong.priority = "Write a whole number.";
-  const { renderer: _, video, ...kept } = base ?? { weight: 1, samples: 256, video: null };
+  const {
+    renderer: _,
+    video,
+    error_target,
+    ...kept
+  } = base ?? { weight: 1, samples: 256, video: null, error_target: null };
   const request: JobRequest = {
     ...kept,
     name: draft.name.trim(),
@@ -143,6 +156,7 @@ export function requestOf(
     budget,
     priority,
     ladders: draft.ladders ? "all" : "own",
+    ...(error > 0 ? { error_target: { ...(error_target ?? {}), ppm: Math.round(error * 1e4) } } : {}),
     ...(draft.video ? { video: video ?? {} } : {}),
     ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),
     hold: true,
@@ -159,6 +173,8 @@ export function fieldOf(pointer: string | null): keyof Draft | null {
     "/settings/width": "width",
     "/settings/height": "height",
     "/settings/spp": "spp",
+    "/error_target": "error",
+    "/error_target/ppm": "error",
     "/settings/ambient_bounces": "bounces",
     "/settings/integrator": "integrator",
     "/settings/cache": "cache",

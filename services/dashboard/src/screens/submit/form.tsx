@@ -86,7 +86,17 @@ export function Fields(props: Asked & { scene: Bundle["scene"] | null; own: bool
 /** A field of one line of text. */
 function Text(
   props: Asked & {
-    name: "name" | "project" | "frames" | "width" | "height" | "spp" | "bounces" | "budget" | "priority";
+    name:
+      | "name"
+      | "project"
+      | "frames"
+      | "width"
+      | "height"
+      | "spp"
+      | "error"
+      | "bounces"
+      | "budget"
+      | "priority";
     label: string;
     hint: string;
     placeholder?: string;
@@ -114,6 +124,13 @@ function OwnQuality(props: Asked) {
   return (
     <>
       <div class="columns">
+        <Text
+          {...props}
+          name="error"
+          label="Noise at most"
+          hint="Per cent of the image’s mean, such as 2. Samples then go where they help."
+          placeholder="as the samples make it"
+        />
         <Text
           {...props}
           name="bounces"

@@ -62,7 +62,8 @@ function settingsWords(job: Job): string {
   const parts = job.renderer ? [`${job.renderer.name} ${job.renderer.version ?? ""}`.trim()] : [];
   if (settings["width"] && settings["height"]) parts.push(`${settings["width"]} × ${settings["height"]}`);
   const samples = settings["spp"] ?? settings["samples"];
-  if (samples) parts.push(`${samples} samples per pixel`);
+  if (job.error_target) parts.push(`noise at most ${job.error_target.ppm / 1e4} %`);
+  else if (samples) parts.push(`${samples} samples per pixel`);
   return parts.join(", ") || "settings of the scene";
 }
 

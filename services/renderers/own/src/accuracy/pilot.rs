@@ -1,12 +1,13 @@
 //! A pilot: profiled pixels of one kind of setting.
 
 use crate::accuracy::observer::{AccuracyObserver, AccuracyOptions, is_cancelled};
+use crate::answers::Previewed;
 use crate::costs::cost_of_record;
 use crate::error::{RenderError, ShotError};
 use crate::frame::OwnFrame;
 use crate::profile::noise::{FrameNoise, Zones, noise_strata};
 use crate::profile::strata::{forecast_strata, record_prior_cost};
-use crate::profile::{Observer, profile_ready};
+use crate::profile::{self, Observer, profile_ready};
 use crate::quote_options::QuoteOptions;
 use crate::results::uncovered_gathers;
 use crate::shot::OwnShot;
@@ -84,24 +85,35 @@ impl Pilot {
         options: &AccuracyOptions,
         observer: &dyn AccuracyObserver,
     ) -> Result<Self, ShotError> {
-        let shot = &shot.info().strata;
+        let strata = &shot.info().strata;
         let picked = QuoteOptions { samples: options.samples, seed: options.seed, ..QuoteOptions::default() };
-        let (profiled, seen) = profile_ready(ready, shot, &settings, &picked, &Watching(observer))?;
-        let spent = profiled.spent();
+        let (profiled, seen) = profile_ready(ready, strata, &settings, &picked, &Watching(observer))?;
+        Ok(Self::of(shot, ready, settings, &profiled, &seen))
+    }
+
+    /// The pilot that a profile makes.
+    pub fn of(
+        shot: &OwnShot,
+        ready: &OwnFrame<'_>,
+        settings: RenderSettings,
+        profiled: &profile::ProfiledFrame,
+        seen: &Previewed,
+    ) -> Self {
+        let shot = &shot.info().strata;
         let zones = Zones::new(ready, &seen.preview);
         let view = View::new(ready, &seen.preview, &zones);
         let by_samples = |pixel: &Pixel| pixel.work.saturating_sub(pixel.extra_work);
         let traced: BTreeMap<u32, u64> =
             profiled.traced.iter().map(|(index, pixel)| (*index, by_samples(pixel))).collect();
         let overhead = profiled.pixels.plus(profiled.preview);
-        let noise = profiled.noise.unwrap_or_else(|| FrameNoise {
+        let noise = profiled.noise.clone().unwrap_or_else(|| FrameNoise {
             counts: view.noise_counts.clone(),
             pixels: Vec::new(),
             samples: Vec::new(),
             scattered: 0,
         });
         let work = |pixel: &u32| traced.get(pixel).copied().unwrap_or_default();
-        Ok(Self {
+        Self {
             pixel_work: noise.pixels.iter().map(work).collect(),
             overhead,
             zones,
@@ -110,12 +122,12 @@ impl Pilot {
             strata: forecast_strata(shot, &settings),
             noise_strata: noise_strata(shot, &settings),
             extra_work: profiled.traced.iter().map(|(_, pixel)| pixel.extra_work).collect(),
-            observations: profiled.observations,
-            records: profiled.records,
-            spent,
+            observations: profiled.observations.clone(),
+            records: profiled.records.clone(),
+            spent: profiled.spent(),
             settings,
             view,
-        })
+        }
     }
 
     pub fn profiled(&self) -> u64 {

@@ -1,14 +1,15 @@
 //! Distributes the camera samples of a frame with a time limit or an error target.
 //!
 //! Some pixels are profiled with a few camera samples (see `accuracy::pilot`). For each stratum, and for the
-//! edges of lights, they show the cost of a sample and how variance falls with samples. That gives the first
-//! pass and the forecast. Later passes follow the image, which shows where on a wall the bright spot is
-//! ([`crate::adaptive::tiles`]). An irradiance cache is filled first, since the time left depends on it.
+//! edges of lights, they show the cost of a sample and how variance falls with samples. That gives the forecast
+//! and, with a time limit, the first pass. Later passes follow the image, which shows where on a wall the bright
+//! spot is ([`crate::adaptive::tiles`]). An irradiance cache is filled first, since the time left depends on it.
 
 use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
 use crate::adaptive::allotment::Allotment;
-use crate::adaptive::error_target::render_for_error;
+use crate::adaptive::error_target::ErrorAim;
 use crate::adaptive::made::{AllotError, Allotted};
+use crate::adaptive::passes::{PassPlan, render_in_passes};
 use crate::adaptive::time_limit::{Budget, fits_the_cache, render_within};
 use crate::answers::Progress;
 use crate::error::{RenderError, ShotError};
@@ -88,7 +89,10 @@ pub fn render_allotted(
     let (confidence, cancel) = (options.confidence, observer.cancel());
     let made = match &options.aim {
         Aim::Within(budget) => render_within(&ready, &allotment, budget, confidence, progress, cancel)?,
-        Aim::Error(wanted) => render_for_error(&ready, &allotment, *wanted, confidence, progress, cancel)?,
+        Aim::Error(wanted) => {
+            let plan = PassPlan::for_error(&ready, ErrorAim { wanted: *wanted, confidence })?;
+            render_in_passes(&ready, &plan, progress, &|_, _| (), cancel)?
+        }
     };
     let Some(made) = made else { return Ok(None) };
     let forecast = allotment.forecast(&made.samples)?;

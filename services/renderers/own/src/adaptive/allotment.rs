@@ -6,7 +6,7 @@ use crate::error::{RenderError, ShotError};
 use forelight_forecast::accuracy::allot::{MOST_SAMPLES, Zone, cost, samples_for_variance, whole};
 use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup, noise_groups};
 use forelight_forecast::{Calibration, ForecastError};
-use forelight_protocol::{AllottedForecast, Confidence, Quantiles};
+use forelight_protocol::{AllottedForecast, Confidence, Quantiles, SamplesForError};
 use forelight_tracer::SampleCounts;
 
 /// Cost and benefit of samples, by zone of a frame.
@@ -76,8 +76,16 @@ impl<'a> Allotment<'a> {
         samples_for_variance(&self.zones, wanted * wanted)
     }
 
-    pub fn laid_out(&self, samples: &[f64]) -> Result<SampleCounts, RenderError> {
-        laid_out(self.pilot.settings.pixels() as usize, &self.pixels, samples)
+    /// How many camera samples in every pixel cost what an error costs when samples go where they help, at each
+    /// confidence. Every pixel gets at least `least`.
+    pub fn samples_for_error(&self, wanted: f64, least: f64) -> SamplesForError {
+        let of_one = self.least_work().max(f64::MIN_POSITIVE);
+        let at = |confidence: Confidence| {
+            let samples = self.for_error(wanted, confidence).into_iter().map(|n| n.max(least));
+            (self.work_of(&samples.collect::<Vec<f64>>()) / of_one).clamp(least, MOST_SAMPLES)
+        };
+        let [p50, p80, p95] = [Confidence::P50, Confidence::P80, Confidence::P95].map(at);
+        SamplesForError { p50, p80, p95 }
     }
 
     pub fn size(&self) -> (u32, u32) {

@@ -5,6 +5,7 @@
 //! | file | subject |
 //! | --- | --- |
 //! | `allocation` | the first samples, from a profile, and the forecast of the frame |
+//! | `passes` | passes over a frame, on one machine or divided over nodes |
 //! | `tiles` | what the unfinished image says of each tile |
 //! | `time_limit` | passes until the time is up |
 //! | `error_target` | passes until the error is small enough |
@@ -14,6 +15,7 @@ pub(crate) mod allocation;
 pub(crate) mod allotment;
 pub(crate) mod error_target;
 pub(crate) mod made;
+pub(crate) mod passes;
 pub(crate) mod tiles;
 pub(crate) mod time_limit;
 pub(crate) mod work_budget;

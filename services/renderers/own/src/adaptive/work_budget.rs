@@ -1,23 +1,18 @@
-//! A render that spends a given amount of work.
+//! Passes until an amount of work is spent.
 //!
 //! The same work gives a smaller error where pixels vary. So the frame is rendered in passes:
 //!
 //! 1. One sample for every pixel, which shows the cost of a sample.
 //! 2. An eighth of the work, spread evenly: at least two samples for every pixel, if there is work for them.
 //! 3. Further passes where samples pay ([`crate::adaptive::tiles`]), each at most doubling the work.
-//!
-//! There is no clock, unlike in [`crate::adaptive::time_limit`]: the image depends on the work alone.
 
-use crate::adaptive::error_target::pass;
-use crate::adaptive::made::Made;
+use crate::adaptive::passes::{Following, NextPass};
 use crate::adaptive::tiles::Tiles;
-use crate::answers::Progress;
-use crate::error::{RenderError, ShotError};
+use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use forelight_forecast::accuracy::Survey;
 use forelight_forecast::accuracy::allot::even_numbers;
-use forelight_tracer::{Passes, SampleCounts, Totals};
-use std::sync::atomic::{AtomicBool, Ordering};
+use forelight_tracer::SampleCounts;
 
 /// Share of the work that is spread evenly, for features that the first samples of a tile miss.
 const EVEN: f64 = 0.125;
@@ -28,115 +23,43 @@ const GROWTH: f64 = 2.0;
 /// Share of the work that may be left over: whole samples do not come out even.
 const NEAR: f64 = 0.005;
 
-/// How an amount of work is spent on a frame, pass by pass. Each pass depends on the image so far, and not on
-/// who traced it: the nodes of a farm may share the pixels of every pass.
-pub(crate) struct WorkBudget {
-    tiles: Tiles,
-    pixels: usize,
-    /// Work that is left for pixels.
-    all: f64,
-}
-
-/// A pass to come.
-pub(crate) struct NextPass {
-    /// Samples of each pixel after it.
-    pub samples: SampleCounts,
-    /// Share of the pixels' work that is done after it, at most about 1.
-    pub until: f64,
-}
-
-/// The image after a pass.
-pub(crate) struct Standing {
-    pub samples: SampleCounts,
-    pub survey: Survey,
-    /// Share of the pixels' work that is done, at most 1.
-    pub done: f64,
-    /// `None`: the image is finished.
-    pub next: Option<NextPass>,
-}
+/// How much work the pixels of a frame get.
+pub(crate) struct WorkBudget(f64);
 
 impl WorkBudget {
+    /// Samples of every pixel in the first pass.
+    pub const FIRST: u16 = 1;
+
     /// For a frame, whose cache is filled, that gets `work` in all.
     pub fn new(ready: &OwnFrame<'_>, work: u64) -> Self {
-        let camera = &ready.frame().camera;
-        Self {
-            tiles: Tiles::unprofiled(camera.width, camera.height),
-            pixels: camera.pixels(),
-            all: work.saturating_sub(before_pixels(ready)).max(1) as f64,
-        }
+        Self(work.saturating_sub(before_pixels(ready)).max(1) as f64)
     }
 
-    /// The first pass: one sample for every pixel.
-    pub fn first(&self) -> Result<NextPass, RenderError> {
-        Ok(NextPass { samples: self.everywhere(1)?, until: 0.0 })
-    }
-
-    fn everywhere(&self, samples: u32) -> Result<SampleCounts, RenderError> {
-        Ok(SampleCounts::new(vec![samples as u16; self.pixels])?)
-    }
-
-    /// What the image shows after a pass. Every pixel must have a sample.
-    pub fn evaluate(&self, passes: &Passes) -> Result<Standing, ShotError> {
-        let samples = passes.counts().map_err(RenderError::from)?;
-        let survey = self.tiles.survey(passes)?;
-        let done = (passes.totals().work as f64).max(1.0);
-        let next = self.after(&samples, &survey, done)?;
-        Ok(Standing { samples, survey, done: (done / self.all).min(1.0), next })
-    }
-
-    fn after(&self, has: &SampleCounts, survey: &Survey, done: f64) -> Result<Option<NextPass>, RenderError> {
-        let all = self.all;
+    /// What follows a pass with these samples, which took `done` work.
+    pub fn after(
+        &self,
+        tiles: &Tiles,
+        has: &SampleCounts,
+        survey: &Survey,
+        done: u64,
+    ) -> Result<Following, RenderError> {
+        let (all, done) = (self.0, (done as f64).max(1.0));
+        let following = |next| Ok(Following { done: done / all, next });
         if all - done < NEAR * all {
-            return Ok(None);
+            return following(None);
         }
-        let is_first = has.range().1 == 1;
+        let is_first = has.range().1 == u32::from(Self::FIRST);
         let [even, _] = even_numbers(if is_first { (EVEN * all / done).max(TELLING) } else { 1.0 });
         let with_even = f64::from(even) * done;
         let (samples, then) = if even < 2 || with_even > all {
             let then = all.min(GROWTH * done);
-            let Some(samples) = survey.samples_for_budget(then) else { return Ok(None) };
-            (self.tiles.laid_out(&samples)?.or_more(has), then)
+            let Some(samples) = survey.samples_for_budget(then) else { return following(None) };
+            (tiles.laid_out(&samples)?.or_more(has), then)
         } else {
-            (self.everywhere(even)?, with_even)
+            (SampleCounts::new(vec![even as u16; has.as_slice().len()])?, with_even)
         };
         // If nothing is added, nothing varies, or no whole sample is left.
-        Ok((samples != *has).then_some(NextPass { samples, until: then / all }))
-    }
-}
-
-/// Renders a frame, whose cache is filled, with `work` in all, but at least one sample per pixel. `passed`
-/// gets the work of the pixels so far and its share of their budget. `None` if `cancel` was set.
-pub(crate) fn render_for_work(
-    ready: &OwnFrame<'_>,
-    work: u64,
-    progress: &(dyn Fn(Progress) + Sync),
-    passed: &dyn Fn(f64, &Totals),
-    cancel: &AtomicBool,
-) -> Result<Option<Made>, ShotError> {
-    let budget = WorkBudget::new(ready, work);
-    let mut passes = ready.begin();
-    let mut next = budget.first()?;
-    let mut done = 0.0;
-    loop {
-        pass(ready, &mut passes, &next.samples, &(done..next.until), progress, cancel)?;
-        if cancel.load(Ordering::Relaxed) {
-            return Ok(None);
-        }
-        let standing = budget.evaluate(&passes)?;
-        done = standing.done;
-        passed(done, &passes.totals());
-        match standing.next {
-            Some(pass) => next = pass,
-            None => return Ok(Some(standing.made(ready, &passes))),
-        }
-    }
-}
-
-impl Standing {
-    /// The finished image.
-    pub fn made(self, ready: &OwnFrame<'_>, passes: &Passes) -> Made {
-        let Self { samples, survey, .. } = self;
-        Made { finished: ready.finished(passes), samples, survey, within: None }
+        following((samples != *has).then_some(NextPass { samples, until: then / all }))
     }
 }
 
@@ -148,12 +71,13 @@ fn before_pixels(ready: &OwnFrame<'_>) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::accuracy::Converged;
+    use crate::adaptive::passes::{PassPlan, render_in_passes};
     use crate::common::{Nobody, kitchen};
     use crate::render::Rendered;
     use crate::{Given, render_frame};
     use forelight_protocol::{CacheMode, RenderSettings, RenderSettingsRequest};
+    use std::sync::atomic::AtomicBool;
 
     fn settings(size: (u32, u32), spp: u32, cache: CacheMode) -> RenderSettings {
         let request = RenderSettingsRequest {
@@ -175,7 +99,8 @@ mod tests {
         let (shot, never) = (kitchen(), AtomicBool::new(false));
         let ready = shot.frame(0, settings).unwrap();
         assert!(ready.fill(&|_| (), &never));
-        let made = render_for_work(&ready, work, &|_| (), &|_, _| (), &never).unwrap().unwrap();
+        let plan = PassPlan::for_work(&ready, work).unwrap();
+        let made = render_in_passes(&ready, &plan, &|_| (), &|_, _| (), &never).unwrap().unwrap();
         made.rendered(&ready, settings, None, 0.0).rendered
     }
 

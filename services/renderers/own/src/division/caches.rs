@@ -4,7 +4,7 @@ use crate::costs::spent;
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use forelight_protocol::Spent;
-use forelight_tracer::{Cache, Profile, clocked};
+use forelight_tracer::{Cache, CacheTotals, Profile, clocked};
 use std::sync::atomic::Ordering;
 
 impl OwnFrame<'_> {
@@ -22,6 +22,12 @@ impl OwnFrame<'_> {
     /// The same with the cache in a profile of this image, if it holds one.
     pub fn take_profiled_cache(&self, profile: &Profile) -> Result<Spent, RenderError> {
         self.own_cache(profile)?.map_or(Ok(Spent::default()), |cache| self.take_own_cache(cache))
+    }
+
+    /// Totals of the cache in a profile of this image: what a render takes over. Zero without one.
+    pub fn totals_of_profiled_cache(&self, profile: Option<&Profile>) -> Result<CacheTotals, RenderError> {
+        let cache = profile.map(|profile| self.own_cache(profile)).transpose()?.flatten();
+        Ok(cache.map(|cache| cache.totals()).unwrap_or_default())
     }
 
     /// Cost of the irradiance cache here: reading, planning and gathering, without `before`, which was spent on

@@ -49,9 +49,14 @@ impl OwnFrame<'_> {
         0..PixelCurve::new(camera.width, camera.height).count()
     }
 
-    /// The same for a pass that gives every pixel its first sample.
-    pub fn divide_first_pass(&self, parts: u32, stop: &(dyn Fn() -> bool + Sync)) -> Option<Divided> {
-        self.divided(1, self.places(), parts, &[], stop)
+    /// The same for a pass that gives every pixel its first samples.
+    pub fn divide_first_pass(
+        &self,
+        samples: u32,
+        parts: u32,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<Divided> {
+        self.divided(samples, self.places(), parts, &[], stop)
     }
 
     fn divided(

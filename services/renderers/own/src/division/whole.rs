@@ -3,7 +3,7 @@
 use crate::answers::{Finished, Progress, Step};
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
-use forelight_tracer::{CacheTotals, Pixel, PixelsFinished, Profile};
+use forelight_tracer::{Pixel, PixelsFinished, Profile};
 use std::sync::atomic::AtomicBool;
 
 impl OwnFrame<'_> {
@@ -18,12 +18,9 @@ impl OwnFrame<'_> {
         watch: &PixelsFinished<'_>,
         cancel: &AtomicBool,
     ) -> Result<Option<Finished>, RenderError> {
-        let mut taken_over = CacheTotals::default();
+        let taken_over = self.totals_of_profiled_cache(profile)?;
         let mut reused = vec![false; finished.len()];
         if let Some(profile) = profile {
-            if let Some(cache) = self.own_cache(profile)? {
-                taken_over = cache.totals();
-            }
             for (index, pixel) in &profile.pixels {
                 finished[*index as usize] = Some(*pixel);
                 reused[*index as usize] = true;

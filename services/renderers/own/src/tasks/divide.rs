@@ -2,7 +2,7 @@
 //! is divided before each of them.
 
 use super::given;
-use crate::adaptive::work_budget::WorkBudget;
+use crate::adaptive::passes::PassPlan;
 use crate::division::Divided;
 use crate::division::passes::picture;
 use crate::frame::OwnFrame;
@@ -87,8 +87,10 @@ fn first(
     let (divided, samples) = match passes {
         None => (ready.divide(parts, &finished, &stop), None),
         Some(passes) => {
-            let first = WorkBudget::new(ready, passes.work).first()?;
-            (ready.divide_first_pass(parts, &stop), Some(first.samples))
+            let plan = PassPlan::of(ready, passes)?;
+            let samples = plan.first();
+            // The first pass gives every pixel as many.
+            (ready.divide_first_pass(samples.range().1, parts, &stop), Some(samples.clone()))
         }
     };
     let Divided { parts, seen, spent } = divided.ok_or(ExecuteError::Cancelled)?;
@@ -99,14 +101,14 @@ fn first(
 fn next_pass(
     ready: &OwnFrame<'_>,
     spec: &DivideSpec,
-    Passes { work, .. }: &Passes,
+    plan: &Passes,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Division, ExecuteError> {
     let (divided, cpu_nanos) = clocked(|| {
         let mut passes = ready.begin();
         given::take_over(&mut passes, ready, assignment, control)?;
-        let next = WorkBudget::new(ready, *work).evaluate(&passes)?.next.map(|pass| pass.samples);
+        let next = PassPlan::of(ready, plan)?.evaluate(&passes)?.next.map(|pass| pass.samples);
         let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
         Ok::<_, ExecuteError>((parts, next, picture(&passes)))
     });

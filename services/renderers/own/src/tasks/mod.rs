@@ -14,10 +14,13 @@ mod whole;
 use self::given::own;
 use self::progress::Reporting;
 use self::render::render;
-use crate::accuracy::{AccuracyOptions, predict};
+use crate::accuracy::{AccuracyOptions, Pilot, predict};
+use crate::adaptive::allotment::Allotment;
+use crate::adaptive::error_target::ErrorAim;
 use crate::error::{RenderError, ShotError};
+use crate::frame::OwnFrame;
 use crate::opening::OwnRenderer;
-use crate::profile::{count_frames, profile_frame};
+use crate::profile::{count_frames, profile_ready};
 use crate::quote_options::QuoteOptions;
 use crate::render::pictures::{encoding_cost, png, write_cost};
 use crate::results::{preview_result, profile_result};
@@ -100,8 +103,11 @@ fn profile(
     let settings = own(&spec.settings)?;
     let options = QuoteOptions { samples: spec.samples, seed: spec.phase_seed, ..QuoteOptions::default() };
     let share = if spec.ladders { WITHOUT_LADDERS } else { 1.0 };
+    let ready = shot.frame(spec.frame, settings)?;
+    // The noise of an image shows in its final colours.
+    let filled = if spec.error_target.is_some() { fill(&ready, control)? } else { Spent::default() };
     let reporting = Reporting { control, from: 0.0, to: share };
-    let mut profiled = profile_frame(shot, spec.frame, settings, &options, &reporting)?;
+    let (mut profiled, seen) = profile_ready(&ready, &shot.info().strata, settings, &options, &reporting)?;
     let (encoding, file_bytes) = encoding_cost(&profiled)?;
     profiled.fixed.write = write_cost(encoding, profiled.preview);
     let mut files = Files::default();
@@ -111,6 +117,12 @@ fn profile(
     };
     let mut result = profile_result(shot.info(), settings, &profiled, artifacts);
     result.spent.cpu_nanos += encoding;
+    if let Some(target) = spec.error_target {
+        let pilot = Pilot::of(shot, &ready, settings.clone(), &profiled, &seen);
+        let needed = Allotment::new(&pilot)?.samples_for_error(target.share(), ErrorAim::FIRST.into());
+        result.samples_for_error = Some(needed);
+        result.spent = result.spent.plus(filled);
+    }
     result.file_bytes = file_bytes;
     if spec.cache.is_some() {
         let cache = given::only_cache(assignment)?;
@@ -125,6 +137,18 @@ fn profile(
         result.ladders = Some(Box::new(ladders));
     }
     Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
+}
+
+/// Fills the irradiance cache of a frame, if it has one. Returns the cost, without that of the plan.
+fn fill(ready: &OwnFrame<'_>, control: &Control) -> Result<Spent, ExecuteError> {
+    if !ready.fill(&|_| (), control.cancelled()) {
+        return Err(ExecuteError::Cancelled);
+    }
+    let (all, plan) = (ready.spent_on_cache(), ready.fixed().plan);
+    Ok(Spent {
+        work: all.work.saturating_sub(plan.work),
+        cpu_nanos: all.cpu_nanos.saturating_sub(plan.cpu_nanos),
+    })
 }
 
 /// Share of a profile task's progress before its ladders, which take longer.

@@ -1,6 +1,7 @@
-//! The render task: equally many camera samples for every pixel, or a given amount of work.
+//! The render task: equally many camera samples for every pixel, or as many as a work or an error asks for.
 
-use crate::adaptive::work_budget::render_for_work;
+use crate::adaptive::made::Made;
+use crate::adaptive::passes::{PassPlan, render_in_passes};
 use crate::answers::Progress;
 use crate::costs::seconds;
 use crate::frame::OwnFrame;
@@ -12,7 +13,7 @@ use crate::tasks::given::{self, own, usable};
 use crate::tasks::progress::{count, fraction};
 use crate::tasks::whole::{passes_put_together, put_together};
 use forelight_protocol::{
-    CacheMode, FinishedPixels, LogLevel, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
+    CacheMode, FinishedPixels, LogLevel, Passes, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
     TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
@@ -32,21 +33,27 @@ pub(crate) fn render(
     let ready = shot.frame(spec.frame, settings)?;
     let ready = &ready;
     control.log(LogLevel::Info, format!("effects of frame {}: {}", spec.frame, ready.effects().join(", ")));
-    let mut rendered = if spec.parts.is_empty() {
-        given::caches(ready, (spec.cache, spec.frame_cache), true, assignment, control)?;
-        match spec.work {
-            None => evenly(ready, settings, assignment, control)?,
-            Some(work) => for_work(ready, settings, work, control)?,
+    let caches = (spec.cache, spec.frame_cache);
+    let mut rendered = match (spec.passes(), spec.parts.is_empty()) {
+        (None, true) => {
+            given::caches(ready, caches, true, assignment, control)?;
+            evenly(ready, settings, assignment, control)?
         }
-    } else {
-        let given::Start { profile, .. } =
-            given::start(ready, (spec.cache, spec.frame_cache), assignment, control)?;
-        match spec.work {
-            None => put_together(ready, settings, profile, assignment, control)?,
-            Some(work) => match passes_put_together(ready, settings, work, assignment, control)? {
-                Some(rendered) => rendered,
-                None => for_work(ready, settings, work, control)?,
-            },
+        (None, false) => {
+            let given::Start { profile, .. } = given::start(ready, caches, assignment, control)?;
+            put_together(ready, settings, profile, assignment, control)?
+        }
+        (Some(passes), is_whole) => {
+            let given::Start { profile, .. } = given::start(ready, caches, assignment, control)?;
+            let start = Instant::now();
+            let put_together =
+                if is_whole { None } else { passes_put_together(ready, &passes, assignment, control)? };
+            let mut made = match put_together {
+                Some(made) => made,
+                None => in_passes(ready, &passes, control)?,
+            };
+            made.finished.cache = ready.cache_use(ready.totals_of_profiled_cache(profile.as_ref())?);
+            made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered
         }
     };
     let seen = ready.preview()?;
@@ -110,20 +117,15 @@ fn evenly(
         .ok_or(ExecuteError::Cancelled)
 }
 
-/// Renders with `work` in all. Checkpoints do not help: only the last pass decides a pixel's samples.
-fn for_work(
-    ready: &OwnFrame<'_>,
-    settings: &RenderSettings,
-    work: u64,
-    control: &Control,
-) -> Result<Rendered, ExecuteError> {
-    let cached = settings.cache == CacheMode::On;
-    let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
+/// Renders pass by pass. Checkpoints do not help: only the last pass decides a pixel's samples.
+fn in_passes(ready: &OwnFrame<'_>, passes: &Passes, control: &Control) -> Result<Made, ExecuteError> {
+    let fills = !ready.has_final_colours();
+    let progress = |progress: Progress| control.set_progress(fraction(progress, fills));
     if !ready.fill(&progress, control.cancelled()) {
         return Err(ExecuteError::Cancelled);
     }
     control.spent_before_pixels(ready.spent_on_cache());
-    let all = settings.pixels();
+    let all = ready.frame().camera.pixels() as u64;
     let told = Cell::new(FinishedPixels::default());
     let passed = |share: f64, totals: &Totals| {
         let before = told.get();
@@ -137,8 +139,7 @@ fn for_work(
             all,
         });
     };
-    let start = Instant::now();
-    let made = render_for_work(ready, work, &progress, &passed, control.cancelled())?;
-    let made = made.ok_or(ExecuteError::Cancelled)?;
-    Ok(made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered)
+    let plan = PassPlan::of(ready, passes)?;
+    let made = render_in_passes(ready, &plan, &progress, &passed, control.cancelled())?;
+    made.ok_or(ExecuteError::Cancelled)
 }

@@ -2,11 +2,12 @@
 
 use super::given::{take_over, usable};
 use super::progress::{count, fraction};
-use crate::adaptive::work_budget::WorkBudget;
+use crate::adaptive::made::Made;
+use crate::adaptive::passes::PassPlan;
 use crate::answers::Progress;
 use crate::frame::OwnFrame;
 use crate::render::{Rendered, rendered};
-use forelight_protocol::{FinishedPixels, LogLevel, RenderSettings};
+use forelight_protocol::{self as protocol, FinishedPixels, LogLevel, RenderSettings};
 use forelight_renderer::{Assignment, Control, ExecuteError};
 use forelight_tracer::{Pixel, Profile};
 use std::time::Instant;
@@ -45,12 +46,10 @@ pub(crate) fn put_together(
 /// renderer: the frame is rendered anew then.
 pub(crate) fn passes_put_together(
     ready: &OwnFrame<'_>,
-    settings: &RenderSettings,
-    work: u64,
+    plan: &protocol::Passes,
     assignment: &Assignment,
     control: &Control,
-) -> Result<Option<Rendered>, ExecuteError> {
-    let start = Instant::now();
+) -> Result<Option<Made>, ExecuteError> {
     let mut passes = ready.begin();
     match take_over(&mut passes, ready, assignment, control) {
         Ok(()) => {}
@@ -60,14 +59,12 @@ pub(crate) fn passes_put_together(
             return Ok(None);
         }
     }
-    let (all, totals) = (settings.pixels(), passes.totals());
+    let (all, totals) = (ready.frame().camera.pixels() as u64, passes.totals());
     control.finished_pixels(FinishedPixels {
         done: all,
         all,
         work: totals.work,
         cpu_nanos: totals.cpu_nanos,
     });
-    let standing = WorkBudget::new(ready, work).evaluate(&passes)?;
-    let made = standing.made(ready, &passes);
-    Ok(Some(made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered))
+    Ok(Some(PassPlan::of(ready, plan)?.evaluate(&passes)?.made(ready, &passes)))
 }

@@ -4,8 +4,9 @@ use bytes::Bytes;
 use forelight_preview::Choice;
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillResult, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideResult,
-    DivideSpec, FinishedPart, JobId, PartPass, PartRange, Passes, PixelRange, ProfileSpec, RenderPartResult,
-    RenderPartSpec, RenderSettings, RenderSpec, SceneDigest, Spent, TaskResult, TaskSpec,
+    DivideSpec, ErrorTarget, FinishedPart, JobId, PartPass, PartRange, Passes, PixelRange, ProfileResult,
+    ProfileSpec, RenderPartResult, RenderPartSpec, RenderSettings, RenderSpec, SceneDigest, Spent,
+    TaskResult, TaskSpec,
 };
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome, artifact_name};
 use forelight_renderer_own::{OwnRenderer, TaskRunner};
@@ -26,6 +27,8 @@ pub struct Farm {
     pub shared: Option<Bytes>,
     /// Largest work of the frame, if it is rendered in passes.
     pub work: Option<u64>,
+    /// Error at which the frame is finished, if it is rendered in passes for one.
+    pub error_target: Option<ErrorTarget>,
 }
 
 /// A frame that was rendered in passes, and put together.
@@ -60,6 +63,7 @@ impl Farm {
             profile: None,
             shared: None,
             work: None,
+            error_target: None,
         }
     }
 
@@ -80,9 +84,10 @@ impl Farm {
     }
 
     /// Profiles the frame.
-    pub fn profile(&mut self) {
+    pub fn profile(&mut self) -> ProfileResult {
         let spec = ProfileSpec {
             ladders: false,
+            error_target: self.error_target,
             job_id: JobId::new(),
             bundle: self.source(),
             digest: self.digest,
@@ -95,6 +100,8 @@ impl Farm {
         };
         let outcome = self.run(self.assignment(TaskSpec::Profile(spec))).unwrap();
         self.profile = Some(outcome.artifacts[0].clone());
+        let TaskResult::Profile(profiled) = outcome.result else { panic!() };
+        profiled
     }
 
     /// Plans and fills a cache for these frames.
@@ -167,6 +174,7 @@ impl Farm {
             settings: self.settings.clone().into(),
             renderer: None,
             work: self.work,
+            error_target: self.error_target,
             profile: Self::named(self.profile.as_ref()),
             cache: Self::named(self.shared.as_ref()),
             frame_cache: Self::named(own),
@@ -220,7 +228,11 @@ impl Farm {
             profile: Self::named(self.profile.as_ref()),
             cache: Self::named(self.shared.as_ref()),
             frame_cache: Self::named(own),
-            passes: self.work.map(|work| Passes { work, before: vec![FILE; before.len()] }),
+            passes: self.work.map(|work| Passes {
+                work,
+                error_target: self.error_target,
+                before: vec![FILE; before.len()],
+            }),
         };
         let caches = self.shared.iter().chain(own).cloned().collect();
         let task = self.assignment(TaskSpec::Divide(spec));

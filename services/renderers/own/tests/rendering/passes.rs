@@ -4,7 +4,7 @@ use crate::divided::{assert_same, moving, result};
 use crate::division_farm::{Farm, InPasses, pixels};
 use crate::room::Rig;
 use bytes::Bytes;
-use forelight_protocol::{Integrator, RenderPartResult, RenderSettings, TaskResult};
+use forelight_protocol::{Confidence, ErrorTarget, Integrator, RenderPartResult, RenderSettings, TaskResult};
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError};
 use forelight_tracer::Unfinished;
 use std::cell::RefCell;
@@ -31,7 +31,7 @@ fn check(farm: &Farm, counts: &[u32], what: &str) {
         let InPasses { outcome, passes, pictures, filled } =
             farm.in_passes(parts, &|task| farm.render_part(task));
         assert_same(&whole, &outcome, &what);
-        assert!(passes.len() > 2, "{what}: {} passes", passes.len());
+        assert!(passes.len() > 1, "{what}: {} passes", passes.len());
         assert_eq!(pictures.len(), passes.len(), "{what}");
         let last = image::load_from_memory(pictures.last().unwrap()).unwrap().into_rgb8();
         let png = &result(&outcome).artifacts.image_png;
@@ -68,6 +68,52 @@ fn a_frame_in_passes_that_makes_its_own_cache_has_the_bits_of_one_in_one_piece()
             let rig = if moves { moving(Rig::cached(bounces)) } else { Rig::cached(bounces) };
             check(&farm(&rig, 40), &[1, 3, 64], &format!("{bounces} bounces, moving: {moves}"));
         }
+    }
+}
+
+/// A frame that is finished at an error. Its forecast work is only for progress.
+fn for_error(rig: &Rig, ppm: u32) -> Farm {
+    let mut farm = Farm::new(&rig.bundle(), RenderSettings { spp: 4, ..rig.settings.clone() }, 1);
+    farm.work = Some(1);
+    farm.error_target = Some(ErrorTarget { ppm, confidence: Confidence::P80 });
+    farm
+}
+
+#[test]
+fn a_frame_for_an_error_has_the_bits_of_one_in_one_piece_and_all_its_parts_stop_at_that_error() {
+    for rig in [Rig::new(), Rig::cached(1), moving(Rig::cached(2))] {
+        let [coarse, fine] = [200_000, 50_000].map(|ppm| {
+            let farm = for_error(&rig, ppm);
+            check(&farm, &[1, 2, 7, 64], &format!("{ppm} ppm"));
+            let stats = result(&farm.whole()).stats.clone();
+            let error = stats.allotted.clone().unwrap().error.p80;
+            assert!(error <= 1.01e-6 * f64::from(ppm), "{error} at {ppm}");
+            stats
+        });
+        assert!(fine.work > coarse.work, "{} and {}", fine.work, coarse.work);
+    }
+}
+
+#[test]
+fn the_profile_of_a_frame_for_an_error_says_what_it_takes_and_its_cache_is_not_made_again() {
+    for rig in [Rig::new(), Rig::cached(1)] {
+        let mut farm = for_error(&rig, 50_000);
+        let alone = farm.whole();
+        let profiled = farm.profile();
+        let found = profiled.samples_for_error.expect("an error is asked for");
+        assert!(found.p50 >= 2.0 && found.p50 <= found.p80 && found.p80 <= found.p95, "{found:?}");
+        let made = result(&alone).stats.allotted.clone().unwrap().mean;
+        assert!((0.4..2.5).contains(&(found.p50 / made)), "{found:?}, the mean was {made}");
+        let after = farm.whole();
+        let made = |outcome| (result(outcome).artifacts.image_png, result(outcome).stats.work);
+        assert_eq!(made(&alone), made(&after));
+        let cache =
+            |outcome| result(outcome).stats.cache.map_or(0, |cache| cache.plan_work + cache.fill_work);
+        let reused = result(&after).stats.reused_work;
+        assert_eq!(reused, cache(&after), "all of the profile's cache is taken over");
+        let divided = farm.in_passes(3, &|task| farm.render_part(task));
+        assert_eq!(made(&alone), made(&divided.outcome));
+        assert_eq!(divided.filled, 0, "no records are missing");
     }
 }
 

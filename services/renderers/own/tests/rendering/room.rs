@@ -127,6 +127,7 @@ impl Rig {
 
     pub fn profile_spec(&self, frame: u32) -> TaskSpec {
         TaskSpec::Profile(ProfileSpec {
+            error_target: None,
             ladders: false,
             job_id: JobId::new(),
             bundle: self.source(),
@@ -142,6 +143,7 @@ impl Rig {
 
     pub fn render_spec(&self, frame: u32) -> TaskSpec {
         TaskSpec::Render(RenderSpec {
+            error_target: None,
             job_id: JobId::new(),
             bundle: self.source(),
             digest: self.digest(),

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use forelight_protocol::{
     AccuracyDoc, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles, RenderSettings, RendererId,
-    ShotSettings,
+    SamplesForError, ShotSettings,
 };
 
 use super::fields::{effects, frame, image_error, left_out, levels, once, spent, storable, strata, wrong};
@@ -34,6 +34,7 @@ pub(super) fn check(spec: &ProfileSpec, settings: &RenderSettings, result: &Prof
         spent(&format!("{AT}/fixed/{name}"), cost)?;
     }
     once(&format!("{AT}/once"), result.once)?;
+    samples_for_error(spec, result)?;
     if let Some(document) = &result.ladders {
         ladders(&format!("{AT}/ladders"), (spec, settings), document)?;
     }
@@ -68,6 +69,7 @@ pub(super) fn check_shot(
         ("work_by_class", result.work_by_class.is_some()),
         ("once", result.once.is_some()),
         ("ladders", result.ladders.is_some()),
+        ("samples_for_error", result.samples_for_error.is_some()),
     ] {
         if is_there {
             return wrong(format!("{AT}/{name}"), "only forelight's own renderer has this; leave it out");
@@ -105,6 +107,21 @@ fn samples(pixels: u64, result: &ProfileResult) -> ApiResult<()> {
         }
     }
     Ok(())
+}
+
+fn samples_for_error(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
+    let at = format!("{AT}/samples_for_error");
+    match (spec.error_target, result.samples_for_error) {
+        (None, None) => Ok(()),
+        (None, Some(_)) => wrong(at, "the task has no error target; leave this out"),
+        (Some(_), None) => wrong(at, "the task has an error target: say how many samples reach it"),
+        (Some(_), Some(SamplesForError { p50, p80, p95 })) => {
+            if 1.0 <= p50 && p50 <= p80 && p80 <= p95 && p95 <= 65_536.0 {
+                return Ok(());
+            }
+            wrong(at, "the quantiles do not ascend from 1 to 65536")
+        }
+    }
 }
 
 fn shared_samples(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()> {
