@@ -167,6 +167,10 @@ pub struct DivideResult {
     /// rendered in passes, and after the last one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<ArtifactHash>,
+    /// With an error target: work that the pixels of the frame will probably take in all, by the image so far.
+    /// Absent before the first pass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_work: Option<u64>,
     /// Cost of the task.
     pub spent: Spent,
 }

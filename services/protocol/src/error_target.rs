@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::Confidence;
+use crate::{Confidence, ImageError};
 
 /// The largest error of an image. Pixels get as many camera samples as it takes, where they help most.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
@@ -18,6 +18,12 @@ pub struct ErrorTarget {
 }
 
 impl ErrorTarget {
+    /// An error that exceeds the target by this share is accepted.
+    pub const NEAR_ENOUGH: f64 = 0.01;
+
+    /// The largest number of camera samples of a pixel.
+    pub const MOST_SAMPLES: u32 = 65_535;
+
     /// The largest target: the image's mean.
     pub const MOST_PPM: u32 = 1_000_000;
 
@@ -36,6 +42,12 @@ impl ErrorTarget {
     /// As a share of the image's mean.
     pub fn share(self) -> f64 {
         f64::from(self.ppm) / 1e6
+    }
+
+    /// Whether an image of this error is finished. So is one whose pixels cannot have more samples.
+    pub fn is_met(self, error: &ImageError, most_samples: u32) -> bool {
+        error.at(self.confidence) <= self.share() * (1.0 + Self::NEAR_ENOUGH)
+            || most_samples >= Self::MOST_SAMPLES
     }
 }
 

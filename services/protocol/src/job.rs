@@ -55,7 +55,7 @@ pub struct JobRequest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1, maximum = 1000)]
     pub profile_frames: Option<u32>,
-    /// Which other qualities the quote prices. `all` cannot be combined with `within`.
+    /// Which other qualities the quote prices. `all` cannot be combined with `within` or `error_target`.
     #[serde(default, skip_serializing_if = "Ladders::are_own")]
     pub ladders: Ladders,
     /// Limit on time or money. Instead of `settings.spp`, the job uses the most camera samples that fit, at

@@ -23,6 +23,15 @@ impl Spent {
         }
     }
 
+    /// What is left without `other`. At least zero.
+    #[must_use]
+    pub const fn less(self, other: Self) -> Self {
+        Self {
+            work: self.work.saturating_sub(other.work),
+            cpu_nanos: self.cpu_nanos.saturating_sub(other.cpu_nanos),
+        }
+    }
+
     /// The mean. `None` if there are none.
     pub fn mean(all: impl ExactSizeIterator<Item = Self>) -> Option<Self> {
         let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;

@@ -314,8 +314,8 @@ pub struct RenderSpec {
     /// The renderer. Absent for forelight's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub renderer: Option<RendererRequest>,
-    /// Largest work of the frame, or with an error target its forecast. Every pixel gets one camera sample;
-    /// others go where they reduce the error most. If absent, the settings' samples.
+    /// Largest work of the frame, or with an error target its forecast. Every pixel gets one camera sample (two
+    /// with an error target); others go where they reduce the error most. If absent, the settings' samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work: Option<u64>,
     /// The image is finished when its error is small enough. Absent: when the work is spent.

@@ -3,7 +3,8 @@
 //! The profile of each frame says how many camera samples reach the error ([`SamplesForError`]), and what a
 //! pixel costs. So a frame that is noisier than others costs more, and frames between them are estimated as
 //! always. Two things are uncertain: what a pixel costs, and how noisy the image is. They count as
-//! independent, so relative distances of quantiles from their medians add as squares.
+//! independent, so relative distances of quantiles from their medians add as squares. The noise of all frames
+//! counts as fully dependent: if one is noisier than its profile says, so are the others.
 
 use forelight_forecast::Corrections;
 use forelight_protocol::{PreviewResult, Quantiles, SamplesForError};
@@ -22,14 +23,8 @@ pub fn quote_for_error(
     profiles: &[MeasuredProfile],
     corrections: Option<&Corrections>,
 ) -> Result<Quote, QuoteError> {
-    let of = |profile: &MeasuredProfile| {
-        profile.result.samples_for_error.ok_or(QuoteError::NoSamplesForError(profile.result.frame))
-    };
-    let needed: Vec<SamplesForError> = profiles.iter().map(of).collect::<Result<_, _>>()?;
     let with = |samples: fn(&SamplesForError) -> f64| {
-        let profiles: Vec<MeasuredProfile> =
-            profiles.iter().zip(&needed).map(|(profile, needed)| scaled(profile, samples(needed))).collect();
-        Measured::new(preview, &profiles).quote(corrections)
+        Measured::new(preview, &with_samples_at(profiles, samples)?).quote(corrections)
     };
     let mut quote = with(|needed| needed.p50)?;
     let (p80, p95) = (with(|needed| needed.p80)?, with(|needed| needed.p95)?);
@@ -40,9 +35,30 @@ pub fn quote_for_error(
     let (own, p80, p95) = (&mut quote.job.total, p80.job.total, p95.job.total);
     widen(&mut own.work, p80.work, p95.work);
     widen(&mut own.cpu_seconds, p80.cpu_seconds, p95.cpu_seconds);
-    let mean = needed.iter().map(|needed| needed.p50).sum::<f64>() / needed.len().max(1) as f64;
+    let needed = profiles.iter().filter_map(|profile| profile.result.samples_for_error);
+    let mean = needed.map(|needed| needed.p50).sum::<f64>() / profiles.len().max(1) as f64;
     quote.job.chosen_spp = Some((mean.round() as u32).max(1));
     Ok(quote)
+}
+
+/// The profiles as if traced with the samples that the job's error probably takes, each with its own number.
+///
+/// # Errors
+/// If a profile does not say how many.
+pub fn with_samples_for_error(profiles: &[MeasuredProfile]) -> Result<Vec<MeasuredProfile>, QuoteError> {
+    with_samples_at(profiles, |needed| needed.p50)
+}
+
+fn with_samples_at(
+    profiles: &[MeasuredProfile],
+    samples: fn(&SamplesForError) -> f64,
+) -> Result<Vec<MeasuredProfile>, QuoteError> {
+    let of = |profile: &MeasuredProfile| {
+        let needed = profile.result.samples_for_error;
+        let needed = needed.ok_or(QuoteError::NoSamplesForError(profile.result.frame))?;
+        Ok(scaled(profile, samples(&needed)))
+    };
+    profiles.iter().map(of).collect()
 }
 
 /// Widens quantiles by those of the samples: the costs with the samples of the 80 % and 95 % quantiles.

@@ -32,7 +32,7 @@ pub struct JobForecast {
     /// Lights and objects that are left out of all frames.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Camera samples that were chosen to fit a limit of time or money.
+    /// Camera samples that were chosen to fit a limit of time or money, or to reach an error.
     #[serde(default)]
     pub chosen_spp: Option<u32>,
     /// Largest number of parts into which a frame can be divided. 0 or 1: frames are not divided.

@@ -53,7 +53,7 @@ mod tests;
 
 pub use choose::frames_to_profile;
 pub use error::QuoteError;
-pub use error_target::quote_for_error;
+pub use error_target::{quote_for_error, with_samples_for_error};
 pub use estimate::Estimate;
 pub use explanation::explain_sampled;
 pub use job_forecast::{JobForecast, Quote, QuoteBasis, QuoteKind, SharedCacheToBuild, Spreads, quantiles};

@@ -107,6 +107,9 @@ pub(crate) async fn divided(write: &mut Write, row: &LeaseRow, result: &DivideRe
         let finished = finished_parts(write, row.job_id, frame).await?;
         return put_together(write, row, frame, &finished).await;
     }
+    if let Some(work) = result.expected_work {
+        passes::expect_work(write, (row.job_id, frame), work).await?;
+    }
     match result.samples {
         Some(samples) => passes::next_pass(write, row, frame, (result, samples)).await?,
         None => set_ranges(write, row.job_id, frame, result).await?,
@@ -296,7 +299,7 @@ async fn put_together(
 }
 
 /// Writes to the frame's render task how far its parts are. Each has its share of the
-/// forecast cost; in passes, the work of the whole frame is known.
+/// forecast cost; in passes, the work of the whole frame is known, or expected by the image so far.
 pub(crate) async fn add_up(write: &mut Write, job: JobId, frame: u32) -> Result<()> {
     run!(
         write,

@@ -148,6 +148,7 @@ impl Farm {
                     None
                 };
                 TaskResult::Divide(DivideResult {
+                    expected_work: None,
                     ends: (1..=parts).map(|part| part * 100).collect(),
                     work: vec![10; parts as usize],
                     cache: None,

@@ -3,7 +3,7 @@
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, Explanation, Job, JobSettings, PreviewResult, ProfileResult, RenderSettings,
 };
-use forelight_quote::{Measured, MeasuredProfile, explain_sampled, with_samples};
+use forelight_quote::{Measured, MeasuredProfile, explain_sampled, with_samples, with_samples_for_error};
 use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 
 use super::{AdvanceError, compute};
@@ -29,7 +29,10 @@ impl JobProfile {
         let quote = store.forecast(job.id).await?;
         let chosen = quote.as_ref().and_then(|quote| quote.chosen_spp);
         let settings = RenderSettings { spp: chosen.unwrap_or(settings.spp), ..settings.clone() };
-        let profiles = with_samples(&profiles, settings.spp);
+        let profiles = match job.error_target {
+            Some(_) => with_samples_for_error(&profiles).unwrap_or_default(),
+            None => with_samples(&profiles, settings.spp),
+        };
         let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);
         let shared = if shares { store.planned_cache(job.id).await? } else { PlannedCache::NotAsked };
         Ok(Some(Self { preview, profiles, shared, settings }))
@@ -65,7 +68,13 @@ pub(crate) async fn explanation(
     let settings = match &job.settings {
         JobSettings::Own(_) => {
             let Some(profile) = JobProfile::read(store, job).await? else { return Ok(None) };
-            let explain = move || Ok(Some(profile.measured().explain(&profile.settings, frame)?));
+            let has_even_samples = job.has_even_samples();
+            let explain = move || {
+                let mut found = profile.measured().explain(&profile.settings, frame)?;
+                // Other samples in the settings would change nothing.
+                found.halving.retain(|way| has_even_samples || way.setting != "spp");
+                Ok(Some(found))
+            };
             return compute(explain).await;
         }
         JobSettings::Shot(settings) => settings.clone(),

@@ -185,7 +185,11 @@ fn refused(error: AdvanceError) -> ApiError {
     }
 }
 
+/// None for a job whose samples are chosen: others would not be rendered.
 async fn rungs(app: &App, job: &Job) -> ApiResult<Vec<AccuracyRung>> {
+    if !job.has_even_samples() {
+        return Ok(Vec::new());
+    }
     match JobProfile::read(&app.store, job).await? {
         Some(measured) => Ok(measured.rungs().await?),
         None => Ok(Vec::new()),

@@ -2,8 +2,8 @@
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    Confidence, Division, ErrorTarget, ForecastDoc, Job, JobState, PartCount, ProblemKind, ProfileResult,
-    RenderResult, RenderStats, SamplesForError, TaskKind, TaskResult, TaskSpec,
+    AnswersDoc, Confidence, Division, ErrorTarget, Explanation, ForecastDoc, Job, JobState, PartCount,
+    ProblemKind, ProfileResult, RenderResult, RenderStats, SamplesForError, TaskKind, TaskResult, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -60,6 +60,15 @@ async fn frames_cost_what_their_error_takes_and_end_when_it_is_reached() {
     let wide = quoted.total.work.p95 / quoted.total.work.p50;
     assert!(wide > 0.99 * needed.p95 / needed.p50, "{wide}");
 
+    // No other samples are offered: they would not be rendered. The explanation is that of the quote.
+    let path = format!("/v1/jobs/{}/answers", job.id);
+    let answers: AnswersDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    assert!(answers.qualities.is_empty(), "{:?}", answers.qualities);
+    let path = format!("/v1/jobs/{}/explanation", job.id);
+    let explained: Explanation = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    assert!((explained.work / quoted.total.work.mean - 1.0).abs() < 1e-9, "{explained:?}");
+    assert!(explained.halving.iter().all(|way| way.setting != "spp"), "{:?}", explained.halving);
+
     let lease = farm.next(&node, TaskKind::Render).await;
     let TaskSpec::Render(spec) = &lease.spec else { panic!() };
     let of_frame = quoted.frames.iter().find(|each| each.frame == spec.frame).unwrap();
@@ -69,6 +78,11 @@ async fn frames_cost_what_their_error_takes_and_end_when_it_is_reached() {
     let stats = RenderStats { allotted: None, spp, ..made.stats.clone() };
     let silent = TaskResult::Render(RenderResult { stats, ..made.clone() });
     farm.report(&lease, silent).await.problem(ProblemKind::Invalid).await;
+    // A worker that knows no error targets spends the forecast work, whatever the error is then.
+    let mut missed = made.clone();
+    missed.stats.allotted.as_mut().unwrap().error.p95 = 1.02 * TARGET.share();
+    let problem = farm.report(&lease, TaskResult::Render(missed)).await.problem(ProblemKind::Invalid).await;
+    assert_eq!(problem.pointer.as_deref(), Some("/result/render/stats/allotted/error"));
     farm.finish(&lease).await;
     assert_eq!(farm.work_off(&node, &job).await.state, JobState::Done);
 }

@@ -4,10 +4,10 @@
 use super::Farm;
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, Described, DivideResult, DivideSpec,
-    FinishedPart, FixedCosts, FixedPart, FrameStrata, ImageError, LadderKind, Lease, MeasuredFrame,
-    MeasuredShare, MissingLadder, NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange, PreviewBackend,
-    PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec, Profiled,
-    Quantiles, Rays, RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec,
+    ErrorTarget, FinishedPart, FixedCosts, FixedPart, FrameStrata, ImageError, LadderKind, Lease,
+    MeasuredFrame, MeasuredShare, MissingLadder, NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange,
+    PreviewBackend, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec,
+    Profiled, Quantiles, Rays, RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec,
     RenderStats, RendererId, SampleCost, SampleRange, SampleShare, SamplesForError, SceneSummary,
     ShotSettings, Spent, SpentOnForecast, Stratum, StratumName, StratumTime, TaskResult, TaskSpec, Varied,
     VideoFile, VideoResult, VideoSpec,
@@ -141,7 +141,10 @@ impl Farm {
                         least: 1,
                         most: 4 * spec.settings.own().unwrap().spp,
                         mean: f64::from(spec.settings.own().unwrap().spp + 1),
-                        error: ImageError { p05: 0.01, p50: 0.02, p80: 0.03, p95: 0.04 },
+                        error: match spec.error_target.map(ErrorTarget::share) {
+                            Some(share) => ImageError { p05: share, p50: share, p80: share, p95: share },
+                            None => ImageError { p05: 0.01, p50: 0.02, p80: 0.03, p95: 0.04 },
+                        },
                         forecast: None,
                         within: None,
                     })
@@ -297,6 +300,7 @@ fn divide(spec: &DivideSpec, coarse: ArtifactHash, samples: ArtifactHash) -> Div
         cache: None,
         coarse_png: Some(coarse),
         samples: Some(samples).filter(|_| spec.passes.is_some() && !is_over),
+        expected_work: None,
         spent: Spent { work: 10, cpu_nanos: 10_000_000 },
     }
 }

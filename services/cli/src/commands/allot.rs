@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use forelight_protocol::{
     AllottedForecast, AllottedStats, BudgetClock, Confidence, ErrorTarget, Money, Per, Within, WithinStats,
 };
-use forelight_renderer_own::{Aim, AllotOptions, Budget, NEAR_ENOUGH, Stopwatch};
+use forelight_renderer_own::{Aim, AllotOptions, Budget, Stopwatch};
 use forelight_scene::Frame;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
@@ -43,7 +43,7 @@ pub struct AllotArgs {
     /// --within
     #[arg(long, value_name = "QUANTILE", default_value = "p80", requires = "aim")]
     confidence: Confidence,
-    /// Number of pixels to profile for the choice, 16 to a million
+    /// Number of pixels to profile, 16 to a million: for the choice of samples, or with --error for the forecast
     #[arg(long, value_name = "PIXELS", default_value_t = 256, requires = "aim", value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     samples: u32,
     /// Write the number of camera samples of each pixel, as a grey PNG of 16 bits
@@ -95,6 +95,20 @@ impl AllotArgs {
     /// The error of `--error`, for a farm.
     pub fn error_target(&self) -> Option<ErrorTarget> {
         self.error.and_then(|percent| ErrorTarget::of_percent(percent, self.confidence).ok())
+    }
+
+    /// Fails if the noise exceeds `--error`, although a pixel has the most samples that it can have.
+    pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
+        let Some(target) = self.error_target() else { return Ok(()) };
+        if target.is_met(&allotted.error, 0) {
+            return Ok(());
+        }
+        bail!(
+            "--error {}: the image is written, but its noise is {:.2} % of the mean, and a pixel has at most {} camera samples",
+            100.0 * target.share(),
+            100.0 * allotted.error.at(target.confidence),
+            ErrorTarget::MOST_SAMPLES
+        )
     }
 
     pub fn confidence(&self) -> Confidence {
@@ -160,11 +174,13 @@ impl Wish<'_> {
             ClockName::Cpu => Stopwatch::Cpu(0),
         };
         let within = |seconds: f64| Aim::Within(Budget { seconds, clock, rehearse });
-        let aim = match (self.args.within, self.args.within_money, self.args.error) {
-            (Some(seconds), ..) => within(seconds),
-            (_, Some(amount), _) => within(self.affordable(amount)?),
-            (.., Some(percent)) => Aim::Error(percent / 100.0),
-            _ => return Ok(None),
+        let aim = match (self.args.within, self.args.within_money) {
+            (Some(seconds), _) => within(seconds),
+            (_, Some(amount)) => within(self.affordable(amount)?),
+            _ => match self.args.error_target() {
+                Some(target) => Aim::Error(target.share()),
+                None => return Ok(None),
+            },
         };
         let AllotArgs { confidence, samples, .. } = *self.args;
         Ok(Some(AllotOptions { aim, confidence, samples, seed: 0 }))
@@ -175,19 +191,6 @@ impl Wish<'_> {
             Some(price) if price > 0 && amount > 0 => Ok(3600.0 * amount as f64 / price as f64),
             _ => Err(BadInput::new("--within-money: the amount and --price must be greater than 0").into()),
         }
-    }
-
-    /// Fails if the noise exceeds `--error`, although a pixel has the most samples that it can have.
-    pub fn check_error(&self, allotted: &AllottedStats) -> Result<()> {
-        let Some(percent) = self.args.error else { return Ok(()) };
-        let reached = 100.0 * allotted.error.at(self.args.confidence);
-        if reached <= percent * (1.0 + NEAR_ENOUGH) || allotted.most < u32::from(u16::MAX) {
-            return Ok(());
-        }
-        bail!(
-            "--error {percent}: the image is written, but its noise is {reached:.2} % of the mean, and a pixel has at most {} camera samples",
-            u16::MAX
-        )
     }
 
     /// Sets the time and cost after everything is written.

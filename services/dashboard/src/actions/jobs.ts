@@ -37,7 +37,8 @@ export function submitAgain(
   settings: Partial<RenderSettings>,
   { hold = false, key = newKey() } = {},
 ): Promise<Job> {
-  const request = requestOf(job);
+  // The quality was priced with equally many samples for every pixel.
+  const { within: _, error_target: __, ...request } = requestOf(job);
   const body = { ...request, settings: { ...request.settings, ...settings }, ...(hold ? { hold } : {}) };
   return post("/v1/jobs", { body: body as JobRequest, key });
 }

@@ -2500,6 +2500,12 @@ export interface components {
             /** @description Where each part ends along the curve, ascending. One entry per part; the last is the number of pixels.
              *     Empty if the frame is rendered in passes, and the last one is over. */
             ends: number[];
+            /**
+             * Format: int64
+             * @description With an error target: work that the pixels of the frame will probably take in all, by the image so far.
+             *     Absent before the first pass.
+             */
+            expected_work?: number | null;
             samples?: components["schemas"]["ArtifactHash"] | null;
             /** @description Cost of the task. */
             spent: components["schemas"]["Spent"];
@@ -3334,7 +3340,7 @@ export interface components {
             frames: components["schemas"]["FrameSet"];
             /** @description Whether to wait with the complete quote until somebody accepts it. Nothing is booked before. */
             hold?: boolean;
-            /** @description Which other qualities the quote prices. `all` cannot be combined with `within`. */
+            /** @description Which other qualities the quote prices. `all` cannot be combined with `within` or `error_target`. */
             ladders?: components["schemas"]["Ladders"];
             /** @description Limits on what a task of the job may use. */
             limits?: components["schemas"]["TaskLimits"];
@@ -5153,8 +5159,8 @@ export interface components {
             shares?: components["schemas"]["SampleShare"][];
             /**
              * Format: int64
-             * @description Largest work of the frame, or with an error target its forecast. Every pixel gets one camera sample;
-             *     others go where they reduce the error most. If absent, the settings' samples.
+             * @description Largest work of the frame, or with an error target its forecast. Every pixel gets one camera sample (two
+             *     with an error target); others go where they reduce the error most. If absent, the settings' samples.
              */
             work?: number | null;
         };

@@ -44,7 +44,6 @@ mod tasks;
 
 pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
 pub use adaptive::allocation::{Aim, AllotOptions, render_allotted, render_as_allotted};
-pub use adaptive::error_target::NEAR_ENOUGH;
 pub use adaptive::made::{AllotError, Allotted};
 pub use adaptive::time_limit::{Budget, Stopwatch};
 pub use answers::{CacheUse, Counted, Finished, Previewed, Progress, ShotInfo, Step, StratumInfo};

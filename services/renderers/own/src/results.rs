@@ -8,8 +8,8 @@ use crate::shared_cache::cache_sample;
 use forelight_forecast::Observation;
 use forelight_forecast::accuracy::PixelNoise;
 use forelight_protocol::{
-    FrameStrata, NoiseCell, NoiseSample, PreviewResult, ProfileArtifacts, ProfileResult, ProfileSample,
-    RenderSettings, Stratum, UncoveredGathers,
+    CacheMode, FrameStrata, NoiseCell, NoiseSample, PreviewResult, ProfileArtifacts, ProfileResult,
+    ProfileSample, RenderSettings, Stratum, UncoveredGathers,
 };
 use forelight_tracer::{Pixel, Settings};
 use std::collections::BTreeSet;
@@ -95,7 +95,9 @@ pub fn profile_result(
 
 /// Noise of the profiled pixels, as protocol data.
 fn noise_cells(info: &ShotInfo, settings: &RenderSettings, profiled: &ProfiledFrame) -> Vec<NoiseCell> {
-    let Some(noise) = profiled.noise.as_ref().filter(|noise| noise.is_known()) else { return Vec::new() };
+    // With an irradiance cache, the error of interpolation would be missing.
+    let known = profiled.noise.as_ref().filter(|noise| noise.is_known() && settings.cache == CacheMode::Off);
+    let Some(noise) = known else { return Vec::new() };
     let strata = noise_strata(&info.strata, settings);
     // The strata are the frame's own, so they match.
     let cells = noise.cells(&strata, &noise.counts).unwrap_or_default();

@@ -54,7 +54,9 @@ async fn begin_division(
     state: &'static str,
 ) -> Result<()> {
     let tasks = sqlx::query_scalar!(
-        r#"UPDATE tasks SET spec = json_set(spec, '$.divide.passes', json(?1), '$.divide.frame_cache',
+        r#"UPDATE tasks SET spec = json_set(
+           iif(json_array_length(?1, '$.before') > 0, json_remove(spec, '$.divide.profile'), spec),
+           '$.divide.passes', json(?1), '$.divide.frame_cache',
            json_extract((SELECT r.spec FROM tasks r WHERE r.job_id = ?2 AND r.frame = ?3 AND r.kind = 'render'),
            '$.render.frame_cache'))
            WHERE job_id = ?2 AND frame = ?3 AND kind = 'divide' RETURNING id AS "id!: Id""#,
@@ -64,10 +66,35 @@ async fn begin_division(
     )
     .fetch_all(write.connection().await?)
     .await?;
+    // A cache that came with the profile has no other owner than the division.
+    run!(
+        write,
+        "INSERT OR IGNORE INTO result_artifacts (task_id, hash) SELECT p.id, a.hash \
+         FROM tasks d JOIN tasks p ON p.job_id = d.job_id AND p.frame = d.frame AND p.kind = 'profile' \
+         JOIN results r ON r.task_id = p.id \
+         JOIN artifacts a ON a.hash = unhex(json_extract(d.spec, '$.divide.frame_cache')) \
+         WHERE d.job_id = ? AND d.frame = ? AND d.kind = 'divide'",
+        job.0,
+        frame
+    );
     for task in tasks {
         tasks::forget_result(write, task).await?;
         tasks::begin_again(write, task, state).await?;
     }
+    Ok(())
+}
+
+/// Keeps what a frame will probably take, to tell how far it is.
+pub(super) async fn expect_work(write: &mut Write, (job, frame): (JobId, u32), work: u64) -> Result<()> {
+    let work = i64::try_from(work).unwrap_or(i64::MAX);
+    run!(
+        write,
+        "UPDATE tasks SET spec = json_set(spec, '$.render.work', ?) \
+         WHERE job_id = ? AND kind = 'render' AND frame = ?",
+        work,
+        job.0,
+        frame
+    );
     Ok(())
 }
 

@@ -37,9 +37,21 @@ impl Farm {
     /// Does the next task of a node, which must be to divide a frame: into two parts that end at these
     /// places, for a pass with these samples.
     pub(super) async fn divide(&self, node: NodeId, ends: [u32; 2], samples: &'static str) -> DivideSpec {
+        self.divide_expecting(node, ends, samples, None).await
+    }
+
+    /// The same for an error, for which the pixels will probably take so much work in all.
+    async fn divide_expecting(
+        &self,
+        node: NodeId,
+        ends: [u32; 2],
+        samples: &'static str,
+        expected_work: Option<u64>,
+    ) -> DivideSpec {
         let lease = self.claim(node, at(20)).await.unwrap();
         let TaskSpec::Divide(spec) = lease.spec else { panic!("{:?}", lease.spec) };
         let result = TaskResult::Divide(DivideResult {
+            expected_work,
             ends: ends.into(),
             work: vec![10, 10],
             cache: None,
@@ -149,6 +161,7 @@ async fn the_cache_of_a_divided_frame_is_filled_before_its_parts_are_rendered() 
     let lease = farm.claim(node, at(20)).await.unwrap();
     let hash = farm.artifact("a plan").await;
     let result = TaskResult::Divide(DivideResult {
+        expected_work: None,
         ends: vec![150, 200],
         work: vec![10, 10],
         cache: Some(FrameCache { hash, bytes: 6, full: false }),
@@ -293,6 +306,21 @@ async fn a_frame_in_passes_is_divided_anew_before_each_of_them() {
 }
 
 #[tokio::test]
+async fn how_far_a_frame_for_an_error_is_follows_from_what_its_image_still_needs() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let job = farm.job_in_passes("0", node, 2).await;
+    farm.divide(node, [100, 200], "two samples").await;
+    farm.part_of_pass(node, "1a", 90).await;
+    farm.part_of_pass(node, "1b", 90).await;
+    // Ten times the forecast of 900.
+    farm.divide_expecting(node, [100, 200], "more samples", Some(9000)).await;
+    farm.part_of_pass(node, "2a", 720).await;
+    let frame = farm.store.frame(job, 0).await.unwrap();
+    assert!((frame.progress - 0.1).abs() < 1e-9, "{}", frame.progress);
+}
+
+#[tokio::test]
 async fn a_frame_in_passes_that_is_rendered_again_begins_with_its_first_pass() {
     let farm = Farm::new().await;
     let node = farm.node("a").await.id;
@@ -329,6 +357,7 @@ async fn the_cache_of_a_frame_in_passes_stays_for_all_of_them() {
     let lease = farm.claim(node, at(20)).await.unwrap();
     let hash = farm.artifact("a plan").await;
     let result = TaskResult::Divide(DivideResult {
+        expected_work: None,
         ends: vec![100, 200],
         work: vec![10, 10],
         cache: Some(FrameCache { hash, bytes: 6, full: false }),

@@ -145,7 +145,18 @@ fn samples_where_they_pay(spec: &RenderSpec, allotted: &AllottedStats) -> ApiRes
             "the mean is not between the least and the most number of samples, or the least is 0",
         );
     }
-    image_error(&format!("{AT}/error"), *error)
+    image_error(&format!("{AT}/error"), *error)?;
+    match spec.error_target {
+        Some(target) if !target.is_met(error, *most) => {
+            let reason = format!(
+                "the error is {:.6} of the mean; the task asks for {:.6}: this worker may be too old for error targets",
+                error.at(target.confidence),
+                target.share()
+            );
+            wrong(format!("{AT}/error"), reason)
+        }
+        _ => Ok(()),
+    }
 }
 
 fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {

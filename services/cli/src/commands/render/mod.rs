@@ -180,7 +180,7 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     } else {
         output::print(&report(&rendered.stats, args.effects))?;
     }
-    rendered.stats.allotted.as_deref().map_or(Ok(()), |allotted| wish.check_error(allotted))
+    rendered.stats.allotted.as_deref().map_or(Ok(()), |allotted| args.allot.check_error(allotted))
 }
 
 /// A scene and how it is rendered.

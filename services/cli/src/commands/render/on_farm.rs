@@ -105,7 +105,12 @@ pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     }
     let stats = row.actual.context("the farm has no cost of the frame")?;
     json_file::write(args.stats.as_deref(), &stats)?;
-    if args.json { output::json(&stats) } else { output::print(&super::report(&stats, args.effects)) }
+    if args.json {
+        output::json(&stats)?
+    } else {
+        output::print(&super::report(&stats, args.effects))?
+    }
+    stats.allotted.iter().try_for_each(|allotted| args.allot.check_error(allotted))
 }
 
 /// Options that only a render on this machine has.

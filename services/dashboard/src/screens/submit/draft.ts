@@ -138,12 +138,8 @@ export function requestOf(
   if (draft.budget.trim() !== "" && budget === null) wrong.budget = "Write an amount such as 12.50.";
   const priority = draft.priority.trim() === "" ? 0 : Number(draft.priority);
   if (!Number.isInteger(priority)) wrong.priority = "Write a whole number.";
-  const {
-    renderer: _,
-    video,
-    error_target,
-    ...kept
-  } = base ?? { weight: 1, samples: 256, video: null, error_target: null };
+  const first: Partial<JobRequest> & Pick<JobRequest, "weight" | "samples"> = { weight: 1, samples: 256 };
+  const { renderer: _, video, error_target, within, cache, ...kept } = base ?? first;
   const request: JobRequest = {
     ...kept,
     name: draft.name.trim(),
@@ -155,7 +151,10 @@ export function requestOf(
     confidence: draft.confidence,
     budget,
     priority,
-    ladders: draft.ladders ? "all" : "own",
+    // A noise sets the samples: no limit does, frames make their own caches, and no samples are compared.
+    ladders: draft.ladders && !(error > 0) ? "all" : "own",
+    ...(within && !(error > 0) ? { within } : {}),
+    ...(cache && !(error > 0) ? { cache } : {}),
     ...(error > 0 ? { error_target: { ...(error_target ?? {}), ppm: Math.round(error * 1e4) } } : {}),
     ...(draft.video ? { video: video ?? {} } : {}),
     ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),

@@ -68,7 +68,7 @@ export function Fields(props: Asked & { scene: Bundle["scene"] | null; own: bool
             {...asked}
             name="spp"
             label="Camera samples per pixel"
-            hint="More samples, less noise."
+            hint={draft.error.trim() ? "Of the profile; 4 or more." : "More samples, less noise."}
             placeholder={props.own ? "16" : "of the scene"}
           />
         </div>
@@ -176,7 +176,8 @@ function OwnQuality(props: Asked) {
       <label>
         <input
           type="checkbox"
-          checked={draft.ladders}
+          checked={draft.ladders && !draft.error.trim()}
+          disabled={draft.error.trim() !== ""}
           onChange={(event) => change({ ladders: event.currentTarget.checked })}
         />{" "}
         Price other qualities too

@@ -14,13 +14,11 @@ use crate::error::RenderError;
 use forelight_forecast::Calibration;
 use forelight_forecast::accuracy::allot::cost;
 use forelight_forecast::accuracy::{ErrorQuantiles, Survey};
-use forelight_protocol::Confidence;
+use forelight_protocol::{Confidence, ErrorTarget};
 use forelight_tracer::SampleCounts;
 
 /// A pass multiplies the samples of a tile by at most this.
 const GROWTH: f64 = 4.0;
-/// An error that exceeds the target by this share is accepted.
-pub const NEAR_ENOUGH: f64 = 0.01;
 /// Least growth in cost for a pass that takes the law of the variance as certain.
 const WORTHWHILE: f64 = 0.02;
 
@@ -44,7 +42,7 @@ impl ErrorAim {
     ) -> Result<Following, RenderError> {
         let (wanted, has) = (self.wanted, survey.samples());
         let at = |error: &ErrorQuantiles| quantile(error, self.confidence);
-        if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + NEAR_ENOUGH) {
+        if at(&survey.error(has, Calibration::NONE)) <= wanted * (1.0 + ErrorTarget::NEAR_ENOUGH) {
             return Ok(Following { done: 1.0, next: None });
         }
         let cost_of = |samples: &[f64]| {

@@ -4,7 +4,7 @@
 //!
 //! | file | subject |
 //! | --- | --- |
-//! | `allocation` | the first samples, from a profile, and the forecast of the frame |
+//! | `allocation` | what a profile says of a frame: its forecast and, with a time limit, the first samples |
 //! | `passes` | passes over a frame, on one machine or divided over nodes |
 //! | `tiles` | what the unfinished image says of each tile |
 //! | `time_limit` | passes until the time is up |

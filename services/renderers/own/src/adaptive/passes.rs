@@ -48,6 +48,8 @@ pub(crate) struct Following {
 pub(crate) struct Standing {
     pub samples: SampleCounts,
     pub survey: Survey,
+    /// Work that the pixels will probably take in all.
+    pub expected_work: u64,
     /// Share of the pixels' work that is done, at most 1.
     pub done: f64,
     /// `None`: the image is finished.
@@ -95,7 +97,9 @@ impl PassPlan {
             Aim::Work(budget) => budget.after(&self.tiles, &samples, &survey, passes.totals().work)?,
             Aim::Error(aim) => aim.after(&self.tiles, &samples, &survey)?,
         };
-        Ok(Standing { samples, survey, done: done.min(1.0), next })
+        let work = passes.totals().work;
+        let expected_work = (work as f64 / done.clamp(1e-9, 1.0)).ceil() as u64;
+        Ok(Standing { samples, survey, expected_work, done: done.min(1.0), next })
     }
 }
 

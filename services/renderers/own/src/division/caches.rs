@@ -33,12 +33,8 @@ impl OwnFrame<'_> {
     /// Cost of the irradiance cache here: reading, planning and gathering, without `before`, which was spent on
     /// it when it was taken.
     pub fn spent_on_cache_here(&self, before: Spent) -> Spent {
-        let Spent { work, cpu_nanos } = self.spent_on_cache();
-        let taking = self.taking.load(Ordering::Relaxed);
-        Spent {
-            work: work.saturating_sub(before.work),
-            cpu_nanos: cpu_nanos.saturating_sub(before.cpu_nanos) + taking,
-        }
+        let taking = Spent { work: 0, cpu_nanos: self.taking.load(Ordering::Relaxed) };
+        self.spent_on_cache().less(before).plus(taking)
     }
 
     /// The irradiance cache, planned if needed, which the frame's parts need beside a shared one. `None` without

@@ -147,6 +147,14 @@ impl ProfiledFrame {
         self.setup.plus(self.preview).plus(self.pixels).plus(cache)
     }
 
+    /// The part of it that sampled records of the deepest level cost. It was spent before if the cache was
+    /// filled.
+    pub fn spent_on_deepest_records(&self) -> Spent {
+        let deepest = self.records.iter().map(|record| record.level).max();
+        let records = self.records.iter().filter(|record| Some(record.level) == deepest);
+        records.fold(Spent::default(), |sum, record| sum.plus(spent(record.cost)))
+    }
+
     /// The part of it that a render cannot reuse. Traced pixels can be reused without an irradiance cache.
     /// With one, its plan and the gathered records of the deepest level can.
     pub fn spent_for_good(&self) -> Spent {

@@ -23,6 +23,8 @@ struct Division {
     /// What each pixel has after the next pass.
     samples: Option<SampleCounts>,
     picture: RgbImage,
+    /// Of all pixels, by the image so far.
+    expected_work: Option<u64>,
     /// Cost of dividing.
     spent: Spent,
 }
@@ -53,7 +55,7 @@ pub(crate) fn divide(
         Some(passes) if !is_first => next_pass(&ready, spec, passes, assignment, control),
         passes => first(&ready, spec.parts, passes.as_ref(), profile, control),
     };
-    let Division { parts, samples, picture, spent } = divided?;
+    let Division { parts, samples, picture, expected_work, spent } = divided?;
     let work: u64 = parts.iter().map(|part| part.cost).sum();
     let text = match parts.len() {
         0 => format!("frame {} has all its samples", spec.frame),
@@ -69,6 +71,8 @@ pub(crate) fn divide(
         // Nothing but a picture to look at would be missing.
         coarse_png: coarse.ok().map(|bytes| files.add(bytes)),
         samples: samples.map(|samples| files.add(samples.to_bytes())),
+        expected_work: expected_work
+            .filter(|_| spec.passes.as_ref().is_some_and(|passes| passes.error_target.is_some())),
         spent: Spent { cpu_nanos: spent.cpu_nanos + writing + drawing, ..spent },
     };
     Ok(Outcome { result: TaskResult::Divide(result), artifacts: files.contents })
@@ -94,7 +98,8 @@ fn first(
         }
     };
     let Divided { parts, seen, spent } = divided.ok_or(ExecuteError::Cancelled)?;
-    Ok(Division { parts, samples, picture: ready.coarse_picture(&seen, &finished), spent })
+    let picture = ready.coarse_picture(&seen, &finished);
+    Ok(Division { parts, samples, picture, expected_work: None, spent })
 }
 
 /// Divides the pass that follows the one whose pixels are given.
@@ -108,12 +113,14 @@ fn next_pass(
     let (divided, cpu_nanos) = clocked(|| {
         let mut passes = ready.begin();
         given::take_over(&mut passes, ready, assignment, control)?;
-        let next = PassPlan::of(ready, plan)?.evaluate(&passes)?.next.map(|pass| pass.samples);
+        let standing = PassPlan::of(ready, plan)?.evaluate(&passes)?;
+        let next = standing.next.map(|pass| pass.samples);
         let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
-        Ok::<_, ExecuteError>((parts, next, picture(&passes)))
+        Ok::<_, ExecuteError>((parts, next, picture(&passes), standing.expected_work))
     });
-    let (parts, samples, picture) = divided?;
-    Ok(Division { parts, samples, picture, spent: Spent { work: 0, cpu_nanos } })
+    let (parts, samples, picture, expected) = divided?;
+    let spent = Spent { work: 0, cpu_nanos };
+    Ok(Division { parts, samples, picture, expected_work: Some(expected), spent })
 }
 
 /// The irradiance cache that parts need beside a shared one, and the CPU time of writing it, in nanoseconds.

@@ -12,11 +12,12 @@ pub(crate) mod render;
 mod whole;
 
 use self::given::own;
-use self::progress::Reporting;
+use self::progress::{Reporting, fraction};
 use self::render::render;
 use crate::accuracy::{AccuracyOptions, Pilot, predict};
 use crate::adaptive::allotment::Allotment;
 use crate::adaptive::error_target::ErrorAim;
+use crate::answers::Progress;
 use crate::error::{RenderError, ShotError};
 use crate::frame::OwnFrame;
 use crate::opening::OwnRenderer;
@@ -105,8 +106,9 @@ fn profile(
     let share = if spec.ladders { WITHOUT_LADDERS } else { 1.0 };
     let ready = shot.frame(spec.frame, settings)?;
     // The noise of an image shows in its final colours.
-    let filled = if spec.error_target.is_some() { fill(&ready, control)? } else { Spent::default() };
-    let reporting = Reporting { control, from: 0.0, to: share };
+    let fills = spec.error_target.is_some() && !ready.has_final_colours();
+    let filled = if fills { fill(&ready, control)? } else { Spent::default() };
+    let reporting = Reporting { control, from: if fills { FILLED } else { 0.0 }, to: share };
     let (mut profiled, seen) = profile_ready(&ready, &shot.info().strata, settings, &options, &reporting)?;
     let (encoding, file_bytes) = encoding_cost(&profiled)?;
     profiled.fixed.write = write_cost(encoding, profiled.preview);
@@ -121,7 +123,9 @@ fn profile(
         let pilot = Pilot::of(shot, &ready, settings.clone(), &profiled, &seen);
         let needed = Allotment::new(&pilot)?.samples_for_error(target.share(), ErrorAim::FIRST.into());
         result.samples_for_error = Some(needed);
-        result.spent = result.spent.plus(filled);
+        if fills {
+            result.spent = result.spent.plus(filled).less(profiled.spent_on_deepest_records());
+        }
     }
     result.file_bytes = file_bytes;
     if spec.cache.is_some() {
@@ -141,15 +145,15 @@ fn profile(
 
 /// Fills the irradiance cache of a frame, if it has one. Returns the cost, without that of the plan.
 fn fill(ready: &OwnFrame<'_>, control: &Control) -> Result<Spent, ExecuteError> {
-    if !ready.fill(&|_| (), control.cancelled()) {
+    let progress = |progress: Progress| control.set_progress(FILLED * fraction(progress, false));
+    if !ready.fill(&progress, control.cancelled()) {
         return Err(ExecuteError::Cancelled);
     }
-    let (all, plan) = (ready.spent_on_cache(), ready.fixed().plan);
-    Ok(Spent {
-        work: all.work.saturating_sub(plan.work),
-        cpu_nanos: all.cpu_nanos.saturating_sub(plan.cpu_nanos),
-    })
+    Ok(ready.spent_on_cache().less(ready.fixed().plan))
 }
+
+/// Share of a profile task's progress at which its cache is filled, if it fills one.
+const FILLED: f64 = 0.8;
 
 /// Share of a profile task's progress before its ladders, which take longer.
 const WITHOUT_LADDERS: f64 = 0.2;
