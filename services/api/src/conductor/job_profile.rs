@@ -68,13 +68,7 @@ pub(crate) async fn explanation(
     let settings = match &job.settings {
         JobSettings::Own(_) => {
             let Some(profile) = JobProfile::read(store, job).await? else { return Ok(None) };
-            let has_even_samples = job.has_even_samples();
-            let explain = move || {
-                let mut found = profile.measured().explain(&profile.settings, frame)?;
-                // Other samples in the settings would change nothing.
-                found.halving.retain(|way| has_even_samples || way.setting != "spp");
-                Ok(Some(found))
-            };
+            let explain = move || Ok(Some(profile.measured().explain(&profile.settings, frame)?));
             return compute(explain).await;
         }
         JobSettings::Shot(settings) => settings.clone(),
