@@ -236,8 +236,7 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     assert_eq!(seen(EventKind::TaskDone, TaskKind::CacheMerge), 2);
 
     // The quote has both prices, and they came true.
-    let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(&job).await;
     let line = quoted_cache(&quote);
     let off = |forecast: f64, actual: u64| (forecast / actual as f64 - 1.0).abs();
     assert!(off(line.work.mean, cache.work) < 0.12, "{line:?}, it took {}", cache.work);

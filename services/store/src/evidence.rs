@@ -62,11 +62,15 @@ impl Store {
         )
         .fetch_optional(self.readers())
         .await?;
-        let taken_over = taken_over(&mut *self.readers().acquire().await?, &info).await?;
         let means = self.means(&info, 0, now).await?;
         // The quote is for a node of speed 1. The float saturates.
         let quoted = (quoted.flatten().unwrap_or(0.0) * 1e9 / means.speed) as u64;
-        match pixels_objection(pixels, &Means { taken_over_nanos: quoted.max(taken_over), ..means }) {
+        let objection = |taken_over_nanos| pixels_objection(pixels, &Means { taken_over_nanos, ..means });
+        if objection(quoted).is_none() {
+            return Ok(());
+        }
+        // A frame may have taken more than it was quoted at, and its parts were paid for that.
+        match objection(taken_over(&mut *self.readers().acquire().await?, &info).await?) {
             Some(found) => Err(StoreError::Implausible { pointer: found.pointer, reason: found.reason }),
             None => Ok(()),
         }

@@ -30,7 +30,10 @@ impl JobProfile {
         let chosen = quote.as_ref().and_then(|quote| quote.chosen_spp);
         let settings = RenderSettings { spp: chosen.unwrap_or(settings.spp), ..settings.clone() };
         let profiles = match job.error_target {
-            Some(_) => with_samples_for_error(&profiles).unwrap_or_default(),
+            Some(_) => {
+                let Ok(profiles) = with_samples_for_error(&profiles) else { return Ok(None) };
+                profiles
+            }
             None => with_samples(&profiles, settings.spp),
         };
         let shares = quote.and_then(|quote| quote.cache).is_some_and(|cache| cache.shared);

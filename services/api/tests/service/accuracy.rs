@@ -3,8 +3,8 @@
 use crate::support::made_up::made_up_times;
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    AccuracyDoc, AnswersDoc, CacheMode, CacheSample, ForecastDoc, Integrator, Job, LadderKind, Ladders, Node,
-    PlanChange, ProblemKind, ProfileResult, RenderSettings, TaskKind, TaskResult, TaskSpec, Timestamp,
+    AccuracyDoc, AnswersDoc, CacheMode, CacheSample, Integrator, Job, LadderKind, Ladders, Node, PlanChange,
+    ProblemKind, ProfileResult, RenderSettings, TaskKind, TaskResult, TaskSpec, Timestamp,
 };
 use reqwest::StatusCode;
 use serde_json::json;
@@ -45,8 +45,7 @@ async fn rungs_cost_in_proportion_and_err_by_the_profiled_variance() {
     let job = farm.submit("0-4").await;
     farm.until_booked(&node, &job).await;
     let document = document(&farm, &job).await;
-    let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(&job).await;
     assert_eq!((document.frames, &document.settings), (5, job.settings.own().unwrap()));
     assert_eq!((&document.profiled, document.spent), (&quote.profiled, quote.spent));
 
@@ -166,8 +165,7 @@ async fn a_job_that_asks_for_all_ladders_has_those_of_other_settings_by_one_of_i
     let laid_out = booked_with_ladders(&farm, &node, &job).await;
     assert_eq!(laid_out.len(), 1, "one frame stands for all");
     let document = document(&farm, &job).await;
-    let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(&job).await;
     assert!(quote.profiled.frames.contains(&laid_out[0]) && quote.profiled.frames[0] < laid_out[0]);
     // The job's own ladders are unchanged. The others are given as ratios to the request, for price and
     // error.

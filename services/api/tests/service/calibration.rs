@@ -34,7 +34,7 @@ async fn run(farm: &Farm, node: &Node, renderer: &str, factor: f64) -> ForecastD
         let reported = farm.report(&lease, result).await;
         assert_eq!(reported.status(), StatusCode::OK);
     }
-    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await
+    farm.quote(&job).await
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -2,8 +2,7 @@
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    AccuracyDoc, AllottedStats, ForecastDoc, Job, JobState, ProblemKind, RenderResult, RenderStats,
-    TaskResult, TaskSpec,
+    AccuracyDoc, AllottedStats, Job, JobState, ProblemKind, RenderResult, RenderStats, TaskResult, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -15,24 +14,20 @@ async fn submit(farm: &Farm, within: Value) -> Job {
     farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await
 }
 
-async fn quote(farm: &Farm, job: &Job) -> ForecastDoc {
-    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await
-}
-
 #[tokio::test]
 async fn the_most_samples_that_fit_are_chosen_said_and_rendered() {
     let farm = Farm::new().await;
     let node = farm.node("n").await;
     let plain = farm.submit("0-3").await;
     let plain = farm.until_booked(&node, &plain).await;
-    let asked = quote(&farm, &plain).await;
+    let asked = farm.quote(&plain).await;
     assert_eq!(asked.chosen_spp, None);
     farm.submitter.post(&format!("/v1/jobs/{}/cancel", plain.id), &json!({})).await;
 
     let given = 5.0 * asked.total.cpu_seconds.p95;
     let job = submit(&farm, json!({"cpu_micros": (given * 1e6) as i64})).await;
     let job = farm.until_booked(&node, &job).await;
-    let quoted = quote(&farm, &job).await;
+    let quoted = farm.quote(&job).await;
     let spp = quoted.chosen_spp.unwrap();
     assert_eq!(job.settings.own().unwrap().spp, spp, "the job says what it is rendered with");
     assert!(
@@ -78,7 +73,7 @@ async fn money_buys_samples_for_each_frame() {
     // Speed 2, two cores and 3.6 units per hour: a CPU second of speed 1 costs 250 micro-units.
     let job = submit(&farm, json!({"money": 250 * 400, "per": "frame"})).await;
     let job = farm.until_booked(&node, &job).await;
-    let quoted = quote(&farm, &job).await;
+    let quoted = farm.quote(&job).await;
     let dearest = quoted.frames.iter().map(|frame| frame.cpu_seconds.p95).fold(0.0, f64::max);
     assert!(dearest <= 400.0 && dearest > 320.0, "{dearest} with {:?}", quoted.chosen_spp);
 }

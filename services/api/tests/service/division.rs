@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use crate::support::made_up::another_renderer;
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    BookingPage, Bundle, ForecastDoc, FrameRow, FrameState, Job, JobState, Lease, Node, PartRange,
-    ProblemKind, SampleRange, TaskKind, TaskPage, TaskResult, TaskRow, TaskSpec,
+    BookingPage, Bundle, FrameRow, FrameState, Job, JobState, Lease, Node, PartRange, ProblemKind,
+    SampleRange, TaskKind, TaskPage, TaskResult, TaskRow, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -82,8 +82,7 @@ async fn a_frame_whose_samples_go_where_they_help_is_divided_for_each_pass() {
     let node = farm.node("a").await;
     let plain = farm.divided("0", 2).await;
     farm.until_booked(&node, &plain).await;
-    let path = format!("/v1/jobs/{}/forecast", plain.id);
-    let quoted: ForecastDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    let quoted = farm.quote(&plain).await;
     farm.submitter.post(&format!("/v1/jobs/{}/cancel", plain.id), &json!({})).await;
     let mut request = farm.job_request("0");
     request["division"] = json!({"into": 2});

@@ -2,8 +2,8 @@
 
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    AnswersDoc, Confidence, Division, ErrorTarget, Explanation, ForecastDoc, Job, JobState, PartCount,
-    ProblemKind, ProfileResult, RenderResult, RenderStats, SamplesForError, TaskKind, TaskResult, TaskSpec,
+    AnswersDoc, Confidence, Division, ErrorTarget, Explanation, Job, JobState, PartCount, ProblemKind,
+    ProfileResult, RenderResult, RenderStats, SamplesForError, TaskKind, TaskResult, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -16,17 +16,13 @@ fn request(farm: &Farm, frames: &str) -> Value {
     request
 }
 
-async fn quote(farm: &Farm, job: &Job) -> ForecastDoc {
-    farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await
-}
-
 #[tokio::test]
 async fn frames_cost_what_their_error_takes_and_end_when_it_is_reached() {
     let farm = Farm::new().await;
     let node = farm.node("n").await;
     let plain = farm.submit("0-3").await;
     let plain = farm.until_booked(&node, &plain).await;
-    let asked = quote(&farm, &plain).await;
+    let asked = farm.quote(&plain).await;
     farm.submitter.post(&format!("/v1/jobs/{}/cancel", plain.id), &json!({})).await;
 
     let job: Job =
@@ -48,7 +44,7 @@ async fn frames_cost_what_their_error_takes_and_end_when_it_is_reached() {
     }
     farm.finish(&lease).await;
     let job = farm.until_booked(&node, &job).await;
-    let quoted = quote(&farm, &job).await;
+    let quoted = farm.quote(&job).await;
     let chosen = quoted.chosen_spp.unwrap();
     let needed = good.samples_for_error.unwrap();
     assert!((f64::from(chosen) - needed.p50).abs() < 1.0, "{chosen} of {needed:?}");

@@ -4,16 +4,15 @@ use std::time::Duration;
 
 use crate::support::{Answer, Farm, LEASE};
 use forelight_protocol::{
-    Booking, BookingPage, Dashboard, EventKind, ForecastDoc, FramePage, FrameState, Job, JobState, Plan,
-    ProblemKind, TaskKind, TrackRecord, Verdict,
+    Booking, BookingPage, Dashboard, EventKind, FramePage, FrameState, Job, JobState, Plan, ProblemKind,
+    TaskKind, TrackRecord, Verdict,
 };
 use reqwest::StatusCode;
 use serde_json::json;
 
 /// Asserts that the quote is near the actual cost and rests on these frames.
 async fn assert_quoted(farm: &Farm, job: &Job, profiled: &[u32]) {
-    let forecast: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let forecast = farm.quote(job).await;
     assert_eq!(
         (forecast.frames.len(), &forecast.profiled.frames[..], forecast.profiled.pixels),
         (10, profiled, 32)

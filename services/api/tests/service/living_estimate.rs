@@ -102,8 +102,7 @@ async fn a_quote_explains_itself_as_a_whole_and_frame_by_frame() {
     let path = format!("/v1/jobs/{}/explanation", job.id);
     farm.viewer.get(&path).await.problem(ProblemKind::Conflict).await;
     farm.until_booked(&node, &job).await;
-    let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(&job).await;
     let whole: Explanation = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     assert!((whole.work / quote.total.work.mean - 1.0).abs() < 1e-12);
     let shares: f64 = whole.parts.iter().map(|part| part.share).sum();

@@ -1,7 +1,7 @@
 //! Nodes: names, registered numbers, numbers set by operators, and calibration by class of work.
 
 use crate::support::{Answer, Farm};
-use forelight_protocol::{ForecastDoc, Node, NodeSeconds, ProblemKind};
+use forelight_protocol::{Node, NodeSeconds, ProblemKind};
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
@@ -24,8 +24,7 @@ async fn a_quote_says_what_it_takes_on_each_calibrated_node() {
     farm.node("of unknown classes").await;
     let job = farm.submit("0-3").await;
     let job = farm.until_booked(&quick, &job).await;
-    let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(&job).await;
     // A fifth of the made-up work waits for memory.
     let [NodeSeconds { node: first, speed: 1.0, cpu_seconds }, starved] = &quote.cpu_seconds_on[..] else {
         panic!("{:?}", quote.cpu_seconds_on)

@@ -3,8 +3,8 @@
 use crate::support::made_up::another_renderer;
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    Bundle, Explanation, ForecastDoc, FrameForecast, Job, JobPage, JobState, Lease, Node, Plan, ProblemKind,
-    TaskKind, TaskSpec,
+    Bundle, Explanation, FrameForecast, Job, JobPage, JobState, Lease, Node, Plan, ProblemKind, TaskKind,
+    TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -97,8 +97,7 @@ async fn assert_explained(farm: &Farm, job: &Job) {
 
 /// Asserts that the quote is the known line in the samples, and that its work is CPU time.
 async fn assert_quoted(farm: &Farm, job: &Job) {
-    let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(job).await;
     for FrameForecast { frame, cpu_seconds, work, .. } in &quote.frames {
         let truth = 0.010 + 32.0 * (0.002 + 0.000_02 * f64::from(*frame));
         assert!((cpu_seconds.mean / truth - 1.0).abs() < 0.01, "frame {frame}: {cpu_seconds:?}, {truth}");
@@ -243,8 +242,7 @@ async fn a_renderer_that_measures_single_pixels_is_quoted_by_them_and_takes_them
     let first = farm.next_task(&node).await;
     let TaskSpec::Render(render) = &first.spec else { panic!("{first:?}") };
     assert_eq!(render.profile.is_some(), profiled.contains(&render.frame));
-    let quote: ForecastDoc =
-        farm.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(&job).await;
     let why: Explanation = farm.viewer.json(&format!("/v1/jobs/{}/explanation", job.id)).await;
     assert!((why.work / quote.total.work.mean - 1.0).abs() < 1e-3 && why.rays.len() > 1, "{why:?}");
     for FrameForecast { frame, cpu_seconds, work, rays, .. } in &quote.frames {

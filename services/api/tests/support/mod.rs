@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use forelight_api::{Config, Evidence, ManualClock, Service};
 use forelight_protocol::{
-    ArtifactHash, Job, JobState, Lease, Node, ResultAnswer, ResultRequest, Role, TaskKind, TaskResult,
-    Timestamp,
+    ArtifactHash, ForecastDoc, Job, JobState, Lease, Node, ResultAnswer, ResultRequest, Role, TaskKind,
+    TaskResult, Timestamp,
 };
 use forelight_store::{DATABASE, Store, tokens};
 use reqwest::{Method, Response, StatusCode};
@@ -268,6 +268,11 @@ impl Farm {
                 self.finish(&lease).await;
             }
         }
+    }
+
+    /// The quote of a job.
+    pub async fn quote(&self, job: &Job) -> ForecastDoc {
+        self.viewer.get(&format!("/v1/jobs/{}/forecast", job.id)).await.parsed(StatusCode::OK).await
     }
 
     /// Takes a job to where its first frame, or what divides it, can be claimed.

@@ -37,8 +37,8 @@ pub struct AllotArgs {
     clock: ClockName,
     /// Render the cheapest image with at most this noise, as a percentage of its mean (root mean square over
     /// the pixels). It may exceed the noise by a hundredth. A pixel gets at most 65,535 camera samples
-    #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = error_percent)]
-    error: Option<f64>,
+    #[arg(long, value_name = "PERCENT", group = "aim", conflicts_with_all = ["spp", "profile"], value_parser = error_target)]
+    error: Option<ErrorTarget>,
     /// Probability with which the image stays below --error, or with which the smallest image fits into
     /// --within
     #[arg(long, value_name = "QUANTILE", default_value = "p80", requires = "aim")]
@@ -70,9 +70,9 @@ pub struct Wish<'a> {
 }
 
 /// Parses an error in per cent of an image's mean.
-pub fn error_percent(text: &str) -> Result<f64, String> {
-    let percent: f64 = text.parse().map_err(|_| "expected a number such as 1.5".to_owned())?;
-    ErrorTarget::of_percent(percent, Confidence::default()).map(|_| percent)
+pub fn error_target(text: &str) -> Result<ErrorTarget, String> {
+    let percent = text.parse().map_err(|_| "expected a number such as 1.5".to_owned())?;
+    ErrorTarget::of_percent(percent, Confidence::default())
 }
 
 impl AllotArgs {
@@ -92,9 +92,9 @@ impl AllotArgs {
         Some(Within { cpu_micros, money: None, per: Per::Frame })
     }
 
-    /// The error of `--error`, for a farm.
+    /// The error of `--error`, with its confidence.
     pub fn error_target(&self) -> Option<ErrorTarget> {
-        self.error.and_then(|percent| ErrorTarget::of_percent(percent, self.confidence).ok())
+        self.error.map(|target| ErrorTarget { confidence: self.confidence, ..target })
     }
 
     /// Fails if the noise exceeds `--error`, although a pixel has the most samples that it can have.

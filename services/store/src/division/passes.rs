@@ -31,23 +31,14 @@ pub(super) async fn divide_again(
     finished: &[FinishedPart],
 ) -> Result<()> {
     let before = finished.iter().map(FinishedPart::hash).collect();
-    begin_division(write, (job, frame), &Passes { before, ..passes }, "ready").await?;
+    divide_anew(write, (job, frame), &Passes { before, ..passes }, "ready").await?;
     write.made_work = true;
     Ok(())
 }
 
-/// Lets a frame's `divide` task begin again before the first pass. Its irradiance cache, if it is full,
-/// stays.
+/// Lets a frame's `divide` task begin again: before the first pass, or after the one whose files `passes` names. Its
+/// irradiance cache, if it is full, stays.
 pub(super) async fn divide_anew(
-    write: &mut Write,
-    (job, frame): (JobId, u32),
-    passes: &Passes,
-    state: &'static str,
-) -> Result<()> {
-    begin_division(write, (job, frame), passes, state).await
-}
-
-async fn begin_division(
     write: &mut Write,
     (job, frame): (JobId, u32),
     passes: &Passes,

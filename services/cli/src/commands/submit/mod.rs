@@ -5,7 +5,7 @@ mod foreign;
 mod images;
 mod report;
 
-use super::allot::error_percent;
+use super::allot::error_target;
 use super::video;
 use super::worker::task_limits;
 use crate::archive;
@@ -84,8 +84,8 @@ pub struct Args {
     /// Take the camera samples that keep the noise of each image at or below this percentage of its mean (root
     /// mean square over the pixels), and put them where they help most. --spp then sets only the samples of the
     /// profile. A pixel gets at most 65,535 camera samples
-    #[arg(long, value_name = "PERCENT", conflicts_with_all = ["limit", "ladders"], value_parser = error_percent)]
-    error: Option<f64>,
+    #[arg(long, value_name = "PERCENT", conflicts_with_all = ["limit", "ladders"], value_parser = error_target)]
+    error: Option<ErrorTarget>,
     /// Probability with which an image keeps to --error
     #[arg(long, value_name = "LEVEL", default_value = "p80", requires = "error")]
     error_confidence: Confidence,
@@ -299,9 +299,7 @@ fn request(
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },
         within: within(args),
-        error_target: args
-            .error
-            .and_then(|percent| ErrorTarget::of_percent(percent, args.error_confidence).ok()),
+        error_target: args.error.map(|target| ErrorTarget { confidence: args.error_confidence, ..target }),
         deadline,
         budget: args.budget.map(Money),
         confidence: args.confidence,

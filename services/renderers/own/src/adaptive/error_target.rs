@@ -60,7 +60,7 @@ impl ErrorAim {
         // If nothing is added, every pixel has the most samples allowed.
         let is_more = samples != *counts;
         let next = is_more.then(|| NextPass { samples, until: (cost_of(&capped) / all).min(1.0) });
-        Ok(Following { done: if is_more { (done / all).min(1.0) } else { 1.0 }, next })
+        Ok(Following { done: if is_more { done / all } else { 1.0 }, next })
     }
 }
 

@@ -48,8 +48,6 @@ pub(crate) struct Following {
 pub(crate) struct Standing {
     pub samples: SampleCounts,
     pub survey: Survey,
-    /// Work that the pixels will probably take in all.
-    pub expected_work: u64,
     /// Share of the pixels' work that is done, at most 1.
     pub done: f64,
     /// `None`: the image is finished.
@@ -97,9 +95,7 @@ impl PassPlan {
             Aim::Work(budget) => budget.after(&self.tiles, &samples, &survey, passes.totals().work)?,
             Aim::Error(aim) => aim.after(&self.tiles, &samples, &survey)?,
         };
-        let work = passes.totals().work;
-        let expected_work = (work as f64 / done.clamp(1e-9, 1.0)).ceil() as u64;
-        Ok(Standing { samples, survey, expected_work, done: done.min(1.0), next })
+        Ok(Standing { samples, survey, done: done.min(1.0), next })
     }
 }
 
@@ -113,6 +109,11 @@ fn everywhere(ready: &OwnFrame<'_>, samples: u16) -> Result<SampleCounts, Render
 }
 
 impl Standing {
+    /// Work that the pixels, which took `work` so far, will probably take in all.
+    pub fn expected_work(&self, work: u64) -> u64 {
+        (work as f64 / self.done.max(1e-9)).ceil() as u64
+    }
+
     /// The finished image.
     pub fn made(self, ready: &OwnFrame<'_>, passes: &Passes) -> Made {
         let Self { samples, survey, .. } = self;

@@ -23,7 +23,7 @@ struct Division {
     /// What each pixel has after the next pass.
     samples: Option<SampleCounts>,
     picture: RgbImage,
-    /// Of all pixels, by the image so far.
+    /// Of all pixels, by the image so far, if the frame is rendered for an error.
     expected_work: Option<u64>,
     /// Cost of dividing.
     spent: Spent,
@@ -71,8 +71,7 @@ pub(crate) fn divide(
         // Nothing but a picture to look at would be missing.
         coarse_png: coarse.ok().map(|bytes| files.add(bytes)),
         samples: samples.map(|samples| files.add(samples.to_bytes())),
-        expected_work: expected_work
-            .filter(|_| spec.passes.as_ref().is_some_and(|passes| passes.error_target.is_some())),
+        expected_work,
         spent: Spent { cpu_nanos: spent.cpu_nanos + writing + drawing, ..spent },
     };
     Ok(Outcome { result: TaskResult::Divide(result), artifacts: files.contents })
@@ -114,13 +113,14 @@ fn next_pass(
         let mut passes = ready.begin();
         given::take_over(&mut passes, ready, assignment, control)?;
         let standing = PassPlan::of(ready, plan)?.evaluate(&passes)?;
+        let expected = plan.error_target.map(|_| standing.expected_work(passes.totals().work));
         let next = standing.next.map(|pass| pass.samples);
         let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
-        Ok::<_, ExecuteError>((parts, next, picture(&passes), standing.expected_work))
+        Ok::<_, ExecuteError>((parts, next, picture(&passes), expected))
     });
-    let (parts, samples, picture, expected) = divided?;
+    let (parts, samples, picture, expected_work) = divided?;
     let spent = Spent { work: 0, cpu_nanos };
-    Ok(Division { parts, samples, picture, expected_work: Some(expected), spent })
+    Ok(Division { parts, samples, picture, expected_work, spent })
 }
 
 /// The irradiance cache that parts need beside a shared one, and the CPU time of writing it, in nanoseconds.

@@ -31,7 +31,9 @@ fn check(farm: &Farm, counts: &[u32], what: &str) {
         let InPasses { outcome, passes, pictures, filled } =
             farm.in_passes(parts, &|task| farm.render_part(task));
         assert_same(&whole, &outcome, &what);
-        assert!(passes.len() > 1, "{what}: {} passes", passes.len());
+        // A coarse error may be met after the second.
+        let few = if farm.error_target.is_some() { 1 } else { 2 };
+        assert!(passes.len() > few, "{what}: {} passes", passes.len());
         assert_eq!(pictures.len(), passes.len(), "{what}");
         let last = image::load_from_memory(pictures.last().unwrap()).unwrap().into_rgb8();
         let png = &result(&outcome).artifacts.image_png;

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use forelight_protocol::{
-    AccuracyDoc, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles, RenderSettings, RendererId,
-    SamplesForError, ShotSettings,
+    AccuracyDoc, ErrorTarget, LadderKind, NoiseCell, ProfileResult, ProfileSpec, Quantiles, RenderSettings,
+    RendererId, SamplesForError, ShotSettings,
 };
 
 use super::fields::{effects, frame, image_error, left_out, levels, once, spent, storable, strata, wrong};
@@ -116,10 +116,10 @@ fn samples_for_error(spec: &ProfileSpec, result: &ProfileResult) -> ApiResult<()
         (None, Some(_)) => wrong(at, "the task has no error target; leave this out"),
         (Some(_), None) => wrong(at, "the task has an error target: say how many samples reach it"),
         (Some(_), Some(SamplesForError { p50, p80, p95 })) => {
-            if 1.0 <= p50 && p50 <= p80 && p80 <= p95 && p95 <= 65_536.0 {
+            if 1.0 <= p50 && p50 <= p80 && p80 <= p95 && p95 <= f64::from(ErrorTarget::MOST_SAMPLES) {
                 return Ok(());
             }
-            wrong(at, "the quantiles do not ascend from 1 to 65536")
+            wrong(at, format!("the quantiles do not ascend from 1 to {}", ErrorTarget::MOST_SAMPLES))
         }
     }
 }
