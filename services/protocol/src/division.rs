@@ -240,10 +240,13 @@ pub struct PartPass {
     pub pixels: PixelRange,
     /// File with the number of samples that each pixel of the image has after the pass.
     pub samples: ArtifactHash,
-    /// Files of the last pass that hold pixels of this part. Empty in the first pass.
+    /// Files with earlier samples of these pixels. Empty in the first pass.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 512)]
     pub before: Vec<ArtifactHash>,
+    /// Forecast work of the samples that the part adds. 0 if unknown.
+    #[serde(default)]
+    pub work: u64,
 }
 
 /// Result of rendering one part of a frame.
@@ -253,7 +256,7 @@ pub struct RenderPartResult {
     /// What is finished.
     pub finished: FinishedPart,
     /// What is left, if the worker was told to leave the rest of its pixels to other nodes. Absent if nothing
-    /// is.
+    /// is. In a pass, the file of the part then has the samples so far of all its pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestOfPart>,
     /// Cost of the task, including what each part pays for itself: loading, its acceleration structure.

@@ -196,7 +196,7 @@ pub(crate) async fn part_rendered(
         row.task_id.0
     );
     if let Some(rest) = &result.rest {
-        again::divide_rest(write, row, frame, rest).await?;
+        again::divide_rest(write, row, frame, (result, rest)).await?;
     }
     add_up(write, row.job_id, frame).await?;
     let is_any_left = sqlx::query_scalar!(

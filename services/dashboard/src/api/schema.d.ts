@@ -4200,13 +4200,18 @@ export interface components {
         PartCount: number;
         /** @description What a part does in one pass over a frame. */
         PartPass: {
-            /** @description Files of the last pass that hold pixels of this part. Empty in the first pass. */
+            /** @description Files with earlier samples of these pixels. Empty in the first pass. */
             before?: components["schemas"]["ArtifactHash"][];
             /** @description The pixels of the part. Parts of passes have no other range, so that a worker which knows no passes
              *     cannot render them in another way. */
             pixels: components["schemas"]["PixelRange"];
             /** @description File with the number of samples that each pixel of the image has after the pass. */
             samples: components["schemas"]["ArtifactHash"];
+            /**
+             * Format: int64
+             * @description Forecast work of the samples that the part adds. 0 if unknown.
+             */
+            work?: number;
         };
         /** @description Pixels of a part, for the task that puts the image together or divides the frame for the next pass. */
         PartPixels: {

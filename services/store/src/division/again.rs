@@ -2,13 +2,14 @@
 //!
 //! The worker hears of it with its next renewal. It finishes the pixels that it has begun, divides the others
 //! into parts of equal forecast cost, and reports both. So nothing is rendered twice, and a worker that does
-//! not know of this only goes on.
+//! not know of this only goes on. In a pass, the worker's file has the samples so far of all pixels, and the
+//! others continue from it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
-    Event, EventKind, LeaseId, MOST_PARTS, Node, NodeId, PartRange, PixelRange, RenderPartSpec, RestOfPart,
-    TaskSpec, Timestamp,
+    Event, EventKind, LeaseId, MOST_PARTS, Node, NodeId, PartPass, PartRange, PixelRange, RenderPartResult,
+    RenderPartSpec, RestOfPart, TaskSpec, Timestamp,
 };
 use forelight_quote::JobForecast;
 use forelight_quote::division::{overhead_seconds, parts_of_rest};
@@ -38,7 +39,8 @@ impl Store {
                FROM leases l JOIN tasks t ON t.id = l.task_id JOIN jobs j ON j.id = t.job_id
                JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame
                WHERE l.state = 'active' AND l.lateness = 'late' AND l.divide_rest IS NULL AND t.kind = 'render_part'
-                     AND t.again = 0 AND t.held = 0 AND json_extract(t.spec, '$.render_part.range.pixels.to') IS NOT NULL
+                     AND t.again = 0 AND t.held = 0 AND coalesce(json_extract(t.spec, '$.render_part.range.pixels.to'),
+                                  json_extract(t.spec, '$.render_part.pass.pixels.to')) IS NOT NULL
                      AND j.forecast IS NOT NULL
                ORDER BY l.granted_at, l.id"#
         )
@@ -142,14 +144,14 @@ pub(super) async fn divide_rest(
     write: &mut Write,
     row: &LeaseRow,
     frame: u32,
-    rest: &RestOfPart,
+    (result, rest): (&RenderPartResult, &RestOfPart),
 ) -> Result<()> {
     let own = sqlx::query!("SELECT spec, share FROM tasks WHERE id = ?", row.task_id.0);
     let own = own.fetch_one(write.connection().await?).await?;
     let TaskSpec::RenderPart(spec) = own.spec.0 else {
         return Err(corrupt("spec", "not that of a render_part task"));
     };
-    let (Some(PartRange::Pixels(range)), [first, ..]) = (spec.range, rest.ends.as_slice()) else {
+    let (Some(PartRange::Pixels(range)), [first, ..]) = (spec.assigned_range(), rest.ends.as_slice()) else {
         return Err(corrupt("spec", "not that of a part of pixels"));
     };
     let asked = row.divide_rest.unwrap_or(0);
@@ -179,19 +181,31 @@ pub(super) async fn divide_rest(
         0.0 => whole / rest.work.len() as f64,
         work => whole * work_of_piece as f64 / work,
     };
-    let finished = PartRange::Pixels(PixelRange { from: range.from, to: *first });
+    let piece_of = |from, to, part, work, before| {
+        let pixels = PixelRange { from, to };
+        match &spec.pass {
+            None => {
+                RenderPartSpec { part, parts: all, range: Some(PartRange::Pixels(pixels)), ..spec.clone() }
+            }
+            Some(pass) => {
+                let pass = PartPass { pixels, work, before, ..pass.clone() };
+                RenderPartSpec { part, parts: all, pass: Some(pass), ..spec.clone() }
+            }
+        }
+    };
+    let before = spec.pass.iter().flat_map(|pass| pass.before.clone()).collect();
+    let finished = piece_of(range.from, *first, spec.part, rest.work[0], before);
     run!(
         write,
-        "UPDATE tasks SET spec = json_set(spec, '$.render_part.range', json(?)), share = ? WHERE id = ?",
-        Json(&finished),
+        "UPDATE tasks SET spec = ?, share = ? WHERE id = ?",
+        Json(&TaskSpec::RenderPart(finished)),
         share_of(rest.work[0]),
         row.task_id.0
     );
     let common = Common::read(write.connection().await?, row.job_id).await?;
     let pieces = rest.ends.windows(2).zip(&rest.work[1..]).zip(parts..all);
     for ((ends, &work), part) in pieces {
-        let range = Some(PartRange::Pixels(PixelRange { from: ends[0], to: ends[1] }));
-        let spec = RenderPartSpec { part, parts: all, range, ..spec.clone() };
+        let spec = piece_of(ends[0], ends[1], part, work, vec![result.finished.hash()]);
         common.one_more_part(write, spec).await?;
         run!(
             write,

@@ -37,7 +37,7 @@ pub(super) async fn divide_again(
 }
 
 /// Lets a frame's `divide` task begin again: before the first pass, or after the one whose files `passes` names. Its
-/// irradiance cache, if it is full, stays.
+/// irradiance cache, if it is full, stays. There are as many parts as the frame has now.
 pub(super) async fn divide_anew(
     write: &mut Write,
     (job, frame): (JobId, u32),
@@ -47,7 +47,9 @@ pub(super) async fn divide_anew(
     let tasks = sqlx::query_scalar!(
         r#"UPDATE tasks SET spec = json_set(
            iif(json_array_length(?1, '$.before') > 0, json_remove(spec, '$.divide.profile'), spec),
-           '$.divide.passes', json(?1), '$.divide.frame_cache',
+           '$.divide.passes', json(?1),
+           '$.divide.parts', (SELECT f.parts FROM frames f WHERE f.job_id = ?2 AND f.frame = ?3),
+           '$.divide.frame_cache',
            json_extract((SELECT r.spec FROM tasks r WHERE r.job_id = ?2 AND r.frame = ?3 AND r.kind = 'render'),
            '$.render.frame_cache'))
            WHERE job_id = ?2 AND frame = ?3 AND kind = 'divide' RETURNING id AS "id!: Id""#,
@@ -100,8 +102,15 @@ pub(super) async fn next_pass(
     for part in last.iter().filter(|part| part.made.is_some()) {
         end_pass(write, row, part).await?;
     }
+    // Pieces of late parts had shares of their own in the last pass.
+    run!(
+        write,
+        "UPDATE tasks SET share = NULL WHERE job_id = ? AND frame = ? AND kind = 'render_part'",
+        row.job_id.0,
+        frame
+    );
     let mut from = 0;
-    for (part, &to) in last.iter().zip(&result.ends) {
+    for ((part, &to), &work) in last.iter().zip(&result.ends).zip(&result.work) {
         let pixels = PixelRange { from, to };
         let overlaps = |(range, hash): (PixelRange, ArtifactHash)| {
             (range.from < pixels.to && pixels.from < range.to).then_some(hash)
@@ -110,7 +119,7 @@ pub(super) async fn next_pass(
         run!(
             write,
             "UPDATE tasks SET spec = json_set(spec, '$.render_part.pass', json(?)) WHERE id = ?",
-            Json(&PartPass { pixels, samples, before }),
+            Json(&PartPass { pixels, samples, before, work }),
             part.task
         );
         from = to;

@@ -34,17 +34,22 @@ impl Farm {
         job.id
     }
 
-    /// Does the next task of a node, which must be to divide a frame: into two parts that end at these
-    /// places, for a pass with these samples.
-    pub(super) async fn divide(&self, node: NodeId, ends: [u32; 2], samples: &'static str) -> DivideSpec {
+    /// Does the next task of a node, which must be to divide a frame: into parts that end at these places,
+    /// for a pass with these samples.
+    pub(super) async fn divide<const N: usize>(
+        &self,
+        node: NodeId,
+        ends: [u32; N],
+        samples: &'static str,
+    ) -> DivideSpec {
         self.divide_expecting(node, ends, samples, None).await
     }
 
     /// The same for an error, for which the pixels will probably take so much work in all.
-    async fn divide_expecting(
+    async fn divide_expecting<const N: usize>(
         &self,
         node: NodeId,
-        ends: [u32; 2],
+        ends: [u32; N],
         samples: &'static str,
         expected_work: Option<u64>,
     ) -> DivideSpec {
@@ -53,7 +58,7 @@ impl Farm {
         let result = TaskResult::Divide(DivideResult {
             expected_work,
             ends: ends.into(),
-            work: vec![10, 10],
+            work: vec![10; N],
             cache: None,
             coarse_png: None,
             samples: Some(self.artifact(samples).await),
@@ -388,6 +393,79 @@ async fn the_cache_of_a_frame_in_passes_stays_for_all_of_them() {
     assert_eq!(farm.done(node, 9).await, rest);
 }
 
+/// Reports progress of a task that finishes few pixels. Returns into how many parts its rest is to be divided.
+async fn renew(farm: &Farm, slow: &Lease, progress: f64, now: i64) -> Option<u32> {
+    let pixels = FinishedPixels { done: 10, all: 100, work: 1, cpu_nanos: 5 };
+    let renewal =
+        RenewRequest { fence: slow.fence, progress, pixels: Some(pixels), ..RenewRequest::default() };
+    let ttl = Duration::from_secs(100_000);
+    farm.store.renew(slow.lease_id, &renewal, ttl, at(now)).await.unwrap().divide_rest
+}
+
+#[tokio::test]
+async fn the_rest_of_a_late_part_of_a_pass_continues_from_its_samples() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await.id, farm.node("b").await.id);
+    let job = farm.job_in_passes("0", a, 2).await;
+    farm.divide(a, [100, 200], "two samples").await;
+    let slow = farm.claim(a, at(30)).await.unwrap();
+    assert_eq!(renew(&farm, &slow, 0.1, 230).await, None);
+    let other = farm.claim(b, at(230)).await.unwrap();
+    farm.commit(&other, at(231)).await;
+    assert!(farm.claim(b, at(231)).await.is_none(), "its node is idle");
+    farm.store.sweep(at(232)).await.unwrap();
+    assert_eq!(renew(&farm, &slow, 0.1, 233).await, Some(2));
+
+    let TaskResult::RenderPart(made) = farm.result_for(&slow).await else { panic!() };
+    let file = made.finished.hash();
+    let rest = RestOfPart { ends: vec![40, 70, 100], work: vec![40, 30, 30] };
+    let result = TaskResult::RenderPart(RenderPartResult { rest: Some(rest), ..made });
+    farm.store.commit_result(slow.lease_id, slow.fence, &result, at(240)).await.unwrap();
+    for (node, (from, to)) in [(b, (40, 70)), (a, (70, 100))] {
+        let lease = farm.claim(node, at(241)).await.unwrap();
+        let TaskSpec::RenderPart(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
+        assert_eq!((spec.parts, spec.range), (4, None));
+        let pass = spec.pass.clone().unwrap();
+        assert_eq!((pass.pixels, pass.before, pass.work), (PixelRange { from, to }, vec![file], 30));
+        farm.commit(&lease, at(242)).await;
+    }
+    // The next pass has the four parts.
+    let again = farm.divide(a, [50, 100, 150, 200], "more samples").await;
+    assert_eq!((again.parts, again.passes.unwrap().before.len()), (4, 4));
+    let shares: Vec<Option<f64>> =
+        sqlx::query_scalar("SELECT share FROM tasks WHERE kind = 'render_part' ORDER BY part")
+            .fetch_all(farm.store.readers())
+            .await
+            .unwrap();
+    assert_eq!(shares, [None; 4]);
+    let first = farm.claim(a, at(250)).await.unwrap();
+    let TaskSpec::RenderPart(spec) = &first.spec else { panic!("{:?}", first.spec) };
+    // Pixels 0 to 49 were in the file of the first piece, and in that of the second.
+    assert_eq!(spec.pass.as_ref().unwrap().before.len(), 2);
+    farm.commit(&first, at(251)).await;
+    farm.done(a, 9).await;
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+    // Rendered again, it has its four parts in every pass.
+    farm.store.retry_frames(job, &FrameSet::range(0, 0), at(260)).await.unwrap();
+    let again = farm.divide(a, [50, 100, 150, 200], "two samples").await;
+    assert_eq!((again.parts, again.passes.unwrap().before.len()), (4, 0));
+    farm.done(a, 9).await;
+    assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
+}
+
+#[tokio::test]
+async fn a_part_of_a_pass_is_late_by_what_the_pass_adds() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    farm.job_in_passes("0", node, 2).await;
+    farm.divide(node, [100, 200], "two samples").await;
+    let part = farm.claim(node, at(20)).await.unwrap();
+    let p95 = sqlx::query_scalar("SELECT p95 FROM leases WHERE id = ?").bind(part.lease_id.0);
+    let p95: i64 = p95.fetch_one(farm.store.readers()).await.unwrap();
+    // It has 10 of the 900 units of work for which 5 seconds are the P95, and its node has two cores.
+    assert_eq!(p95, 5 * SECOND * 10 / 900 / 2);
+}
+
 #[tokio::test]
 async fn the_rest_of_a_late_part_is_divided_among_idle_nodes() {
     let farm = Farm::new().await;
@@ -402,13 +480,7 @@ async fn the_rest_of_a_late_part_is_divided_among_idle_nodes() {
             assert!(farm.claim(node, at(now)).await.is_none());
         }
     };
-    let renew = async |progress, now| {
-        let pixels = FinishedPixels { done: 10, all: 100, work: 1, cpu_nanos: 5 };
-        let renewal =
-            RenewRequest { fence: slow.fence, progress, pixels: Some(pixels), ..RenewRequest::default() };
-        let ttl = Duration::from_secs(100_000);
-        farm.store.renew(slow.lease_id, &renewal, ttl, at(now)).await.unwrap().divide_rest
-    };
+    let renew = async |progress, now| renew(&farm, &slow, progress, now).await;
     assert_eq!(renew(0.02, 32).await, None);
     wait(33).await;
     farm.store.sweep(at(33)).await.unwrap();

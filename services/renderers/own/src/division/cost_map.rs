@@ -44,9 +44,15 @@ impl OwnFrame<'_> {
         self.divided(self.tracer.settings().spp, places, parts, &[], stop)
     }
 
-    fn places(&self) -> Range<u32> {
+    /// The order of the image's pixels, of which a part is a range.
+    pub(crate) fn curve(&self) -> PixelCurve {
         let camera = &self.frame().camera;
-        0..PixelCurve::new(camera.width, camera.height).count()
+        PixelCurve::new(camera.width, camera.height)
+    }
+
+    /// The places of all pixels along the curve.
+    pub(crate) fn places(&self) -> Range<u32> {
+        0..self.curve().count()
     }
 
     /// The same for a pass that gives every pixel its first samples.
@@ -68,7 +74,7 @@ impl OwnFrame<'_> {
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<Divided> {
         let settings = RenderSettings { spp: samples, ..self.tracer.settings().into() };
-        let curve = PixelCurve::new(settings.width, settings.height);
+        let curve = self.curve();
         let growth = Growth::of(&settings);
         let count = probing_samples(places.len() as u64 * u64::from(settings.spp), parts);
         let count = u32::try_from(count).unwrap_or(u32::MAX);
@@ -99,7 +105,7 @@ impl OwnFrame<'_> {
     /// A coarse picture: the colour of each sample for the pixels that it stands for, and finished pixels.
     pub fn coarse_picture(&self, seen: &[(PixelRange, [f32; 3])], finished: &[(u32, Pixel)]) -> RgbImage {
         let camera = &self.frame().camera;
-        let (width, curve) = (camera.width, PixelCurve::new(camera.width, camera.height));
+        let (width, curve) = (camera.width, self.curve());
         let mut picture = RgbImage::new(width, camera.height);
         let mut paint = |pixel: u32, color| picture.put_pixel(pixel % width, pixel / width, color);
         for (run, color) in seen {

@@ -2,10 +2,11 @@
 
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
-use forelight_forecast::{PixelCurve, Stretch, parts_of_equal_cost};
+use forelight_forecast::{Stretch, parts_of_equal_cost};
 use forelight_pictures::tone_map;
 use forelight_tracer::{Advanced, Passes, SampleCounts, SoFar, Totals, Unfinished};
 use image::{Rgb, RgbImage};
+use std::ops::Range;
 
 impl OwnFrame<'_> {
     /// Reads a file of unfinished pixels, which must be of this image.
@@ -40,20 +41,27 @@ impl OwnFrame<'_> {
         Ok(passes.go_on(&self.tracer, wanted, stop, advanced)?)
     }
 
-    /// Divides the next pass into parts of equal forecast work: further samples of a pixel cost what its
-    /// first ones did.
-    pub fn divide_pass(&self, passes: &Passes, wanted: &SampleCounts, parts: u32) -> Vec<Stretch> {
-        let camera = &self.frame().camera;
-        let (curve, so_far) = (PixelCurve::new(camera.width, camera.height), passes.so_far());
+    /// Divides what these places of the image still need into parts of equal forecast work: further samples of
+    /// a pixel cost what its first ones did.
+    pub fn divide_pass(
+        &self,
+        passes: &Passes,
+        wanted: &SampleCounts,
+        places: Range<u32>,
+        parts: u32,
+    ) -> Vec<Stretch> {
+        let (curve, so_far) = (self.curve(), passes.so_far());
         let cost = |pixel: u32| {
             let SoFar { samples, work, .. } = so_far[pixel as usize];
             let more = u32::from(wanted.as_slice()[pixel as usize]).saturating_sub(samples);
             (work as f64 / f64::from(samples.max(1)) * f64::from(more)).round() as u64
         };
-        let places = curve.pixels(0..curve.count()).into_iter();
+        let first = places.start;
+        let pixels = curve.pixels(places).into_iter();
         let runs: Vec<Stretch> =
-            places.zip(1..).map(|(pixel, to)| Stretch { to, cost: cost(pixel) }).collect();
-        parts_of_equal_cost(&runs, parts)
+            pixels.zip(1..).map(|(pixel, to)| Stretch { to, cost: cost(pixel) }).collect();
+        let parts = parts_of_equal_cost(&runs, parts).into_iter();
+        parts.map(|part| Stretch { to: first + part.to, ..part }).collect()
     }
 }
 

@@ -115,7 +115,9 @@ fn next_pass(
         let standing = PassPlan::of(ready, plan)?.evaluate(&passes)?;
         let expected = plan.error_target.map(|_| standing.expected_work(passes.totals().work));
         let next = standing.next.map(|pass| pass.samples);
-        let parts = next.as_ref().map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, spec.parts));
+        let parts = next
+            .as_ref()
+            .map_or_else(Vec::new, |next| ready.divide_pass(&passes, next, ready.places(), spec.parts));
         Ok::<_, ExecuteError>((parts, next, picture(&passes), expected))
     });
     let (parts, samples, picture, expected_work) = divided?;

@@ -7,6 +7,7 @@ mod checkpoint;
 mod divide;
 mod given;
 mod part;
+mod pass;
 mod progress;
 pub(crate) mod render;
 mod whole;

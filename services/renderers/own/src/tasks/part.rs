@@ -2,33 +2,31 @@
 
 use super::checkpoint::Checkpoints;
 use super::given::{self, own, usable};
+use super::pass::pass;
 use super::progress::{count, fraction};
-use crate::answers::{Progress, Step};
-use crate::error::RenderError;
+use crate::answers::Progress;
 use crate::frame::OwnFrame;
 use crate::shot::OwnShot;
-use forelight_forecast::PixelCurve;
+use forelight_forecast::Stretch;
 use forelight_protocol::{
-    FinishedPart, FinishedPixels, LogLevel, PartPixels, PartRange, PixelRange, RenderPartResult,
-    RenderPartSpec, RenderSettings, RestOfPart, Spent, TaskResult,
+    FinishedPart, LogLevel, PartPixels, PartRange, PixelRange, RenderPartResult, RenderPartSpec,
+    RenderSettings, RestOfPart, Spent, TaskResult,
 };
 use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
-use forelight_tracer::{Advanced, Pixel, Profile, SampleCounts, Totals, Unfinished, clocked};
-use std::ops::Range;
+use forelight_tracer::{Pixel, Profile, Totals, clocked};
 use std::sync::Once;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What a part has made.
-struct Made {
-    file: Vec<u8>,
-    /// Number of pixels.
-    count: u64,
+pub(super) struct Made {
+    pub file: Vec<u8>,
+    /// Number of pixels, less those that are left to others.
+    pub count: u64,
     /// Of the pixels, or of what a pass has added to them.
-    cost: Spent,
+    pub cost: Spent,
     /// CPU time of writing the file, in nanoseconds.
-    writing: u64,
+    pub writing: u64,
     /// What is left to others, and the cost of dividing it.
-    rest: Option<(RestOfPart, Spent)>,
+    pub rest: Option<(RestOfPart, Spent)>,
 }
 
 /// `loading` is the cost of opening the scene, if it was not open yet.
@@ -43,10 +41,10 @@ pub(crate) fn render_part(
     let range = range(spec, settings)?;
     let ready = shot.frame(spec.frame, settings)?;
     let start = given::start(&ready, (spec.cache, spec.frame_cache), assignment, control)?;
-    let pixels = PixelCurve::new(settings.width, settings.height).pixels(range.from..range.to);
+    let pixels = ready.curve().pixels(range.from..range.to);
     let made = match spec.pass {
         None => finished(&ready, (range, pixels), &start, assignment, control)?,
-        Some(_) => pass(&ready, &pixels, start.on_cache, assignment, control)?,
+        Some(_) => pass(&ready, (range, &pixels), start.on_cache, assignment, control)?,
     };
     let Made { file, count, cost, writing, rest } = made;
     let (part, parts) = (spec.part + 1, spec.parts);
@@ -83,8 +81,15 @@ fn finished(
         pixels.retain(|(index, _)| !is_left[*index as usize]);
     }
     let Totals { pixels: count, work, cpu_nanos, .. } = Totals::of(pixels.iter().map(|(_, pixel)| pixel));
-    // A part has at most as many pixels as an image.
-    let rest = left.map(|done| rest(ready, range.from + done as u32..range.to, work, control)).transpose()?;
+    let divide = |done| {
+        // A part has at most as many pixels as an image.
+        let first = range.from + done as u32;
+        let parts = control.rest_in_parts().unwrap_or(1);
+        let divided = ready.divide_places(first..range.to, parts, &|| control.is_cancelled());
+        let divided = divided.ok_or(ExecuteError::Cancelled)?;
+        Ok::<_, ExecuteError>((left_to_others(first, work, &divided.parts, control), divided.spent))
+    };
+    let rest = left.map(divide).transpose()?;
     let (file, writing) = clocked(|| ready.finished_pixels(pixels).to_bytes());
     Ok(Made { file, count, cost: Spent { work, cpu_nanos }, writing, rest })
 }
@@ -102,71 +107,13 @@ fn left(
     part.iter().position(|&index| !is_known[index as usize])
 }
 
-/// Divides the places that are left of a part of which `work` is done. Also returns the cost of that.
-fn rest(
-    ready: &OwnFrame<'_>,
-    places: Range<u32>,
-    work: u64,
-    control: &Control,
-) -> Result<(RestOfPart, Spent), ExecuteError> {
-    let (first, parts) = (places.start, control.rest_in_parts().unwrap_or(1));
-    let divided = ready.divide_places(places, parts, &|| control.is_cancelled());
-    let divided = divided.ok_or(ExecuteError::Cancelled)?;
-    control.log(LogLevel::Info, format!("the rest of the part is left to others, in {parts} parts"));
-    let ends = std::iter::once(first).chain(divided.parts.iter().map(|part| part.to)).collect();
-    let work = std::iter::once(work).chain(divided.parts.iter().map(|part| part.cost)).collect();
-    Ok((RestOfPart { ends, work }, divided.spent))
-}
-
-/// Adds the samples of one pass to the part's pixels. What an earlier worker added is not traced again.
-fn pass(
-    ready: &OwnFrame<'_>,
-    part: &[u32],
-    on_cache: Spent,
-    assignment: &Assignment,
-    control: &Control,
-) -> Result<Made, ExecuteError> {
-    let samples = assignment.samples.as_ref().map(|bytes| SampleCounts::from_bytes(bytes));
-    let no_samples = || ExecuteError::Transient("the numbers of samples were expected".to_owned());
-    let samples = samples.ok_or_else(no_samples)?.map_err(RenderError::from)?;
-    let mut passes = ready.begin_pixels(part);
-    given::take_over(&mut passes, ready, assignment, control)?;
-    let before = passes.totals();
-    let checkpoint = assignment.checkpoint.as_ref().map(|bytes| ready.unfinished(bytes));
-    let checkpoint = checkpoint.and_then(|found| match found {
-        Ok(found) => Some(found),
-        Err(why) => {
-            control.log(LogLevel::Warn, format!("an earlier worker's samples cannot be used: {why}"));
-            None
-        }
-    });
-    let kept = checkpoint.clone().unwrap_or_else(|| ready.so_far(&ready.begin_pixels(&[])));
-    passes.take_over(checkpoint.map(Ok::<_, ExecuteError>), Some(&samples))?;
-    let fills = !ready.has_final_colours();
-    let progress = |progress: Progress| control.set_progress(fraction(progress, fills));
-    if !ready.fill(&progress, control.cancelled()) {
-        return Err(ExecuteError::Cancelled);
-    }
-    control.spent_before_pixels(ready.spent_on_cache_here(on_cache));
-    let all = part.len() as u64;
-    let found = passes.totals().minus(&before);
-    control.finished_pixels(FinishedPixels { done: 0, all, work: found.work, cpu_nanos: found.cpu_nanos });
-    let checkpoints = Checkpoints::new(control, Some(kept), Unfinished::bytes_of(all));
-    let so_far = AtomicU64::new(0);
-    let advanced = |advanced: &Advanced<'_>| {
-        let Totals { pixels: done, work, cpu_nanos, .. } = advanced.cost;
-        control.finished_pixels(FinishedPixels { done, all, work, cpu_nanos });
-        checkpoints.add(|file| advanced.add_to(file));
-        let done = so_far.fetch_add(done, Ordering::Relaxed) + done;
-        progress(Progress { step: Step::Tracing, done, all });
-    };
-    ready.advance(&mut passes, &samples, &|| control.is_cancelled(), &advanced)?;
-    if control.is_cancelled() {
-        return Err(ExecuteError::Cancelled);
-    }
-    let Totals { work, cpu_nanos, .. } = passes.totals().minus(&before);
-    let (file, writing) = clocked(|| ready.so_far(&passes).to_bytes());
-    Ok(Made { file, count: all, cost: Spent { work, cpu_nanos }, writing, rest: None })
+/// What is left of a part of which `work` is done: pieces from the place `first` on.
+pub(super) fn left_to_others(first: u32, work: u64, pieces: &[Stretch], control: &Control) -> RestOfPart {
+    let text = format!("the rest of the part is left to others, in {} parts", pieces.len());
+    control.log(LogLevel::Info, text);
+    let ends = std::iter::once(first).chain(pieces.iter().map(|piece| piece.to)).collect();
+    let work = std::iter::once(work).chain(pieces.iter().map(|piece| piece.cost)).collect();
+    RestOfPart { ends, work }
 }
 
 /// The part's range of the image's pixels.

@@ -328,15 +328,15 @@ impl Farm {
         let before: Vec<Bytes> = last.iter().filter(overlaps).map(|(_, file)| file.clone()).collect();
         let mut task = self.part(None, (part, parts), own);
         let TaskSpec::RenderPart(spec) = &mut task.spec else { panic!() };
-        spec.pass = Some(PartPass { pixels, samples: FILE, before: vec![FILE; before.len()] });
+        spec.pass = Some(PartPass { pixels, samples: FILE, before: vec![FILE; before.len()], work: 0 });
         Assignment { samples: Some(samples.clone()), parts: before, ..task }
     }
 
-    /// Renders the frame in passes, whose parts `render` renders.
+    /// Renders the frame in passes, whose parts `render` renders, each as one or several pieces.
     pub fn in_passes(
         &self,
         parts: u32,
-        render: &dyn Fn(Assignment) -> (RenderPartResult, Bytes),
+        render: &dyn Fn(Assignment) -> Vec<(RenderPartResult, Bytes)>,
     ) -> InPasses {
         let (mut divided, mut files) = self.division(parts).unwrap();
         let planned = divided.cache.map(|cache| named(&files, cache.hash));
@@ -350,9 +350,10 @@ impl Farm {
             for (part, range) in (0..).zip(ranges(&divided)) {
                 let PartRange::Pixels(pixels) = range else { panic!() };
                 let task = self.pass_part(pixels, (part, parts), (own, &samples, &last));
-                let (result, file) = render(task);
-                results.push(result);
-                made.push((pixels, file));
+                for (result, file) in render(task) {
+                    results.push(result);
+                    made.push((pixels, file));
+                }
             }
             passes.push(results);
             last = made;

@@ -4,8 +4,11 @@ use crate::divided::{assert_same, moving, result};
 use crate::division_farm::{Farm, InPasses, pixels};
 use crate::room::Rig;
 use bytes::Bytes;
-use forelight_protocol::{Confidence, ErrorTarget, Integrator, RenderPartResult, RenderSettings, TaskResult};
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError};
+use forelight_protocol::{
+    Confidence, ErrorTarget, Integrator, PartPass, PixelRange, RenderPartResult, RenderPartSpec,
+    RenderSettings, TaskResult, TaskSpec,
+};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
 use forelight_tracer::Unfinished;
 use std::cell::RefCell;
 use std::time::Duration;
@@ -28,26 +31,31 @@ fn check(farm: &Farm, counts: &[u32], what: &str) {
     assert!(allotted.most > allotted.least, "{what}: {allotted:?}");
     for &parts in counts {
         let what = format!("{what}, {parts} parts");
-        let InPasses { outcome, passes, pictures, filled } =
-            farm.in_passes(parts, &|task| farm.render_part(task));
-        assert_same(&whole, &outcome, &what);
+        let made = farm.in_passes(parts, &|task| vec![farm.render_part(task)]);
+        let InPasses { outcome, passes, pictures, .. } = &made;
+        assert_same(&whole, outcome, &what);
+        check_costs(farm, &whole, &made, &what);
         // A coarse error may be met after the second.
         let few = if farm.error_target.is_some() { 1 } else { 2 };
         assert!(passes.len() > few, "{what}: {} passes", passes.len());
         assert_eq!(pictures.len(), passes.len(), "{what}");
         let last = image::load_from_memory(pictures.last().unwrap()).unwrap().into_rgb8();
-        let png = &result(&outcome).artifacts.image_png;
+        let png = &result(outcome).artifacts.image_png;
         let image = image::load_from_memory(&crate::division_farm::named(&outcome.artifacts, *png)).unwrap();
         assert!(last == image.into_rgb8(), "{what}: the last picture is not the image");
-        // What the parts of all passes trace is what a frame in one piece traces.
-        let cost: u64 = passes.iter().flatten().map(|part| pixels(part).1.work).sum();
-        let cache = stats.cache.map_or(0, |cache| cache.plan_work + cache.fill_work);
-        assert_eq!(cost, stats.work - cache - stats.work_by_class.unwrap().build, "{what}");
-        assert_eq!(filled, stats.cache.map_or(0, |cache| cache.fill_work), "{what}");
-        for pass in &passes {
-            let count: u64 = pass.iter().map(|part| pixels(part).0).sum();
-            assert_eq!(count, farm.settings.pixels(), "{what}: a pass has all pixels");
-        }
+    }
+}
+
+/// What the parts of all passes trace is what a frame in one piece traces.
+fn check_costs(farm: &Farm, whole: &Outcome, made: &InPasses, what: &str) {
+    let stats = &result(whole).stats;
+    let cost: u64 = made.passes.iter().flatten().map(|part| pixels(part).1.work).sum();
+    let cache = stats.cache.map_or(0, |cache| cache.plan_work + cache.fill_work);
+    assert_eq!(cost, stats.work - cache - stats.work_by_class.unwrap().build, "{what}");
+    assert_eq!(made.filled, stats.cache.map_or(0, |cache| cache.fill_work), "{what}");
+    for pass in &made.passes {
+        let count: u64 = pass.iter().map(|part| pixels(part).0).sum();
+        assert_eq!(count, farm.settings.pixels(), "{what}: a pass has all pixels");
     }
 }
 
@@ -113,7 +121,7 @@ fn the_profile_of_a_frame_for_an_error_says_what_it_takes_and_its_cache_is_not_m
             |outcome| result(outcome).stats.cache.map_or(0, |cache| cache.plan_work + cache.fill_work);
         let reused = result(&after).stats.reused_work;
         assert_eq!(reused, cache(&after), "all of the profile's cache is taken over");
-        let divided = farm.in_passes(3, &|task| farm.render_part(task));
+        let divided = farm.in_passes(3, &|task| vec![farm.render_part(task)]);
         assert_eq!(made(&alone), made(&divided.outcome));
         assert_eq!(divided.filled, 0, "no records are missing");
     }
@@ -123,7 +131,7 @@ fn the_profile_of_a_frame_for_an_error_says_what_it_takes_and_its_cache_is_not_m
 fn the_parts_of_a_pass_have_about_equal_work() {
     let rig = Rig::new();
     let farm = farm(&rig, 200);
-    let made = farm.in_passes(4, &|task| farm.render_part(task));
+    let made = farm.in_passes(4, &|task| vec![farm.render_part(task)]);
     let work = |part: &RenderPartResult| pixels(part).1.work as f64;
     for (pass, number) in made.passes.iter().zip(0..).skip(1) {
         let mean = pass.iter().map(work).sum::<f64>() / pass.len() as f64;
@@ -161,11 +169,55 @@ fn a_part_of_a_pass_that_was_broken_off_goes_on_from_its_samples_to_the_same_bit
             let told = control.pixels().unwrap();
             assert_eq!((told.done, told.work), (told.all, cost.work), "taken over: {taken}");
             *broken_off.borrow_mut() += u32::from(taken > 0);
-            (result, outcome.artifacts[0].clone())
+            vec![(result, outcome.artifacts[0].clone())]
         };
         let made = farm.in_passes(2, &render);
         assert_same(&whole, &made.outcome, "broken off");
         assert!(*broken_off.borrow() > 2, "{} parts went on from their samples", broken_off.borrow());
+    }
+}
+
+#[test]
+fn what_a_part_of_a_pass_leaves_to_others_continues_from_its_samples_to_the_same_bits() {
+    for rig in [Rig::new(), Rig::cached(1)] {
+        // Large enough that threads have not begun all pixels when the first are finished.
+        let rig = Rig { settings: RenderSettings { width: 128, height: 96, ..rig.settings.clone() }, ..rig };
+        let farm = farm(&rig, 24);
+        let whole = farm.whole();
+        let left = RefCell::new(0);
+        let render = |task: Assignment| {
+            let control = Control::default();
+            let outcome = std::thread::scope(|scope| {
+                let work = scope.spawn(|| farm.execute(&task, &control));
+                while control.pixels().is_none_or(|pixels| pixels.work == 0) && !work.is_finished() {
+                    std::thread::yield_now();
+                }
+                control.divide_rest(3);
+                work.join().unwrap().unwrap()
+            });
+            let TaskResult::RenderPart(result) = outcome.result else { panic!() };
+            let file = outcome.artifacts[0].clone();
+            let Some(rest) = &result.rest else { return vec![(result, file)] };
+            *left.borrow_mut() += 1;
+            let TaskSpec::RenderPart(spec) = &task.spec else { panic!() };
+            let pass = spec.pass.clone().unwrap();
+            assert_eq!((rest.ends.len(), rest.ends.last()), (4, Some(&pass.pixels.to)));
+            let (count, cost) = pixels(&result);
+            assert_eq!((count, rest.work[0]), (u64::from(rest.ends[0] - pass.pixels.from), cost.work));
+            let pieces = rest.ends.windows(2).map(|ends| {
+                let pixels = PixelRange { from: ends[0], to: ends[1] };
+                let pass = PartPass { pixels, before: vec![result.finished.hash()], ..pass.clone() };
+                let spec = RenderPartSpec { pass: Some(pass), ..spec.clone() };
+                let task = Assignment { parts: vec![file.clone()], ..task.clone() };
+                farm.render_part(Assignment { spec: TaskSpec::RenderPart(spec), ..task })
+            });
+            let pieces: Vec<_> = pieces.collect();
+            std::iter::once((result, file.clone())).chain(pieces).collect()
+        };
+        let made = farm.in_passes(2, &render);
+        assert_same(&whole, &made.outcome, "divided again");
+        check_costs(&farm, &whole, &made, "divided again");
+        assert!(*left.borrow() > 2, "{} parts left pixels to others", left.borrow());
     }
 }
 
@@ -177,7 +229,7 @@ fn a_frame_whose_passes_cannot_be_read_is_rendered_again() {
     let keep = |task| {
         let (result, file) = farm.render_part(task);
         files.borrow_mut().push(file.clone());
-        (result, file)
+        vec![(result, file)]
     };
     let made = farm.in_passes(2, &keep);
     let mut damaged: Vec<Bytes> = files.borrow().iter().rev().take(2).rev().cloned().collect();

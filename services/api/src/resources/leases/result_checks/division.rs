@@ -80,7 +80,7 @@ pub(super) fn render_part(spec: &RenderPartSpec, result: &RenderPartResult) -> A
 fn rest(spec: &RenderPartSpec, finished: &FinishedPart, rest: &RestOfPart) -> ApiResult<()> {
     const AT: &str = "/result/render_part/rest";
     let RestOfPart { ends, work } = rest;
-    let (Some(PartRange::Pixels(range)), FinishedPart::Pixels(_)) = (spec.range, finished) else {
+    let (Some(PartRange::Pixels(range)), FinishedPart::Pixels(_)) = (spec.assigned_range(), finished) else {
         return wrong(AT.to_owned(), "only a part of a frame's pixels can be divided again");
     };
     if !(2..=MOST_PARTS as usize).contains(&ends.len()) || work.len() != ends.len() {
