@@ -125,6 +125,20 @@ pub struct MeasuredRung {
     pub error: f64,
     /// Standard deviation of `error`, from the number of pixels.
     pub error_deviation: f64,
+    /// The same image after its noise was removed. Absent if it was not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub denoised: Option<DenoisedRung>,
+}
+
+/// Cost and error of a denoised image.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct DenoisedRung {
+    /// CPU seconds of denoising, beside those of the image.
+    pub cpu_seconds: f64,
+    /// Error as in [`ImageError`], less that of the reference image. 0 if it is too small to be measured.
+    pub error: f64,
+    /// Standard deviation of `error`, from the number of pixels.
+    pub error_deviation: f64,
 }
 
 /// A quality with its cost and error.

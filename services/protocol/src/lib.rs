@@ -67,7 +67,8 @@ mod video;
 mod webhook;
 
 pub use accuracy::{
-    AccuracyDoc, AccuracyRung, ImageError, LadderKind, Ladders, MeasuredRung, MissingLadder, NextRung,
+    AccuracyDoc, AccuracyRung, DenoisedRung, ImageError, LadderKind, Ladders, MeasuredRung, MissingLadder,
+    NextRung,
 };
 pub use answers::{
     AnswersDoc, BudgetAnswer, MovedJob, OutlookLine, PlanChange, PlanEffect, PriceOffer, ProjectList,
@@ -155,7 +156,9 @@ pub use role::{Role, UnknownRole};
 pub use session::{Session, SessionCode, SessionPage, SessionRequest, SignInWays};
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use spent::{Spent, at_speed_one};
-pub use stats::{AllottedForecast, AllottedStats, BudgetClock, CacheStats, Rays, RenderStats, WithinStats};
+pub use stats::{
+    AllottedForecast, AllottedStats, BudgetClock, CacheStats, DenoisedStats, Rays, RenderStats, WithinStats,
+};
 pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};
 pub use task_list::{TaskPage, TaskRow};

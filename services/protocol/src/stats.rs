@@ -96,6 +96,9 @@ pub struct RenderStats {
     /// How camera samples were distributed over the pixels. Absent if all pixels have the same number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allotted: Option<Box<AllottedStats>>,
+    /// How the noise of the image was removed. Absent if it was not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub denoised: Option<DenoisedStats>,
     /// Names of the effects that the frame needed, sorted.
     pub effects: Vec<String>,
     /// Lights and objects that provably do not affect the image. No rays were traced for them.
@@ -139,6 +142,29 @@ pub struct RenderStats {
     /// CPU seconds of everything taken over, measured when it was profiled.
     #[serde(default)]
     pub reused_cpu_seconds: f64,
+}
+
+/// A frame whose noise was removed, and the error that is left. It is measured: some pixels are traced again
+/// with many camera samples. Errors of an irradiance cache are not in it.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DenoisedStats {
+    /// The denoiser and its version.
+    pub by: String,
+    /// Error of the denoised image. Its interval is that of the measurement.
+    pub error: ImageError,
+    /// Error of the image before, at the same pixels.
+    pub noisy: ImageError,
+    /// Number of pixels that were measured.
+    pub measured_pixels: u64,
+    /// Camera samples by which each of them was measured.
+    pub measured_samples: u32,
+    /// CPU seconds of the denoiser. Not in the frame's CPU time, as the next two.
+    pub denoiser_cpu_seconds: f64,
+    /// CPU seconds of tracing what the pixels show, for the denoiser.
+    pub features_cpu_seconds: f64,
+    /// CPU seconds of measuring the error.
+    pub measuring_cpu_seconds: f64,
 }
 
 /// Camera samples that differ by pixel, to meet a requested time, amount of work or error.

@@ -262,6 +262,7 @@ impl Task<'_> {
             height: self.settings.common.height,
             spp: self.settings.common.samples,
             allotted: None,
+            denoised: None,
             effects: Vec::new(),
             left_out: Vec::new(),
             rays: Rays::default(),

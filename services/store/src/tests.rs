@@ -393,6 +393,7 @@ fn stats(frame: u32) -> RenderStats {
         height: 8,
         spp: 16,
         allotted: None,
+        denoised: None,
         effects: vec!["ambient".to_owned()],
         left_out: Vec::new(),
         rays: Rays { primary: 1024, ..Rays::default() },

@@ -124,6 +124,7 @@ impl RenderBar {
             Step::Planning => "planning",
             Step::Filling => "filling",
             Step::Tracing => "rendering",
+            Step::Denoising => "denoising",
         };
         // A panic while the lock was held leaves a bar that can still be drawn.
         let mut current = self.current.lock();

@@ -3,7 +3,7 @@
 use crate::cost::add_rays;
 use crate::cryptomatte::Matte;
 use crate::exr_file;
-use crate::{Pixel, RAY_NAMES, Rays, WorkByRay};
+use crate::{Feature, Pixel, RAY_NAMES, Rays, WorkByRay};
 use exr::prelude as exr;
 use forelight_pictures::{cost_map, tone_map};
 use forelight_scene::Frame;
@@ -20,6 +20,19 @@ pub struct Image {
     pub pixels: Vec<Pixel>,
     /// For each pixel, whether it was taken from a profile.
     pub reused: Vec<bool>,
+    /// Its colours without noise, by a denoiser. Files and pictures have these in place of the pixels' own.
+    pub denoised: Option<Denoised>,
+}
+
+/// Colours from a denoiser, and what it was given beside the noisy ones.
+#[derive(Debug, Clone)]
+pub struct Denoised {
+    /// The denoiser and its version.
+    pub by: String,
+    /// Linear Rec. 709 radiance of every pixel.
+    pub colors: Vec<[f32; 3]>,
+    /// What every pixel shows.
+    pub features: Vec<Feature>,
 }
 
 /// Why an image could not be written.
@@ -107,15 +120,17 @@ impl Image {
     /// Writes an OpenEXR file with the channels R, G, B (linear Rec. 709), `object.id` and `material.id` (1 +
     /// index of what the first sample met, 0 where nothing was hit), `cost.work`, `cost.cpu_nanos`,
     /// `rays.NAME`, and objects and materials as Cryptomatte. Identity and ray channels are u32, the others
-    /// f32. Fails if the file cannot be written.
+    /// f32. A denoised image also has `noisy.R`, G, B; `albedo.R`, G, B; `normal.X`, Y, Z; and the attribute
+    /// `denoised`, which names the denoiser. Fails if the file cannot be written.
     pub fn write_exr(&self, path: &Path, frame: &Frame) -> Result<(), ImageError> {
         use exr::{
             AnyChannel, AnyChannels, Encoding, FlatSamples, Image as ExrImage, Layer, LayerAttributes,
         };
         let pair = |p: &Pixel| frame.geometry.strata.pairs.get(p.stratum as usize);
         let mut plain: Vec<(String, Value<'_>)> = Vec::new();
+        let traced = if self.denoised.is_some() { "noisy." } else { "" };
         for (c, name) in ["R", "G", "B"].into_iter().enumerate() {
-            plain.push((name.into(), Value::Float(Box::new(move |p| p.color[c]))));
+            plain.push((format!("{traced}{name}"), Value::Float(Box::new(move |p| p.color[c]))));
         }
         let object = move |p: &Pixel| pair(p).map_or(0, |ids| ids.0 + 1);
         let material = move |p: &Pixel| pair(p).map_or(0, |ids| ids.1 + 1);
@@ -136,12 +151,17 @@ impl Image {
         let mut attributes = LayerAttributes::default();
         let mattes = mattes(frame);
         let ids = forelight_threads::map(&mattes, 1, |matte| matte.channels(&self.pixels));
-        for (name, values) in ids.into_iter().flatten() {
+        let denoised = self.denoised.iter().flat_map(Denoised::channels);
+        for (name, values) in ids.into_iter().flatten().chain(denoised) {
             channels.push(AnyChannel::new(name.as_str(), FlatSamples::F32(values)));
         }
         for (name, value) in mattes.iter().flat_map(Matte::attributes) {
             let text = |value: &str| exr::Text::new_or_panic(value);
             attributes.other.insert(text(&name), exr::AttributeValue::Text(text(&value)));
+        }
+        if let Some(denoised) = &self.denoised {
+            let by = exr::Text::new_or_none(&denoised.by).unwrap_or_default();
+            attributes.other.insert(exr::Text::new_or_panic("denoised"), exr::AttributeValue::Text(by));
         }
         let layer = Layer::new(
             (self.width as usize, self.height as usize),
@@ -156,7 +176,11 @@ impl Image {
 
     /// The image as 8-bit sRGB, tone-mapped for viewing.
     pub fn picture(&self) -> image::RgbImage {
-        self.paint(|p| tone_map(p.color))
+        let denoised = self.denoised.as_ref().map(|denoised| &denoised.colors);
+        image::RgbImage::from_fn(self.width, self.height, |x, y| {
+            let place = (y * self.width + x) as usize;
+            image::Rgb(tone_map(denoised.map_or(self.pixels[place].color, |colors| colors[place])))
+        })
     }
 
     /// Work per pixel in false colours: [`cost_map`].
@@ -164,11 +188,20 @@ impl Image {
         let work: Vec<u64> = self.pixels.iter().map(|p| p.work).collect();
         cost_map(self.width, self.height, &work)
     }
+}
 
-    fn paint(&self, color: impl Fn(&Pixel) -> [u8; 3]) -> image::RgbImage {
-        image::RgbImage::from_fn(self.width, self.height, |x, y| {
-            image::Rgb(color(&self.pixels[(y * self.width + x) as usize]))
-        })
+impl Denoised {
+    /// The channels of a file, with their names.
+    fn channels(&self) -> Vec<(String, Vec<f32>)> {
+        let colors = |c: usize| self.colors.iter().map(|color| color[c]).collect();
+        let features = |of: &dyn Fn(&Feature) -> f32| self.features.iter().map(of).collect();
+        let mut channels: Vec<(String, Vec<f32>)> = Vec::new();
+        for (c, (color, axis)) in [("R", "X"), ("G", "Y"), ("B", "Z")].into_iter().enumerate() {
+            channels.push((color.into(), colors(c)));
+            channels.push((format!("albedo.{color}"), features(&|feature| feature.albedo[c])));
+            channels.push((format!("normal.{axis}"), features(&|feature| feature.normal[c])));
+        }
+        channels
     }
 }
 

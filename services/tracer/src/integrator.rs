@@ -5,6 +5,7 @@
 //! | `ambient`, `segment` | distribution ray tracing with gathered indirect light; its rays |
 //! | `cached` | indirect light from the irradiance cache; the rays that plan and fill it |
 //! | `direct` | direct light |
+//! | `features` | what camera rays show first, for denoisers |
 //! | `path` | unbiased path tracing |
 //! | `interface` | the two sides of a solid dielectric's face |
 //! | `table` | the functions of a kernel, which the integrators call |
@@ -13,6 +14,7 @@
 mod ambient;
 mod cached;
 mod direct;
+mod features;
 mod interface;
 mod occlusion;
 mod path;

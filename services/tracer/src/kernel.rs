@@ -9,7 +9,7 @@ use crate::cost::{Counters, add_rays};
 use crate::effects::Effects;
 use crate::integrator::{Ambient, Kernel, Light, Pixels, has};
 use crate::lights::Looks;
-use crate::pixel::{Pixel, Underway};
+use crate::pixel::{Feature, Pixel, Underway};
 use crate::random::{Sampler, hash};
 use crate::tracer::{Trace, Tracer};
 use forelight_bvh::Hit;
@@ -18,11 +18,11 @@ use glam::Vec3;
 use std::time::Instant;
 
 impl<const K: u32> Kernel<K> {
-    /// Adds camera samples to a pixel until it has `samples` of them.
+    /// Adds camera samples to a pixel until it has `samples` of them. `seed` is that of its random numbers.
     fn trace<'a>(
         &'a self,
         tracer: &'a Tracer,
-        index: u32,
+        (seed, index): (u64, u32),
         underway: &mut Underway,
         samples: u32,
         each: &mut dyn FnMut([f32; 3]),
@@ -30,7 +30,7 @@ impl<const K: u32> Kernel<K> {
         let start = Instant::now();
         let settings = &tracer.settings;
         let (x, y) = (index % settings.width, index / settings.width);
-        let sampler = Sampler::resumed(settings.seed, tracer.frame.number, index, &underway.drawn);
+        let sampler = Sampler::resumed(seed, tracer.frame.number, index, &underway.drawn);
         let mut pixels = Pixels::new(tracer, self, sampler);
         while underway.samples < samples {
             let sample = pixels.sample(x, y);
@@ -123,8 +123,30 @@ fn lights<const K: u32>(effects: Effects, level: u32, looks: Looks) -> Vec<Light
 impl<const K: u32> Trace for Kernel<K> {
     fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel {
         let mut underway = Underway::default();
-        self.trace(tracer, index, &mut underway, tracer.samples_of(index), each);
+        self.trace(tracer, (tracer.settings.seed, index), &mut underway, tracer.samples_of(index), each);
         underway.finished()
+    }
+
+    fn again(&self, tracer: &Tracer, index: u32, seed: u64, samples: u32) -> Pixel {
+        let mut underway = Underway::default();
+        self.trace(tracer, (seed, index), &mut underway, samples, &mut |_| ());
+        underway.finished()
+    }
+
+    fn feature(&self, tracer: &Tracer, index: u32, samples: u32, counters: &mut Counters) -> Feature {
+        let settings = &tracer.settings;
+        let sampler = Sampler::new(settings.seed, tracer.frame.number, index);
+        let mut pixels = Pixels::new(tracer, self, sampler);
+        std::mem::swap(&mut pixels.counters, counters);
+        let (x, y) = (index % settings.width, index / settings.width);
+        let mut sum = Feature::default();
+        for _ in 0..samples {
+            let Feature { albedo, normal } = pixels.feature(x, y);
+            sum = Feature { albedo: sum.albedo + albedo, normal: sum.normal + normal };
+        }
+        std::mem::swap(&mut pixels.counters, counters);
+        let count = samples.max(1) as f32;
+        Feature { albedo: sum.albedo / count, normal: sum.normal / count }
     }
 
     fn go_on(
@@ -135,7 +157,8 @@ impl<const K: u32> Trace for Kernel<K> {
         samples: u32,
         each: &mut dyn FnMut([f32; 3]),
     ) {
-        self.trace(tracer, index, underway, samples, each).note_drawn(&mut underway.drawn);
+        self.trace(tracer, (tracer.settings.seed, index), underway, samples, each)
+            .note_drawn(&mut underway.drawn);
     }
 
     fn sites(

@@ -22,6 +22,7 @@
 //! | `tree` | the BVH over the triangles that can affect the image |
 //! | `tracer` | a frame, ready to be traced |
 //! | `pixel`, `profile`, `image` | one finished pixel; finished pixels as a file; whole images |
+//! | `tracer/beside` | what pixels show, for denoisers; other samples of them, to measure an error |
 //! | `samples`, `passes` | camera samples that differ by pixel; images refined in passes |
 //! | `fingerprint`, `origin` | what an image or a file was made for: as a hash, and in words |
 //! | `tiling` | square tiles of an image |
@@ -64,10 +65,10 @@ pub use cost::{
 };
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
-pub use image::{Image, ImageError, Totals};
+pub use image::{Denoised, Image, ImageError, Totals};
 pub use origin::Origin;
 pub use passes::{Advanced, Grown, Passes, SoFar};
-pub use pixel::{Coverage, Pixel, PixelsFinished};
+pub use pixel::{Coverage, Feature, Pixel, PixelsFinished};
 pub use pixel_file::PixelFileError;
 pub use profile::Profile;
 pub use reach::{Excluded, LeftOut, Reach, Reason, reachable};

@@ -252,7 +252,13 @@ impl Passes {
         for (index, underway) in self.pixels() {
             pixels[index as usize] = underway.finished();
         }
-        Image { width: self.width, height: self.height, reused: vec![false; pixels.len()], pixels }
+        Image {
+            width: self.width,
+            height: self.height,
+            reused: vec![false; pixels.len()],
+            pixels,
+            denoised: None,
+        }
     }
 
     fn pixels(&self) -> impl Iterator<Item = (u32, &Underway)> {

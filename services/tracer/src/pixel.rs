@@ -66,6 +66,15 @@ impl Coverage {
     }
 }
 
+/// What a camera sample shows, or the mean over a pixel's samples.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Feature {
+    /// Colour of the surface, or of the light: 0 to 1.
+    pub albedo: Vec3,
+    /// Unit normal on the viewer's side in world space. Zero where nothing is met. Means are shorter.
+    pub normal: Vec3,
+}
+
 /// Callback for finished pixels, each with its row-major index.
 pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
 

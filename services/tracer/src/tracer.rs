@@ -1,6 +1,7 @@
 //! A frame, ready to be traced. [`Tracer::new`] builds the tree, collects the lights and composes the kernel.
 //! Tracers can be shared between threads.
 
+mod beside;
 mod prepare;
 
 use crate::cache::{Cache, CacheError, Irradiance, Keyed, PLAN_RAYS, Planned, RecordCost, Site, Strata};
@@ -12,7 +13,7 @@ use crate::image::Image;
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::origin::Origin;
-use crate::pixel::{Pixel, PixelsFinished, Underway};
+use crate::pixel::{Feature, Pixel, PixelsFinished, Underway};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach};
 use crate::tiling::{TILE, Tiling};
@@ -36,6 +37,12 @@ const TOGETHER: usize = 64;
 pub trait Trace: Send + Sync {
     /// Traces one pixel by row-major index. `each` receives the radiance of every camera sample in order.
     fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
+
+    /// Traces one pixel by other random numbers than the image's.
+    fn again(&self, tracer: &Tracer, index: u32, seed: u64, samples: u32) -> Pixel;
+
+    /// What the first `samples` camera samples of a pixel show, on average.
+    fn feature(&self, tracer: &Tracer, index: u32, samples: u32, counters: &mut Counters) -> Feature;
 
     /// Adds camera samples to a pixel until it has `samples`. `each` receives the radiance of each new one.
     fn go_on(
@@ -360,7 +367,7 @@ impl Tracer {
             known[index as usize] = Some(pixel);
         }
         let pixels: Option<Vec<Pixel>> = known.into_iter().collect();
-        Some(Image { width, height, pixels: pixels?, reused })
+        Some(Image { width, height, pixels: pixels?, reused, denoised: None })
     }
 
     /// Traces lists of pixels, by row-major indices, on the current thread pool. Lists are begun in their

@@ -136,6 +136,7 @@ impl Farm {
                 width: spec.settings.size().unwrap().0,
                 height: spec.settings.size().unwrap().1,
                 spp: spec.settings.samples().unwrap() + u32::from(spec.work.is_some()),
+                denoised: None,
                 allotted: spec.work.map(|_| {
                     Box::new(AllottedStats {
                         least: 1,

@@ -160,6 +160,7 @@ pub fn rendered(frame: u32, spp: u32) -> TaskResult {
             cache_records: Vec::new(),
             cache: None,
             allotted: None,
+            denoised: None,
             work: 1000,
             work_by_class: None,
             work_by_ray: None,

@@ -15,7 +15,8 @@ Examples:
 The rungs take turns, several times, and the CPU time is the median. Errors are root mean squares relative \
 to the mean of the reference, over all pixels, and (`lit`) without pixels that see a light or are next to \
 one. A rung with --error PERCENT instead of --spp allots camera samples as `forelight render --error` does; \
-its cost includes finding the allotment. The cost of an equal error is interpolated between the rungs worth \
+its cost includes finding the allotment. With --denoise, its noise is removed by Open Image Denoise, and its cost \
+includes measuring the error that is left. The cost of an equal error is interpolated between the rungs worth \
 taking, in logarithms.")]
 pub struct Args {
     /// Scene bundles: folders or zip files

@@ -1,14 +1,15 @@
 //! Renders and measures a bundle.
 
-use super::allotted::Allotted;
 use super::args::{Args, base};
 use super::ladder::{Rung, cost_at};
 use super::measured::{Converged, Gathered, Measured, MeasuredPeer, MeasuredRung, SpeedUp, saved, summary};
+use super::opened::Opened;
 use super::picture::{Distance, Picture};
 use super::quality::Quality;
 use super::rendered::Rendered;
 use crate::statistics::median;
 use anyhow::{Context, Result};
+use forelight_denoise::Denoiser;
 use forelight_protocol::RenderSettings;
 use forelight_renderer_own::RenderError;
 use forelight_scene::{Frame, Limits, Scene};
@@ -37,8 +38,9 @@ pub struct Bench<'a> {
     /// Owns the tree that all renders share.
     tracer: Tracer,
     pool: rayon::ThreadPool,
-    /// For rungs with allotted camera samples.
-    allotted: Option<Allotted>,
+    /// For rungs with allotted camera samples, and denoised ones.
+    opened: Option<Opened>,
+    denoiser: Option<Denoiser>,
 }
 
 impl<'a> Bench<'a> {
@@ -64,10 +66,12 @@ impl<'a> Bench<'a> {
             loaded.map_err(RenderError::from).with_context(|| format!("bundle {}", bundle.display()))?;
         let pool = thread_pool(args.threads)?;
         let tracer = pool.install(|| Tracer::new(&frame, &Settings::from(&base)));
-        let open = || pool.install(|| Allotted::open(bundle, args.frame, &base));
-        let allotted = rungs.iter().any(|rung| rung.error().is_some()).then(open).transpose()?;
+        let open = || pool.install(|| Opened::open(bundle, args.frame, &base));
+        let is_special = |rung: &Quality| rung.error().is_some() || rung.is_denoised();
+        let opened = rungs.iter().any(is_special).then(open).transpose()?;
+        let denoiser = rungs.iter().any(Quality::is_denoised).then(Denoiser::find).transpose()?;
         spinner.finish_and_clear();
-        Ok(Self { args, bars, interrupt, name, frame, base, tracer, pool, allotted })
+        Ok(Self { args, bars, interrupt, name, frame, base, tracer, pool, opened, denoiser })
     }
 
     pub fn measure(&self, rungs: &[Quality]) -> Result<Measured> {
@@ -112,10 +116,13 @@ impl<'a> Bench<'a> {
         for _ in 0..self.args.repeats {
             for ((rung, settings), renders) in rungs.iter().zip(settings).zip(&mut renders) {
                 bar.set_message(rung.to_string());
-                renders.push(match (&self.allotted, rung.error()) {
-                    (Some(allotted), Some(error)) => {
-                        let asked = rung.asked(&self.base)?;
-                        self.pool.install(|| allotted.render(&asked, error, self.interrupt))?
+                let asked = rung.asked(&self.base)?;
+                renders.push(match (&self.opened, rung.error(), &self.denoiser) {
+                    (Some(opened), Some(error), _) => {
+                        self.pool.install(|| opened.render(&asked, error, self.interrupt))?
+                    }
+                    (Some(opened), None, Some(denoiser)) if rung.is_denoised() => {
+                        self.pool.install(|| opened.denoised(&asked, denoiser, self.interrupt))?
                     }
                     _ => self.render(settings, &self.pool)?,
                 });

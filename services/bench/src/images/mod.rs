@@ -1,11 +1,11 @@
 //! `forelight bench images`: the cost of an image error with an irradiance cache, without one, and in other
 //! programs.
 
-mod allotted;
 mod args;
 mod ladder;
 mod measure;
 mod measured;
+mod opened;
 mod peer;
 mod picture;
 mod quality;

@@ -33,7 +33,8 @@ const LIGHT: f32 = 10.0;
 
 impl Picture {
     pub fn of(image: &Image) -> Self {
-        let pixels = image.pixels.iter().map(|pixel| pixel.color).collect();
+        let traced = || image.pixels.iter().map(|pixel| pixel.color).collect();
+        let pixels = image.denoised.as_ref().map_or_else(traced, |denoised| denoised.colors.clone());
         Self { width: image.width, height: image.height, pixels }
     }
 

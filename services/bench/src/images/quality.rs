@@ -17,6 +17,8 @@ struct Flags {
     quality: QualityOptions,
     #[arg(long, conflicts_with = "spp", value_parser = positive)]
     error: Option<f64>,
+    #[arg(long, conflicts_with = "error")]
+    denoise: bool,
 }
 
 /// One rung: its flags and their settings.
@@ -26,6 +28,7 @@ pub struct Quality {
     options: QualityOptions,
     /// Noise to allot camera samples for, in percent of the image's mean.
     error: Option<f64>,
+    denoise: bool,
 }
 
 impl FromStr for Quality {
@@ -41,7 +44,7 @@ impl FromStr for Quality {
         if flags.quality.width.is_some() || flags.quality.height.is_some() {
             return Err(format!("`{text}`: all images have the same size; use --size"));
         }
-        Ok(Self { text: words.join(" "), options: flags.quality, error: flags.error })
+        Ok(Self { text: words.join(" "), options: flags.quality, error: flags.error, denoise: flags.denoise })
     }
 }
 
@@ -61,6 +64,7 @@ impl Quality {
     /// differ only in the indirect light.
     pub fn samples_like(&self, spp: u32) -> bool {
         self.error.is_none()
+            && !self.denoise
             && self.options.spp == Some(spp)
             && self.options.integrator != Some(Integrator::Path)
     }
@@ -69,6 +73,11 @@ impl Quality {
     /// pixels.
     pub fn error(&self) -> Option<f64> {
         self.error.map(|percent| percent / 100.0)
+    }
+
+    /// True if the noise of the image is removed.
+    pub fn is_denoised(&self) -> bool {
+        self.denoise
     }
 
     /// Settings with gathers of `rays` rays at the same camera samples.
@@ -165,6 +174,7 @@ mod tests {
         assert!(like("--spp 4 --cache on") && like("--spp 4 --ambient-divisions 9"));
         assert!(
             !like("--error 2 --cache on")
+                && !like("--spp 4 --denoise")
                 && !like("--spp 5")
                 && !like("--spp 4 --integrator path")
                 && !like("--cache on")

@@ -2482,6 +2482,59 @@ export interface components {
          * @enum {string}
          */
         DeliveryState: "pending" | "delivered" | "given_up";
+        /** @description Cost and error of a denoised image. */
+        DenoisedRung: {
+            /**
+             * Format: double
+             * @description CPU seconds of denoising, beside those of the image.
+             */
+            cpu_seconds: number;
+            /**
+             * Format: double
+             * @description Error as in [`ImageError`], less that of the reference image. 0 if it is too small to be measured.
+             */
+            error: number;
+            /**
+             * Format: double
+             * @description Standard deviation of `error`, from the number of pixels.
+             */
+            error_deviation: number;
+        };
+        /** @description A frame whose noise was removed, and the error that is left. It is measured: some pixels are traced again
+         *     with many camera samples. Errors of an irradiance cache are not in it. */
+        DenoisedStats: {
+            /** @description The denoiser and its version. */
+            by: string;
+            /**
+             * Format: double
+             * @description CPU seconds of the denoiser. Not in the frame's CPU time, as the next two.
+             */
+            denoiser_cpu_seconds: number;
+            /** @description Error of the denoised image. Its interval is that of the measurement. */
+            error: components["schemas"]["ImageError"];
+            /**
+             * Format: double
+             * @description CPU seconds of tracing what the pixels show, for the denoiser.
+             */
+            features_cpu_seconds: number;
+            /**
+             * Format: int64
+             * @description Number of pixels that were measured.
+             */
+            measured_pixels: number;
+            /**
+             * Format: int32
+             * @description Camera samples by which each of them was measured.
+             */
+            measured_samples: number;
+            /**
+             * Format: double
+             * @description CPU seconds of measuring the error.
+             */
+            measuring_cpu_seconds: number;
+            /** @description Error of the image before, at the same pixels. */
+            noisy: components["schemas"]["ImageError"];
+        };
         /** @description What a renderer found in a scene. */
         Described: {
             /** @description What a user should know, such as scripts that are not run. At most 100. */
@@ -3641,6 +3694,7 @@ export interface components {
              * @description CPU seconds.
              */
             cpu_seconds: number;
+            denoised?: components["schemas"]["DenoisedRung"] | null;
             /**
              * Format: double
              * @description Error as in [`ImageError`], less that of the reference image. 0 if it is too small to be measured.
@@ -5182,6 +5236,7 @@ export interface components {
              * @description CPU time over all threads, in seconds. On the farm it includes encoding the pictures and the preview.
              */
             cpu_seconds: number;
+            denoised?: components["schemas"]["DenoisedStats"] | null;
             /** @description Names of the effects that the frame needed, sorted. */
             effects: string[];
             /**

@@ -68,6 +68,8 @@ pub enum Step {
     Filling,
     /// Tracing the pixels.
     Tracing,
+    /// Removing noise, as one step.
+    Denoising,
 }
 
 /// Progress of a render: `done` of `all` parts of a step. Without an irradiance cache there is only one step.

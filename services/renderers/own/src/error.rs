@@ -2,6 +2,7 @@
 
 use forelight_preview::PreviewError;
 use forelight_protocol::BadSetting;
+use forelight_renderer::door::RendererError;
 use forelight_scene::SceneError;
 use forelight_tracer::{CacheError, PixelFileError, SampleCountsError};
 
@@ -26,6 +27,9 @@ pub enum RenderError {
     /// The numbers of camera samples do not fit the image.
     #[error("camera samples: {0}")]
     Samples(#[from] SampleCountsError),
+    /// The noise of the image cannot be removed.
+    #[error("denoising: {0}")]
+    Denoiser(#[from] RendererError),
     /// The profile belongs to another scene, frame, quality or version.
     #[error(
         "profile: made for another image ({differs}); make it again with this bundle, frame and settings"
@@ -42,6 +46,7 @@ impl RenderError {
         match self {
             // Storage may be temporarily unavailable.
             Self::Scene(SceneError::Io { .. }) => false,
+            Self::Denoiser(error) => error.is_permanent(),
             Self::Preview(PreviewError::EmptyImage { .. } | PreviewError::ImageTooLarge { .. }) => true,
             Self::Preview(error) => matches!(error, PreviewError::Camera(_)),
             Self::Scene(_)

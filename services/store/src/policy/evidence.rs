@@ -303,6 +303,7 @@ mod tests {
             height: 8,
             spp: 1,
             allotted: None,
+            denoised: None,
             effects: Vec::new(),
             left_out: Vec::new(),
             rays: Rays::default(),

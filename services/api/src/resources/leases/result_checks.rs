@@ -172,6 +172,9 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     if spec.work.is_some() && stats.allotted.is_none() {
         return wrong(format!("{AT}/allotted"), "the task's camera samples differ by pixel: say how");
     }
+    if stats.denoised.is_some() {
+        return wrong(format!("{AT}/denoised"), "tasks leave the noise in their images");
+    }
     stats.allotted.iter().try_for_each(|allotted| samples_where_they_pay(spec, allotted))?;
     let spp = stats.allotted.as_ref().map_or(samples, |allotted| allotted.mean.round() as u32);
     for (name, actual, expected) in

@@ -7,6 +7,7 @@ use super::blocking;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
 use anyhow::{Context, Result};
+use forelight_denoise::Denoiser;
 use forelight_protocol::{AccuracyDoc, JobId, LadderKind};
 use forelight_renderer_own::{
     AccuracyObserver, AccuracyOptions, MeasureOptions, ShotError, measure, predict,
@@ -28,6 +29,7 @@ Examples:
   forelight accuracy kitchen/ --frame 12 --out accuracy.svg
   forelight accuracy kitchen/ --width 1920 --spp 64 --json > accuracy.json
   forelight accuracy kitchen/ --width 160 --measure --out accuracy.svg
+  forelight accuracy kitchen/ --width 320 --spp 4 --measure --denoise
   forelight accuracy --job 0197a8a5-0000-7000-8000-000000000000 --out accuracy.svg
 
 A ladder is a row of qualities that differ in one setting. The ladders around the requested quality are: camera \
@@ -58,6 +60,10 @@ pub struct Args {
     /// Also render every rung, and show its true time and error beside the forecast
     #[arg(long)]
     measure: bool,
+    /// Also remove the noise of every rung by Open Image Denoise, if it is installed, and show the error that
+    /// is left. Needs --measure
+    #[arg(long, requires = "measure")]
+    denoise: bool,
     /// Camera samples per pixel of the converged images, which are made in two halves. Needs --measure
     #[arg(long, value_name = "SAMPLES", default_value_t = 512, requires = "measure", value_parser = clap::value_parser!(u32).range(2..=131_072))]
     reference_spp: u32,
@@ -96,6 +102,7 @@ async fn of_job(args: &Args, id: JobId) -> Result<()> {
 }
 
 fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
+    let denoiser = args.denoise.then(Denoiser::find).transpose().context("--denoise")?;
     let bars = Bars::new(args.json);
     let local = Local::open(bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;
@@ -106,7 +113,7 @@ fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
     let predicted = local.pool.install(predict);
     let mut document = watcher.done(predicted, bundle)?;
     if args.measure {
-        let options = MeasureOptions { reference_spp: args.reference_spp };
+        let options = MeasureOptions { reference_spp: args.reference_spp, denoiser: denoiser.as_ref() };
         let watcher = Watcher::new(&bars, "rendering", interrupt);
         let measured =
             local.pool.install(|| measure(&local.shot, args.frame, &mut document, &options, &watcher));

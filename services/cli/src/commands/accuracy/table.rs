@@ -56,6 +56,10 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
             ("off by", Align::Right),
         ]);
     }
+    let denoised = rungs.iter().any(|&rung| denoising(&document.rungs[rung]).is_some());
+    if denoised {
+        head.extend([("denoising", Align::Right), ("error then", Align::Right)]);
+    }
     head.push(("next", Align::Left));
     let mut table = Table::new(&head);
     for &index in rungs {
@@ -73,6 +77,9 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
         if measured {
             cells.extend(truth(rung));
         }
+        if denoised {
+            cells.extend(denoising(rung).unwrap_or_default());
+        }
         cells.push(next(document, rung));
         table.row(cells);
     }
@@ -81,19 +88,26 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
 
 fn truth(rung: &AccuracyRung) -> [String; 4] {
     let Some(measured) = rung.measured else { return Default::default() };
-    // A converged image with few samples cannot show an error below its own.
     let shows = measured.error > measured.error_deviation;
     let off = rung.error.filter(|_| shows).map(|error| error.p50 / measured.error - 1.0);
     [
         count(measured.work as f64),
         seconds(measured.cpu_seconds),
-        if shows {
-            share(measured.error)
-        } else {
-            format!("< {}", share(measured.error.max(measured.error_deviation)))
-        },
+        error_or_bound(measured.error, measured.error_deviation),
         off.map_or("-".into(), percent),
     ]
+}
+
+/// CPU time of removing the noise, and the error that is left.
+fn denoising(rung: &AccuracyRung) -> Option<[String; 2]> {
+    let denoised = rung.measured?.denoised?;
+    let error = error_or_bound(denoised.error, denoised.error_deviation);
+    Some([format!("+{}", seconds(denoised.cpu_seconds)), error])
+}
+
+/// An error, or what it is below if the converged image has too few samples to show it.
+fn error_or_bound(error: f64, deviation: f64) -> String {
+    if error > deviation { share(error) } else { format!("< {}", share(deviation.max(error))) }
 }
 
 fn words(ladder: LadderKind) -> String {

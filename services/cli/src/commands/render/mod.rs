@@ -12,7 +12,8 @@ use super::foreign;
 use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use forelight_protocol::{CACHE_BYTES, FrameSet, LeftOut, Rays, RenderSettings, RenderStats};
+use forelight_denoise::Denoiser;
+use forelight_protocol::{CACHE_BYTES, DenoisedStats, FrameSet, LeftOut, Rays, RenderSettings, RenderStats};
 use forelight_renderer_own::{
     Given, Progress, RenderError, png, render_allotted, render_as_allotted, render_frame,
 };
@@ -48,6 +49,7 @@ Examples:
   forelight render kitchen/ --cache on --samples-from minute-samples.png --out again.png
   forelight render kitchen/ --cache on --within-money 0.25 --price 1.80 --out quarter.exr
   forelight render kitchen/ --cache on --error 2 --confidence p95 --out clean.exr
+  forelight render kitchen/ --spp 16 --denoise --out draft.exr
   forelight render kitchen/ --server http://farm:7878 --parts 16 --watch growing.png --out 0.exr
 
 The image has the same bits for any number of threads, with or without a profile. An .exr file holds linear colour, \
@@ -82,6 +84,10 @@ pub struct Args {
     /// Take over the shot's irradiance cache from `forelight cache`. Implies --cache on
     #[arg(long, value_name = "FILE", conflicts_with = "profile")]
     cache_file: Option<PathBuf>,
+    /// Remove the noise of the image by Open Image Denoise, if it is installed, and measure the error that is
+    /// left. An .exr file keeps the noisy image as noisy.R, G, B
+    #[arg(long, conflicts_with_all = ["within", "within_money", "error", "samples_from", "server"])]
+    denoise: bool,
     /// Code to trace with: only the effects that the frame needs, or all of them. The image has the same bits
     #[arg(long, value_name = "WHICH", default_value = "called-for")]
     effects: EffectsSwitch,
@@ -189,10 +195,12 @@ struct Opened {
     local: Local,
     settings: RenderSettings,
     cache: Option<Cache>,
+    denoiser: Option<Denoiser>,
 }
 
 impl Opened {
     fn new(args: &Args, bars: &Bars) -> Result<Self> {
+        let denoiser = args.denoise.then(Denoiser::find).transpose().context("--denoise")?;
         let cache = args.cache_file.as_deref().map(read_full_cache).transpose()?;
         let mut local = Local::open(&args.bundle, &args.machine, bars)?;
         if args.effects == EffectsSwitch::All {
@@ -200,7 +208,7 @@ impl Opened {
         }
         let quality = if cache.is_some() { args.quality.cached()? } else { args.quality.clone() };
         let settings = local.settings(&quality)?;
-        Ok(Self { bundle: args.bundle.clone(), local, settings, cache })
+        Ok(Self { bundle: args.bundle.clone(), local, settings, cache, denoiser })
     }
 
     /// Runs `trace` on all threads, with what is given to the frame and a bar for its progress.
@@ -211,7 +219,8 @@ impl Opened {
         bars: &Bars,
         trace: impl FnOnce(Given<'_>, &(dyn Fn(Progress) + Sync)) -> Result<T> + Send,
     ) -> Result<T> {
-        let (bar, given) = (RenderBar::new(bars), Given { profile, cache });
+        let given = Given { profile, cache, denoiser: self.denoiser.as_ref() };
+        let bar = RenderBar::new(bars);
         let traced = self.local.pool.install(|| trace(given, &|progress| bar.show(progress)));
         traced.with_context(|| format!("bundle {}", self.bundle.display()))
     }
@@ -223,6 +232,7 @@ fn render_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         ("--cost-map", args.cost_map.is_some()),
         ("--profile", args.profile.is_some()),
         ("--cache-file", args.cache_file.is_some()),
+        ("--denoise", args.denoise),
         ("--effects", args.effects != EffectsSwitch::CalledFor),
         ("--within, --within-money, --error and --samples-from", args.allot.is_given()),
     ])?;
@@ -300,6 +310,23 @@ fn once(stats: &RenderStats) -> String {
     })
 }
 
+/// What denoising left, in lines.
+fn denoised(stats: &DenoisedStats) -> String {
+    let DenoisedStats { by, error, noisy, measured_pixels, measured_samples, .. } = stats;
+    let percent = |share: f64| 100.0 * share;
+    format!(
+        "denoised    by {by}: error {:.2} % of the mean ({:.2} to {:.2} %) in place of {:.1} %\n            \
+         measured at {measured_pixels} pixels by {measured_samples} other camera samples each\n            \
+         {} of CPU time for denoising, {} for measuring; in no frame's CPU time\n",
+        percent(error.p50),
+        percent(error.p05),
+        percent(error.p95),
+        percent(noisy.p50),
+        seconds(stats.denoiser_cpu_seconds + stats.features_cpu_seconds),
+        seconds(stats.measuring_cpu_seconds)
+    )
+}
+
 fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     let mut table = Table::new(&[
         ("rays", Align::Left),
@@ -322,6 +349,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     text += explain::WORK_FOR_RAYS;
     text += &format!("\nframe {frame}, {width} x {height}, {spp} samples per pixel\n");
     text += &stats.allotted.as_deref().map_or_else(String::new, allot::report);
+    text += &stats.denoised.as_ref().map_or_else(String::new, denoised);
     let code = match effects {
         EffectsSwitch::CalledFor => "",
         EffectsSwitch::All => " (with code for all effects, and nothing left out)",

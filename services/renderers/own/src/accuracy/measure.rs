@@ -5,16 +5,21 @@
 
 use crate::accuracy::observer::AccuracyObserver;
 use crate::error::ShotError;
-use crate::render::{Given, render_frame};
+use crate::render::{Given, Rendered, render_frame};
 use crate::shot::OwnShot;
-use forelight_protocol::{AccuracyDoc, CacheMode, MeasuredRung, RenderSettings, RenderSettingsRequest};
+use forelight_denoise::Denoiser;
+use forelight_protocol::{
+    AccuracyDoc, CacheMode, DenoisedRung, MeasuredRung, RenderSettings, RenderSettingsRequest,
+};
 use forelight_tracer::Image;
 
 /// How rungs are measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MeasureOptions {
+#[derive(Debug, Clone, Copy)]
+pub struct MeasureOptions<'a> {
     /// Camera samples per pixel of a converged image, both halves together, at least 2.
     pub reference_spp: u32,
+    /// Measures every image after its noise was removed, too.
+    pub denoiser: Option<&'a Denoiser>,
 }
 
 /// The image's seed with these bits flipped is the seed of each half.
@@ -32,7 +37,7 @@ pub fn measure(
     shot: &OwnShot,
     frame: u32,
     document: &mut AccuracyDoc,
-    options: &MeasureOptions,
+    options: &MeasureOptions<'_>,
     observer: &dyn AccuracyObserver,
 ) -> Result<(), ShotError> {
     let mut converged: Vec<Converged> = Vec::new();
@@ -51,9 +56,8 @@ pub fn measure(
                         converged.len() - 1
                     }
                 };
-                let (image, work, cpu_seconds) = image(shot, frame, &settings, observer)?;
-                let (error, error_deviation) = converged[at].error(&image);
-                MeasuredRung { work, cpu_seconds, error, error_deviation }
+                let given = Given { denoiser: options.denoiser, ..Given::default() };
+                measured(image(shot, frame, &settings, given, observer)?, &converged[at])
             }
         };
         known.push((settings, measured));
@@ -71,7 +75,7 @@ const TIMES_SAMPLES: u32 = 4;
 
 /// Settings of a converged half for a rung. Settings that do not change what a rung converges to are
 /// normalised, so that one image serves many rungs.
-fn truth(settings: &RenderSettings, asked: &RenderSettings, options: &MeasureOptions) -> RenderSettings {
+fn truth(settings: &RenderSettings, asked: &RenderSettings, options: &MeasureOptions<'_>) -> RenderSettings {
     let plain = RenderSettingsRequest::default().complete((1, 1));
     let mut spp = (options.reference_spp / 2).max(1);
     if settings.pixels() != asked.pixels() {
@@ -91,11 +95,21 @@ fn image(
     shot: &OwnShot,
     frame: u32,
     settings: &RenderSettings,
+    given: Given<'_>,
     observer: &dyn AccuracyObserver,
-) -> Result<(Image, u64, f64), ShotError> {
-    let rendered = render_frame(shot, frame, settings, Given::default(), &|_| (), observer.cancel())?;
-    let rendered = rendered.ok_or(ShotError::Cancelled)?;
-    Ok((rendered.image, rendered.stats.work, rendered.stats.cpu_seconds))
+) -> Result<Rendered, ShotError> {
+    let rendered = render_frame(shot, frame, settings, given, &|_| (), observer.cancel())?;
+    rendered.ok_or(ShotError::Cancelled)
+}
+
+fn measured(Rendered { image, stats, .. }: Rendered, converged: &Converged) -> MeasuredRung {
+    let denoised = image.denoised.as_ref().zip(stats.denoised).map(|(denoised, stats)| {
+        let (error, error_deviation) = converged.error_of(&denoised.colors);
+        let cpu_seconds = stats.denoiser_cpu_seconds + stats.features_cpu_seconds;
+        DenoisedRung { cpu_seconds, error, error_deviation }
+    });
+    let (error, error_deviation) = converged.error(&image);
+    MeasuredRung { work: stats.work, cpu_seconds: stats.cpu_seconds, error, error_deviation, denoised }
 }
 
 impl Converged {
@@ -107,7 +121,7 @@ impl Converged {
     ) -> Result<Self, ShotError> {
         let half = |seed: u64| {
             let settings = RenderSettings { seed: settings.seed ^ seed, ..settings.clone() };
-            image(shot, frame, &settings, observer).map(|(image, ..)| image)
+            image(shot, frame, &settings, Given::default(), observer).map(|rendered| rendered.image)
         };
         let halves = [half(HALVES[0])?, half(HALVES[1])?];
         let values = halves.iter().flat_map(|half| &half.pixels).flat_map(|pixel| pixel.color);
@@ -118,11 +132,19 @@ impl Converged {
 
     /// Root mean square error of an image, relative to the mean, and its standard deviation.
     pub(crate) fn error(&self, image: &Image) -> (f64, f64) {
+        self.error_of(&image.pixels.iter().map(|pixel| pixel.color).collect::<Vec<_>>())
+    }
+
+    /// The same for the colours of an image.
+    fn error_of(&self, colors: &[[f32; 3]]) -> (f64, f64) {
         let [one, other] = &self.halves;
-        let products: Vec<f64> = (0..image.pixels.len())
-            .map(|i| {
+        let products: Vec<f64> = colors
+            .iter()
+            .enumerate()
+            .map(|(i, color)| {
                 let channel = |c: usize| {
-                    let [x, a, b] = [image, one, other].map(|image| f64::from(image.pixels[i].color[c]));
+                    let [x, a, b] =
+                        [color[c], one.pixels[i].color[c], other.pixels[i].color[c]].map(f64::from);
                     (x - a) * (x - b)
                 };
                 (0..3).map(channel).sum::<f64>() / 3.0

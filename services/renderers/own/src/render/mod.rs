@@ -1,5 +1,6 @@
 //! One frame, rendered, with its true cost.
 
+mod denoised;
 pub(crate) mod pictures;
 
 use crate::answers::{CacheUse, Finished, Progress};
@@ -8,6 +9,7 @@ use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use crate::profile::work_classes::of_frame;
 use crate::shot::OwnShot;
+use forelight_denoise::Denoiser;
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_scene::Frame;
 use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile};
@@ -25,20 +27,23 @@ pub struct Rendered {
     pub frame: Frame,
 }
 
-/// What was computed for a frame before its render.
+/// What a render is given beside its settings.
 #[derive(Debug, Default)]
 pub struct Given<'a> {
     /// Its profile: finished pixels, or its cache.
     pub profile: Option<&'a Profile>,
     /// The shared cache.
     pub cache: Option<Cache>,
+    /// Removes the noise of the finished image. Only [`render_frame`] uses it.
+    pub denoiser: Option<&'a Denoiser>,
 }
 
 /// Renders one frame on the current thread pool, taking over what is given. `None` if `cancel` was set.
 ///
 /// Its cost is the cost that forecasts predict: pixels, set-up, its own irradiance cache and, if something
 /// moves in the shot, its acceleration structure, even if some of it was computed before. It excludes what a
-/// process pays once (loading, a structure that all frames share) and the shared cache.
+/// process pays once (loading, a structure that all frames share) and the shared cache. Removing its noise has its own
+/// cost: [`forelight_protocol::DenoisedStats`].
 pub fn render_frame(
     shot: &OwnShot,
     frame: u32,
@@ -51,10 +56,13 @@ pub fn render_frame(
     let ready = shot.frame(frame, settings)?;
     given.cache.map_or(Ok(()), |cache| ready.share(cache).map(drop))?;
     let rendered = render_ready(&ready, settings, given.profile, progress, &|_| (), cancel)?;
-    Ok(rendered.map(|mut rendered| {
-        rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
-        rendered
-    }))
+    let Some(mut rendered) = rendered else { return Ok(None) };
+    rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
+    if let Some(denoiser) = given.denoiser {
+        let denoised = denoised::denoise(&ready, &mut rendered, denoiser, progress, cancel)?;
+        return Ok(denoised.map(|()| rendered));
+    }
+    Ok(Some(rendered))
 }
 
 /// The same for a frame that is set up. `finished` receives pixels. Wall time is that of tracing alone.
@@ -108,6 +116,7 @@ fn stats(
         height: settings.height,
         spp: settings.spp,
         allotted: None,
+        denoised: None,
         once: Some(ready.once()),
         effects: ready.effects(),
         left_out: ready.left_out(),

@@ -80,7 +80,13 @@ fn stand_in(profiled: &ProfiledFrame) -> Option<Image> {
         }
     };
     let pixels = (0..count).map(pixel).collect();
-    Some(Image { width: camera.width, height: camera.height, pixels, reused: vec![true; count] })
+    Some(Image {
+        width: camera.width,
+        height: camera.height,
+        pixels,
+        reused: vec![true; count],
+        denoised: None,
+    })
 }
 
 /// A picture as a PNG file.

@@ -22,6 +22,7 @@ pub(crate) fn fraction(Progress { step, done, all }: Progress, cached: bool) -> 
         (Step::Filling, _) => 0.5 * part,
         (Step::Tracing, true) => 0.5 + 0.5 * part,
         (Step::Tracing, false) => part,
+        (Step::Denoising, _) => 1.0,
     }
 }
 

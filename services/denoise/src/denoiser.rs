@@ -1,0 +1,130 @@
+//! Finds Open Image Denoise, and runs it.
+
+use crate::pfm;
+use forelight_renderer::door::{RendererError, Run};
+use forelight_renderer::process::{Program, Usage, ask, run};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Variable with the path of the program.
+const VARIABLE: &str = "FORELIGHT_OIDN";
+
+/// The program of Open Image Denoise that reads and writes files.
+const PROGRAM: &str = "oidnDenoise";
+
+/// Name in messages and in images.
+const NAME: &str = "Open Image Denoise";
+
+/// Open Image Denoise on this machine.
+#[derive(Debug, Clone)]
+pub struct Denoiser {
+    program: PathBuf,
+}
+
+/// A noisy image, and what its pixels show: row-major, from the top.
+#[derive(Debug, Clone, Copy)]
+pub struct Layers<'a> {
+    /// Width and height, pixels.
+    pub size: (u32, u32),
+    /// Linear radiance.
+    pub color: &'a [[f32; 3]],
+    /// Colour of surfaces, 0 to 1.
+    pub albedo: &'a [[f32; 3]],
+    /// Mean unit normals.
+    pub normal: &'a [[f32; 3]],
+}
+
+/// A denoised image.
+#[derive(Debug, Clone)]
+pub struct Denoised {
+    /// The denoiser and its version.
+    pub by: String,
+    /// Linear radiance.
+    pub color: Vec<[f32; 3]>,
+    /// What the program used.
+    pub usage: Usage,
+}
+
+impl Denoiser {
+    /// The program that `FORELIGHT_OIDN` names, or `oidnDenoise` in `PATH`.
+    ///
+    /// # Errors
+    /// If there is none, or it is older than version 2.
+    pub fn find() -> Result<Self, RendererError> {
+        Self::at(std::env::var_os(VARIABLE).map_or_else(|| PROGRAM.into(), PathBuf::from))
+    }
+
+    /// The program at `program`, or of this name in `PATH`.
+    ///
+    /// # Errors
+    /// As [`find`](Self::find).
+    pub fn at(program: impl Into<PathBuf>) -> Result<Self, RendererError> {
+        let program = program.into();
+        let not_usable = |reason: String| RendererError::NotInstalled { renderer: NAME.to_owned(), reason };
+        let mut has_processor = false;
+        // Versions before 2 do not know this option.
+        let question = |folder: &Path| Program::new(&program, folder).arg("--list_devices");
+        ask(question, &[], &mut |line| has_processor |= line.text.contains("Type: CPU")).map_err(|error| {
+            not_usable(format!(
+                "{error}; install version 2 or later from www.openimagedenoise.org, or name its {PROGRAM} in {VARIABLE}"
+            ))
+        })?;
+        if !has_processor {
+            return Err(not_usable(format!("{} cannot use this processor", program.display())));
+        }
+        Ok(Self { program })
+    }
+
+    /// Removes the noise of an image, on the processor: so the result does not depend on a GPU.
+    ///
+    /// # Errors
+    /// If files cannot be written or read, or the program fails, is stopped or exceeds a limit.
+    pub fn denoise(&self, layers: &Layers<'_>, to_run: &Run<'_>) -> Result<Denoised, RendererError> {
+        let file = |name: &str| to_run.scratch.join(name);
+        let mut program = Program::new(&self.program, to_run.scratch).args(["-d", "cpu"]);
+        for (option, name, pixels) in [
+            ("--hdr", "color.pfm", layers.color),
+            ("--alb", "albedo.pfm", layers.albedo),
+            ("--nrm", "normal.pfm", layers.normal),
+        ] {
+            fs::write(file(name), pfm::write(layers.size, pixels)).map_err(RendererError::io(file(name)))?;
+            program = program.arg(option).arg(file(name));
+        }
+        let out = file("denoised.pfm");
+        let threads = to_run.limits.threads.max(1).to_string();
+        let program = program.arg("-o").arg(&out).args(["--threads", &threads]);
+        let mut version = None;
+        let finished = run(&program, &[], to_run, &mut |line| {
+            version = version.take().or_else(|| version_in(&line.text))
+        })?;
+        let color = fs::read(&out).and_then(|bytes| pfm::read(&bytes, layers.size));
+        let color = color.map_err(RendererError::io(&out))?;
+        let by = version.map_or_else(|| NAME.to_owned(), |version| format!("{NAME} {version}"));
+        Ok(Denoised { by, color, usage: finished.usage })
+    }
+}
+
+/// The version in a line such as `device=CPU, version=2.5.1, msec=5.8`.
+fn version_in(line: &str) -> Option<String> {
+    let (_, after) = line.split_once("version=")?;
+    let version: String = after.chars().take_while(|c| c.is_ascii_digit() || *c == '.').take(20).collect();
+    (!version.is_empty()).then_some(version)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_version_is_found_in_what_the_program_says() {
+        assert_eq!(version_in("  device=CPU, version=2.5.1, msec=5.8").as_deref(), Some("2.5.1"));
+        assert_eq!(version_in("Resolution: 320x180"), None);
+        assert_eq!(version_in("version="), None);
+    }
+
+    #[test]
+    fn a_machine_without_the_program_is_told_what_to_install() {
+        let error = Denoiser::at("/nowhere/oidnDenoise").unwrap_err().to_string();
+        assert!(error.contains(NAME) && error.contains("www.openimagedenoise.org"), "{error}");
+    }
+}

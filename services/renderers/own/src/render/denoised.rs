@@ -1,0 +1,259 @@
+//! A frame without noise: a denoiser is given the image and what its pixels show. Its error is measured.
+//!
+//! A denoised image shows no noise by which its error could be told. So a few pixels are traced again with
+//! many camera samples, by random numbers that are independent of the image. They say how far the denoised
+//! pixels are from the truth, without bias: their own noise is known from several independent means, and
+//! taken off.
+
+use super::Rendered;
+use crate::answers::{Progress, Step};
+use crate::costs::seconds;
+use crate::error::RenderError;
+use crate::frame::OwnFrame;
+use forelight_denoise::{Denoiser, Layers};
+use forelight_forecast::PixelCurve;
+use forelight_protocol::{DenoisedStats, ImageError};
+use forelight_random::Random;
+use forelight_renderer::door::{Limits, RendererError, Run};
+use forelight_tracer::{Denoised, Pixel};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Camera samples by which features are averaged: enough for smooth edges.
+const MOST_FEATURE_SAMPLES: u32 = 16;
+
+/// A pixel whose error is measured gets so many independent means.
+const MEANS: u32 = 8;
+
+/// Fewest and most camera samples of a mean. In between, it has this multiple of those of the image: a noisy
+/// image is compared with a truth that may be noisy too.
+const SAMPLES_OF_MEAN: (u32, u32) = (8, 32);
+const MULTIPLE: u32 = 2;
+
+/// Share of the image's camera samples that measuring may take.
+const SHARE_OF_MEASURING: f64 = 0.1;
+
+/// Numbers of measured pixels. Fewer say too little, more than the largest hardly more.
+const MEASURED: (f64, f64) = (256.0, 4096.0);
+
+/// Removes the noise of an image, and measures its error. `None` if `cancel` was set.
+pub(super) fn denoise(
+    ready: &OwnFrame<'_>,
+    rendered: &mut Rendered,
+    denoiser: &Denoiser,
+    progress: &(dyn Fn(Progress) + Sync),
+    cancel: &AtomicBool,
+) -> Result<Option<()>, RenderError> {
+    progress(Progress { step: Step::Denoising, done: 0, all: 1 });
+    let stop = || cancel.load(Ordering::Relaxed);
+    let image = &mut rendered.image;
+    let samples = ready.tracer.settings().spp;
+    let Some((features, tracing)) = ready.tracer.features(samples.min(MOST_FEATURE_SAMPLES), &stop) else {
+        return Ok(None);
+    };
+    let color: Vec<[f32; 3]> = image.pixels.iter().map(|pixel| pixel.color).collect();
+    let albedo: Vec<[f32; 3]> = features.iter().map(|feature| feature.albedo.to_array()).collect();
+    let normal: Vec<[f32; 3]> = features.iter().map(|feature| feature.normal.to_array()).collect();
+    let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
+    let threads = u32::try_from(rayon::current_num_threads()).unwrap_or(1);
+    let limits = Limits { threads, ..Limits::default() };
+    let run = Run::silent(cancel, folder.path(), limits);
+    let layers =
+        Layers { size: (image.width, image.height), color: &color, albedo: &albedo, normal: &normal };
+    let denoised = match denoiser.denoise(&layers, &run) {
+        Err(_) if stop() => return Ok(None),
+        denoised => denoised?,
+    };
+    let of_mean = (MULTIPLE * samples).clamp(SAMPLES_OF_MEAN.0, SAMPLES_OF_MEAN.1);
+    let others = f64::from(MEANS * of_mean);
+    let wanted = SHARE_OF_MEASURING * color.len() as f64 * f64::from(samples) / others;
+    let count = wanted.clamp(MEASURED.0, MEASURED.1) as u32;
+    let places = places(&ready.curve(), [&color, &denoised.color], count, ready.tracer.settings().seed);
+    let pixels: Vec<u32> = places.iter().map(|place| place.pixel).collect();
+    let measured = ready.tracer.independent_pixels(&pixels, (MEANS, of_mean), &stop);
+    let Some((measured, measuring)) = measured else { return Ok(None) };
+    let mean = color.iter().flatten().map(|&value| f64::from(value)).sum::<f64>() / (3 * color.len()) as f64;
+    let error = |colors: &[[f32; 3]]| image_error(&squares(colors, &places, &measured), mean);
+    rendered.stats.denoised = Some(DenoisedStats {
+        by: denoised.by.clone(),
+        error: error(&denoised.color),
+        noisy: error(&color),
+        measured_pixels: places.len() as u64,
+        measured_samples: MEANS * of_mean,
+        denoiser_cpu_seconds: seconds(denoised.usage.cpu_nanos),
+        features_cpu_seconds: seconds(tracing.cpu_nanos),
+        measuring_cpu_seconds: seconds(measuring.cpu_nanos),
+    });
+    image.denoised = Some(Denoised { by: denoised.by, colors: denoised.color, features });
+    progress(Progress { step: Step::Denoising, done: 1, all: 1 });
+    Ok(Some(()))
+}
+
+/// A pixel whose error is measured, and by how much it counts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Place {
+    pixel: u32,
+    weight: f64,
+}
+
+/// Pixels to measure, along the curve. Few pixels hold most of the error: bright ones, and those that the
+/// denoiser changed much. So these are chosen more often, and count less (Horvitz and Thompson 1952).
+fn places(curve: &PixelCurve, [noisy, denoised]: [&[[f32; 3]]; 2], count: u32, seed: u64) -> Vec<Place> {
+    let amplitude = |color: [f64; 3]| color.iter().map(|value| value * value).sum::<f64>().sqrt();
+    let of = |pixel: usize| {
+        let [before, after] = [noisy[pixel], denoised[pixel]].map(|color| color.map(f64::from));
+        [amplitude(after), amplitude(std::array::from_fn(|c| after[c] - before[c]))]
+    };
+    let all: Vec<[f64; 2]> = (0..noisy.len()).map(of).collect();
+    let mean = |k: usize| all.iter().map(|of| of[k]).sum::<f64>() / all.len() as f64;
+    let means = [mean(0), mean(1)];
+    let relative = |value: f64, mean: f64| if mean > 0.0 { value / mean } else { 1.0 };
+    let share = |pixel: u32| {
+        let [bright, changed] = all[pixel as usize];
+        (1.0 + relative(bright, means[0]) + relative(changed, means[1])) / 3.0
+    };
+    // The mean share is 1. One place in each interval of equal sums of shares.
+    let step = f64::from(curve.count()) / f64::from(count);
+    let mut random = Random::new(seed);
+    let mut pixels = curve.pixels(0..curve.count()).into_iter().map(|pixel| (pixel, share(pixel)));
+    let (mut sum, mut here) = (0.0, None);
+    let place = |number: u32| {
+        let wanted = (f64::from(number) + random.uniform()) * step;
+        while sum <= wanted {
+            // Rounding may leave the last place behind the last pixel.
+            let Some((pixel, share)) = pixels.next() else { break };
+            sum += share;
+            here = Some(Place { pixel, weight: 1.0 / share });
+        }
+        here
+    };
+    (0..count).filter_map(place).collect()
+}
+
+/// Squared errors of an image at some places, whose mean is that of all pixels.
+fn squares(colors: &[[f32; 3]], places: &[Place], measured: &[Vec<Pixel>]) -> Vec<f64> {
+    let at = places.iter().zip(measured);
+    at.map(|(place, means)| place.weight * square(colors[place.pixel as usize], means)).collect()
+}
+
+/// Squared difference of a colour from the truth, mean over the channels, by independent means of the pixel.
+/// The mean of M means has 1 / (M (M − 1)) of the sum of their squared deviations as its variance.
+fn square(color: [f32; 3], means: &[Pixel]) -> f64 {
+    let count = means.len() as f64;
+    let of_channel = |c: usize| {
+        let values = || means.iter().map(|pixel| f64::from(pixel.color[c]));
+        let truth = values().sum::<f64>() / count;
+        let variance = values().map(|value| (value - truth).powi(2)).sum::<f64>() / (count * (count - 1.0));
+        (f64::from(color[c]) - truth).powi(2) - variance
+    };
+    (0..3).map(of_channel).sum::<f64>() / 3.0
+}
+
+/// The error of an image from squared errors of some of its pixels, relative to the image's mean. The mean of
+/// many squares is nearly normal.
+fn image_error(squares: &[f64], mean: f64) -> ImageError {
+    let count = squares.len() as f64;
+    let square = squares.iter().sum::<f64>() / count;
+    let variance = squares.iter().map(|value| (value - square).powi(2)).sum::<f64>() / (count - 1.0);
+    let deviation = (variance / count).sqrt();
+    let at = |normal: f64| (square + normal * deviation).max(0.0).sqrt() / mean.max(f64::MIN_POSITIVE);
+    ImageError { p05: at(-1.645), p50: at(0.0), p80: at(0.842), p95: at(1.645) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::common::kitchen;
+    use crate::render::{Given, render_frame};
+    use forelight_protocol::RenderSettingsRequest;
+
+    /// Means of three neighbours.
+    fn blurred(colors: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        let at = |i: usize| colors[i.min(colors.len() - 1)];
+        let mean = |i: usize| std::array::from_fn(|c| (at(i)[c] + at(i + 1)[c] + at(i + 2)[c]) / 3.0);
+        (0..colors.len()).map(mean).collect()
+    }
+
+    #[test]
+    fn places_are_chosen_by_their_shares_and_weigh_what_makes_up_for_it() {
+        let curve = PixelCurve::new(40, 30);
+        let noisy: Vec<[f32; 3]> = (0..1200).map(|i| [if i % 50 == 0 { 40.0 } else { 1.0 }; 3]).collect();
+        let denoised = vec![[1.0; 3]; 1200];
+        let chosen = places(&curve, [&noisy, &denoised], 300, 7);
+        assert_eq!(chosen.len(), 300);
+        let bright = chosen.iter().filter(|place| place.pixel % 50 == 0).count();
+        assert!((90..130).contains(&bright), "{bright} of 300, where 6 of 300 pixels are bright");
+        let mean = chosen.iter().map(|place| place.weight).sum::<f64>() / 300.0;
+        assert!((mean - 1.0).abs() < 0.05, "{mean}");
+        // Black images have no bright places.
+        let black = vec![[0.0; 3]; 1200];
+        let even = places(&curve, [&black, &black], 300, 7);
+        assert!(even.len() == 300 && even.iter().all(|place| place.weight == 1.0));
+    }
+
+    /// Of a noisy image, whose true error follows from another one with many samples.
+    #[test]
+    fn the_measured_error_is_that_of_the_image() {
+        let (shot, samples) = (kitchen(), 16);
+        let settings = |spp, seed| {
+            let request = RenderSettingsRequest {
+                spp: Some(spp),
+                seed: Some(seed),
+                ambient_bounces: Some(0),
+                ..RenderSettingsRequest::default()
+            };
+            request.complete((128, 72))
+        };
+        let never = AtomicBool::new(false);
+        let image = |settings| {
+            render_frame(&shot, 0, &settings, Given::default(), &|_| (), &never).unwrap().unwrap().image
+        };
+        let truth = image(settings(512, 99));
+        let mean = truth.pixels.iter().flat_map(|pixel| pixel.color).map(f64::from).sum::<f64>()
+            / (3 * truth.pixels.len()) as f64;
+        let compared: Vec<(f64, f64)> = (0..4)
+            .map(|seed| {
+                let settings = settings(samples, seed);
+                let noisy = image(settings.clone());
+                let true_squares = noisy.pixels.iter().zip(&truth.pixels).flat_map(|(noisy, truth)| {
+                    (0..3).map(|c| (f64::from(noisy.color[c]) - f64::from(truth.color[c])).powi(2))
+                });
+                let error = (true_squares.sum::<f64>() / (3 * truth.pixels.len()) as f64).sqrt() / mean;
+                let ready = shot.frame(0, &settings).unwrap();
+                let colors: Vec<[f32; 3]> = noisy.pixels.iter().map(|pixel| pixel.color).collect();
+                let places = places(&ready.curve(), [&colors, &blurred(&colors)], 1024, seed);
+                let pixels: Vec<u32> = places.iter().map(|place| place.pixel).collect();
+                let means = (MEANS, samples);
+                let (measured, _) = ready.tracer.independent_pixels(&pixels, means, &|| false).unwrap();
+                let measured = image_error(&squares(&colors, &places, &measured), mean);
+                println!("seed {seed}: {error:.4}, measured {measured:?}");
+                assert!(measured.p05 <= measured.p50 && measured.p50 <= measured.p80);
+                (error.powi(2), measured.p50.powi(2))
+            })
+            .collect();
+        let sum = |of: fn(&(f64, f64)) -> f64| compared.iter().map(of).sum::<f64>();
+        let ratio = (sum(|pair| pair.1) / sum(|pair| pair.0)).sqrt();
+        assert!((0.85..1.15).contains(&ratio), "measured over true: {ratio}");
+    }
+
+    #[test]
+    fn the_noise_of_the_measurement_is_taken_off() {
+        let pixel = |value: f32| Pixel {
+            color: [value; 3],
+            rays: [0; 7],
+            work: 0,
+            work_by_ray: [0; 7],
+            extra_work: 0,
+            cpu_nanos: 0,
+            uncovered: 0,
+            stratum: 0,
+            coverage: forelight_tracer::Coverage::NONE,
+        };
+        // Means of 0.9 and 1.1: the truth is 1 ± 0.1, and a colour of 1 is on it.
+        let means = [pixel(0.9), pixel(1.1)];
+        assert!((square([1.0; 3], &means) + 0.01).abs() < 1e-6);
+        assert!((square([1.3; 3], &means) - 0.08).abs() < 1e-6);
+        let error = image_error(&[0.04, 0.04, 0.04], 2.0);
+        assert!((error.p50 - 0.1).abs() < 1e-12 && error.p50 == error.p95);
+        assert_eq!(image_error(&[-1.0, -1.0], 2.0).p95, 0.0);
+    }
+}
