@@ -4,7 +4,8 @@ use crate::pfm;
 use forelight_renderer::door::{RendererError, Run};
 use forelight_renderer::process::{Program, Usage, ask, run};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::io::{Error, ErrorKind};
+use std::path::{Path, PathBuf, absolute};
 
 /// Variable with the path of the program.
 const VARIABLE: &str = "FORELIGHT_OIDN";
@@ -60,10 +61,13 @@ impl Denoiser {
     /// As [`find`](Self::find).
     pub fn at(program: impl Into<PathBuf>) -> Result<Self, RendererError> {
         let program = program.into();
+        // It is run in a folder of its own, where a relative path would lead elsewhere.
+        let is_path = program.components().count() > 1;
+        let program = if is_path { absolute(&program).unwrap_or(program) } else { program };
         let not_usable = |reason: String| RendererError::NotInstalled { renderer: NAME.to_owned(), reason };
         let mut has_processor = false;
         // Versions before 2 do not know this option.
-        let question = |folder: &Path| Program::new(&program, folder).arg("--list_devices");
+        let question = |folder: &Path| program_at(&program, folder).arg("--list_devices");
         ask(question, &[], &mut |line| has_processor |= line.text.contains("Type: CPU")).map_err(|error| {
             not_usable(format!(
                 "{error}; install version 2 or later from www.openimagedenoise.org, or name its {PROGRAM} in {VARIABLE}"
@@ -81,7 +85,7 @@ impl Denoiser {
     /// If files cannot be written or read, or the program fails, is stopped or exceeds a limit.
     pub fn denoise(&self, layers: &Layers<'_>, to_run: &Run<'_>) -> Result<Denoised, RendererError> {
         let file = |name: &str| to_run.scratch.join(name);
-        let mut program = Program::new(&self.program, to_run.scratch).args(["-d", "cpu"]);
+        let mut program = program_at(&self.program, to_run.scratch).args(["-d", "cpu"]);
         for (option, name, pixels) in [
             ("--hdr", "color.pfm", layers.color),
             ("--alb", "albedo.pfm", layers.albedo),
@@ -99,9 +103,18 @@ impl Denoiser {
         })?;
         let color = fs::read(&out).and_then(|bytes| pfm::read(&bytes, layers.size));
         let color = color.map_err(RendererError::io(&out))?;
+        if !color.iter().flatten().all(|value| value.is_finite()) {
+            let reason = Error::new(ErrorKind::InvalidData, "its values are not finite");
+            return Err(RendererError::io(&out)(reason));
+        }
         let by = version.map_or_else(|| NAME.to_owned(), |version| format!("{NAME} {version}"));
         Ok(Denoised { by, color, usage: finished.usage })
     }
+}
+
+/// Libraries of programs that are installed by hand are often found by a variable.
+fn program_at(path: &Path, folder: &Path) -> Program {
+    Program::new(path, folder).pass_on("LD_LIBRARY_PATH")
 }
 
 /// The version in a line such as `device=CPU, version=2.5.1, msec=5.8`.

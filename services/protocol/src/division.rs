@@ -244,9 +244,6 @@ pub struct PartPass {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 512)]
     pub before: Vec<ArtifactHash>,
-    /// Forecast work of the samples that the part adds. 0 if unknown.
-    #[serde(default)]
-    pub work: u64,
 }
 
 /// Result of rendering one part of a frame.

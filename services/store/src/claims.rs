@@ -7,8 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use forelight_protocol::{
-    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, RenderPartSpec, TaskId,
-    TaskKind, TaskSpec, Timestamp,
+    ByClass, Event, EventKind, JobId, JobState, Lease, LeaseId, Node, NodeId, TaskId, TaskKind, Timestamp,
 };
 use sqlx::{FromRow, SqliteConnection};
 
@@ -153,12 +152,6 @@ impl Store {
     }
 }
 
-/// Forecast work of a part of a pass. Such a part has less to do than its share of the frame.
-fn work_of_pass(spec: &TaskSpec) -> Option<f64> {
-    let TaskSpec::RenderPart(RenderPartSpec { pass: Some(pass), .. }) = spec else { return None };
-    (pass.work > 0).then_some(pass.work as f64)
-}
-
 /// Leases the task to the node, and starts its job if it is the first.
 fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: Timestamp) -> Lease {
     let (task_id, job_id) = (TaskId::from(task.id), JobId::from(task.job_id));
@@ -194,9 +187,8 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at, beside, p95) \
          VALUES (?, ?, ?, ?, ?, 'active', ?, ?, \
          coalesce((SELECT 1 - o.beside FROM leases o WHERE o.task_id = ? AND o.state = 'active'), 0), \
-         (SELECT CAST(f.cpu_p95 * coalesce(? / nullif(f.work_p50, 0.0), (SELECT share FROM tasks \
-                      WHERE id = ?), 1.0 / f.parts) * j.factor / ? \
-                      * 1000000 AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
+         (SELECT CAST(f.cpu_p95 * ifnull((SELECT share FROM tasks WHERE id = ?), 1.0 / f.parts) * j.factor / ? * 1000000 \
+                      AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
          WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0 AND (? = 'render_part' OR f.parts = 1)))",
         lease.lease_id.0,
         task_id.0,
@@ -206,7 +198,6 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         now.micros(),
         lease.expires_at.micros(),
         task_id.0,
-        work_of_pass(&lease.spec),
         task_id.0,
         speed * f64::from(node.cores),
         job_id.0,

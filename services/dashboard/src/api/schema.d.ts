@@ -4261,11 +4261,6 @@ export interface components {
             pixels: components["schemas"]["PixelRange"];
             /** @description File with the number of samples that each pixel of the image has after the pass. */
             samples: components["schemas"]["ArtifactHash"];
-            /**
-             * Format: int64
-             * @description Forecast work of the samples that the part adds. 0 if unknown.
-             */
-            work?: number;
         };
         /** @description Pixels of a part, for the task that puts the image together or divides the frame for the next pass. */
         PartPixels: {

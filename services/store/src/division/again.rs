@@ -169,48 +169,51 @@ pub(super) async fn divide_rest(
     let all = parts.saturating_add(more);
     run!(
         write,
-        "UPDATE tasks SET share = ifnull(share, 1.0 / ?) WHERE job_id = ? AND frame = ? AND kind = 'render_part'",
+        "UPDATE tasks SET share = ifnull(share, 1.0 / ?), spec = json_set(spec, '$.render_part.parts', ?) \
+         WHERE job_id = ? AND frame = ? AND kind = 'render_part'",
         parts,
+        all,
         row.job_id.0,
         frame
     );
     run!(write, "UPDATE frames SET parts = ? WHERE job_id = ? AND frame = ?", all, row.job_id.0, frame);
     let whole = own.share.unwrap_or(1.0 / f64::from(parts.max(1)));
-    let work: f64 = rest.work.iter().map(|&work| work as f64).sum();
-    let share_of = |work_of_piece: u64| match work {
-        0.0 => whole / rest.work.len() as f64,
-        work => whole * work_of_piece as f64 / work,
-    };
-    let piece_of = |from, to, part, work, before| {
+    // A share decides how long a piece may take. So none is without one, whatever work the worker forecasts.
+    let by_work = rest.work.iter().skip(1).all(|&work| work > 0);
+    let starts = std::iter::once(&range.from).chain(&rest.ends);
+    let pixels = starts.zip(&rest.ends).map(|(from, to)| u64::from(to.saturating_sub(*from)));
+    let sizes: Vec<u64> = if by_work { rest.work.clone() } else { pixels.collect() };
+    let all_sizes = sizes.iter().fold(0.0, |sum, &size| sum + size as f64).max(1.0);
+    let share_of = |piece: usize| whole * sizes[piece] as f64 / all_sizes;
+    let piece_of = |from, to, part, before| {
         let pixels = PixelRange { from, to };
         match &spec.pass {
             None => {
                 RenderPartSpec { part, parts: all, range: Some(PartRange::Pixels(pixels)), ..spec.clone() }
             }
             Some(pass) => {
-                let pass = PartPass { pixels, work, before, ..pass.clone() };
+                let pass = PartPass { pixels, before, ..pass.clone() };
                 RenderPartSpec { part, parts: all, pass: Some(pass), ..spec.clone() }
             }
         }
     };
     let before = spec.pass.iter().flat_map(|pass| pass.before.clone()).collect();
-    let finished = piece_of(range.from, *first, spec.part, rest.work[0], before);
+    let finished = piece_of(range.from, *first, spec.part, before);
     run!(
         write,
         "UPDATE tasks SET spec = ?, share = ? WHERE id = ?",
         Json(&TaskSpec::RenderPart(finished)),
-        share_of(rest.work[0]),
+        share_of(0),
         row.task_id.0
     );
     let common = Common::read(write.connection().await?, row.job_id).await?;
-    let pieces = rest.ends.windows(2).zip(&rest.work[1..]).zip(parts..all);
-    for ((ends, &work), part) in pieces {
-        let spec = piece_of(ends[0], ends[1], part, work, vec![result.finished.hash()]);
+    for ((ends, piece), part) in rest.ends.windows(2).zip(1..).zip(parts..all) {
+        let spec = piece_of(ends[0], ends[1], part, vec![result.finished.hash()]);
         common.one_more_part(write, spec).await?;
         run!(
             write,
             "UPDATE tasks SET share = ? WHERE job_id = ? AND frame = ? AND kind = 'render_part' AND part = ?",
-            share_of(work),
+            share_of(piece),
             row.job_id.0,
             frame,
             part

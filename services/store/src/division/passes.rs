@@ -110,7 +110,7 @@ pub(super) async fn next_pass(
         frame
     );
     let mut from = 0;
-    for ((part, &to), &work) in last.iter().zip(&result.ends).zip(&result.work) {
+    for (part, &to) in last.iter().zip(&result.ends) {
         let pixels = PixelRange { from, to };
         let overlaps = |(range, hash): (PixelRange, ArtifactHash)| {
             (range.from < pixels.to && pixels.from < range.to).then_some(hash)
@@ -119,7 +119,7 @@ pub(super) async fn next_pass(
         run!(
             write,
             "UPDATE tasks SET spec = json_set(spec, '$.render_part.pass', json(?)) WHERE id = ?",
-            Json(&PartPass { pixels, samples, before, work }),
+            Json(&PartPass { pixels, samples, before }),
             part.task
         );
         from = to;

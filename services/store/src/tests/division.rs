@@ -418,15 +418,25 @@ async fn the_rest_of_a_late_part_of_a_pass_continues_from_its_samples() {
 
     let TaskResult::RenderPart(made) = farm.result_for(&slow).await else { panic!() };
     let file = made.finished.hash();
-    let rest = RestOfPart { ends: vec![40, 70, 100], work: vec![40, 30, 30] };
+    let rest = RestOfPart { ends: vec![40, 70, 100], work: vec![40, 0, 0] };
     let result = TaskResult::RenderPart(RenderPartResult { rest: Some(rest), ..made });
     farm.store.commit_result(slow.lease_id, slow.fence, &result, at(240)).await.unwrap();
+    let all: Vec<(f64, u32)> = sqlx::query_as(
+        "SELECT share, json_extract(spec, '$.render_part.parts') FROM tasks WHERE kind = 'render_part' ORDER BY part",
+    )
+    .fetch_all(farm.store.readers())
+    .await
+    .unwrap();
+    // The worker forecast no work: the shares are those of the pixels.
+    let shares = [0.5 * 0.4, 0.5, 0.5 * 0.3, 0.5 * 0.3];
+    assert!(all.iter().zip(shares).all(|(found, share)| (found.0 - share).abs() < 1e-9), "{all:?}");
+    assert!(all.iter().all(|found| found.1 == 4), "{all:?}");
     for (node, (from, to)) in [(b, (40, 70)), (a, (70, 100))] {
         let lease = farm.claim(node, at(241)).await.unwrap();
         let TaskSpec::RenderPart(spec) = &lease.spec else { panic!("{:?}", lease.spec) };
         assert_eq!((spec.parts, spec.range), (4, None));
         let pass = spec.pass.clone().unwrap();
-        assert_eq!((pass.pixels, pass.before, pass.work), (PixelRange { from, to }, vec![file], 30));
+        assert_eq!((pass.pixels, pass.before), (PixelRange { from, to }, vec![file]));
         farm.commit(&lease, at(242)).await;
     }
     // The next pass has the four parts.
@@ -451,19 +461,6 @@ async fn the_rest_of_a_late_part_of_a_pass_continues_from_its_samples() {
     assert_eq!((again.parts, again.passes.unwrap().before.len()), (4, 0));
     farm.done(a, 9).await;
     assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
-}
-
-#[tokio::test]
-async fn a_part_of_a_pass_is_late_by_what_the_pass_adds() {
-    let farm = Farm::new().await;
-    let node = farm.node("a").await.id;
-    farm.job_in_passes("0", node, 2).await;
-    farm.divide(node, [100, 200], "two samples").await;
-    let part = farm.claim(node, at(20)).await.unwrap();
-    let p95 = sqlx::query_scalar("SELECT p95 FROM leases WHERE id = ?").bind(part.lease_id.0);
-    let p95: i64 = p95.fetch_one(farm.store.readers()).await.unwrap();
-    // It has 10 of the 900 units of work for which 5 seconds are the P95, and its node has two cores.
-    assert_eq!(p95, 5 * SECOND * 10 / 900 / 2);
 }
 
 #[tokio::test]

@@ -42,7 +42,7 @@ impl OwnFrame<'_> {
     }
 
     /// Divides what these places of the image still need into parts of equal forecast work: further samples of
-    /// a pixel cost what its first ones did.
+    /// a pixel cost what its first ones did, and pixels without samples what the others did.
     pub fn divide_pass(
         &self,
         passes: &Passes,
@@ -51,10 +51,13 @@ impl OwnFrame<'_> {
         parts: u32,
     ) -> Vec<Stretch> {
         let (curve, so_far) = (self.curve(), passes.so_far());
+        let sum = |of: fn(&SoFar) -> f64| so_far.iter().map(of).sum::<f64>();
+        let mean = (sum(|pixel| pixel.work as f64) / sum(|pixel| f64::from(pixel.samples)).max(1.0)).max(1.0);
         let cost = |pixel: u32| {
             let SoFar { samples, work, .. } = so_far[pixel as usize];
             let more = u32::from(wanted.as_slice()[pixel as usize]).saturating_sub(samples);
-            (work as f64 / f64::from(samples.max(1)) * f64::from(more)).round() as u64
+            let each = if samples > 0 { work as f64 / f64::from(samples) } else { mean };
+            (each * f64::from(more)).round() as u64
         };
         let first = places.start;
         let pixels = curve.pixels(places).into_iter();

@@ -29,7 +29,7 @@ const MEANS: u32 = 8;
 const SAMPLES_OF_MEAN: (u32, u32) = (8, 32);
 const MULTIPLE: u32 = 2;
 
-/// Share of the image's camera samples that measuring may take.
+/// Share of the image's camera samples that measuring takes, within [`MEASURED`].
 const SHARE_OF_MEASURING: f64 = 0.1;
 
 /// Numbers of measured pixels. Fewer say too little, more than the largest hardly more.
@@ -95,7 +95,7 @@ struct Place {
     weight: f64,
 }
 
-/// Pixels to measure, along the curve. Few pixels hold most of the error: bright ones, and those that the
+/// Pixels to measure, along the curve, each once. Few pixels hold most of the error: bright ones, and those that the
 /// denoiser changed much. So these are chosen more often, and count less (Horvitz and Thompson 1952).
 fn places(curve: &PixelCurve, [noisy, denoised]: [&[[f32; 3]]; 2], count: u32, seed: u64) -> Vec<Place> {
     let amplitude = |color: [f64; 3]| color.iter().map(|value| value * value).sum::<f64>().sqrt();
@@ -106,15 +106,20 @@ fn places(curve: &PixelCurve, [noisy, denoised]: [&[[f32; 3]]; 2], count: u32, s
     let all: Vec<[f64; 2]> = (0..noisy.len()).map(of).collect();
     let mean = |k: usize| all.iter().map(|of| of[k]).sum::<f64>() / all.len() as f64;
     let means = [mean(0), mean(1)];
-    let relative = |value: f64, mean: f64| if mean > 0.0 { value / mean } else { 1.0 };
-    let share = |pixel: u32| {
-        let [bright, changed] = all[pixel as usize];
+    let relative = |value: f64, mean: f64| {
+        let share = value / mean;
+        // Of black images, and beside infinite values.
+        if share.is_finite() { share } else { 1.0 }
+    };
+    let share = |&[bright, changed]: &[f64; 2]| {
         (1.0 + relative(bright, means[0]) + relative(changed, means[1])) / 3.0
     };
-    // The mean share is 1. One place in each interval of equal sums of shares.
-    let step = f64::from(curve.count()) / f64::from(count);
+    let shares: Vec<f64> = all.iter().map(share).collect();
+    let mean_share = shares.iter().sum::<f64>() / shares.len() as f64;
+    // One place in each interval of equal sums of shares.
+    let step = mean_share * f64::from(curve.count()) / f64::from(count);
     let mut random = Random::new(seed);
-    let mut pixels = curve.pixels(0..curve.count()).into_iter().map(|pixel| (pixel, share(pixel)));
+    let mut pixels = curve.pixels(0..curve.count()).into_iter().map(|pixel| (pixel, shares[pixel as usize]));
     let (mut sum, mut here) = (0.0, None);
     let place = |number: u32| {
         let wanted = (f64::from(number) + random.uniform()) * step;
@@ -122,11 +127,18 @@ fn places(curve: &PixelCurve, [noisy, denoised]: [&[[f32; 3]]; 2], count: u32, s
             // Rounding may leave the last place behind the last pixel.
             let Some((pixel, share)) = pixels.next() else { break };
             sum += share;
-            here = Some(Place { pixel, weight: 1.0 / share });
+            here = Some(Place { pixel, weight: mean_share / share });
         }
         here
     };
-    (0..count).filter_map(place).collect()
+    let drawn: Vec<Place> = (0..count).filter_map(place).collect();
+    // A pixel that was drawn several times is measured once, and counts for all of them.
+    let runs = drawn.chunk_by(|one, other| one.pixel == other.pixel);
+    let merged = runs.map(|same| Place { weight: same.len() as f64 * same[0].weight, ..same[0] });
+    let mut places: Vec<Place> = merged.collect();
+    let distinct = places.len() as f64 / drawn.len().max(1) as f64;
+    places.iter_mut().for_each(|place| place.weight *= distinct);
+    places
 }
 
 /// Squared errors of an image at some places, whose mean is that of all pixels.
@@ -149,13 +161,16 @@ fn square(color: [f32; 3], means: &[Pixel]) -> f64 {
 }
 
 /// The error of an image from squared errors of some of its pixels, relative to the image's mean. The mean of
-/// many squares is nearly normal.
+/// many squares is nearly normal. The error of a black image is 0.
 fn image_error(squares: &[f64], mean: f64) -> ImageError {
+    if mean <= 0.0 {
+        return ImageError::default();
+    }
     let count = squares.len() as f64;
     let square = squares.iter().sum::<f64>() / count;
-    let variance = squares.iter().map(|value| (value - square).powi(2)).sum::<f64>() / (count - 1.0);
+    let variance = squares.iter().map(|value| (value - square).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
     let deviation = (variance / count).sqrt();
-    let at = |normal: f64| (square + normal * deviation).max(0.0).sqrt() / mean.max(f64::MIN_POSITIVE);
+    let at = |normal: f64| (square + normal * deviation).max(0.0).sqrt() / mean;
     ImageError { p05: at(-1.645), p50: at(0.0), p80: at(0.842), p95: at(1.645) }
 }
 
@@ -179,11 +194,18 @@ mod tests {
         let noisy: Vec<[f32; 3]> = (0..1200).map(|i| [if i % 50 == 0 { 40.0 } else { 1.0 }; 3]).collect();
         let denoised = vec![[1.0; 3]; 1200];
         let chosen = places(&curve, [&noisy, &denoised], 300, 7);
-        assert_eq!(chosen.len(), 300);
         let bright = chosen.iter().filter(|place| place.pixel % 50 == 0).count();
-        assert!((90..130).contains(&bright), "{bright} of 300, where 6 of 300 pixels are bright");
-        let mean = chosen.iter().map(|place| place.weight).sum::<f64>() / 300.0;
+        assert_eq!(bright, 24, "all pixels that were changed");
+        assert!((150..250).contains(&chosen.len()), "{} pixels", chosen.len());
+        assert!(chosen.windows(2).all(|pair| pair[0].pixel != pair[1].pixel), "each once");
+        let mean = chosen.iter().map(|place| place.weight).sum::<f64>() / chosen.len() as f64;
         assert!((mean - 1.0).abs() < 0.05, "{mean}");
+        // One pixel, and colours without bounds.
+        let one = places(&PixelCurve::new(1, 1), [&[[1.0; 3]], &[[2.0; 3]]], 256, 7);
+        assert_eq!(one, [Place { pixel: 0, weight: 1.0 }]);
+        let mut infinite = denoised.clone();
+        infinite[600] = [f32::INFINITY; 3];
+        assert!(places(&curve, [&infinite, &denoised], 300, 7).len() > 200);
         // Black images have no bright places.
         let black = vec![[0.0; 3]; 1200];
         let even = places(&curve, [&black, &black], 300, 7);
@@ -255,5 +277,7 @@ mod tests {
         let error = image_error(&[0.04, 0.04, 0.04], 2.0);
         assert!((error.p50 - 0.1).abs() < 1e-12 && error.p50 == error.p95);
         assert_eq!(image_error(&[-1.0, -1.0], 2.0).p95, 0.0);
+        assert_eq!(image_error(&[4.0], 2.0).p95, 1.0);
+        assert_eq!(image_error(&[4.0], 0.0), ImageError::default());
     }
 }

@@ -328,7 +328,7 @@ impl Farm {
         let before: Vec<Bytes> = last.iter().filter(overlaps).map(|(_, file)| file.clone()).collect();
         let mut task = self.part(None, (part, parts), own);
         let TaskSpec::RenderPart(spec) = &mut task.spec else { panic!() };
-        spec.pass = Some(PartPass { pixels, samples: FILE, before: vec![FILE; before.len()], work: 0 });
+        spec.pass = Some(PartPass { pixels, samples: FILE, before: vec![FILE; before.len()] });
         Assignment { samples: Some(samples.clone()), parts: before, ..task }
     }
 

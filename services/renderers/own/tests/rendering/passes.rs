@@ -202,6 +202,7 @@ fn what_a_part_of_a_pass_leaves_to_others_continues_from_its_samples_to_the_same
             let TaskSpec::RenderPart(spec) = &task.spec else { panic!() };
             let pass = spec.pass.clone().unwrap();
             assert_eq!((rest.ends.len(), rest.ends.last()), (4, Some(&pass.pixels.to)));
+            assert!(rest.work[1..].iter().all(|&work| work > 0), "in the first pass too: {rest:?}");
             let (count, cost) = pixels(&result);
             assert_eq!((count, rest.work[0]), (u64::from(rest.ends[0] - pass.pixels.from), cost.work));
             let pieces = rest.ends.windows(2).map(|ends| {
