@@ -5,7 +5,7 @@ use forelight_renderer::door::{RendererError, Run};
 use forelight_renderer::process::{Program, Usage, ask, run};
 use std::fs;
 use std::io::{Error, ErrorKind};
-use std::path::{Path, PathBuf, absolute};
+use std::path::{Path, PathBuf};
 
 /// Variable with the path of the program.
 const VARIABLE: &str = "FORELIGHT_OIDN";
@@ -61,9 +61,6 @@ impl Denoiser {
     /// As [`find`](Self::find).
     pub fn at(program: impl Into<PathBuf>) -> Result<Self, RendererError> {
         let program = program.into();
-        // It is run in a folder of its own, where a relative path would lead elsewhere.
-        let is_path = program.components().count() > 1;
-        let program = if is_path { absolute(&program).unwrap_or(program) } else { program };
         let not_usable = |reason: String| RendererError::NotInstalled { renderer: NAME.to_owned(), reason };
         let mut has_processor = false;
         // Versions before 2 do not know this option.

@@ -133,18 +133,16 @@ impl<const K: u32> Trace for Kernel<K> {
         underway.finished()
     }
 
-    fn feature(&self, tracer: &Tracer, index: u32, samples: u32, counters: &mut Counters) -> Feature {
+    fn feature(&self, tracer: &Tracer, index: u32, samples: u32) -> Feature {
         let settings = &tracer.settings;
         let sampler = Sampler::new(settings.seed, tracer.frame.number, index);
         let mut pixels = Pixels::new(tracer, self, sampler);
-        std::mem::swap(&mut pixels.counters, counters);
         let (x, y) = (index % settings.width, index / settings.width);
         let mut sum = Feature::default();
         for _ in 0..samples {
             let Feature { albedo, normal } = pixels.feature(x, y);
             sum = Feature { albedo: sum.albedo + albedo, normal: sum.normal + normal };
         }
-        std::mem::swap(&mut pixels.counters, counters);
         let count = samples.max(1) as f32;
         Feature { albedo: sum.albedo / count, normal: sum.normal / count }
     }

@@ -33,6 +33,23 @@ impl Pixel {
     pub const NOTHING: u32 = u32::MAX;
 }
 
+impl Default for Pixel {
+    /// A pixel without samples: black.
+    fn default() -> Self {
+        Self {
+            color: [0.0; 3],
+            rays: [0; 7],
+            work: 0,
+            work_by_ray: [0; 7],
+            extra_work: 0,
+            cpu_nanos: 0,
+            uncovered: 0,
+            stratum: Self::NOTHING,
+            coverage: Coverage::NONE,
+        }
+    }
+}
+
 /// How many camera samples of a pixel met which stratum first. A pixel of more than [`Coverage::MOST`] strata
 /// keeps those that it met first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,7 +96,7 @@ pub struct Feature {
 pub type PixelsFinished<'a> = dyn Fn(&[(u32, Pixel)]) + Sync + 'a;
 
 /// A pixel that can receive more samples.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Underway {
     /// How far its random sequences are drawn.
     pub drawn: Drawn,
@@ -92,24 +109,6 @@ pub(crate) struct Underway {
     pub before: [(u32, DVec3); 2],
     /// Cost of its samples. The colour is only valid after [`Self::finished`].
     pub pixel: Pixel,
-}
-
-impl Default for Underway {
-    fn default() -> Self {
-        let pixel = Pixel {
-            color: [0.0; 3],
-            rays: [0; 7],
-            work: 0,
-            work_by_ray: [0; 7],
-            extra_work: 0,
-            cpu_nanos: 0,
-            uncovered: 0,
-            stratum: Pixel::NOTHING,
-            coverage: Coverage::NONE,
-        };
-        let before = [(0, DVec3::ZERO); 2];
-        Self { drawn: Drawn::default(), sum: DVec3::ZERO, squares: 0.0, samples: 0, before, pixel }
-    }
 }
 
 impl Underway {

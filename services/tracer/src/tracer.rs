@@ -42,7 +42,7 @@ pub trait Trace: Send + Sync {
     fn again(&self, tracer: &Tracer, index: u32, seed: u64, samples: u32) -> Pixel;
 
     /// What the first `samples` camera samples of a pixel show, on average.
-    fn feature(&self, tracer: &Tracer, index: u32, samples: u32, counters: &mut Counters) -> Feature;
+    fn feature(&self, tracer: &Tracer, index: u32, samples: u32) -> Feature;
 
     /// Adds camera samples to a pixel until it has `samples`. `each` receives the radiance of each new one.
     fn go_on(

@@ -1,7 +1,7 @@
 //! What is started.
 
 use std::ffi::{OsStr, OsString};
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 use std::process::Command;
 
 /// A program with its arguments and environment.
@@ -16,11 +16,13 @@ pub struct Program {
 }
 
 impl Program {
-    /// The program at `path`, or found in `PATH`. It is run in `folder`, which is its home and its folder for
-    /// temporary files. `PATH` is passed on to it.
+    /// The program at `path`, from the folder of this process on, or of this name in `PATH`. It is run in
+    /// `folder`, which is its home and its folder for temporary files. `PATH` is passed on to it.
     pub fn new(path: impl Into<PathBuf>, folder: &Path) -> Self {
+        let path = path.into();
+        let is_name = path.components().count() == 1;
         let program = Self {
-            path: path.into(),
+            path: if is_name { path } else { absolute(&path).unwrap_or(path) },
             arguments: Vec::new(),
             environment: vec![("LANG".into(), "C.UTF-8".into())],
             folder: folder.into(),

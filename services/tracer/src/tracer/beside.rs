@@ -1,28 +1,25 @@
 //! What is traced beside an image: what its pixels show, and other random samples of them.
 
 use super::Tracer;
-use crate::cost::{Cost, Counters, clocked};
+use crate::cost::{Cost, clocked};
 use crate::pixel::{Feature, Pixel};
 use crate::random::hash;
 use rayon::prelude::*;
 
 impl Tracer {
     /// What the first `samples` camera samples of every pixel show, on average, in row-major order, and the
-    /// cost. Uses the current thread pool. `None` if `stop` returned `true`.
-    pub fn features(&self, samples: u32, stop: &(dyn Fn() -> bool + Sync)) -> Option<(Vec<Feature>, Cost)> {
+    /// CPU time in nanoseconds. Uses the current thread pool. `None` if `stop` returned `true`.
+    pub fn features(&self, samples: u32, stop: &(dyn Fn() -> bool + Sync)) -> Option<(Vec<Feature>, u64)> {
+        let width = self.settings.width;
         let row = |y: u32| {
-            if stop() {
-                return None;
-            }
-            let width = self.settings.width;
-            let mut counters = Counters::default();
-            let mut trace = |x| self.kernel.feature(self, y * width + x, samples, &mut counters);
-            let (features, cpu_nanos) = clocked(|| (0..width).map(&mut trace).collect::<Vec<Feature>>());
-            Some((features, Cost { work: counters.work(), cpu_nanos }))
+            let pixels = y * width..(y + 1) * width;
+            let trace =
+                || pixels.map(|index| self.kernel.feature(self, index, samples)).collect::<Vec<Feature>>();
+            (!stop()).then(|| clocked(trace))
         };
         let rows = (0..self.settings.height).into_par_iter().map(row).collect::<Option<Vec<_>>>()?;
-        let cost = rows.iter().fold(Cost::default(), |sum, (_, cost)| sum + *cost);
-        Some((rows.into_iter().flat_map(|(features, _)| features).collect(), cost))
+        let (features, nanos): (Vec<_>, Vec<u64>) = rows.into_iter().unzip();
+        Some((features.concat(), nanos.into_iter().sum()))
     }
 
     /// Traces pixels several times, `samples` camera samples each time, by random numbers that are

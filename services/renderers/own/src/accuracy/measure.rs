@@ -5,7 +5,9 @@
 
 use crate::accuracy::observer::AccuracyObserver;
 use crate::error::ShotError;
-use crate::render::{Given, Rendered, render_frame};
+use crate::frame::OwnFrame;
+use crate::render::denoised::{remove_noise, traced_colors};
+use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use forelight_denoise::Denoiser;
 use forelight_protocol::{
@@ -56,8 +58,7 @@ pub fn measure(
                         converged.len() - 1
                     }
                 };
-                let given = Given { denoiser: options.denoiser, ..Given::default() };
-                measured(image(shot, frame, &settings, given, observer)?, &converged[at])
+                measured(shot, (frame, &settings), &converged[at], options, observer)?
             }
         };
         known.push((settings, measured));
@@ -91,25 +92,37 @@ fn truth(settings: &RenderSettings, asked: &RenderSettings, options: &MeasureOpt
     }
 }
 
-fn image(
-    shot: &OwnShot,
-    frame: u32,
+fn rendered(
+    ready: &OwnFrame<'_>,
     settings: &RenderSettings,
-    given: Given<'_>,
     observer: &dyn AccuracyObserver,
 ) -> Result<Rendered, ShotError> {
-    let rendered = render_frame(shot, frame, settings, given, &|_| (), observer.cancel())?;
+    let rendered = render_ready(ready, settings, None, &|_| (), &|_| (), observer.cancel())?;
     rendered.ok_or(ShotError::Cancelled)
 }
 
-fn measured(Rendered { image, stats, .. }: Rendered, converged: &Converged) -> MeasuredRung {
-    let denoised = image.denoised.as_ref().zip(stats.denoised).map(|(denoised, stats)| {
-        let (error, error_deviation) = converged.error_of(&denoised.colors);
-        let cpu_seconds = stats.denoiser_cpu_seconds + stats.features_cpu_seconds;
-        DenoisedRung { cpu_seconds, error, error_deviation }
-    });
+fn measured(
+    shot: &OwnShot,
+    (frame, settings): (u32, &RenderSettings),
+    converged: &Converged,
+    options: &MeasureOptions<'_>,
+    observer: &dyn AccuracyObserver,
+) -> Result<MeasuredRung, ShotError> {
+    let ready = shot.frame(frame, settings)?;
+    let Rendered { mut image, stats, .. } = rendered(&ready, settings, observer)?;
     let (error, error_deviation) = converged.error(&image);
-    MeasuredRung { work: stats.work, cpu_seconds: stats.cpu_seconds, error, error_deviation, denoised }
+    let denoised = match options.denoiser {
+        None => None,
+        Some(denoiser) => {
+            let cost = remove_noise(&ready, &mut image, denoiser, &|_| (), observer.cancel())?;
+            let cpu_seconds = cost.map(|cost| cost.denoiser + cost.features).ok_or(ShotError::Cancelled)?;
+            image.denoised.map(|denoised| {
+                let (error, error_deviation) = converged.error_of(&denoised.colors);
+                DenoisedRung { cpu_seconds, error, error_deviation }
+            })
+        }
+    };
+    Ok(MeasuredRung { work: stats.work, cpu_seconds: stats.cpu_seconds, error, error_deviation, denoised })
 }
 
 impl Converged {
@@ -121,7 +134,7 @@ impl Converged {
     ) -> Result<Self, ShotError> {
         let half = |seed: u64| {
             let settings = RenderSettings { seed: settings.seed ^ seed, ..settings.clone() };
-            image(shot, frame, &settings, Given::default(), observer).map(|rendered| rendered.image)
+            rendered(&shot.frame(frame, &settings)?, &settings, observer).map(|rendered| rendered.image)
         };
         let halves = [half(HALVES[0])?, half(HALVES[1])?];
         let values = halves.iter().flat_map(|half| &half.pixels).flat_map(|pixel| pixel.color);
@@ -132,7 +145,7 @@ impl Converged {
 
     /// Root mean square error of an image, relative to the mean, and its standard deviation.
     pub(crate) fn error(&self, image: &Image) -> (f64, f64) {
-        self.error_of(&image.pixels.iter().map(|pixel| pixel.color).collect::<Vec<_>>())
+        self.error_of(&traced_colors(image))
     }
 
     /// The same for the colours of an image.
@@ -169,4 +182,16 @@ impl Converged {
         };
         (error, error_deviation)
     }
+}
+
+/// Settings of small images in direct light, for tests against [`Converged`].
+#[cfg(test)]
+pub(crate) fn direct_light(spp: u32, seed: u64) -> RenderSettings {
+    let request = RenderSettingsRequest {
+        spp: Some(spp),
+        seed: Some(seed),
+        ambient_bounces: Some(0),
+        ..RenderSettingsRequest::default()
+    };
+    request.complete((128, 72))
 }

@@ -21,6 +21,8 @@ mod pilot;
 
 #[cfg(test)]
 pub(crate) use measure::Converged;
+#[cfg(test)]
+pub(crate) use measure::direct_light;
 pub use measure::{MeasureOptions, measure};
 use observer::is_cancelled;
 pub use observer::{AccuracyObserver, AccuracyOptions};

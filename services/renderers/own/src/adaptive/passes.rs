@@ -172,26 +172,17 @@ fn pass(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::Converged;
+    use crate::accuracy::{Converged, direct_light};
     use crate::common::{Nobody, kitchen};
-    use forelight_protocol::{Confidence, RenderSettingsRequest};
+    use forelight_protocol::Confidence;
 
     #[test]
     fn images_have_the_error_that_is_asked_for() {
         let (shot, never) = (kitchen(), AtomicBool::new(false));
-        let settings = |spp, seed| {
-            let request = RenderSettingsRequest {
-                spp: Some(spp),
-                seed: Some(seed),
-                ambient_bounces: Some(0),
-                ..RenderSettingsRequest::default()
-            };
-            request.complete((128, 72))
-        };
-        let truth = Converged::new(&shot, 0, settings(256, 0), &Nobody::default()).unwrap();
+        let truth = Converged::new(&shot, 0, direct_light(256, 0), &Nobody::default()).unwrap();
         let aim = ErrorAim { wanted: 0.1, confidence: Confidence::P50 };
         let made = |seed| {
-            let settings = settings(1, seed);
+            let settings = direct_light(1, seed);
             let ready = shot.frame(0, &settings).unwrap();
             let plan = PassPlan::for_error(&ready, aim).unwrap();
             let made = render_in_passes(&ready, &plan, &|_| (), &|_, _| (), &never).unwrap().unwrap();

@@ -5,7 +5,6 @@
 //! pixels are from the truth, without bias: their own noise is known from several independent means, and
 //! taken off.
 
-use super::Rendered;
 use crate::answers::{Progress, Step};
 use crate::costs::seconds;
 use crate::error::RenderError;
@@ -15,7 +14,7 @@ use forelight_forecast::PixelCurve;
 use forelight_protocol::{DenoisedStats, ImageError};
 use forelight_random::Random;
 use forelight_renderer::door::{Limits, RendererError, Run};
-use forelight_tracer::{Denoised, Pixel};
+use forelight_tracer::{Denoised, Image, Pixel};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Camera samples by which features are averaged: enough for smooth edges.
@@ -35,22 +34,28 @@ const SHARE_OF_MEASURING: f64 = 0.1;
 /// Numbers of measured pixels. Fewer say too little, more than the largest hardly more.
 const MEASURED: (f64, f64) = (256.0, 4096.0);
 
-/// Removes the noise of an image, and measures its error. `None` if `cancel` was set.
-pub(super) fn denoise(
+/// What removing the noise of an image took, CPU seconds.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct DenoisingCost {
+    /// Of the denoiser.
+    pub denoiser: f64,
+    /// Of tracing what the pixels show.
+    pub features: f64,
+}
+
+/// Removes the noise of an image. `None` if `cancel` was set.
+pub(crate) fn remove_noise(
     ready: &OwnFrame<'_>,
-    rendered: &mut Rendered,
+    image: &mut Image,
     denoiser: &Denoiser,
     progress: &(dyn Fn(Progress) + Sync),
     cancel: &AtomicBool,
-) -> Result<Option<()>, RenderError> {
+) -> Result<Option<DenoisingCost>, RenderError> {
     progress(Progress { step: Step::Denoising, done: 0, all: 1 });
     let stop = || cancel.load(Ordering::Relaxed);
-    let image = &mut rendered.image;
-    let samples = ready.tracer.settings().spp;
-    let Some((features, tracing)) = ready.tracer.features(samples.min(MOST_FEATURE_SAMPLES), &stop) else {
-        return Ok(None);
-    };
-    let color: Vec<[f32; 3]> = image.pixels.iter().map(|pixel| pixel.color).collect();
+    let samples = ready.tracer.settings().spp.min(MOST_FEATURE_SAMPLES);
+    let Some((features, tracing)) = ready.tracer.features(samples, &stop) else { return Ok(None) };
+    let color = traced_colors(image);
     let albedo: Vec<[f32; 3]> = features.iter().map(|feature| feature.albedo.to_array()).collect();
     let normal: Vec<[f32; 3]> = features.iter().map(|feature| feature.normal.to_array()).collect();
     let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
@@ -59,33 +64,50 @@ pub(super) fn denoise(
     let run = Run::silent(cancel, folder.path(), limits);
     let layers =
         Layers { size: (image.width, image.height), color: &color, albedo: &albedo, normal: &normal };
-    let denoised = match denoiser.denoise(&layers, &run) {
+    let made = match denoiser.denoise(&layers, &run) {
         Err(_) if stop() => return Ok(None),
-        denoised => denoised?,
+        made => made?,
     };
+    image.denoised = Some(Denoised { by: made.by, colors: made.color, features });
+    progress(Progress { step: Step::Denoising, done: 1, all: 1 });
+    Ok(Some(DenoisingCost { denoiser: seconds(made.usage.cpu_nanos), features: seconds(tracing) }))
+}
+
+/// Measures the error of a denoised image, whose noise was removed at this cost. `None` if `cancel` was set, or
+/// the image is not denoised.
+pub(super) fn measured(
+    ready: &OwnFrame<'_>,
+    image: &Image,
+    cost: DenoisingCost,
+    cancel: &AtomicBool,
+) -> Option<DenoisedStats> {
+    let denoised = image.denoised.as_ref()?;
+    let stop = || cancel.load(Ordering::Relaxed);
+    let (color, samples) = (traced_colors(image), ready.tracer.settings().spp);
     let of_mean = (MULTIPLE * samples).clamp(SAMPLES_OF_MEAN.0, SAMPLES_OF_MEAN.1);
     let others = f64::from(MEANS * of_mean);
     let wanted = SHARE_OF_MEASURING * color.len() as f64 * f64::from(samples) / others;
     let count = wanted.clamp(MEASURED.0, MEASURED.1) as u32;
-    let places = places(&ready.curve(), [&color, &denoised.color], count, ready.tracer.settings().seed);
+    let places = places(&ready.curve(), [&color, &denoised.colors], count, ready.tracer.settings().seed);
     let pixels: Vec<u32> = places.iter().map(|place| place.pixel).collect();
-    let measured = ready.tracer.independent_pixels(&pixels, (MEANS, of_mean), &stop);
-    let Some((measured, measuring)) = measured else { return Ok(None) };
+    let (means, measuring) = ready.tracer.independent_pixels(&pixels, (MEANS, of_mean), &stop)?;
     let mean = color.iter().flatten().map(|&value| f64::from(value)).sum::<f64>() / (3 * color.len()) as f64;
-    let error = |colors: &[[f32; 3]]| image_error(&squares(colors, &places, &measured), mean);
-    rendered.stats.denoised = Some(DenoisedStats {
+    let error = |colors: &[[f32; 3]]| image_error(&squares(colors, &places, &means), mean);
+    Some(DenoisedStats {
         by: denoised.by.clone(),
-        error: error(&denoised.color),
+        error: error(&denoised.colors),
         noisy: error(&color),
         measured_pixels: places.len() as u64,
         measured_samples: MEANS * of_mean,
-        denoiser_cpu_seconds: seconds(denoised.usage.cpu_nanos),
-        features_cpu_seconds: seconds(tracing.cpu_nanos),
+        denoiser_cpu_seconds: cost.denoiser,
+        features_cpu_seconds: cost.features,
         measuring_cpu_seconds: seconds(measuring.cpu_nanos),
-    });
-    image.denoised = Some(Denoised { by: denoised.by, colors: denoised.color, features });
-    progress(Progress { step: Step::Denoising, done: 1, all: 1 });
-    Ok(Some(()))
+    })
+}
+
+/// The colours that were traced: with noise.
+pub(crate) fn traced_colors(image: &Image) -> Vec<[f32; 3]> {
+    image.pixels.iter().map(|pixel| pixel.color).collect()
 }
 
 /// A pixel whose error is measured, and by how much it counts.
@@ -177,9 +199,9 @@ fn image_error(squares: &[f64], mean: f64) -> ImageError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::common::kitchen;
+    use crate::accuracy::{Converged, direct_light};
+    use crate::common::{Nobody, kitchen};
     use crate::render::{Given, render_frame};
-    use forelight_protocol::RenderSettingsRequest;
 
     /// Means of three neighbours.
     fn blurred(colors: &[[f32; 3]]) -> Vec<[f32; 3]> {
@@ -215,33 +237,18 @@ mod tests {
     /// Of a noisy image, whose true error follows from another one with many samples.
     #[test]
     fn the_measured_error_is_that_of_the_image() {
-        let (shot, samples) = (kitchen(), 16);
-        let settings = |spp, seed| {
-            let request = RenderSettingsRequest {
-                spp: Some(spp),
-                seed: Some(seed),
-                ambient_bounces: Some(0),
-                ..RenderSettingsRequest::default()
-            };
-            request.complete((128, 72))
-        };
-        let never = AtomicBool::new(false);
-        let image = |settings| {
-            render_frame(&shot, 0, &settings, Given::default(), &|_| (), &never).unwrap().unwrap().image
-        };
-        let truth = image(settings(512, 99));
-        let mean = truth.pixels.iter().flat_map(|pixel| pixel.color).map(f64::from).sum::<f64>()
-            / (3 * truth.pixels.len()) as f64;
+        let (shot, samples, never) = (kitchen(), 16, AtomicBool::new(false));
+        let truth = Converged::new(&shot, 0, direct_light(512, 99), &Nobody::default()).unwrap();
         let compared: Vec<(f64, f64)> = (0..4)
             .map(|seed| {
-                let settings = settings(samples, seed);
-                let noisy = image(settings.clone());
-                let true_squares = noisy.pixels.iter().zip(&truth.pixels).flat_map(|(noisy, truth)| {
-                    (0..3).map(|c| (f64::from(noisy.color[c]) - f64::from(truth.color[c])).powi(2))
-                });
-                let error = (true_squares.sum::<f64>() / (3 * truth.pixels.len()) as f64).sqrt() / mean;
+                let settings = direct_light(samples, seed);
+                let noisy = render_frame(&shot, 0, &settings, Given::default(), &|_| (), &never);
+                let noisy = noisy.unwrap().unwrap().image;
+                let error = truth.error(&noisy).0;
                 let ready = shot.frame(0, &settings).unwrap();
-                let colors: Vec<[f32; 3]> = noisy.pixels.iter().map(|pixel| pixel.color).collect();
+                let colors = traced_colors(&noisy);
+                let values = colors.iter().flatten().map(|&value| f64::from(value));
+                let mean = values.sum::<f64>() / (3 * colors.len()) as f64;
                 let places = places(&ready.curve(), [&colors, &blurred(&colors)], 1024, seed);
                 let pixels: Vec<u32> = places.iter().map(|place| place.pixel).collect();
                 let means = (MEANS, samples);
@@ -259,17 +266,7 @@ mod tests {
 
     #[test]
     fn the_noise_of_the_measurement_is_taken_off() {
-        let pixel = |value: f32| Pixel {
-            color: [value; 3],
-            rays: [0; 7],
-            work: 0,
-            work_by_ray: [0; 7],
-            extra_work: 0,
-            cpu_nanos: 0,
-            uncovered: 0,
-            stratum: 0,
-            coverage: forelight_tracer::Coverage::NONE,
-        };
+        let pixel = |value: f32| Pixel { color: [value; 3], ..Pixel::default() };
         // Means of 0.9 and 1.1: the truth is 1 ± 0.1, and a colour of 1 is on it.
         let means = [pixel(0.9), pixel(1.1)];
         assert!((square([1.0; 3], &means) + 0.01).abs() < 1e-6);

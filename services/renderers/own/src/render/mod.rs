@@ -1,6 +1,6 @@
 //! One frame, rendered, with its true cost.
 
-mod denoised;
+pub(crate) mod denoised;
 pub(crate) mod pictures;
 
 use crate::answers::{CacheUse, Finished, Progress};
@@ -59,8 +59,10 @@ pub fn render_frame(
     let Some(mut rendered) = rendered else { return Ok(None) };
     rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
     if let Some(denoiser) = given.denoiser {
-        let denoised = denoised::denoise(&ready, &mut rendered, denoiser, progress, cancel)?;
-        return Ok(denoised.map(|()| rendered));
+        let cost = denoised::remove_noise(&ready, &mut rendered.image, denoiser, progress, cancel)?;
+        let measured = cost.and_then(|cost| denoised::measured(&ready, &rendered.image, cost, cancel));
+        let Some(measured) = measured else { return Ok(None) };
+        rendered.stats.denoised = Some(measured);
     }
     Ok(Some(rendered))
 }

@@ -61,16 +61,16 @@ pub(super) fn pass(
         return Err(ExecuteError::Cancelled);
     }
     let Totals { work, cpu_nanos, .. } = passes.totals().minus(&before);
-    let left = unfinished(&passes, &samples, part);
-    let rest = left.map(|done| {
+    let asked = control.rest_in_parts();
+    let left = asked.and_then(|parts| unfinished(&passes, &samples, part).map(|done| (done, parts)));
+    let rest = left.map(|(done, parts)| {
         // A part has at most as many pixels as an image.
         let first = range.from + done as u32;
-        let parts = control.rest_in_parts().unwrap_or(1);
         let (pieces, cpu_nanos) = clocked(|| ready.divide_pass(&passes, &samples, first..range.to, parts));
         (left_to_others(first, work, &pieces, control), Spent { work: 0, cpu_nanos })
     });
     let (file, writing) = clocked(|| ready.so_far(&passes).to_bytes());
-    let count = left.map_or(all, |done| done as u64);
+    let count = left.map_or(all, |(done, _)| done as u64);
     Ok(Made { file, count, cost: Spent { work, cpu_nanos }, writing, rest })
 }
 
