@@ -157,7 +157,7 @@ pub struct DashboardJob {
     /// Number of finished frames.
     pub frames_done: u32,
     /// Number of frames that were cancelled one by one.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "crate::is_zero")]
     pub frames_cancelled: u32,
     /// Share of the forecast work that is done, 0 to 1.
     pub progress: f64,
@@ -195,10 +195,6 @@ pub struct DashboardJob {
     /// Expected total cost: by the live estimate, or as quoted before the job is booked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<MoneyQuantiles>,
-}
-
-fn is_zero(number: &u32) -> bool {
-    *number == 0
 }
 
 /// The task that a node is working on.

@@ -206,10 +206,6 @@ fn default_samples() -> u32 {
     256
 }
 
-fn is_zero(number: &u32) -> bool {
-    *number == 0
-}
-
 fn default_weight() -> u32 {
     1
 }
@@ -290,7 +286,7 @@ pub struct Job {
     /// Number of finished frames.
     pub frames_done: u32,
     /// Number of frames that were cancelled one by one. The job is done without them.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "crate::is_zero")]
     pub frames_cancelled: u32,
     /// Share of the forecast work that is done, 0 to 1. Without a forecast, the share of the frames.
     pub progress: f64,
@@ -457,7 +453,7 @@ pub struct FrameRow {
     #[schema(default = 1, minimum = 1, maximum = 512)]
     pub parts: u32,
     /// Number of its finished parts. 0 of a whole frame.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "crate::is_zero")]
     pub parts_done: u32,
     /// The node that renders or rendered it. Absent until then.
     pub node: Option<NodeId>,

@@ -177,3 +177,8 @@ pub use webhook::{
     Delivery, DeliveryPage, DeliveryState, Webhook, WebhookData, WebhookKind, WebhookList, WebhookMessage,
     WebhookRequest,
 };
+
+/// Whether a number is left out of JSON.
+fn is_zero<T: Default + PartialEq>(number: &T) -> bool {
+    *number == T::default()
+}

@@ -18,7 +18,7 @@ pub struct ProfileSample {
     /// Work of all its camera paths: deterministic count of operations.
     pub work: u64,
     /// The part of `work` that is not proportional to the camera samples, see `UncoveredGathers`.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "crate::is_zero")]
     pub extra_work: u64,
     /// `work` by category of ray, as in `RenderStats`: primary, shadow, transparent, reflected, refracted,
     /// ambient, specular. All 0 if unknown.
@@ -30,10 +30,6 @@ pub struct ProfileSample {
     /// Rays by category: primary, shadow, transparent, reflected, refracted, ambient, specular.
     #[schema(min_items = 7, max_items = 7)]
     pub rays: [u64; 7],
-}
-
-fn is_zero(work: &u64) -> bool {
-    *work == 0
 }
 
 fn is_false(value: &bool) -> bool {
@@ -74,7 +70,7 @@ pub struct SharedSample {
     /// Work of all its camera paths: deterministic count of operations.
     pub work: u64,
     /// The part of `work` that is not proportional to the camera samples, see `UncoveredGathers`.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "crate::is_zero")]
     pub extra_work: u64,
     /// CPU time of all its camera paths, in nanoseconds.
     pub cpu_nanos: u64,

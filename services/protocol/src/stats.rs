@@ -77,6 +77,10 @@ pub struct CacheStats {
     /// Number of records that the frame made itself: those missing in the shared cache, or all without one.
     #[serde(default)]
     pub own_records: u64,
+    /// Number of secondary lights: small bright places that every point samples, because they cast shadows with
+    /// edges.
+    #[serde(default, skip_serializing_if = "crate::is_zero")]
+    pub secondary_lights: u64,
 }
 
 /// Actual cost of a rendered frame, as written by `forelight render --stats`. Totals do not depend on reuse

@@ -13,6 +13,10 @@
 //! 3. **Read** (`read`): image samples only read. A point that no record covers gathers for itself, and is
 //!    counted.
 //!
+//! Light that comes by way of small bright places has edges, which records are too far apart to show. Where there
+//! is much of it, the plan also chooses *secondary lights*: gathers leave them out, and points sample them
+//! (`secondary`).
+//!
 //! Further diffuse bounces have their own levels. The second is planned from the hits of the first, and
 //! filled before it.
 //!
@@ -24,6 +28,7 @@
 //! | `coverage` | the records of a level while it is planned |
 //! | `places` | finds records near a point; space-filling order |
 //! | `hemisphere` | strata of a gather; irradiance and its gradients |
+//! | `secondary`, `survey` | small bright places that points sample themselves; how they are found |
 //! | `guide` | more rays for strata where the light is concentrated |
 //! | `plan`, `gather`, `smooth`, `read` | the phases |
 //! | `sample` | gathers a few records to measure their cost |
@@ -46,10 +51,12 @@ mod plan;
 mod read;
 mod record;
 mod sample;
+mod secondary;
 mod share;
 mod site;
 mod smooth;
 mod spheres;
+mod survey;
 
 pub use error::CacheError;
 pub use hemisphere::{Irradiance, Mean, PLAN_RAYS, Sample, Strata};
@@ -61,10 +68,13 @@ use crate::bounds::Bounds;
 use crate::cost::{Cost, Rays, add_rays};
 use crate::origin::Origin;
 use crate::tracer::Tracer;
+use forelight_bvh::Hit;
+use forelight_scene::Geometry;
 use guide::Guide;
 use index::Index;
 use places::Places;
 use record::{Smoothed, Value};
+use secondary::SecondaryLights;
 use std::sync::OnceLock;
 
 /// Records are read up to this many times farther than they were planned to cover. Several records then blend
@@ -93,6 +103,8 @@ pub struct Level {
     is_guided: bool,
     /// Mean radiance of the first plan's rays, mean over the channels.
     brightness: f32,
+    /// Chosen with the first plan.
+    secondary: SecondaryLights,
     /// Places of the planned records, made when first needed: a full cache that is only read needs none.
     places: OnceLock<Places>,
     /// Made when first needed, for the same reason.
@@ -142,6 +154,8 @@ pub struct CacheTotals {
     pub filled: u64,
     /// Number of filled records that are not finite, and therefore never used.
     pub rejected: u64,
+    /// Number of secondary lights.
+    pub secondary_lights: u64,
 }
 
 impl Level {
@@ -150,8 +164,21 @@ impl Level {
         let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
         self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));
         (self.index, self.places, self.guide) = (index, OnceLock::new(), OnceLock::new());
-        if self.is_guided && self.brightness == 0.0 {
-            self.brightness = guide::mean_radiance(&self.planned);
+    }
+
+    /// Lets the rays of new records bring nothing from secondary lights: so they do not guide gathers there.
+    fn leave_out_secondary_lights(&mut self, geometry: &Geometry) {
+        if self.secondary.is_empty() {
+            return;
+        }
+        for planned in &mut self.planned[self.explored..] {
+            let Planned { site, hits, lit, .. } = planned;
+            for (hit, lit) in hits.iter().zip(lit.iter_mut()) {
+                let is_met = |hit: &Hit| self.secondary.met(hit, site.position, geometry).is_some();
+                if hit.as_ref().is_some_and(is_met) {
+                    *lit = 0.0;
+                }
+            }
         }
     }
 
@@ -209,6 +236,12 @@ impl Cache {
         self.levels[level].records[index].get()
     }
 
+    /// Small bright places that are left out of the records of the first level: points sample them.
+    pub fn secondary_lights(&self) -> &SecondaryLights {
+        static NONE: SecondaryLights = SecondaryLights::none();
+        self.levels.first().map_or(&NONE, |level| &level.secondary)
+    }
+
     /// Number of the frame that the cache was first planned for.
     pub fn frame(&self) -> u32 {
         self.origin.frame()
@@ -262,6 +295,7 @@ impl Cache {
             records: self.records(),
             plan: self.plan,
             plan_rays: self.plan_rays,
+            secondary_lights: self.secondary_lights().all().len() as u64,
             ..CacheTotals::default()
         };
         for smoothed in self.levels.iter().filter_map(|level| level.smoothed.get()) {

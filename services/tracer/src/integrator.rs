@@ -9,6 +9,7 @@
 //! | `path` | unbiased path tracing |
 //! | `interface` | the two sides of a solid dielectric's face |
 //! | `table` | the functions of a kernel, which the integrators call |
+//! | `secondary` | indirect light by way of small bright places |
 //! | `occlusion` | shadow rays: what is between a point and a light |
 
 mod ambient;
@@ -18,6 +19,7 @@ mod features;
 mod interface;
 mod occlusion;
 mod path;
+mod secondary;
 mod segment;
 mod table;
 

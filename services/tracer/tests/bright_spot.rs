@@ -3,7 +3,7 @@
 mod support;
 
 use forelight_scene::{Environment, Frame, PointLight};
-use forelight_tracer::{CacheSettings, Settings, Tracer};
+use forelight_tracer::{Cache, CacheSettings, Pixel, Settings, Tracer};
 use glam::{Vec2, Vec3};
 use std::f64::consts::PI;
 use std::sync::atomic::AtomicBool;
@@ -84,7 +84,16 @@ fn the_cache_finds_a_small_bright_spot_and_shows_no_blotches() {
             mean += relative;
             pixels += 1.0;
         }
-        let totals = tracer.cache().expect("the floor reads it").totals();
+        let cache = tracer.cache().expect("the floor reads it");
+        let totals = cache.totals();
+        assert!(totals.secondary_lights > 0, "the spot on the ceiling is one");
+        let again = Tracer::new(&frame, &settings);
+        again
+            .take_cache(Cache::from_bytes(&cache.to_bytes()).expect("it is whole"))
+            .expect("it is of this frame");
+        let from_file = again.render(None, &|_| {}, &AtomicBool::new(false)).expect("nobody cancels");
+        let same = |(a, b): (&Pixel, &Pixel)| a.color == b.color && a.work == b.work;
+        assert!(image.pixels.iter().zip(&from_file.pixels).all(same), "the file has the secondary lights");
         rays += totals.fill_rays[5] + totals.plan_rays[5];
         records += totals.records[0];
     }

@@ -2158,6 +2158,12 @@ export interface components {
             reused_records: number;
             /**
              * Format: int64
+             * @description Number of secondary lights: small bright places that every point samples, because they cast shadows with
+             *     edges.
+             */
+            secondary_lights?: number;
+            /**
+             * Format: int64
              * @description Number of records of the shared cache that are valid here. Their cost is not part of the frame.
              */
             shared_records?: number;

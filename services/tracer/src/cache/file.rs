@@ -6,11 +6,12 @@
 //! | --- | --- |
 //! | header | see [`Header`] |
 //! | fingerprints of the images that it was planned for | 32 each |
-//! | per level: header, planned rows, record rows | see [`LevelHeader`], [`PlannedRow`], [`RecordRow`] |
+//! | per level: header, secondary lights, planned rows, record rows | see [`LevelHeader`], [`SecondaryRow`], [`PlannedRow`], [`RecordRow`] |
 //! | BLAKE3 hash of everything before | 32 |
 
 use super::hemisphere::{PLAN_RAYS, SECTORS, Strata};
 use super::record::{Planned, Record, Value};
+use super::secondary::{Cell, PARTS, SecondaryLight, SecondaryLights};
 use super::{Cache, CacheError, Level, Site};
 use crate::bounds::Bounds;
 use crate::cost::{Cost, clocked};
@@ -21,7 +22,7 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach09";
+const MAGIC: [u8; 8] = *b"FLcach10";
 
 /// A gather has at most this many strata; see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
@@ -62,7 +63,18 @@ struct LevelHeader {
     largest: f32,
     rays: u32,
     brightness: f32,
-    unused: u32,
+    /// Number of secondary lights.
+    secondary: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct SecondaryRow {
+    triangle: u32,
+    cuts: u32,
+    number: u32,
+    back: u32,
+    parts: [f32; PARTS],
 }
 
 #[repr(C)]
@@ -143,9 +155,10 @@ impl Cache {
                     largest: level.largest,
                     rays: level.strata.len() as u32,
                     brightness: level.brightness,
-                    unused: 0,
+                    secondary: level.secondary.all().len() as u32,
                 },
             );
+            level.secondary.all().iter().for_each(|light| put(&mut out, &secondary_row(light)));
             level.planned.iter().for_each(|planned| put(&mut out, &planned_row(planned)));
             for (record, known) in level.records.iter().zip(level.known_values()) {
                 put(&mut out, &record_row(record.get(), known));
@@ -218,7 +231,9 @@ impl Cache {
         let triangles = tracer.frame.geometry.triangles.len();
         let exists =
             |planned: &Planned| planned.hits.iter().flatten().all(|hit| (hit.primitive as usize) < triangles);
-        if !self.levels.iter().flat_map(|level| &level.planned).all(exists) {
+        if !self.levels.iter().flat_map(|level| &level.planned).all(exists)
+            || !self.secondary_lights().all().iter().all(|light| (light.cell.triangle as usize) < triangles)
+        {
             return Err(CacheError::Damaged("a record refers to a triangle that the scene does not have"));
         }
         Ok(())
@@ -227,7 +242,8 @@ impl Cache {
     /// Takes over the filled records of another part of the same plan; fails if the plans differ. Levels that
     /// become full must then be smoothed; see [`Self::smooth_full`].
     pub fn merge(&mut self, other: &Self) -> Result<(), CacheError> {
-        let same = |(a, b): (&Level, &Level)| a.planned == b.planned;
+        let same =
+            |(a, b): (&Level, &Level)| a.planned == b.planned && a.secondary.all() == b.secondary.all();
         if self.fingerprint != other.fingerprint
             || self.levels.len() != other.levels.len()
             || !self.levels.iter().zip(&other.levels).all(same)
@@ -251,6 +267,7 @@ impl Cache {
 /// A level, and its records of a shared cache: taken over, and not valid.
 fn read_level(reader: &mut Reader<'_>) -> Result<(Level, [u64; 2]), CacheError> {
     let header: LevelHeader = reader.take()?;
+    let secondary: Vec<SecondaryRow> = reader.list(u64::from(header.secondary))?;
     let planned: Vec<PlannedRow> = reader.list(header.records)?;
     let records: Vec<RecordRow> = reader.list(header.records)?;
     let lengths = [header.accuracy, header.smallest, header.largest];
@@ -265,6 +282,9 @@ fn read_level(reader: &mut Reader<'_>) -> Result<(Level, [u64; 2]), CacheError> 
     {
         return Err(CacheError::Damaged("a value in the header of a level is out of range"));
     }
+    let secondary = secondary.iter().map(secondary_of).collect::<Option<Vec<_>>>();
+    let secondary = secondary.and_then(SecondaryLights::of);
+    let secondary = secondary.ok_or(CacheError::Damaged("a secondary light is out of range"))?;
     let planned: Option<Vec<Planned>> = planned.iter().map(planned_of).collect();
     let planned = planned.ok_or(CacheError::Damaged("a value in a record is out of range"))?;
     let gathered: Vec<Option<Record>> = records.iter().map(record_of).collect();
@@ -280,9 +300,24 @@ fn read_level(reader: &mut Reader<'_>) -> Result<(Level, [u64; 2]), CacheError> 
         smallest: header.smallest,
         largest: header.largest,
         brightness: header.brightness,
+        secondary,
         ..Level::default()
     };
     Ok((level, header.shared))
+}
+
+fn secondary_row(light: &SecondaryLight) -> SecondaryRow {
+    let Cell { triangle, cuts, number, back } = light.cell;
+    SecondaryRow { triangle, cuts, number, back: back.into(), parts: light.parts }
+}
+
+/// `None` if a value is out of range.
+fn secondary_of(row: &SecondaryRow) -> Option<SecondaryLight> {
+    let &SecondaryRow { triangle, cuts, number, back, parts } = row;
+    let cell = Cell { triangle, cuts, number, back: back == 1 };
+    let in_range = |radiance: &f32| (0.0..=Planned::BRIGHTEST).contains(radiance);
+    let valid = cell.exists() && back <= 1 && parts.iter().all(in_range);
+    valid.then_some(SecondaryLight { cell, parts })
 }
 
 fn planned_row(planned: &Planned) -> PlannedRow {

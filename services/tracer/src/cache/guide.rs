@@ -252,8 +252,13 @@ mod tests {
             }
             level.planned.push(planned);
         }
-        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
+        prepare(&mut level);
         level
+    }
+
+    fn prepare(level: &mut Level) {
+        level.brightness = mean_radiance(&level.planned);
+        level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
     }
 
     #[test]
@@ -307,8 +312,7 @@ mod tests {
             level.planned.iter_mut().for_each(|planned| {
                 planned.lit.iter_mut().for_each(|lit| *lit = if *lit == spot { spot } else { 0.0 });
             });
-            level.brightness = 0.0;
-            level.prepare(Bounds { low: Vec3::ZERO, high: Vec3::ONE });
+            prepare(&mut level);
             for index in 0..100 {
                 let counts = level.rays_of(index).unwrap_or_default();
                 assert!(counts.iter().all(|&count| count >= 1), "{spot}");

@@ -11,9 +11,12 @@
 //! | empty box | 0.69 % | 0.48 % |
 
 use super::coverage::Coverage;
+use super::guide::mean_radiance;
 use super::hemisphere::{PLAN_RAYS, RINGS, SECTORS, Strata};
 use super::record::Planned;
+use super::secondary::SecondaryLights;
 use super::site::Keyed;
+use super::survey::{Survey, Wanted};
 use super::{Cache, Level};
 use crate::CacheSettings;
 use crate::bounds::Bounds;
@@ -221,11 +224,40 @@ impl Planning<'_> {
             None => self.cover_pixels(&mut coverage),
             Some(before) => self.cover_gathers(before, depth, &mut coverage),
         }
+        let geometry = &self.tracer.frame.geometry;
+        // The first plan decides, so that records of later frames do not change it.
+        if level.is_guided && level.brightness == 0.0 {
+            level.brightness = mean_radiance(&level.planned);
+            level.secondary = self.secondary_lights(level);
+        }
+        let ((), leaving_out) = clocked(|| level.leave_out_secondary_lights(geometry));
         let ((), indexing) = clocked(|| {
             level.prepare(world);
             level.make_ready_to_gather();
         });
-        self.plan.cost.cpu_nanos += starting + indexing;
+        self.plan.cost.cpu_nanos += starting + leaving_out + indexing;
+    }
+
+    /// The secondary lights that a level's rays, and further ones around bright places, show.
+    fn secondary_lights(&mut self, level: &Level) -> SecondaryLights {
+        let tracer = self.tracer;
+        let geometry = &tracer.frame.geometry;
+        let (survey, starting) = clocked(|| Survey::of(&level.planned, level.brightness, geometry));
+        self.plan.cost.cpu_nanos += starting;
+        let Some(survey) = survey else { return SecondaryLights::none() };
+        let mut trace = |wanted: &[Wanted]| {
+            let rays = |wanted: &Wanted| {
+                let site = &level.planned[wanted.record as usize].site;
+                clocked(|| tracer.kernel.plan_rays(tracer, site, wanted.key, &wanted.directions, true))
+            };
+            let traced: Vec<_> = wanted.par_iter().map(rays).collect();
+            let charged = traced.into_iter().map(|((rays, counters), nanos)| {
+                self.plan.charge(&counters, nanos);
+                rays
+            });
+            charged.collect()
+        };
+        survey.lights(&mut trace)
     }
 
     /// Plans the first level, from the first diffuse hits of all pixels, coarse to fine. Within each stage

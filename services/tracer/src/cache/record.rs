@@ -21,8 +21,8 @@ pub struct Planned {
     pub corral: [f32; SECTORS],
     /// Hits of the plan's rays. They are boxed, because reading accesses the other fields millions of times.
     pub hits: Box<[Option<Hit>; PLAN_RAYS]>,
-    /// Radiance that each of them brings without further bounces, mean over the channels, at most
-    /// [`Planned::BRIGHTEST`].
+    /// Radiance that each of them brings to the record without further bounces, mean over the channels, at most
+    /// [`Planned::BRIGHTEST`]. 0 from a secondary light.
     pub lit: Box<[f32; PLAN_RAYS]>,
 }
 

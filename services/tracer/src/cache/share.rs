@@ -79,6 +79,7 @@ impl Level {
             largest: self.largest,
             is_guided: self.is_guided,
             brightness: self.brightness,
+            secondary: self.secondary.carried(),
             ..Self::default()
         };
         let known = self.known_values();

@@ -326,26 +326,36 @@ impl<const K: u32> Pixels<'_, K> {
         } else {
             (divisions >> (3 * s.level).min(31)).max(1)
         };
-        self.gather_rays(count, s, p, response)
+        self.gather_rays(count, s, p, response, Self::radiance)
     }
 
     /// Indirect diffuse light at an uncovered point: a few rays for a sample, one within a record's gather.
     pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         if s.level > 0 {
-            return self.gather_rays(1, s, p, response);
+            return self.gather_rays(1, s, p, response, Self::radiance);
         }
         let rule = self.tracer.settings.cache.unwrap_or_default().uncovered();
         // Samples that contribute little to their pixel get proportionally fewer rays.
         let rule = UncoveredGathers { first: (rule.first as f32 * s.weight.min(1.0)) as u32, ..rule };
         let (count, before) = (rule.of_sample(self.sampler.samples()), self.counters.work());
-        let radiance = self.gather_rays(count, s, p, response);
+        let radiance = self.gather_rays(count, s, p, response, |this, segment| {
+            let hit = this.closest(&segment.ray, None);
+            this.without_secondary_lights(segment, hit)
+        });
         let spent = self.counters.work() - before;
         self.counters.extra_work += spent * u64::from(count - rule.least) / u64::from(count);
         radiance
     }
 
-    fn gather_rays(&mut self, count: u32, s: &Segment, p: &Point, response: &Response) -> Vec3 {
-        let arrival = self.gathered();
+    /// Mean over cosine-weighted rays, by the radiance along each.
+    fn gather_rays(
+        &mut self,
+        count: u32,
+        s: &Segment,
+        p: &Point,
+        response: &Response,
+        radiance: impl Fn(&mut Self, Segment) -> Vec3,
+    ) -> Vec3 {
         let mut sum = Vec3::ZERO;
         for _ in 0..count {
             let wo = geometry::cosine_hemisphere(self.sampler.next(Purpose::Gather, s.vertex));
@@ -354,17 +364,22 @@ impl<const K: u32> Pixels<'_, K> {
             }
             self.counters.ray(Category::Ambient);
             let share = response.diffuse(p.wi, wo);
-            sum += share
-                * self.radiance(Segment {
-                    ray: leaving(p, p.basis.to_world(wo)),
-                    passed: None,
-                    arrival,
-                    level: s.level + 1,
-                    depth: 0,
-                    vertex: s.vertex + 1,
-                    weight: s.weight * share.max_element(),
-                });
+            let segment = self.gathering(s, p, wo, share);
+            sum += share * radiance(self, segment);
         }
         sum / count as f32
+    }
+
+    /// A ray that gathers, in direction `wo` of the point's frame. `share`: the diffuse lobe towards it.
+    pub(super) fn gathering(&self, s: &Segment, p: &Point, wo: Vec3, share: Vec3) -> Segment {
+        Segment {
+            ray: leaving(p, p.basis.to_world(wo)),
+            passed: None,
+            arrival: self.gathered(),
+            level: s.level + 1,
+            depth: 0,
+            vertex: s.vertex + 1,
+            weight: s.weight * share.max_element(),
+        }
     }
 }

@@ -19,13 +19,15 @@ impl<const K: u32> Pixels<'_, K> {
         let (irradiance, looked_at) = self.tracer.planned().read(s.level as usize, &site);
         self.counters.reads += 1;
         self.counters.records += looked_at;
-        match irradiance {
+        let by_secondary = self.secondary_lights(s, p, response);
+        let gathered = match irradiance {
             Some(irradiance) => response.outgoing(p.wi) * irradiance * FRAC_1_PI,
             None => {
                 self.counters.uncovered += 1;
                 self.gather_uncovered(s, p, response)
             }
-        }
+        };
+        by_secondary + gathered
     }
 
     /// Notes that the cache would be read at this point.
@@ -88,7 +90,7 @@ impl<const K: u32> Pixels<'_, K> {
                         }
                     };
                     let distance = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
-                    mean.add(self.arriving(segment, hit), distance);
+                    mean.add(self.without_secondary_lights(segment, hit), distance);
                 }
                 mean.sample()
             })

@@ -372,6 +372,12 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
             share(cache.fill_work),
             cache.uncovered
         );
+        if cache.secondary_lights > 0 {
+            text += &format!(
+                "            {} small bright places are sampled by every point\n",
+                cache.secondary_lights
+            );
+        }
         if cache.shared_records + cache.dropped_records > 0 {
             let records: u64 = stats.cache_records.iter().sum();
             text += &format!(

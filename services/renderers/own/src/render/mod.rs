@@ -148,5 +148,6 @@ fn cache_stats(cache: &CacheUse, image: &Image) -> CacheStats {
         shared_records: cache.shared.kept.iter().sum(),
         dropped_records: cache.shared.dropped.iter().sum(),
         own_records: own_records(&cache.all.records, &cache.shared).iter().sum(),
+        secondary_lights: cache.all.secondary_lights,
     }
 }

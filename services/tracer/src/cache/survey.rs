@@ -1,0 +1,275 @@
+//! Survey: where the light of the first bounce comes from, to choose the secondary lights.
+//!
+//! The plan's rays tell whether much of the light comes by way of small places. They are too few to tell their
+//! extent: the inside of a lamp shade fills a thousandth of the view. So records that see a bright place send
+//! further rays: first around it, then into every cell that may be bright.
+
+use super::hemisphere::PLAN_RAYS;
+use super::record::Planned;
+use super::secondary::{Cell, MOST_CELLS, MOST_CUTS, PARTS, SecondaryLight, SecondaryLights, is_behind};
+use crate::geometry::triangle;
+use crate::random::{Sampler, hash};
+use forelight_bvh::Hit;
+use forelight_scene::Geometry;
+use glam::Vec3;
+use std::collections::{BTreeMap, BTreeSet};
+use std::mem::take;
+
+/// A place is bright if its radiance is above this multiple of the mean.
+const BRIGHT: f32 = 8.0;
+
+/// Smallest share of the light that bright places must bring together.
+const LEAST_SHARE: f64 = 0.2;
+
+/// Edge of the cells that are explored, as a fraction of the median distance from which bright hits are seen.
+const EDGE: f32 = 0.125;
+
+/// Rays of an exploration go to within this multiple of the edge.
+const AROUND: f32 = 1.5;
+
+/// How often rays are sent around the bright places that are known.
+const EXPLORATIONS: usize = 2;
+
+/// The edge of the lights is halved at most so often, while their number stays below [`ENOUGH`].
+const HALVINGS: usize = 3;
+const ENOUGH: usize = 96;
+
+/// Least radiance that a part of a light is taken to have, as a fraction of what a bright ray in it or beside it
+/// brings. Its rays may have missed what is lit.
+const DARK: f32 = 0.02;
+
+/// A ray: the record that sent it, its hit, and the radiance that it brings.
+type Seen = (u32, Hit, f32);
+
+/// Rays, and what they show.
+pub struct Survey<'a> {
+    planned: &'a [Planned],
+    geometry: &'a Geometry,
+    /// A ray is bright if it brings more than this radiance.
+    bright: f32,
+    /// Light of all rays of the plan.
+    all: f64,
+    /// Edge of the cells, metres.
+    edge: f32,
+    /// Those of the plan come first.
+    rays: Vec<Seen>,
+    of_plan: usize,
+    explored: BTreeSet<Cell>,
+}
+
+/// What is known of a cell.
+#[derive(Default)]
+struct Known {
+    count: u32,
+    sum: f64,
+    /// Light of the plan's rays.
+    planned: f64,
+    /// The nearest bright ray.
+    nearest: Option<Seen>,
+}
+
+impl Known {
+    fn radiance(&self) -> f32 {
+        (self.sum / f64::from(self.count.max(1))) as f32
+    }
+}
+
+/// Rays that a record is to send around a bright place.
+pub struct Wanted {
+    pub record: u32,
+    /// Key of the random numbers of their light.
+    pub key: u64,
+    pub directions: [Vec3; PLAN_RAYS],
+}
+
+/// Each hit of a record's rays, and the radiance that it brings.
+pub type Traced = [(Option<Hit>, f32); PLAN_RAYS];
+
+impl<'a> Survey<'a> {
+    /// The survey by the rays of planned records, whose mean radiance is `mean`. `None` if not much of the light
+    /// comes from bright places.
+    pub fn of(planned: &'a [Planned], mean: f32, geometry: &'a Geometry) -> Option<Self> {
+        let bright = BRIGHT * mean;
+        let all: f64 = planned.iter().flat_map(|planned| &*planned.lit).map(|&lit| f64::from(lit)).sum();
+        let seen = (0..).zip(planned).flat_map(|(record, planned)| {
+            let hits = planned.hits.iter().zip(&*planned.lit);
+            hits.filter_map(move |(hit, &lit)| Some((record, (*hit)?, lit)))
+        });
+        let are_bright = seen.clone().filter(|(_, _, lit)| *lit > bright);
+        let (mut distances, mut light) = (Vec::new(), 0.0);
+        for (_, hit, lit) in are_bright {
+            distances.push(hit.t);
+            light += f64::from(lit);
+        }
+        if distances.is_empty() || light < LEAST_SHARE * all {
+            return None;
+        }
+        let middle = distances.len() / 2;
+        let edge = EDGE * *distances.select_nth_unstable_by(middle, f32::total_cmp).1;
+        let rays: Vec<Seen> = seen.collect();
+        let of_plan = rays.len();
+        Some(Self { planned, geometry, bright, all, edge, rays, of_plan, explored: BTreeSet::new() })
+    }
+
+    fn cell_of(&self, record: u32, hit: &Hit, cuts: u32) -> Cell {
+        let from = self.planned[record as usize].site.position;
+        Cell::of(hit, cuts, is_behind(from, hit.primitive, self.geometry))
+    }
+
+    /// All cells of the triangles on which there is a bright hit.
+    fn cells(&self, edge: f32) -> BTreeMap<Cell, Known> {
+        let bright = self.rays.iter().filter(|(_, _, lit)| *lit > self.bright);
+        let mut cuts: BTreeMap<u32, u32> = BTreeMap::new();
+        for (_, hit, _) in bright {
+            cuts.entry(hit.primitive).or_insert_with(|| {
+                let [a, b, c] = self.geometry.corners(hit.primitive);
+                let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+                ((longest / edge).ceil() as u32).clamp(1, MOST_CUTS)
+            });
+        }
+        let mut cells: BTreeMap<Cell, Known> = BTreeMap::new();
+        for (number, &(record, hit, lit)) in self.rays.iter().enumerate() {
+            let Some(&cuts) = cuts.get(&hit.primitive) else { continue };
+            let known = cells.entry(self.cell_of(record, &hit, cuts)).or_default();
+            known.count += 1;
+            known.sum += f64::from(lit);
+            known.planned += if number < self.of_plan { f64::from(lit) } else { 0.0 };
+            let is_nearer = known.nearest.is_none_or(|(_, nearest, _)| hit.t < nearest.t);
+            if lit > self.bright && is_nearer {
+                known.nearest = Some((record, hit, lit));
+            }
+        }
+        cells
+    }
+
+    /// Cells with a bright ray. Those that send most light come first.
+    fn bright_cells(&self, edge: f32) -> Vec<(Cell, Known)> {
+        let mut bright: Vec<(Cell, Known)> =
+            self.cells(edge).into_iter().filter(|(_, known)| known.nearest.is_some()).collect();
+        let power = |(cell, known): &(Cell, Known)| cell.area(self.geometry) * known.radiance();
+        bright.sort_by(|a, b| power(b).total_cmp(&power(a)).then(a.0.cmp(&b.0)));
+        bright
+    }
+
+    /// The secondary lights. `trace` traces rays that are wanted, and returns each hit with the radiance that it
+    /// brings.
+    pub fn lights(mut self, trace: &mut dyn FnMut(&[Wanted]) -> Vec<Traced>) -> SecondaryLights {
+        for _ in 0..EXPLORATIONS {
+            let wanted = self.around_bright_cells();
+            self.send(&wanted, trace);
+        }
+        let mut bright = self.bright_cells(self.edge);
+        for _ in 0..HALVINGS {
+            if 4 * bright.len() > ENOUGH {
+                break;
+            }
+            self.edge *= 0.5;
+            bright = self.bright_cells(self.edge);
+        }
+        bright.truncate(MOST_CELLS);
+        if bright.iter().map(|(_, known)| known.planned).sum::<f64>() < LEAST_SHARE * self.all {
+            return SecondaryLights::none();
+        }
+        let lights = self.measured(bright, trace);
+        SecondaryLights::of(self.with_parts(&lights)).unwrap_or_default()
+    }
+
+    /// Cells with the radiances of their parts. `bright`: the radiance of a bright ray in it or beside it.
+    fn with_parts(&self, bright: &BTreeMap<Cell, f32>) -> Vec<SecondaryLight> {
+        let cuts: BTreeMap<u32, u32> = bright.keys().map(|cell| (cell.triangle, cell.cuts)).collect();
+        let mut seen: BTreeMap<Cell, [(f32, f32); PARTS]> = BTreeMap::new();
+        for (record, hit, lit) in &self.rays {
+            let Some(&cuts) = cuts.get(&hit.primitive) else { continue };
+            let cell = self.cell_of(*record, hit, cuts);
+            if bright.contains_key(&cell) {
+                let (count, sum) = &mut seen.entry(cell).or_default()[cell.part_at(hit)];
+                (*count, *sum) = (*count + 1.0, *sum + lit);
+            }
+        }
+        let light = |(&cell, &bright): (&Cell, &f32)| {
+            let seen = seen.get(&cell).copied().unwrap_or_default();
+            let (count, sum) = seen.iter().fold((0.0, 0.0), |all, part| (all.0 + part.0, all.1 + part.1));
+            // Parts that no ray has met are taken to be like the others, and cells like the one beside.
+            let unseen = if count > 0.0 { sum / count } else { bright };
+            let mut parts = [0.0; PARTS];
+            for part in Cell::parts() {
+                let (count, sum) = seen[part];
+                parts[part] = if count > 0.0 { sum / count } else { unseen }.max(DARK * bright);
+            }
+            SecondaryLight { cell, parts }
+        };
+        bright.iter().map(light).collect()
+    }
+
+    /// Sends rays into bright cells, and into those beside them, until all around are dark. Returns each with the
+    /// radiance of a bright ray in it or beside it.
+    fn measured(
+        &mut self,
+        bright: Vec<(Cell, Known)>,
+        trace: &mut dyn FnMut(&[Wanted]) -> Vec<Traced>,
+    ) -> BTreeMap<Cell, f32> {
+        let mut lights: BTreeMap<Cell, f32> = BTreeMap::new();
+        let from = |(cell, known): (Cell, Known)| Some((cell, known.nearest?));
+        let mut open: Vec<(Cell, Seen)> = bright.into_iter().filter_map(from).collect();
+        lights.extend(open.iter().map(|&(cell, (_, _, lit))| (cell, lit)));
+        while !open.is_empty() {
+            let wanted: Vec<Wanted> = open.iter().map(|&(cell, from)| self.within(cell, from)).collect();
+            self.send(&wanted, trace);
+            let cells = self.cells(self.edge);
+            for (cell, _) in take(&mut open) {
+                let Some(from) = cells.get(&cell).and_then(|known| known.nearest) else { continue };
+                for beside in cell.beside() {
+                    if lights.len() < MOST_CELLS && !lights.contains_key(&beside) {
+                        lights.insert(beside, from.2);
+                        open.push((beside, from));
+                    }
+                }
+            }
+        }
+        lights
+    }
+
+    /// Rays around the bright cells that were not explored yet.
+    fn around_bright_cells(&mut self) -> Vec<Wanted> {
+        let mut bright = self.bright_cells(self.edge);
+        bright.truncate(MOST_CELLS);
+        bright.retain(|(cell, _)| self.explored.insert(*cell));
+        let around = |(cell, known): (Cell, Known)| {
+            let from = known.nearest?;
+            let at = from.1.position(self.geometry.corners(cell.triangle));
+            let width = 2.0 * AROUND * self.edge;
+            Some(self.rays_to(cell, from, |_, u| at + width * (u - 0.5)))
+        };
+        bright.into_iter().filter_map(around).collect()
+    }
+
+    /// Rays into a cell.
+    fn within(&self, cell: Cell, from: Seen) -> Wanted {
+        let parts: Vec<usize> = Cell::parts().collect();
+        self.rays_to(cell, from, |ray, u| {
+            cell.point_of_part(parts[ray % parts.len()], triangle(u.truncate()), self.geometry)
+        })
+    }
+
+    /// Rays from a record that saw a bright place to others, which are chosen by points of the unit cube.
+    fn rays_to(&self, cell: Cell, (record, hit, _): Seen, target: impl Fn(usize, Vec3) -> Vec3) -> Wanted {
+        let site = &self.planned[record as usize].site;
+        let known = hit.position(self.geometry.corners(hit.primitive));
+        let key = hash(self.planned[record as usize].key ^ hash(cell.key()));
+        let sampler = Sampler::keyed(key);
+        let directions = std::array::from_fn(|ray| {
+            let [a, b] = [0, 1].map(|part| sampler.independent(2 * ray as u32 + part));
+            let towards = (target(ray, a.extend(b.x)) - site.position).normalize_or_zero();
+            let is_above = towards.dot(site.normal) > 0.0;
+            if is_above { towards } else { (known - site.position).normalize_or(site.normal) }
+        });
+        Wanted { record, key, directions }
+    }
+
+    fn send(&mut self, wanted: &[Wanted], trace: &mut dyn FnMut(&[Wanted]) -> Vec<Traced>) {
+        for (wanted, traced) in wanted.iter().zip(trace(wanted)) {
+            let hits = traced.into_iter().filter_map(|(hit, lit)| Some((wanted.record, hit?, lit)));
+            self.rays.extend(hits);
+        }
+    }
+}
