@@ -315,9 +315,8 @@ fn secondary_row(light: &SecondaryLight) -> SecondaryRow {
 fn secondary_of(row: &SecondaryRow) -> Option<SecondaryLight> {
     let &SecondaryRow { triangle, cuts, number, back, parts } = row;
     let cell = Cell { triangle, cuts, number, back: back == 1 };
-    let in_range = |radiance: &f32| (0.0..=Planned::BRIGHTEST).contains(radiance);
-    let valid = cell.exists() && back <= 1 && parts.iter().all(in_range);
-    valid.then_some(SecondaryLight { cell, parts })
+    let light = SecondaryLight { cell, parts };
+    (back <= 1 && light.is_valid()).then_some(light)
 }
 
 fn planned_row(planned: &Planned) -> PlannedRow {

@@ -9,10 +9,12 @@
 //! The survey of the first plan chooses the cells. If no small place is bright, there are none, and nothing
 //! changes.
 
+use super::record::Planned;
 use crate::geometry::triangle;
 use forelight_bvh::Hit;
 use forelight_scene::Geometry;
 use glam::{Vec2, Vec3};
+use std::f32::consts::FRAC_1_PI;
 use std::sync::OnceLock;
 
 /// Most cells along the edge of a triangle.
@@ -28,7 +30,7 @@ pub const PARTS: usize = 2 * (CUTS_OF_CELL * CUTS_OF_CELL) as usize;
 
 /// Where a cell is nearer than this multiple of its own radius, rays of the whole hemisphere help to find it: its
 /// points contribute too unequally.
-const NEAR: f64 = 3.0;
+const NEAR: f32 = 3.0;
 
 /// One of the cells into which a side of a triangle is divided. All cells of a triangle have the same area.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -81,6 +83,19 @@ impl Cell {
         0.5 * (b - a).cross(c - a).length() / (self.cuts * self.cuts) as f32
     }
 
+    /// Where the cell is in a frame.
+    pub fn placed(&self, geometry: &Geometry) -> Placed {
+        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)].map(|at| position(self, at, geometry));
+        let centre = corners.iter().sum::<Vec3>() / 3.0;
+        let front = geometry.geometric_normal(self.triangle);
+        Placed {
+            centre,
+            normal: if self.back { -front } else { front },
+            radius: corners.iter().map(|corner| corner.distance(centre)).fold(0.0, f32::max),
+            area: self.area(geometry),
+        }
+    }
+
     /// A number of its own.
     pub fn key(&self) -> u64 {
         let side = u64::from(self.back) << 31;
@@ -129,8 +144,8 @@ fn part_of_any(part: usize) -> Cell {
     Cell { triangle: 0, cuts: CUTS_OF_CELL, number: part as u32, back: false }
 }
 
-/// A cell, and the radiance that each of its parts sends, mean over the channels. Parts are numbered as the cells
-/// of a triangle.
+/// A cell, and the radiance that each of its parts is expected to bring to a point, mean over the channels. It
+/// decides how often the part is chosen, and nothing else. Parts are numbered as the cells of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SecondaryLight {
     pub cell: Cell,
@@ -138,6 +153,15 @@ pub struct SecondaryLight {
 }
 
 impl SecondaryLight {
+    /// Whether the cell exists, and something can be expected from exactly the parts that exist.
+    pub fn is_valid(&self) -> bool {
+        let is_valid = |(part, radiance): (usize, &f32)| match part_of_any(part).exists() {
+            true => (f32::MIN_POSITIVE..=Planned::BRIGHTEST).contains(radiance),
+            false => *radiance == 0.0,
+        };
+        self.cell.exists() && self.parts.iter().enumerate().all(is_valid)
+    }
+
     fn radiance(&self) -> f32 {
         self.parts.iter().sum::<f32>() / Cell::parts().count() as f32
     }
@@ -148,13 +172,13 @@ impl SecondaryLight {
 pub struct SecondaryLights {
     /// In ascending order of cells.
     lights: Vec<SecondaryLight>,
-    /// Where they are in the frame, determined when they are first sampled.
-    placed: OnceLock<Vec<Placed>>,
+    /// Where they are in the frame, and their radiances, determined when they are first sampled.
+    placed: OnceLock<Vec<(Placed, f32)>>,
 }
 
-/// A secondary light in a frame.
+/// A cell in a frame.
 #[derive(Debug, Clone, Copy)]
-struct Placed {
+pub struct Placed {
     centre: Vec3,
     /// Unit normal of its side.
     normal: Vec3,
@@ -162,7 +186,23 @@ struct Placed {
     radius: f32,
     /// Metres².
     area: f32,
-    radiance: f32,
+}
+
+impl Placed {
+    /// Roughly the share of the cosine-weighted rays from a point that meet the cell if nothing is between. Above
+    /// 0 if a point of the cell is above the horizon: the point is as far from the cell's plane.
+    pub fn form_factor(&self, position: Vec3, normal: Vec3) -> f32 {
+        let to = self.centre - position;
+        let above = (to.dot(normal) + self.radius).max(0.0);
+        let aside = (-to.dot(self.normal)).max(0.0);
+        let around = to.length_squared() + self.radius * self.radius;
+        let (to_cell, from_cell) = (above / around.sqrt(), aside / around.sqrt());
+        if around > 0.0 { FRAC_1_PI * to_cell * from_cell * (self.area / around) } else { 0.0 }
+    }
+
+    fn is_near(&self, position: Vec3) -> bool {
+        self.centre.distance_squared(position) < NEAR * NEAR * self.radius * self.radius
+    }
 }
 
 /// A point of a secondary light that was chosen.
@@ -175,7 +215,7 @@ pub struct Chosen {
 
 /// The secondary lights, as a point sees them.
 pub struct Seen<'a> {
-    placed: &'a [Placed],
+    placed: &'a [(Placed, f32)],
     lights: &'a [SecondaryLight],
     /// Running sums of how likely each is chosen.
     sums: [f64; MOST_CELLS],
@@ -224,22 +264,9 @@ impl SecondaryLights {
         Some((number, cell.part_at(hit)))
     }
 
-    fn placed(&self, geometry: &Geometry) -> &[Placed] {
+    fn placed(&self, geometry: &Geometry) -> &[(Placed, f32)] {
         self.placed.get_or_init(|| {
-            let place = |light: &SecondaryLight| {
-                let corners =
-                    [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)].map(|at| position(&light.cell, at, geometry));
-                let centre = corners.iter().sum::<Vec3>() / 3.0;
-                let front = geometry.geometric_normal(light.cell.triangle);
-                Placed {
-                    centre,
-                    normal: if light.cell.back { -front } else { front },
-                    radius: corners.iter().map(|corner| corner.distance(centre)).fold(0.0, f32::max),
-                    area: light.cell.area(geometry),
-                    radiance: light.radiance(),
-                }
-            };
-            self.lights.iter().map(place).collect()
+            self.lights.iter().map(|light| (light.cell.placed(geometry), light.radiance())).collect()
         })
     }
 
@@ -248,17 +275,10 @@ impl SecondaryLights {
         let placed = self.placed(geometry);
         let mut seen = Seen { placed, lights: &self.lights, sums: [0.0; MOST_CELLS], any_near: false };
         let mut sum = 0.0;
-        for (number, light) in placed.iter().enumerate() {
-            let to = light.centre - position;
-            let [radius, distance] = [light.radius, to.length()].map(f64::from);
-            // Both are above 0 if a point of the cell contributes: the point is as far from the cell's plane.
-            let above = (f64::from(to.dot(normal)) + radius).max(0.0);
-            let aside = -f64::from(to.dot(light.normal));
-            if above > 0.0 && aside > 0.0 && light.area > 0.0 {
-                let power = f64::from(light.radiance) * f64::from(light.area);
-                sum += power * above * aside / (distance * distance + radius * radius).powi(2);
-                seen.any_near |= distance < NEAR * radius;
-            }
+        for (number, (light, radiance)) in placed.iter().enumerate() {
+            let likely = f64::from(*radiance) * f64::from(light.form_factor(position, normal));
+            seen.any_near |= likely > 0.0 && light.is_near(position);
+            sum += likely;
             seen.sums[number] = sum;
         }
         seen
@@ -287,7 +307,7 @@ impl Seen<'_> {
 
     /// Cosine between a light's normal and a direction.
     pub fn cos(&self, number: usize, direction: Vec3) -> f32 {
-        self.placed[number].normal.dot(direction).abs()
+        self.placed[number].0.normal.dot(direction).abs()
     }
 
     /// Density per steradian with which [`Self::choose`] chooses a point of a part of a light, that is seen at
@@ -295,7 +315,7 @@ impl Seen<'_> {
     pub fn density(&self, (number, part): (usize, usize), distance2: f32, cos: f32) -> f32 {
         let before = number.checked_sub(1).map_or(0.0, |before| self.sums[before]);
         let probability = (self.sums[number] - before) / self.sums[self.lights.len() - 1];
-        let Placed { radiance, area, .. } = self.placed[number];
+        let (Placed { area, .. }, radiance) = self.placed[number];
         let per_area = probability as f32 / area * (self.lights[number].parts[part] / radiance);
         per_area * distance2 / cos.max(f32::MIN_POSITIVE)
     }
@@ -436,6 +456,21 @@ mod tests {
         assert!(!is_chosen(Vec3::Y * 9.0, Vec3::NEG_Y, !above_is_back));
         assert!(!is_chosen(Vec3::Y * 9.0, Vec3::Y, above_is_back));
         assert!(!is_chosen(Vec3::new(5.0, 0.0, 5.0), Vec3::NEG_X, above_is_back));
+    }
+
+    #[test]
+    fn a_light_without_cell_or_with_parts_that_do_not_exist_is_not_valid() {
+        let light = |number, parts| SecondaryLight {
+            cell: Cell { triangle: 0, cuts: 2, number, back: false },
+            parts,
+        };
+        let parts: [f32; PARTS] =
+            std::array::from_fn(|part| if part_of_any(part).exists() { 1.0 } else { 0.0 });
+        assert!(light(0, parts).is_valid());
+        assert!(
+            !light(9, parts).is_valid() && !light(0, EVEN).is_valid() && !light(0, [0.0; PARTS]).is_valid()
+        );
+        assert!(!light(0, parts.map(|part| part * f32::NAN)).is_valid());
     }
 
     #[test]

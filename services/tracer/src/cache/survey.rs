@@ -34,9 +34,14 @@ const EXPLORATIONS: usize = 2;
 const HALVINGS: usize = 3;
 const ENOUGH: usize = 96;
 
-/// Least radiance that a part of a light is taken to have, as a fraction of what a bright ray in it or beside it
-/// brings. Its rays may have missed what is lit.
-const DARK: f32 = 0.02;
+/// Least radiance that a part of a light is taken to have, as a fraction of what a bright ray brings that is in the
+/// light, or else in one beside it. Its rays may have missed what is lit.
+const DARK: f32 = 0.2;
+const DARK_BESIDE: f32 = 0.05;
+
+/// Least share of the points that see a light. A triangle's share is that of the plan's rays that meet its lights,
+/// among those that would if nothing were between.
+const LEAST_SEEN: f32 = 0.05;
 
 /// A ray: the record that sent it, its hit, and the radiance that it brings.
 type Seen = (u32, Hit, f32);
@@ -186,19 +191,46 @@ impl<'a> Survey<'a> {
                 (*count, *sum) = (*count + 1.0, *sum + lit);
             }
         }
+        let shares = self.seen_shares(bright.keys());
         let light = |(&cell, &bright): (&Cell, &f32)| {
             let seen = seen.get(&cell).copied().unwrap_or_default();
             let (count, sum) = seen.iter().fold((0.0, 0.0), |all, part| (all.0 + part.0, all.1 + part.1));
             // Parts that no ray has met are taken to be like the others, and cells like the one beside.
             let unseen = if count > 0.0 { sum / count } else { bright };
+            let dark = if sum > self.bright { DARK } else { DARK_BESIDE };
+            let share = shares[&(cell.triangle, cell.back)];
             let mut parts = [0.0; PARTS];
             for part in Cell::parts() {
                 let (count, sum) = seen[part];
-                parts[part] = if count > 0.0 { sum / count } else { unseen }.max(DARK * bright);
+                parts[part] = share * if count > 0.0 { sum / count } else { unseen }.max(dark * bright);
             }
             SecondaryLight { cell, parts }
         };
         bright.iter().map(light).collect()
+    }
+
+    /// For the sides of triangles on which these cells are: the share of the records that see the cells.
+    fn seen_shares<'c>(&self, cells: impl Iterator<Item = &'c Cell>) -> BTreeMap<(u32, bool), f32> {
+        let mut expected: BTreeMap<Cell, f32> = cells.map(|cell| (*cell, 0.0)).collect();
+        for (cell, expected) in &mut expected {
+            let light = cell.placed(self.geometry);
+            let share = |planned: &Planned| light.form_factor(planned.site.position, planned.site.normal);
+            *expected = PLAN_RAYS as f32 * self.planned.iter().map(share).sum::<f32>();
+        }
+        let cuts: BTreeMap<u32, u32> = expected.keys().map(|cell| (cell.triangle, cell.cuts)).collect();
+        let mut rays: BTreeMap<(u32, bool), [f32; 2]> = BTreeMap::new();
+        for (record, hit, _) in &self.rays[..self.of_plan] {
+            let Some(&cuts) = cuts.get(&hit.primitive) else { continue };
+            let cell = self.cell_of(*record, hit, cuts);
+            if expected.contains_key(&cell) {
+                rays.entry((cell.triangle, cell.back)).or_default()[0] += 1.0;
+            }
+        }
+        for (cell, expected) in expected {
+            rays.entry((cell.triangle, cell.back)).or_default()[1] += expected;
+        }
+        let share = |[met, expected]: [f32; 2]| ((met + 1.0) / (expected + 1.0)).clamp(LEAST_SEEN, 1.0);
+        rays.into_iter().map(|(side, counts)| (side, share(counts))).collect()
     }
 
     /// Sends rays into bright cells, and into those beside them, until all around are dark. Returns each with the

@@ -12,7 +12,7 @@ use std::f32::consts::FRAC_1_PI;
 
 /// Rays to secondary lights from a point that contributes fully to its pixel. Points that contribute less send
 /// proportionally fewer. With few camera samples, most of the noise would be that of these rays.
-const RAYS: UncoveredGathers = UncoveredGathers { first: 16, least: 4 };
+const RAYS: UncoveredGathers = UncoveredGathers { first: 16, least: 2 };
 
 impl<const K: u32> Pixels<'_, K> {
     /// Diffuse light from the secondary lights, at a first diffuse hit.

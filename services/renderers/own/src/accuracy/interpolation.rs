@@ -2,11 +2,10 @@
 //! fall with camera samples, since all of them read the same records.
 //!
 //! The records that the profiled pixels read are filled, so a pixel's value `c` is close to the image's. Only
-//! the averaging of similar records is missing, and the noise of rays to secondary lights counts as the cache's,
-//! so the result is an upper estimate. `c` is compared to two
-//! values of the same pixel, gathered with more divisions: `g` from the *same* camera samples, `h` from
-//! independent ones. With e the error of the camera samples that c and g share, b that of the cache, and u
-//! and v the remaining noise of g and h,
+//! the averaging of similar records is missing, and the noise of rays to secondary lights counts as the
+//! cache's. So the result is an upper estimate. `c` is compared to two values of the same pixel, gathered with
+//! more divisions: `g` from the *same* camera samples, `h` from independent ones. With e the error of the camera
+//! samples that c and g share, b that of the cache, and u and v the remaining noise of g and h,
 //!
 //! ```text
 //! E[(c − g)(c − h)] = E[(b − u)(e + b − v)] = E[b²] :
