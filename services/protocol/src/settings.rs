@@ -92,7 +92,7 @@ pub struct RenderSettings {
     #[serde(default = "default_cache_accuracy")]
     pub cache_accuracy: u32,
     /// Hemisphere rays per cache record. Each further bounce has a quarter of them, at least 48. Directions
-    /// of small bright spots get more.
+    /// of bright places get more.
     #[serde(default = "default_cache_rays")]
     pub cache_rays: u32,
     /// Which materials the renderer uses.

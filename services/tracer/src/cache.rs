@@ -61,6 +61,7 @@ mod survey;
 pub use error::CacheError;
 pub use hemisphere::{Irradiance, Mean, PLAN_RAYS, Sample, Strata};
 pub use record::{Planned, Record, RecordCost};
+pub(crate) use secondary::Seen;
 pub use share::Shared;
 pub use site::{Keyed, Site};
 

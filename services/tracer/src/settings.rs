@@ -39,7 +39,7 @@ pub struct CacheSettings {
     /// 0.3, the densest records also lie farther apart. Above 0.4, only they do.
     pub accuracy: u32,
     /// Rays per record: nearest of 48, 192, 432, 768, 1200, … Each further bounce uses a quarter, at least
-    /// 48. Directions of small bright spots get more, up to five times as many in all.
+    /// 48. Directions of bright places get more, up to five times as many in all.
     pub rays: u32,
 }
 

@@ -66,7 +66,7 @@ fn the_cache_finds_a_small_bright_spot_and_shows_no_blotches() {
         let settings = Settings {
             width: 24,
             height: 24,
-            spp: 1,
+            spp: 4,
             ambient_bounces: 1,
             cache: Some(CacheSettings { accuracy: 200, rays: 768 }),
             seed,

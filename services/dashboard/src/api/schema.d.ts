@@ -5092,7 +5092,7 @@ export interface components {
             /**
              * Format: int32
              * @description Hemisphere rays per cache record. Each further bounce has a quarter of them, at least 48. Directions
-             *     of small bright spots get more.
+             *     of bright places get more.
              */
             cache_rays?: number;
             /**

@@ -1,10 +1,12 @@
 //! Errors of the cache's file format.
 
+use super::file::MAGIC;
+
 /// Why bytes are not a valid cache, or not one for this frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The magic bytes are wrong.
-    #[error("not an irradiance cache of this version (it must begin with FLcach09)")]
+    #[error("not an irradiance cache of this version (it must begin with {})", MAGIC.escape_ascii())]
     Foreign,
     /// The length differs from what the headers say.
     #[error("truncated irradiance cache: it has {found} bytes instead of {expected}")]

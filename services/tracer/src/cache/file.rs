@@ -22,7 +22,7 @@ use forelight_bvh::Hit;
 use glam::Vec3;
 use std::sync::OnceLock;
 
-const MAGIC: [u8; 8] = *b"FLcach10";
+pub const MAGIC: [u8; 8] = *b"FLcach10";
 
 /// A gather has at most this many strata; see [`crate::Settings::validate`].
 const MOST_RAYS: u32 = 66_000;
@@ -213,6 +213,9 @@ impl Cache {
         }
         for (depth, level) in cache.levels.iter_mut().enumerate() {
             level.is_guided = depth == 0;
+            if depth > 0 && !level.secondary.is_empty() {
+                return Err(CacheError::Damaged("a secondary light belongs to the first level"));
+            }
             level.prepare(cache.world);
         }
         Ok(cache)

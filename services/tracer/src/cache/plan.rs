@@ -225,10 +225,15 @@ impl Planning<'_> {
             Some(before) => self.cover_gathers(before, depth, &mut coverage),
         }
         let geometry = &self.tracer.frame.geometry;
-        // The first plan decides, so that records of later frames do not change it.
+        // The first plan decides, so that records of later frames do not change it. Filled records leave out what
+        // was chosen then.
         if level.is_guided && level.brightness == 0.0 {
-            level.brightness = mean_radiance(&level.planned);
-            level.secondary = self.secondary_lights(level);
+            let (brightness, nanos) = clocked(|| mean_radiance(&level.planned));
+            self.plan.cost.cpu_nanos += nanos;
+            level.brightness = brightness;
+            if level.explored == 0 {
+                level.secondary = self.secondary_lights(level);
+            }
         }
         let ((), leaving_out) = clocked(|| level.leave_out_secondary_lights(geometry));
         let ((), indexing) = clocked(|| {
@@ -242,22 +247,27 @@ impl Planning<'_> {
     fn secondary_lights(&mut self, level: &Level) -> SecondaryLights {
         let tracer = self.tracer;
         let geometry = &tracer.frame.geometry;
-        let (survey, starting) = clocked(|| Survey::of(&level.planned, level.brightness, geometry));
-        self.plan.cost.cpu_nanos += starting;
-        let Some(survey) = survey else { return SecondaryLights::none() };
+        // CPU time of this thread within `trace`: that is charged with the rays.
+        let mut tracing = 0;
         let mut trace = |wanted: &[Wanted]| {
             let rays = |wanted: &Wanted| {
                 let site = &level.planned[wanted.record as usize].site;
                 clocked(|| tracer.kernel.plan_rays(tracer, site, wanted.key, &wanted.directions, true))
             };
-            let traced: Vec<_> = wanted.par_iter().map(rays).collect();
+            let (traced, nanos) = clocked(|| wanted.par_iter().map(rays).collect::<Vec<_>>());
+            tracing += nanos;
             let charged = traced.into_iter().map(|((rays, counters), nanos)| {
                 self.plan.charge(&counters, nanos);
                 rays
             });
             charged.collect()
         };
-        survey.lights(&mut trace)
+        let (lights, nanos) = clocked(|| {
+            let survey = Survey::of(&level.planned, level.brightness, geometry);
+            survey.map_or_else(SecondaryLights::none, |survey| survey.lights(&mut trace))
+        });
+        self.plan.cost.cpu_nanos += nanos.saturating_sub(tracing);
+        lights
     }
 
     /// Plans the first level, from the first diffuse hits of all pixels, coarse to fine. Within each stage

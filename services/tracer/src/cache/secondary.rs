@@ -79,8 +79,9 @@ impl Cell {
 
     /// Metres².
     pub fn area(&self, geometry: &Geometry) -> f32 {
-        let [a, b, c] = geometry.corners(self.triangle);
-        0.5 * (b - a).cross(c - a).length() / (self.cuts * self.cuts) as f32
+        // In 64 bits: slivers would lose all digits.
+        let [a, b, c] = geometry.corners(self.triangle).map(Vec3::as_dvec3);
+        (0.5 * (b - a).cross(c - a).length() / f64::from(self.cuts * self.cuts)) as f32
     }
 
     /// Where the cell is in a frame.
@@ -205,14 +206,6 @@ impl Placed {
     }
 }
 
-/// A point of a secondary light that was chosen.
-pub struct Chosen {
-    pub number: usize,
-    pub part: usize,
-    pub position: Vec3,
-    pub triangle: u32,
-}
-
 /// The secondary lights, as a point sees them.
 pub struct Seen<'a> {
     placed: &'a [(Placed, f32)],
@@ -286,38 +279,39 @@ impl SecondaryLights {
 }
 
 impl Seen<'_> {
-    /// Chooses a point of a light. `which` is in [0, 1), `place` in the unit square. `None` if no light
+    /// Chooses a light, and a point of it. `which` is in [0, 1), `place` in the unit square. `None` if no light
     /// contributes.
-    pub fn choose(&self, which: f64, place: Vec2, geometry: &Geometry) -> Option<Chosen> {
+    pub fn choose(&self, which: f64, place: Vec2, geometry: &Geometry) -> Option<(usize, Vec3)> {
         let sums = &self.sums[..self.lights.len()];
         let at = which * sums.last()?;
         let number = sums.partition_point(|&sum| sum <= at);
         let light = self.lights.get(number)?;
         // What is left of the random number chooses the part.
         let before = number.checked_sub(1).map_or(0.0, |before| sums[before]);
-        let all: f32 = light.parts.iter().sum();
-        let mut left = ((at - before) / (sums[number] - before)) as f32 * all;
-        let part = light.parts.iter().position(|&radiance| {
-            left -= radiance;
-            left < 0.0
-        })?;
-        let position = light.cell.point_of_part(part, triangle(place), geometry);
-        Some(Chosen { number, part, position, triangle: light.cell.triangle })
+        let left = (at - before) / (sums[number] - before);
+        let all: f64 = light.parts.iter().copied().map(f64::from).sum();
+        let mut sum = 0.0;
+        let is_chosen = |radiance: f64| {
+            sum += radiance;
+            left * all < sum
+        };
+        let mut parts = light.parts.iter().copied().map(f64::from);
+        let part = parts.position(is_chosen).or(light.parts.iter().rposition(|&part| part > 0.0))?;
+        Some((number, light.cell.point_of_part(part, triangle(place), geometry)))
     }
 
-    /// Cosine between a light's normal and a direction.
-    pub fn cos(&self, number: usize, direction: Vec3) -> f32 {
-        self.placed[number].0.normal.dot(direction).abs()
-    }
-
-    /// Density per steradian with which [`Self::choose`] chooses a point of a part of a light, that is seen at
-    /// the cosine `cos` and the squared distance `distance2`.
-    pub fn density(&self, (number, part): (usize, usize), distance2: f32, cos: f32) -> f32 {
+    /// Density per steradian with which [`Self::choose`] chooses a direction, for a part of a light that is met at
+    /// the squared distance `distance2`.
+    pub fn density(&self, (number, part): (usize, usize), distance2: f32, direction: Vec3) -> f32 {
         let before = number.checked_sub(1).map_or(0.0, |before| self.sums[before]);
-        let probability = (self.sums[number] - before) / self.sums[self.lights.len() - 1];
-        let (Placed { area, .. }, radiance) = self.placed[number];
-        let per_area = probability as f32 / area * (self.lights[number].parts[part] / radiance);
-        per_area * distance2 / cos.max(f32::MIN_POSITIVE)
+        let likely = self.sums[number] - before;
+        if likely <= 0.0 {
+            return 0.0;
+        }
+        let (Placed { area, normal, .. }, radiance) = self.placed[number];
+        let probability = (likely / self.sums[self.lights.len() - 1]) as f32;
+        let per_area = probability / area * (self.lights[number].parts[part] / radiance);
+        per_area * distance2 / normal.dot(direction).abs().max(f32::MIN_POSITIVE)
     }
 }
 
@@ -419,17 +413,19 @@ mod tests {
         let mut times = BTreeMap::new();
         for index in 0..count {
             let which = (f64::from(index) + 0.5) / f64::from(count);
-            let chosen = seen.choose(which, sampler.independent(index), &geometry).expect("all contribute");
-            let place = (chosen.number, chosen.part);
-            let hit = hit(chosen.triangle, barycentric_of(chosen.position, chosen.triangle));
-            assert_eq!(lights.met(&hit, EYE, &geometry), Some(place));
+            let chosen = seen.choose(which, sampler.independent(index), &geometry);
+            let (number, position) = chosen.expect("all contribute");
+            let on = lights.all()[number].cell.triangle;
+            let met = lights.met(&hit(on, barycentric_of(position, on)), EYE, &geometry);
+            let place = met.filter(|met| met.0 == number).expect("the point is on its light");
             *times.entry(place).or_insert(0.0) += 1.0 / f64::from(count);
         }
         assert_eq!(times.len(), 3 * Cell::parts().filter(|part| part % 5 > 0).count());
         for ((number, part), share) in times {
             // At distance 1 and cosine 1, densities per steradian and per area are the same.
             let area = f64::from(lights.all()[number].cell.area(&geometry)) / Cell::parts().count() as f64;
-            let density = f64::from(seen.density((number, part), 1.0, 1.0));
+            let normal = geometry.geometric_normal(lights.all()[number].cell.triangle);
+            let density = f64::from(seen.density((number, part), 1.0, normal));
             assert!((density * area - share).abs() < 1e-4 && share > 1e-3, "{share}, {density}");
         }
     }

@@ -14,6 +14,7 @@ use forelight_scene::Geometry;
 use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 use std::mem::take;
+use std::ops::Range;
 
 /// A place is bright if its radiance is above this multiple of the mean.
 const BRIGHT: f32 = 8.0;
@@ -183,12 +184,15 @@ impl<'a> Survey<'a> {
     fn with_parts(&self, bright: &BTreeMap<Cell, f32>) -> Vec<SecondaryLight> {
         let cuts: BTreeMap<u32, u32> = bright.keys().map(|cell| (cell.triangle, cell.cuts)).collect();
         let mut seen: BTreeMap<Cell, [(f32, f32); PARTS]> = BTreeMap::new();
+        let mut most: BTreeMap<Cell, f32> = BTreeMap::new();
         for (record, hit, lit) in &self.rays {
             let Some(&cuts) = cuts.get(&hit.primitive) else { continue };
             let cell = self.cell_of(*record, hit, cuts);
             if bright.contains_key(&cell) {
                 let (count, sum) = &mut seen.entry(cell).or_default()[cell.part_at(hit)];
                 (*count, *sum) = (*count + 1.0, *sum + lit);
+                let most = most.entry(cell).or_default();
+                *most = most.max(*lit);
             }
         }
         let shares = self.seen_shares(bright.keys());
@@ -197,16 +201,18 @@ impl<'a> Survey<'a> {
             let (count, sum) = seen.iter().fold((0.0, 0.0), |all, part| (all.0 + part.0, all.1 + part.1));
             // Parts that no ray has met are taken to be like the others, and cells like the one beside.
             let unseen = if count > 0.0 { sum / count } else { bright };
-            let dark = if sum > self.bright { DARK } else { DARK_BESIDE };
+            let is_lit = self.bright < most.get(&cell).copied().unwrap_or_default();
+            let dark = if is_lit { DARK } else { DARK_BESIDE };
             let share = shares[&(cell.triangle, cell.back)];
             let mut parts = [0.0; PARTS];
             for part in Cell::parts() {
                 let (count, sum) = seen[part];
-                parts[part] = share * if count > 0.0 { sum / count } else { unseen }.max(dark * bright);
+                let radiance = if count > 0.0 { sum / count } else { unseen }.max(dark * bright);
+                parts[part] = (share * radiance).clamp(f32::MIN_POSITIVE, Planned::BRIGHTEST);
             }
             SecondaryLight { cell, parts }
         };
-        bright.iter().map(light).collect()
+        bright.iter().filter(|(cell, _)| cell.area(self.geometry) > 0.0).map(light).collect()
     }
 
     /// For the sides of triangles on which these cells are: the share of the records that see the cells.
@@ -240,16 +246,19 @@ impl<'a> Survey<'a> {
         bright: Vec<(Cell, Known)>,
         trace: &mut dyn FnMut(&[Wanted]) -> Vec<Traced>,
     ) -> BTreeMap<Cell, f32> {
-        let mut lights: BTreeMap<Cell, f32> = BTreeMap::new();
         let from = |(cell, known): (Cell, Known)| Some((cell, known.nearest?));
         let mut open: Vec<(Cell, Seen)> = bright.into_iter().filter_map(from).collect();
-        lights.extend(open.iter().map(|&(cell, (_, _, lit))| (cell, lit)));
+        let mut lights: BTreeMap<Cell, f32> = open.iter().map(|&(cell, (_, _, lit))| (cell, lit)).collect();
+        let mut is_first = true;
         while !open.is_empty() {
             let wanted: Vec<Wanted> = open.iter().map(|&(cell, from)| self.within(cell, from)).collect();
-            self.send(&wanted, trace);
-            let cells = self.cells(self.edge);
-            for (cell, _) in take(&mut open) {
-                let Some(from) = cells.get(&cell).and_then(|known| known.nearest) else { continue };
+            let sent = self.send(&wanted, trace);
+            for ((cell, from), rays) in take(&mut open).into_iter().zip(sent) {
+                let is_lit = |(record, hit, lit): &&Seen| {
+                    *lit > self.bright && self.cell_of(*record, hit, cell.cuts) == cell
+                };
+                let lit = self.rays[rays].iter().find(is_lit).copied();
+                let Some(from) = lit.or(is_first.then_some(from)) else { continue };
                 for beside in cell.beside() {
                     if lights.len() < MOST_CELLS && !lights.contains_key(&beside) {
                         lights.insert(beside, from.2);
@@ -257,6 +266,7 @@ impl<'a> Survey<'a> {
                     }
                 }
             }
+            is_first = false;
         }
         lights
     }
@@ -298,10 +308,19 @@ impl<'a> Survey<'a> {
         Wanted { record, key, directions }
     }
 
-    fn send(&mut self, wanted: &[Wanted], trace: &mut dyn FnMut(&[Wanted]) -> Vec<Traced>) {
-        for (wanted, traced) in wanted.iter().zip(trace(wanted)) {
+    /// Traces rays, and returns the places of each record's hits among all.
+    fn send(
+        &mut self,
+        wanted: &[Wanted],
+        trace: &mut dyn FnMut(&[Wanted]) -> Vec<Traced>,
+    ) -> Vec<Range<usize>> {
+        let traced = wanted.iter().zip(trace(wanted));
+        let add = |(wanted, traced): (&Wanted, Traced)| {
+            let first = self.rays.len();
             let hits = traced.into_iter().filter_map(|(hit, lit)| Some((wanted.record, hit?, lit)));
             self.rays.extend(hits);
-        }
+            first..self.rays.len()
+        };
+        traced.map(add).collect()
     }
 }

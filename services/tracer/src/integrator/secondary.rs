@@ -1,18 +1,18 @@
 //! Indirect light by way of secondary lights: see `cache/secondary`.
 
-use super::{Pixels, Point, Segment};
+use super::direct::fine;
+use super::{Pixels, Point, Segment, leaving};
+use crate::cache::Seen;
 use crate::cost::Category;
 use crate::geometry;
 use crate::random::Purpose;
 use crate::response::Response;
-use crate::settings::UncoveredGathers;
-use forelight_bvh::{Hit, Ray};
+use forelight_bvh::Hit;
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// Rays to secondary lights from a point that contributes fully to its pixel. Points that contribute less send
-/// proportionally fewer. With few camera samples, most of the noise would be that of these rays.
-const RAYS: UncoveredGathers = UncoveredGathers { first: 16, least: 2 };
+/// Rays to secondary lights from a point that contributes fully to its pixel; proportionally fewer with less.
+const RAYS: f32 = 4.0;
 
 impl<const K: u32> Pixels<'_, K> {
     /// Diffuse light from the secondary lights, at a first diffuse hit.
@@ -26,63 +26,54 @@ impl<const K: u32> Pixels<'_, K> {
         // Looking at one takes as long as looking at a record.
         self.counters.records += lights.all().len() as u64;
         let seen = lights.seen_from(p.position, p.basis.normal, geometry);
-        let weighted = |rays: u32| ((rays as f32 * s.weight.min(1.0)).ceil() as u32).max(1);
-        let (count, least) = (weighted(RAYS.of_sample(self.sampler.samples())), weighted(RAYS.least));
-        let before = self.counters.work();
-        let [places, choices] = [(); 2].map(|()| self.sampler.draw(Purpose::Gather, s.vertex));
-        let by_cosine = |wo: Vec3| if seen.any_near { wo.z * FRAC_1_PI } else { 0.0 };
+        let count = (RAYS * s.weight).ceil().clamp(1.0, RAYS) as u32;
+        let points = self.sampler.draw(Purpose::Gather, s.vertex);
         let mut sum = Vec3::ZERO;
-        // Both ways to choose a direction are combined by the balance heuristic (Veach 1997).
         for ray in 0..count {
-            let place = self.sampler.related(places, ray);
+            // Sequences of their own: two points of one sequence are not independent.
+            let place = self.sampler.related(points, 2 * ray);
+            let choice = fine(self.sampler.related(points, 2 * ray + 1));
             if seen.any_near {
                 let wo = geometry::cosine_hemisphere(place);
-                sum += self.toward_secondary(s, p, response, wo, |hit, ray| {
-                    let place = lights.met(hit, ray.origin, geometry)?;
-                    let density = seen.density(place, hit.t * hit.t, seen.cos(place.0, ray.direction));
-                    Some(by_cosine(wo) / (by_cosine(wo) + density))
-                });
+                sum += self.toward_secondary(s, p, response, wo, &seen, |_| true);
             }
-            let which = (f64::from(ray) + f64::from(self.sampler.related(choices, ray).x)) / f64::from(count);
-            if let Some(chosen) = seen.choose(which, place, geometry) {
-                let to = chosen.position - p.position;
-                let distance2 = to.length_squared();
-                let direction = to / distance2.sqrt();
-                let wo = p.basis.to_local(direction);
-                let cos = seen.cos(chosen.number, direction);
-                let density = seen.density((chosen.number, chosen.part), distance2, cos);
-                sum += self.toward_secondary(s, p, response, wo, |hit, _| {
-                    let factor = wo.z * FRAC_1_PI / (by_cosine(wo) + density);
-                    (hit.primitive == chosen.triangle).then_some(factor)
-                });
+            let which = (f64::from(ray) + choice) / f64::from(count);
+            if let Some((number, position)) = seen.choose(which, place, geometry) {
+                let origin = leaving(p, position - p.position).origin;
+                let wo = p.basis.to_local((position - origin).normalize_or_zero());
+                sum += self.toward_secondary(s, p, response, wo, &seen, |met| met == number);
             }
         }
-        let spent = self.counters.work() - before;
-        self.counters.extra_work += spent * u64::from(count - least) / u64::from(count);
         sum / count as f32
     }
 
-    /// Diffuse light along one ray, times the factor for its first hit; nothing if there is none.
+    /// Diffuse light along one ray that was chosen in direction `wo`, if it meets a light whose number is wanted.
+    /// Both ways to choose a direction are combined by the balance heuristic (Veach 1997).
     fn toward_secondary(
         &mut self,
         s: &Segment,
         p: &Point,
         response: &Response,
         wo: Vec3,
-        factor: impl Fn(&Hit, &Ray) -> Option<f32>,
+        seen: &Seen<'_>,
+        is_wanted: impl Fn(usize) -> bool,
     ) -> Vec3 {
-        // The point itself has no direction to it.
-        if wo.z.is_nan() || wo.z <= 0.0 {
+        if wo.z <= 0.0 {
             return Vec3::ZERO;
         }
         self.counters.ray(Category::Ambient);
-        let share = response.diffuse(p.wi, wo);
+        let (tracer, share) = (self.tracer, response.diffuse(p.wi, wo));
         let segment = self.gathering(s, p, wo, share);
         let Some(hit) = self.closest(&segment.ray, None) else { return Vec3::ZERO };
-        match factor(&hit, &segment.ray) {
-            Some(factor) => factor * share * self.arriving(segment, Some(hit)),
-            None => Vec3::ZERO,
-        }
+        let lights = tracer.planned().secondary_lights();
+        let met = lights.met(&hit, segment.ray.origin, &tracer.frame.geometry);
+        let Some(place) = met.filter(|place| is_wanted(place.0)) else { return Vec3::ZERO };
+        let by_cosine = wo.z * FRAC_1_PI;
+        let density = seen.density(place, hit.t * hit.t, segment.ray.direction);
+        let all = density + if seen.any_near { by_cosine } else { 0.0 };
+        // A light that is never chosen and not near cannot be reached, but for rounding.
+        let factor = if all > 0.0 { by_cosine / all } else { 0.0 };
+        factor * share * self.arriving(segment, Some(hit))
     }
 
     /// Radiance along a ray of a gather whose first hit is known. Secondary lights are left out of the gathers
