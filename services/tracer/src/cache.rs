@@ -61,7 +61,7 @@ mod survey;
 pub use error::CacheError;
 pub use hemisphere::{Irradiance, Mean, PLAN_RAYS, Sample, Strata};
 pub use record::{Planned, Record, RecordCost};
-pub(crate) use secondary::Seen;
+pub use secondary::{SecondaryLights, Seen};
 pub use share::Shared;
 pub use site::{Keyed, Site};
 
@@ -75,7 +75,6 @@ use guide::Guide;
 use index::Index;
 use places::Places;
 use record::{Smoothed, Value};
-use secondary::SecondaryLights;
 use std::sync::OnceLock;
 
 /// Records are read up to this many times farther than they were planned to cover. Several records then blend
@@ -237,10 +236,10 @@ impl Cache {
         self.levels[level].records[index].get()
     }
 
-    /// Small bright places that are left out of the records of the first level: points sample them.
-    pub fn secondary_lights(&self) -> &SecondaryLights {
-        static NONE: SecondaryLights = SecondaryLights::none();
-        self.levels.first().map_or(&NONE, |level| &level.secondary)
+    /// Small bright places that are left out of the records of the first level: points sample them. `None` before
+    /// the cache is planned.
+    pub fn secondary_lights(&self) -> Option<&SecondaryLights> {
+        self.levels.first().map(|level| &level.secondary)
     }
 
     /// Number of the frame that the cache was first planned for.
@@ -296,7 +295,7 @@ impl Cache {
             records: self.records(),
             plan: self.plan,
             plan_rays: self.plan_rays,
-            secondary_lights: self.secondary_lights().all().len() as u64,
+            secondary_lights: self.secondary_lights().map_or(0, |lights| lights.all().len() as u64),
             ..CacheTotals::default()
         };
         for smoothed in self.levels.iter().filter_map(|level| level.smoothed.get()) {

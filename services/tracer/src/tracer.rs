@@ -4,7 +4,9 @@
 mod beside;
 mod prepare;
 
-use crate::cache::{Cache, CacheError, Irradiance, Keyed, PLAN_RAYS, Planned, RecordCost, Site, Strata};
+use crate::cache::{
+    Cache, CacheError, Irradiance, Keyed, PLAN_RAYS, Planned, RecordCost, SecondaryLights, Site, Strata,
+};
 use crate::cost::{Cost, Counters, Tally, WorkByClass, clocked, share_cpu_time};
 use crate::effects::Effects;
 use crate::environment::Sky;
@@ -194,6 +196,12 @@ impl Tracer {
     /// The cache, for kernels that read one.
     pub(crate) fn planned(&self) -> &Cache {
         self.cache.get().expect("the cache is planned before a kernel reads it")
+    }
+
+    /// The secondary lights of the cache. None without a cache.
+    pub(crate) fn secondary_lights(&self) -> &SecondaryLights {
+        static NONE: SecondaryLights = SecondaryLights::none();
+        self.cache.get().and_then(Cache::secondary_lights).unwrap_or(&NONE)
     }
 
     /// Plans the cache if necessary, and gathers its missing records on the current thread pool. `progress`

@@ -234,8 +234,9 @@ impl Cache {
         let triangles = tracer.frame.geometry.triangles.len();
         let exists =
             |planned: &Planned| planned.hits.iter().flatten().all(|hit| (hit.primitive as usize) < triangles);
+        let mut lights = self.levels.iter().flat_map(|level| level.secondary.all());
         if !self.levels.iter().flat_map(|level| &level.planned).all(exists)
-            || !self.secondary_lights().all().iter().all(|light| (light.cell.triangle as usize) < triangles)
+            || lights.any(|light| light.cell.triangle as usize >= triangles)
         {
             return Err(CacheError::Damaged("a record refers to a triangle that the scene does not have"));
         }

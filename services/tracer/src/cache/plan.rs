@@ -224,7 +224,6 @@ impl Planning<'_> {
             None => self.cover_pixels(&mut coverage),
             Some(before) => self.cover_gathers(before, depth, &mut coverage),
         }
-        let geometry = &self.tracer.frame.geometry;
         // The first plan decides, so that records of later frames do not change it. Filled records leave out what
         // was chosen then.
         if level.is_guided && level.brightness == 0.0 {
@@ -235,12 +234,12 @@ impl Planning<'_> {
                 level.secondary = self.secondary_lights(level);
             }
         }
-        let ((), leaving_out) = clocked(|| level.leave_out_secondary_lights(geometry));
         let ((), indexing) = clocked(|| {
+            level.leave_out_secondary_lights(&self.tracer.frame.geometry);
             level.prepare(world);
             level.make_ready_to_gather();
         });
-        self.plan.cost.cpu_nanos += starting + leaving_out + indexing;
+        self.plan.cost.cpu_nanos += starting + indexing;
     }
 
     /// The secondary lights that a level's rays, and further ones around bright places, show.

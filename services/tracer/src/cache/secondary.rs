@@ -97,6 +97,11 @@ impl Cell {
         }
     }
 
+    /// The side of a triangle that it is on.
+    pub fn side(&self) -> (u32, bool) {
+        (self.triangle, self.back)
+    }
+
     /// A number of its own.
     pub fn key(&self) -> u64 {
         let side = u64::from(self.back) << 31;

@@ -117,6 +117,15 @@ impl<'a> Survey<'a> {
         Some(Self { planned, geometry, bright, all, edge, rays, of_plan, explored: BTreeSet::new() })
     }
 
+    /// The rays that meet triangles with these numbers of cuts, with the cells that they meet. Those of the plan
+    /// come first.
+    fn rays_in(&self, cuts: &BTreeMap<u32, u32>) -> impl Iterator<Item = (usize, Cell, &Seen)> {
+        self.rays.iter().enumerate().filter_map(|(number, seen)| {
+            let (record, hit, _) = seen;
+            Some((number, self.cell_of(*record, hit, *cuts.get(&hit.primitive)?), seen))
+        })
+    }
+
     fn cell_of(&self, record: u32, hit: &Hit, cuts: u32) -> Cell {
         let from = self.planned[record as usize].site.position;
         Cell::of(hit, cuts, is_behind(from, hit.primitive, self.geometry))
@@ -134,9 +143,8 @@ impl<'a> Survey<'a> {
             });
         }
         let mut cells: BTreeMap<Cell, Known> = BTreeMap::new();
-        for (number, &(record, hit, lit)) in self.rays.iter().enumerate() {
-            let Some(&cuts) = cuts.get(&hit.primitive) else { continue };
-            let known = cells.entry(self.cell_of(record, &hit, cuts)).or_default();
+        for (number, cell, &(record, hit, lit)) in self.rays_in(&cuts) {
+            let known = cells.entry(cell).or_default();
             known.count += 1;
             known.sum += f64::from(lit);
             known.planned += if number < self.of_plan { f64::from(lit) } else { 0.0 };
@@ -183,27 +191,30 @@ impl<'a> Survey<'a> {
     /// Cells with the radiances of their parts. `bright`: the radiance of a bright ray in it or beside it.
     fn with_parts(&self, bright: &BTreeMap<Cell, f32>) -> Vec<SecondaryLight> {
         let cuts: BTreeMap<u32, u32> = bright.keys().map(|cell| (cell.triangle, cell.cuts)).collect();
-        let mut seen: BTreeMap<Cell, [(f32, f32); PARTS]> = BTreeMap::new();
-        let mut most: BTreeMap<Cell, f32> = BTreeMap::new();
-        for (record, hit, lit) in &self.rays {
-            let Some(&cuts) = cuts.get(&hit.primitive) else { continue };
-            let cell = self.cell_of(*record, hit, cuts);
+        let mut seen: BTreeMap<Cell, ([(f32, f32); PARTS], bool)> = BTreeMap::new();
+        let mut met: BTreeMap<(u32, bool), f32> = BTreeMap::new();
+        for (number, cell, (_, hit, lit)) in self.rays_in(&cuts) {
             if bright.contains_key(&cell) {
-                let (count, sum) = &mut seen.entry(cell).or_default()[cell.part_at(hit)];
+                let (parts, is_lit) = seen.entry(cell).or_default();
+                let (count, sum) = &mut parts[cell.part_at(hit)];
                 (*count, *sum) = (*count + 1.0, *sum + lit);
-                let most = most.entry(cell).or_default();
-                *most = most.max(*lit);
+                *is_lit |= *lit > self.bright;
+                *met.entry(cell.side()).or_default() += if number < self.of_plan { 1.0 } else { 0.0 };
             }
         }
-        let shares = self.seen_shares(bright.keys());
+        let mut expected: BTreeMap<(u32, bool), f32> = BTreeMap::new();
+        for cell in bright.keys() {
+            *expected.entry(cell.side()).or_default() += self.expected_rays(cell);
+        }
         let light = |(&cell, &bright): (&Cell, &f32)| {
-            let seen = seen.get(&cell).copied().unwrap_or_default();
+            let (seen, is_lit) = seen.get(&cell).copied().unwrap_or_default();
             let (count, sum) = seen.iter().fold((0.0, 0.0), |all, part| (all.0 + part.0, all.1 + part.1));
             // Parts that no ray has met are taken to be like the others, and cells like the one beside.
             let unseen = if count > 0.0 { sum / count } else { bright };
-            let is_lit = self.bright < most.get(&cell).copied().unwrap_or_default();
             let dark = if is_lit { DARK } else { DARK_BESIDE };
-            let share = shares[&(cell.triangle, cell.back)];
+            let [met, expected] =
+                [&met, &expected].map(|of| of.get(&cell.side()).copied().unwrap_or_default());
+            let share = ((met + 1.0) / (expected + 1.0)).clamp(LEAST_SEEN, 1.0);
             let mut parts = [0.0; PARTS];
             for part in Cell::parts() {
                 let (count, sum) = seen[part];
@@ -215,28 +226,11 @@ impl<'a> Survey<'a> {
         bright.iter().filter(|(cell, _)| cell.area(self.geometry) > 0.0).map(light).collect()
     }
 
-    /// For the sides of triangles on which these cells are: the share of the records that see the cells.
-    fn seen_shares<'c>(&self, cells: impl Iterator<Item = &'c Cell>) -> BTreeMap<(u32, bool), f32> {
-        let mut expected: BTreeMap<Cell, f32> = cells.map(|cell| (*cell, 0.0)).collect();
-        for (cell, expected) in &mut expected {
-            let light = cell.placed(self.geometry);
-            let share = |planned: &Planned| light.form_factor(planned.site.position, planned.site.normal);
-            *expected = PLAN_RAYS as f32 * self.planned.iter().map(share).sum::<f32>();
-        }
-        let cuts: BTreeMap<u32, u32> = expected.keys().map(|cell| (cell.triangle, cell.cuts)).collect();
-        let mut rays: BTreeMap<(u32, bool), [f32; 2]> = BTreeMap::new();
-        for (record, hit, _) in &self.rays[..self.of_plan] {
-            let Some(&cuts) = cuts.get(&hit.primitive) else { continue };
-            let cell = self.cell_of(*record, hit, cuts);
-            if expected.contains_key(&cell) {
-                rays.entry((cell.triangle, cell.back)).or_default()[0] += 1.0;
-            }
-        }
-        for (cell, expected) in expected {
-            rays.entry((cell.triangle, cell.back)).or_default()[1] += expected;
-        }
-        let share = |[met, expected]: [f32; 2]| ((met + 1.0) / (expected + 1.0)).clamp(LEAST_SEEN, 1.0);
-        rays.into_iter().map(|(side, counts)| (side, share(counts))).collect()
+    /// Number of the plan's rays that would meet a cell if nothing were between.
+    fn expected_rays(&self, cell: &Cell) -> f32 {
+        let light = cell.placed(self.geometry);
+        let share = |planned: &Planned| light.form_factor(planned.site.position, planned.site.normal);
+        PLAN_RAYS as f32 * self.planned.iter().map(share).sum::<f32>()
     }
 
     /// Sends rays into bright cells, and into those beside them, until all around are dark. Returns each with the

@@ -326,36 +326,25 @@ impl<const K: u32> Pixels<'_, K> {
         } else {
             (divisions >> (3 * s.level).min(31)).max(1)
         };
-        self.gather_rays(count, s, p, response, Self::radiance)
+        self.gather_rays(count, s, p, response)
     }
 
     /// Indirect diffuse light at an uncovered point: a few rays for a sample, one within a record's gather.
     pub(super) fn gather_uncovered(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         if s.level > 0 {
-            return self.gather_rays(1, s, p, response, Self::radiance);
+            return self.gather_rays(1, s, p, response);
         }
         let rule = self.tracer.settings.cache.unwrap_or_default().uncovered();
         // Samples that contribute little to their pixel get proportionally fewer rays.
         let rule = UncoveredGathers { first: (rule.first as f32 * s.weight.min(1.0)) as u32, ..rule };
         let (count, before) = (rule.of_sample(self.sampler.samples()), self.counters.work());
-        let radiance = self.gather_rays(count, s, p, response, |this, segment| {
-            let hit = this.closest(&segment.ray, None);
-            this.without_secondary_lights(segment, hit)
-        });
+        let radiance = self.gather_rays(count, s, p, response);
         let spent = self.counters.work() - before;
         self.counters.extra_work += spent * u64::from(count - rule.least) / u64::from(count);
         radiance
     }
 
-    /// Mean over cosine-weighted rays, by the radiance along each.
-    fn gather_rays(
-        &mut self,
-        count: u32,
-        s: &Segment,
-        p: &Point,
-        response: &Response,
-        radiance: impl Fn(&mut Self, Segment) -> Vec3,
-    ) -> Vec3 {
+    fn gather_rays(&mut self, count: u32, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         let mut sum = Vec3::ZERO;
         for _ in 0..count {
             let wo = geometry::cosine_hemisphere(self.sampler.next(Purpose::Gather, s.vertex));
@@ -365,7 +354,8 @@ impl<const K: u32> Pixels<'_, K> {
             self.counters.ray(Category::Ambient);
             let share = response.diffuse(p.wi, wo);
             let segment = self.gathering(s, p, wo, share);
-            sum += share * radiance(self, segment);
+            let hit = self.closest(&segment.ray, None);
+            sum += share * self.without_secondary_lights(segment, hit);
         }
         sum / count as f32
     }

@@ -18,7 +18,7 @@ impl<const K: u32> Pixels<'_, K> {
     /// Diffuse light from the secondary lights, at a first diffuse hit.
     pub(super) fn secondary_lights(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         let tracer = self.tracer;
-        let lights = tracer.planned().secondary_lights();
+        let lights = tracer.secondary_lights();
         if s.level > 0 || lights.is_empty() {
             return Vec3::ZERO;
         }
@@ -65,7 +65,7 @@ impl<const K: u32> Pixels<'_, K> {
         let (tracer, share) = (self.tracer, response.diffuse(p.wi, wo));
         let segment = self.gathering(s, p, wo, share);
         let Some(hit) = self.closest(&segment.ray, None) else { return Vec3::ZERO };
-        let lights = tracer.planned().secondary_lights();
+        let lights = tracer.secondary_lights();
         let met = lights.met(&hit, segment.ray.origin, &tracer.frame.geometry);
         let Some(place) = met.filter(|place| is_wanted(place.0)) else { return Vec3::ZERO };
         let by_cosine = wo.z * FRAC_1_PI;
@@ -76,10 +76,10 @@ impl<const K: u32> Pixels<'_, K> {
         factor * share * self.arriving(segment, Some(hit))
     }
 
-    /// Radiance along a ray of a gather whose first hit is known. Secondary lights are left out of the gathers
-    /// of the first bounce.
+    /// Radiance along a ray of a gather whose first hit is known. Gathers of the first bounce leave secondary
+    /// lights out.
     pub(super) fn without_secondary_lights(&mut self, segment: Segment, hit: Option<Hit>) -> Vec3 {
-        let lights = self.tracer.planned().secondary_lights();
+        let lights = self.tracer.secondary_lights();
         let geometry = &self.tracer.frame.geometry;
         let is_met = |hit: &Hit| lights.met(hit, segment.ray.origin, geometry).is_some();
         let left_out = segment.level == 1 && hit.as_ref().is_some_and(is_met);
