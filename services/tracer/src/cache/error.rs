@@ -6,7 +6,7 @@ use super::file::MAGIC;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CacheError {
     /// The magic bytes are wrong.
-    #[error("not an irradiance cache of this version (it must begin with {})", MAGIC.escape_ascii())]
+    #[error("not an irradiance cache of this version (it must begin with {}); make it again", MAGIC.escape_ascii())]
     Foreign,
     /// The length differs from what the headers say.
     #[error("truncated irradiance cache: it has {found} bytes instead of {expected}")]

@@ -374,7 +374,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
         );
         if cache.secondary_lights > 0 {
             text += &format!(
-                "            {} small bright places are sampled by every point\n",
+                "            {} secondary lights: small bright places that every point samples\n",
                 cache.secondary_lights
             );
         }
