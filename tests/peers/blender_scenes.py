@@ -8,6 +8,9 @@ Beside each NAME.blend, NAME.json says what is in it, as a renderer should descr
 | `script.blend` | it holds a script that writes a file when it is run |
 | `linked.blend` | it has an object of `script.blend` |
 | `sequence.blend` | it refers to a sequence of images, which cannot be inside a file |
+| `changing.blend` | objects move, bend, appear and disappear, and are rendered otherwise than they are edited |
+| `clipped.blend` | something is too near to the camera to be seen |
+| `leaf.blend` | a material is transparent |
 
 Materials are Principled, lights are surfaces that emit. The camera and translations of objects are animated.
 Coordinates stay as they are, with y up.
@@ -199,6 +202,74 @@ def script(mark):
     curve.expression = f"open({str(mark)!r}, 'w').close() or 0"
 
 
+def changing():
+    """Everything that can change from frame to frame, each on some per cent of the image."""
+    scene = bpy.context.scene
+    scene.frame_end = 5
+    cube = bpy.data.objects["Cube"]
+    materials = [bpy.data.materials["Material"], *(bpy.data.materials.new(name) for name in ("red", "blue"))]
+
+    def add(name, kind, place, **size):
+        getattr(bpy.ops.mesh, f"primitive_{kind}_add")(location=place, **size)
+        bpy.context.object.name = name
+        bpy.context.object.data.materials.append(materials[len(name) % 3])
+        return bpy.context.object
+
+    def key(thing, path, *values):
+        for frame, value in enumerate(values):
+            setattr(thing, path, value)
+            thing.keyframe_insert(path, frame=frame)
+
+    # Of two materials, and turned about.
+    cube.data.materials.append(materials[1])
+    cube.data.polygons[0].material_index = cube.data.polygons[3].material_index = 1
+    key(cube, "rotation_euler", *((0, 0, 0.3 * frame) for frame in range(6)))
+    # A shape key.
+    bent = add("bent", "plane", (3, 0, 0), size=3)
+    bent.shape_key_add(name="Basis")
+    shape = bent.shape_key_add(name="tall")
+    for point in shape.data[:2]:
+        point.co.z += 4
+    key(shape, "value", 0, 0.2, 0.4, 0.4, 0.4, 1)
+    # A bone.
+    bpy.ops.object.armature_add(location=(0, 3, 0))
+    bones = bpy.context.object
+    post = add("post", "cylinder", (0, 3, 1), radius=0.7, depth=3)
+    post.parent, post.parent_type = bones, "ARMATURE"
+    post.vertex_groups.new(name=bones.pose.bones[0].name).add(range(len(post.data.vertices)), 1.0, "REPLACE")
+    key(bones.pose.bones[0], "location", *((0, 0, 0.5 * frame) for frame in range(6)))
+    # Rendered finer than it is edited, and only rendered.
+    ball = add("ball", "cube", (-3, 0, 1), size=4)
+    smooth = ball.modifiers.new("smooth", "SUBSURF")
+    smooth.levels, smooth.render_levels, smooth.show_viewport = 0, 3, False
+    # Instances of a collection, which move and are mirrored.
+    group = bpy.data.collections.new("pair")
+    for number, place in enumerate([(0, -4, 0), (0, -4, 2)]):
+        part = add(f"part{number}", "cube", place, size=1.5)
+        bpy.context.collection.objects.unlink(part)
+        group.objects.link(part)
+    for side in (-1, 1):
+        empty = bpy.data.objects.new(f"side{side}", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", group
+        empty.scale.x = side
+        scene.collection.objects.link(empty)
+        key(empty, "location", *((2 * side, 0.4 * frame, 0) for frame in range(6)))
+    # Shown in some frames, never, and to all but the camera.
+    key(add("now", "cube", (3, -3, 0), size=2), "hide_render", False, False, True, True, False, False)
+    add("never", "cube", (5, -5, 3), size=2).hide_render = True
+    add("unseen", "cube", (5, -5, 3), size=1).visible_camera = False
+
+
+def clipped():
+    # Halfway to the cube, which is 11 away.
+    bpy.ops.mesh.primitive_cube_add(location=(3.7, -3.5, 2.5), size=1)
+    bpy.data.cameras["Camera"].clip_start = 8
+
+
+def leaf():
+    nodes_of(bpy.data.materials["Material"]).nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.5
+
+
 def main():
     out, folders = Path(sys.argv[1]).absolute(), [Path(name).absolute() for name in sys.argv[2:]]
     for folder in folders:
@@ -207,6 +278,9 @@ def main():
     small(out, "script", lambda: script(out / "script-was-run"))
     small(out, "linked", lambda: linked(out / "script.blend"))
     small(out, "sequence", lambda: sequence(out / "sea-0001.png"))
+    small(out, "changing", changing)
+    small(out, "clipped", clipped)
+    small(out, "leaf", leaf)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ mod gpu;
 mod picture;
 mod preview;
 mod previewer;
+mod shared;
 mod visible;
 
 pub use cost::Cost;
@@ -25,3 +26,4 @@ pub use error::PreviewError;
 pub use picture::{palette, picture};
 pub use preview::{Counts, NOTHING, Preview};
 pub use previewer::{Choice, ParseChoiceError, Previewer};
+pub use shared::SharedPreviewer;

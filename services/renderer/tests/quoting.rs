@@ -4,7 +4,8 @@ use forelight_protocol::{SceneDigest, Varied};
 use forelight_renderer::door::RendererId;
 use forelight_renderer::door::{
     Artefact, Capabilities, Capability, Common, Cost, Description, FixedCosts, FrameCounts, Frames, Limits,
-    Measured, Part, PieceCost, PixelCount, Region, Rendered, RendererError, Run, Settings, Shot,
+    Measured, Part, PieceCost, PixelCount, PreviewBackend, Region, Rendered, RendererError, Run, Settings,
+    Shot,
 };
 use forelight_renderer::{ShotQuote, Wanted, quote_shot};
 use std::path::Path;
@@ -83,8 +84,13 @@ impl Shot for Known {
         _: &Run<'_>,
     ) -> Result<Vec<FrameCounts>, RendererError> {
         let whole = PixelCount { object: None, material: None, pixels: settings.pixels() };
-        let counts =
-            |&frame| FrameCounts { frame, counts: vec![whole], sampled_pixels: 0, cost: Cost::default() };
+        let counts = |&frame| FrameCounts {
+            frame,
+            counts: vec![whole],
+            sampled_pixels: 0,
+            backend: PreviewBackend::Renderer,
+            cost: Cost::default(),
+        };
         Ok(frames.iter().map(counts).collect())
     }
 

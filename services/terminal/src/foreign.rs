@@ -3,11 +3,12 @@
 
 use crate::failure::BadInput;
 use crate::interrupt::Interrupt;
-use crate::local::{cores, settings_request};
-use crate::options::{MachineOptions, QualityOptions};
+use crate::local::{cores, preview_choice, settings_request};
+use crate::options::{MachineOptions, PreviewBackend, QualityOptions};
 use crate::output::Bars;
 use anyhow::{Context, Result};
 use clap::builder::TypedValueParser;
+use forelight_preview::SharedPreviewer;
 use forelight_protocol::{FrameSet, RenderSettingsRequest, SceneDigest, ShotSettings};
 use forelight_renderer::door::{Description, Limits, Renderer, RendererError, Run, Settings, Shot};
 use forelight_renderer::{scene_digest, scene_name};
@@ -16,6 +17,7 @@ use forelight_renderer_command::{EXTENSION, open_command};
 use forelight_renderer_radiance::Radiance;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Renderers on this machine besides our own.
 pub struct Installed {
@@ -26,13 +28,13 @@ pub struct Installed {
 }
 
 /// Looks for the renderers of this machine, and takes those that command files describe. That starts each of
-/// them, to ask for its version.
+/// them, to ask for its version. They draw previews with this previewer.
 ///
 /// # Errors
 /// If something in a command file is wrong, or its program is missing.
-pub fn installed(commands: &[PathBuf]) -> Result<Installed> {
+pub fn installed(commands: &[PathBuf], previewer: Arc<SharedPreviewer>) -> Result<Installed> {
     let mut found = Installed { renderers: Vec::new(), missing: Vec::new() };
-    match Cycles::find() {
+    match Cycles::find(previewer) {
         Ok(cycles) => found.renderers.push(Box::new(cycles)),
         Err(reason) => found.missing.push(reason),
     }
@@ -53,7 +55,7 @@ pub fn installed(commands: &[PathBuf]) -> Result<Installed> {
 }
 
 /// The renderer that opens this scene.
-fn renderer_of(scene: &Path) -> Result<Box<dyn Renderer>> {
+fn renderer_of(scene: &Path, preview: PreviewBackend) -> Result<Box<dyn Renderer>> {
     if is_command_file(scene) {
         let command = open_command(scene).map_err(|error| BadInput::new(error.to_string()))?;
         return Ok(Box::new(command));
@@ -61,7 +63,7 @@ fn renderer_of(scene: &Path) -> Result<Box<dyn Renderer>> {
     if is_radiance(scene) {
         return Ok(Box::new(Radiance::find()?));
     }
-    Ok(Box::new(Cycles::find()?))
+    Ok(Box::new(Cycles::find(Arc::new(SharedPreviewer::new(preview_choice(preview))))?))
 }
 
 /// Whether the file describes a renderer that can only be started, and its scene.
@@ -142,7 +144,7 @@ impl Foreign {
         if !scene.is_file() {
             return Err(BadInput::new(format!("{}: this file does not exist", scene.display())).into());
         }
-        let renderer = renderer_of(scene)?;
+        let renderer = renderer_of(scene, machine.preview)?;
         let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
         let threads = machine.threads.map_or_else(cores, u32::from);
         let limits = Limits { threads, ..Limits::default() };

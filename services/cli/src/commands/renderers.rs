@@ -1,6 +1,7 @@
 //! `forelight renderers`: what this machine renders with, and the settings of each renderer.
 
 use anyhow::Result;
+use forelight_preview::{Choice, SharedPreviewer};
 use forelight_renderer::door::{Capabilities, Renderer, RendererId};
 use forelight_terminal::foreign::installed;
 use forelight_terminal::output;
@@ -8,6 +9,7 @@ use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 use serde_json::Value;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// List the renderers on this machine besides forelight's own, with their settings
 #[derive(Debug, clap::Args)]
@@ -39,7 +41,9 @@ struct Document<'a> {
 }
 
 pub fn run(args: &Args) -> Result<()> {
-    let found = installed(&args.command)?;
+    // Nothing is previewed here.
+    let previewer = Arc::new(SharedPreviewer::new(Choice::Cpu));
+    let found = installed(&args.command, previewer)?;
     let documents: Vec<Document<'_>> = found.renderers.iter().map(|renderer| document(&**renderer)).collect();
     if args.json {
         return output::json(&documents);

@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use etcetera::BaseStrategy as _;
 use forelight_client::Client;
 use forelight_kept::Folder;
+use forelight_preview::SharedPreviewer;
 use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
@@ -176,8 +177,8 @@ pub fn equipment(
     let ffmpeg = encoder.as_ref().map(|encoder| encoder.version().to_owned());
     let video =
         encoder.map(|encoder| Box::new(VideoTasks::new(encoder, sandbox.clone())) as Box<dyn Execute>);
-    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others(&options.command)?, sandbox)
-        .with_video(video);
+    let others = others(&options.command, renderer.previewer())?;
+    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others, sandbox).with_video(video);
     let capabilities = Capabilities {
         version: Some(env!("CARGO_PKG_VERSION").to_owned()),
         renderers: [OwnRenderer::id()].into_iter().chain(renderers.ids()).collect(),
@@ -190,8 +191,8 @@ pub fn equipment(
 }
 
 /// The renderers besides our own. Logs those that were found, and why others were not.
-fn others(commands: &[PathBuf]) -> Result<Vec<Box<dyn Renderer>>> {
-    let found = installed(commands)?;
+fn others(commands: &[PathBuf], previewer: Arc<SharedPreviewer>) -> Result<Vec<Box<dyn Renderer>>> {
+    let found = installed(commands, previewer)?;
     found.renderers.iter().for_each(|renderer| tracing::info!(renderer = %renderer.id(), "found"));
     found.missing.iter().for_each(|reason| tracing::debug!(%reason, "a renderer is missing"));
     Ok(found.renderers)

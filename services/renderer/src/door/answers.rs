@@ -2,6 +2,7 @@
 
 use super::artefact::Artefact;
 use super::part::Region;
+use forelight_protocol::PreviewBackend;
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -59,6 +60,8 @@ pub struct FrameCounts {
     pub counts: Vec<PixelCount>,
     /// Number of pixels of the preview itself.
     pub sampled_pixels: u64,
+    /// How it was made.
+    pub backend: PreviewBackend,
     /// Cost of the preview.
     pub cost: Cost,
 }

@@ -30,7 +30,7 @@ pub use artefact::Artefact;
 pub use asset::{Asset, AssetState};
 pub use description::{Camera, Description, Frames, Object};
 pub use error::{Ending, RendererError};
-pub use forelight_protocol::RendererId;
+pub use forelight_protocol::{PreviewBackend, RendererId};
 pub use part::{Part, Region};
 pub use pixels::{PixelCost, PixelProfiler, ProfiledPixels, Shown};
 pub use run::{Limits, Run};

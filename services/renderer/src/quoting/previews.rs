@@ -44,7 +44,7 @@ pub fn preview_result(
         strata,
         background_prior_cost: BACKGROUND_COST,
         record_prior_cost: None,
-        backend: PreviewBackend::Renderer,
+        backend: previews.first().map_or(PreviewBackend::Renderer, |preview| preview.backend),
         spent: as_spent(spent.cpu_nanos),
         described: Some(Box::new(described(renderer, description, (name, digest), settings))),
     })
@@ -164,6 +164,7 @@ mod tests {
             frame: 7,
             counts: vec![count(0, 33), count(1, 66), background],
             sampled_pixels: 10,
+            backend: PreviewBackend::Renderer,
             cost: Cost::default(),
         };
         let keys = [0, 1].map(|object| stratum_key(Some(object), None).unwrap());

@@ -23,6 +23,14 @@ const COMBINED: &str = "Combined";
 const OF_FIRST_SAMPLE: [&str; 7] =
     ["Object Index", "IndexOB", "Material Index", "IndexMA", "Depth", "Z", "Position"];
 
+/// Object and material of a pixel, by index. `None` where there is none.
+pub(crate) type Stratum = (Option<u32>, Option<u32>);
+
+/// The index that Cycles wrote plus one. Zero is nothing.
+fn index(value: f32) -> Option<u32> {
+    (value as u32).checked_sub(1)
+}
+
 /// A multi-layer image.
 pub(crate) struct Image {
     exr: FlatImage,
@@ -88,32 +96,40 @@ impl Image {
     }
 
     /// Object and material of every pixel, by index. `None` if the image does not hold them.
-    fn strata(&self) -> Option<Vec<(Option<u32>, Option<u32>)>> {
-        let (objects, materials) = (self.pass(&OBJECT)?, self.pass(&MATERIAL)?);
-        // Zero is nothing; a share without the first sample has nothing but zeros.
-        let index = |value: f32| (value as u32).checked_sub(1);
-        objects.iter().any(|&value| value > 0.0).then(|| {
-            objects
-                .iter()
-                .zip(materials)
-                .map(|(&object, &material)| (index(object), index(material)))
-                .collect()
-        })
+    fn strata(&self) -> Option<Vec<Stratum>> {
+        // A share without the first sample has nothing but zeros.
+        let is_empty = self.pass(&OBJECT)?.iter().all(|&value| value <= 0.0);
+        if is_empty { None } else { Some(self.index_pass().ok()?.collect()) }
+    }
+
+    /// Object and material of every pixel of an image that should hold them.
+    fn index_pass(&self) -> Result<impl Iterator<Item = Stratum>, RendererError> {
+        let missing = || RendererError::Answer("the image has no object and material index".to_owned());
+        let (objects, materials) =
+            (self.pass(&OBJECT).ok_or_else(missing)?, self.pass(&MATERIAL).ok_or_else(missing)?);
+        Ok(objects.iter().zip(materials).map(|(&object, &material)| (index(object), index(material))))
     }
 
     /// Pixels by stratum, scaled to an image of `pixels`.
     pub fn counts(&self, pixels: u64) -> Result<Vec<PixelCount>, RendererError> {
-        let missing = || RendererError::Answer("the image has no object and material index".to_owned());
-        let (objects, materials) =
-            (self.pass(&OBJECT).ok_or_else(missing)?, self.pass(&MATERIAL).ok_or_else(missing)?);
         let mut counts = BTreeMap::new();
-        let index = |value: f32| (value as u32).checked_sub(1);
-        for (&object, &material) in objects.iter().zip(materials) {
-            *counts.entry((index(object), index(material))).or_insert(0u64) += 1;
+        for stratum in self.index_pass()? {
+            *counts.entry(stratum).or_insert(0u64) += 1;
         }
-        let own = objects.len().max(1) as u64;
+        let own = counts.values().sum::<u64>().max(1);
         let count = |((object, material), n)| PixelCount { object, material, pixels: scaled(n, pixels, own) };
         Ok(counts.into_iter().map(count).collect())
+    }
+
+    /// Share of the pixels that show these objects and materials, in rows from the top.
+    pub fn agreement(&self, shown: impl Iterator<Item = Stratum>) -> Result<f64, RendererError> {
+        let strata = self.index_pass()?;
+        let (mut pixels, mut same) = (0u64, 0u64);
+        for (own, other) in strata.zip(shown) {
+            pixels += 1;
+            same += u64::from(own == other);
+        }
+        Ok(same as f64 / pixels.max(1) as f64)
     }
 
     /// Costs by stratum. Empty if the image does not hold ids and times.
@@ -298,7 +314,7 @@ fn nanos(millis: f64) -> u64 {
 }
 
 /// `n · to / from`, rounded.
-fn scaled(n: u64, to: u64, from: u64) -> u64 {
+pub(crate) fn scaled(n: u64, to: u64, from: u64) -> u64 {
     let exact = (u128::from(n) * u128::from(to) + u128::from(from) / 2) / u128::from(from);
     u64::try_from(exact).unwrap_or(u64::MAX)
 }

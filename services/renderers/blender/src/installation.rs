@@ -1,8 +1,10 @@
 //! Finds Blender, and starts it.
 
+use forelight_preview::SharedPreviewer;
 use forelight_renderer::door::{RendererError, RendererId};
 use forelight_renderer::process::{Meaning, Message, Program, ask};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Variable with the path of a Python that has the module `bpy`.
 const PYTHON: &str = "FORELIGHT_BPY_PYTHON";
@@ -33,25 +35,28 @@ enum How {
 }
 
 /// Blender Cycles on this machine.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Cycles {
     pub(crate) id: RendererId,
     how: How,
+    pub(crate) previewer: Arc<SharedPreviewer>,
 }
 
 impl Cycles {
-    /// Finds Blender: the program `blender`, the Python that `FORELIGHT_BPY_PYTHON` names, `python3`.
+    /// Finds Blender: the program `blender`, the Python that `FORELIGHT_BPY_PYTHON` names, `python3`. Draws previews
+    /// with this previewer.
     ///
     /// # Errors
     /// If there is none, or none of a version from 4.2 to 5.x: says what was found.
-    pub fn find() -> Result<Self, RendererError> {
+    pub fn find(previewer: Arc<SharedPreviewer>) -> Result<Self, RendererError> {
         let named = std::env::var_os(PYTHON).map(|path| How::Module(path.into()));
         let ways = [Some(How::Program("blender".into())), named, Some(How::Module("python3".into()))];
         let mut reasons = Vec::new();
         for how in ways.into_iter().flatten() {
             match how.version() {
                 Ok(version) if is_supported(&version) => {
-                    return Ok(Self { id: RendererId { name: "cycles".to_owned(), version }, how });
+                    let id = RendererId { name: "cycles".to_owned(), version };
+                    return Ok(Self { id, how, previewer });
                 }
                 Ok(version) => reasons.push(format!("{how} is Blender {version}")),
                 Err(error) => reasons.push(format!("{how}: {error}")),

@@ -3,6 +3,7 @@
 use crate::connection::Connection;
 use crate::image::{Image, Share, merge};
 use crate::installation::Cycles;
+use crate::preview::{Previewing, Way};
 use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_renderer::door::{
     Artefact, Asset, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
@@ -14,9 +15,6 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// Most pixels of a preview. Counts are scaled to the image.
-const PREVIEW_PIXELS: u64 = 256 * 256;
-
 /// A Blender file, open in as many processes as there are questions at a time.
 pub(crate) struct BlenderShot {
     cycles: Cycles,
@@ -24,15 +22,16 @@ pub(crate) struct BlenderShot {
     description: Description,
     /// Processes that wait for a question. A question starts one if none waits.
     idle: Mutex<Vec<Connection>>,
+    pub(crate) way: Way,
 }
 
 /// Answer of the driver to a render.
 #[derive(Deserialize)]
-struct Costs {
-    cost: Cost,
-    fixed: FixedCosts,
+pub(crate) struct Costs {
+    pub cost: Cost,
+    pub fixed: FixedCosts,
     #[serde(default)]
-    pieces: Vec<PieceCost>,
+    pub pieces: Vec<PieceCost>,
 }
 
 /// Answer of the driver to the wish for a copy.
@@ -45,10 +44,15 @@ struct Packed {
 impl BlenderShot {
     pub fn open(cycles: Cycles, scene: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
         let (connection, description) = Connection::open(&cycles, scene, run)?;
-        Ok(Self { cycles, scene: scene.to_owned(), description, idle: Mutex::new(vec![connection]) })
+        let way = Way::new(cycles.previewer.clone());
+        Ok(Self { cycles, scene: scene.to_owned(), description, idle: Mutex::new(vec![connection]), way })
     }
 
-    fn ask<T: DeserializeOwned>(&self, question: &Value, run: &Run<'_>) -> Result<T, RendererError> {
+    pub(crate) fn ask<T: DeserializeOwned>(
+        &self,
+        question: &Value,
+        run: &Run<'_>,
+    ) -> Result<T, RendererError> {
         let idle = self.idle.lock().pop();
         let mut connection = match idle {
             Some(connection) => connection,
@@ -170,7 +174,7 @@ impl BlenderShot {
     }
 }
 
-fn question(name: &str, frame: i32, settings: &Settings, out: &Path, run: &Run<'_>) -> Value {
+pub(crate) fn question(name: &str, frame: i32, settings: &Settings, out: &Path, run: &Run<'_>) -> Value {
     json!({"do": name, "frame": frame, "settings": settings, "threads": run.limits.threads, "out": out})
 }
 
@@ -184,11 +188,6 @@ fn with_images(mut fixed: FixedCosts, cost: &Cost, pixels: &[StratumCost]) -> Fi
         fixed.insert("images".to_owned(), cost.cpu_nanos - known);
     }
     fixed
-}
-
-/// The settings of a preview: at most half as wide and high as the image.
-fn preview_settings(settings: &Settings) -> Settings {
-    Settings { common: settings.common.smaller(PREVIEW_PIXELS, 0.5), own: settings.own.clone() }
 }
 
 impl Shot for BlenderShot {
@@ -224,20 +223,7 @@ impl Shot for BlenderShot {
         run: &Run<'_>,
     ) -> Result<Vec<FrameCounts>, RendererError> {
         self.check(settings)?;
-        let small = preview_settings(settings);
-        let out = run.scratch.join("preview.exr");
-        let mut all = Vec::with_capacity(frames.len());
-        for (done, &frame) in frames.iter().enumerate() {
-            let progress = |share: f64| (run.progress)((done as f64 + share) / frames.len() as f64);
-            let within = Run { progress: &progress, ..*run };
-            let Costs { cost, .. } = self.ask(&question("ids", frame, &small, &out, run), &within)?;
-            let counts = Image::read(&out)?.counts(settings.pixels())?;
-            all.push(FrameCounts { frame, counts, sampled_pixels: small.pixels(), cost });
-        }
-        if !frames.is_empty() {
-            std::fs::remove_file(&out).map_err(RendererError::io(&out))?;
-        }
-        Ok(all)
+        Previewing::new(self, settings, run).counts(frames)
     }
 
     fn measure(

@@ -6,18 +6,21 @@
 //! | `FORELIGHT_BPY_PYTHON` | Python with `bpy`, where `blender` is not installed |
 
 use exr::prelude::{ReadChannels as _, ReadLayers as _, read};
+use forelight_preview::{Choice, SharedPreviewer};
 use forelight_renderer::door::{
-    AssetState, Capability, Common, Limits, Part, Region, Renderer as _, RendererError, Run, Settings, Shot,
+    AssetState, Capability, Common, FrameCounts, Limits, Part, PixelCount, PreviewBackend, Region,
+    Renderer as _, RendererError, Run, Settings, Shot,
 };
 use forelight_renderer_blender::Cycles;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-static CYCLES: LazyLock<Cycles> = LazyLock::new(|| Cycles::find().unwrap());
+static CYCLES: LazyLock<Cycles> =
+    LazyLock::new(|| Cycles::find(Arc::new(SharedPreviewer::new(Choice::Auto))).unwrap());
 
 /// Whether this version of Cycles says what every pixel took.
 fn locates_costs() -> bool {
@@ -233,6 +236,53 @@ fn previews_count_pixels_and_regions_have_costs() {
             assert!(matches!(shot.measure(0, &settings, &outside, run), Err(RendererError::Unsupported(_))));
         });
     }
+}
+
+/// Objects, materials and pixels of a preview.
+type Counts = Vec<(Option<u32>, Option<u32>, u64)>;
+
+/// Previews of some frames, and how they were made.
+fn previews(shot: &dyn Shot, frames: &[i32], run: &Run<'_>) -> Vec<(PreviewBackend, Counts)> {
+    let of_frame = |frame: FrameCounts| {
+        let count = |c: PixelCount| (c.object, c.material, c.pixels);
+        (frame.backend, frame.counts.into_iter().map(count).collect())
+    };
+    shot.preview(frames, &shot.description().settings, run).unwrap().into_iter().map(of_frame).collect()
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
+fn what_changes_from_frame_to_frame_is_drawn_as_cycles_renders_it() {
+    let frames = [0, 1, 2, 3, 4, 5];
+    for name in names().into_iter().chain(["changing".to_owned()]) {
+        let series = ask(&name, |shot, run| previews(shot, &frames, run));
+        // A single frame is compared with what Cycles renders.
+        let alone = ask(&name, |shot, run| previews(shot, &frames[3..4], run));
+        assert_eq!(series[3..4], alone, "{name}");
+        ask(&name, |shot, run| {
+            for frame in frames.into_iter().rev() {
+                assert_eq!(previews(shot, &[frame], run), series[frame as usize..][..1], "{name}, {frame}");
+            }
+        });
+        assert!(series.iter().all(|(backend, _)| *backend != PreviewBackend::Renderer), "{name} is drawn");
+        assert!(series.windows(2).all(|pair| pair[0] != pair[1]), "{name} moves");
+    }
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
+fn cycles_renders_the_preview_of_what_triangles_do_not_show() {
+    let by_cycles = |name: &str| {
+        ask(name, |shot, run| {
+            let found = previews(shot, &[0, 1], run);
+            assert!(found.iter().all(|(backend, _)| *backend == PreviewBackend::Renderer), "{name}");
+            shot.description().notes.join("; ")
+        })
+    };
+    let note = by_cycles("leaf");
+    assert!(note.contains("material Material is transparent"), "{note}");
+    // Nothing in the file says so, but Cycles shows something else.
+    assert_eq!(by_cycles("clipped"), "");
 }
 
 #[test]

@@ -7,8 +7,8 @@ use crate::output::Listener;
 use crate::template::Values;
 use forelight_renderer::door::{
     Artefact, Capabilities, Common, Cost, Description, FixedCosts, FrameCounts, Limits, Measured, Part,
-    PieceCost, PixelCount, Region, Rendered, Renderer as _, RendererError, Run, Settings, SettingsError,
-    Shot, TakenOver,
+    PieceCost, PixelCount, PreviewBackend, Region, Rendered, Renderer as _, RendererError, Run, Settings,
+    SettingsError, Shot, TakenOver,
 };
 use forelight_renderer::process::{Program, run};
 use serde_json::Value;
@@ -257,6 +257,7 @@ impl Shot for CommandShot {
             frame,
             counts: vec![whole],
             sampled_pixels: 0,
+            backend: PreviewBackend::Renderer,
             cost: Cost::default(),
         };
         Ok(frames.iter().map(counts).collect())

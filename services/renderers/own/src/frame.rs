@@ -3,7 +3,7 @@
 use crate::answers::{CacheUse, Finished, Previewed, Progress, Step};
 use crate::costs::{by_class, spent};
 use crate::error::RenderError;
-use crate::previewer::{backend, preview_spent};
+use crate::preview_cost::{backend, preview_spent};
 use crate::shot::{OwnShot, Ready, records};
 use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
 use forelight_protocol::RenderSettings;

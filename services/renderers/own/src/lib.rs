@@ -32,7 +32,7 @@ mod division;
 mod error;
 mod frame;
 mod opening;
-mod previewer;
+mod preview_cost;
 mod profile;
 mod quote;
 mod quote_options;

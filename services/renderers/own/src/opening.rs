@@ -1,10 +1,9 @@
 //! Our renderer, over `scene`, `preview` and `tracer`.
 
 use crate::error::RenderError;
-use crate::previewer::SharedPreviewer;
 use crate::shot::OwnShot;
 use forelight_kept::Folder;
-use forelight_preview::{Choice, PreviewError};
+use forelight_preview::{Choice, PreviewError, SharedPreviewer};
 use forelight_protocol::RendererId;
 use forelight_scene::Limits;
 use forelight_tracer::tracer_version;
@@ -52,6 +51,11 @@ impl OwnRenderer {
                 |name: &str| Adapter { name: name.to_owned(), is_hardware: previewer.is_hardware() };
             Ok(previewer.adapter().map(adapter))
         })
+    }
+
+    /// What makes its previews, for other renderers of this process.
+    pub fn previewer(&self) -> Arc<SharedPreviewer> {
+        self.previewer.clone()
     }
 
     /// Opens a bundle.

@@ -3,8 +3,9 @@
 use crate::answers::{Counted, ShotInfo, StratumInfo};
 use crate::costs::{counts, spent};
 use crate::error::RenderError;
-use crate::previewer::{SharedPreviewer, backend, preview_spent};
+use crate::preview_cost::{backend, preview_spent};
 use forelight_kept::Folder;
+use forelight_preview::SharedPreviewer;
 use forelight_protocol::{PlanCount, ProcessCosts, RenderSettings, Spent, StratumName};
 use forelight_renderer::summary;
 use forelight_scene::{Frame, Geometry, Limits, Scene};

@@ -14,8 +14,8 @@ use crate::settings::{ALLOW_MISSING, SCHEMA, allows_missing, shares_values};
 use crate::tracer::Colour;
 use forelight_renderer::door::{
     Artefact, BlockCosts, Camera, Capabilities, Capability, Common, Description, FrameCounts, Frames,
-    Measured, Part, PieceCost, PixelProfiler, Region, Rendered, Renderer as _, RendererError, Run, Settings,
-    Shot, Shown, TakenOver,
+    Measured, Part, PieceCost, PixelProfiler, PreviewBackend, Region, Rendered, Renderer as _, RendererError,
+    Run, Settings, Shot, Shown, TakenOver,
 };
 use forelight_renderer::process::run as run_program;
 use std::path::Path;
@@ -200,7 +200,13 @@ impl Shot for RadianceShot {
             let (seen, cost) =
                 self.opened.kept.see(&self.opened, frame, &small, &Run { progress: &progress, ..*run })?;
             let counts = ids::counts(&seen.shown, settings.pixels());
-            all.push(FrameCounts { frame: number, counts, sampled_pixels, cost });
+            all.push(FrameCounts {
+                frame: number,
+                counts,
+                sampled_pixels,
+                backend: PreviewBackend::Renderer,
+                cost,
+            });
         }
         Ok(all)
     }

@@ -2,7 +2,7 @@
 
 use crate::commands::explain::{self, Explained, Unit};
 use anyhow::Result;
-use forelight_protocol::{ForecastDoc, FrameSet, Quantiles};
+use forelight_protocol::{ForecastDoc, FrameSet, PreviewBackend, Quantiles};
 use forelight_renderer::door::{Common, RendererId, Settings};
 use forelight_renderer::{QuotingStep, ShotQuote, Wanted, quote_shot};
 use forelight_terminal::foreign::{Foreign, OwnSetting};
@@ -53,14 +53,17 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     bar.finish_and_clear();
     let quote = quote?;
     let explained = asked.explain.then(|| quote.explain(&settings)).transpose()?;
-    let ShotQuote { document, measured, profiled, .. } = quote;
+    let ShotQuote { document, measured, profiled, preview } = quote;
     if asked.json {
         return output::json(&Explained { quote: &document, explanation: explained.as_ref() });
     }
     let samples =
         measured.first().map_or(0, |frame| frame.result.shares.iter().map(|share| share.count).sum());
     let pixels = profiled.first().map(|profile| profile.result.samples.len());
-    let measured = measured_text(document.profiled.frames.len(), samples, pixels);
+    let mut measured = measured_text(document.profiled.frames.len(), samples, pixels);
+    if preview.backend != PreviewBackend::Renderer {
+        measured.push_str("; previewed all frames from their triangles");
+    }
     let why = explained.as_ref().map_or_else(String::new, |found| explain::text(found, Unit::CpuMicros));
     output::print(&(report(&document, foreign.renderer.id(), &settings, &measured) + &why))
 }

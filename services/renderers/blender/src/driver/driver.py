@@ -97,11 +97,13 @@ def answer(question):
 
         return forelight_pack.pack(**question)
     import forelight_render
+    import forelight_triangles
 
     ask = {
         "ids": forelight_render.ids,
         "samples": forelight_render.samples,
         "regions": forelight_render.regions,
+        "triangles": forelight_triangles.triangles,
     }[todo]
     return ask(progress=lambda share: say({"progress": share}), **question)
 

@@ -1,5 +1,6 @@
 """What is in the open file: frames, cameras, objects, materials, settings, and the files that it refers to."""
 
+import functools
 import glob
 import os
 import re
@@ -15,9 +16,14 @@ NO_TRIANGLES = {"CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL", "GPENCIL"}
 
 
 def objects():
-    """The file's objects with geometry, in the order of their names."""
-    found = [o for o in bpy.data.objects if o.type in GEOMETRY and o.users and not o.hide_render]
+    """The file's objects with geometry, in the order of their names. They are the same in every frame."""
+    found = [o for o in bpy.data.objects if o.type in GEOMETRY and o.users and may_be_rendered(o)]
     return sorted(found, key=lambda o: (o.name, o.library.filepath if o.library else ""))
+
+
+def may_be_rendered(thing):
+    """Whether the object is rendered in any frame. What is animated may appear."""
+    return not thing.hide_render or bool(thing.animation_data)
 
 
 def materials():
@@ -95,14 +101,68 @@ def composited(scene):
     return scene.use_nodes
 
 
+@functools.cache
+def why_no_triangles():
+    """What of the file triangles do not show. None if they show what is rendered."""
+    return next(without_triangles(), None)
+
+
+def without_triangles():
+    for thing in objects():
+        if thing.type in NO_TRIANGLES:
+            yield f"object {thing.name} is of kind {thing.type}"
+        if any(system.settings.type == "HAIR" for system in thing.particle_systems):
+            yield f"object {thing.name} has hair"
+    for material in materials():
+        if reason := see_through(material):
+            yield f"material {material.name} {reason}"
+
+
+def see_through(material):
+    """Why the surface of a material may show what is behind it, or be somewhere else. None if it does not."""
+    tree = material.node_tree
+    if not tree:
+        return None
+    output = tree.get_output_node("CYCLES")
+    if not output or not output.inputs["Surface"].links:
+        return "has no surface"
+    if output.inputs["Displacement"].links and material.displacement_method != "BUMP":
+        return "displaces the surface"
+    if any(map(is_see_through, nodes_before(output))):
+        return "is transparent"
+    return None
+
+
+def is_see_through(node):
+    if node.type == "BSDF_PRINCIPLED":
+        alpha = node.inputs["Alpha"]
+        return bool(alpha.links) or alpha.default_value < 1.0
+    # Nobody knows what a script does.
+    return node.type in {"BSDF_TRANSPARENT", "HOLDOUT", "SCRIPT"}
+
+
+def nodes_before(output):
+    """The nodes that an output depends on. Of a group of nodes, all."""
+    seen, waiting = set(), [output]
+    while waiting:
+        node = waiting.pop()
+        if node in seen:
+            continue
+        seen.add(node)
+        yield node
+        waiting.extend(link.from_node for socket in node.inputs for link in socket.links)
+        if node.type == "GROUP" and node.node_tree:
+            waiting.extend(node.node_tree.nodes)
+
+
 def notes(known):
     if bpy.app.autoexec_fail:
         yield f"scripts of the file are not run: {bpy.app.autoexec_fail_message or 'Python drivers'}"
     for text in bpy.data.texts:
         if text.use_module:
             yield f"script {text.name} of the file is not run"
-    for kind in sorted({o.type for o in known} & NO_TRIANGLES):
-        yield f"objects of kind {kind} are not made of triangles"
+    if reason := why_no_triangles():
+        yield f"Cycles renders the previews, because triangles do not show all: {reason}"
     if any(o.particle_systems for o in known):
         yield "particle systems are rendered as they are cached"
 

@@ -109,17 +109,23 @@ class Clock:
         return {"cost": cost, "fixed": {**self.before_samples(whole - self.sampling - write), "write": write}}
 
 
-def prepare(frame, settings, threads):
-    """Sets the scene to a frame and to settings, with an index for every object and material."""
+def prepare(frame, settings, threads, engine="CYCLES", keep=False):
+    """Sets the scene to a frame and to settings, with an index for every object and material.
+
+    `keep`: The scene stays in memory after the render, so that only what moves is prepared for the next one.
+    """
     scene = bpy.context.scene
     render, cycles, own = scene.render, scene.cycles, settings["own"]
+    # To set these, even to the same value, clears the memory.
+    for name, value in {"engine": engine, "use_persistent_data": keep}.items():
+        if getattr(render, name) != value:
+            setattr(render, name, value)
     render.resolution_x, render.resolution_y = settings["width"], settings["height"]
     render.resolution_percentage = 100
     render.threads_mode, render.threads = "FIXED", threads
     render.use_border = render.use_crop_to_border = False
     render.use_overwrite, render.use_placeholder, render.use_stamp = True, False, False
     render.use_sequencer = False
-    render.use_persistent_data = False
     render.use_motion_blur = own.get("motion_blur", render.use_motion_blur)
     render.use_compositing = own.get("compositing", False)
     cycles.device = "CPU"
@@ -215,16 +221,12 @@ def one_sample(cycles):
 
 
 def ids(frame, settings, threads, out, progress):
-    """Object and material of every pixel at one sample.
-
-    The scene stays in memory for the next frame, so that only what moves is prepared again.
-    """
+    """Object and material of every pixel at one sample."""
     with Clock() as clock:
-        scene = prepare(frame, settings, threads)
+        scene = prepare(frame, settings, threads, keep=True)
         cycles, render = scene.cycles, scene.render
         cycles.use_denoising = render.use_compositing = False
         render.use_motion_blur = False
-        render.use_persistent_data = True
         # The one sample of a pixel is close to its centre.
         with one_sample(cycles), changed(cycles, filter_width=0.01):
             write(scene, out)

@@ -1,34 +1,8 @@
-//! The previewer that all shots of a renderer share, and what its previews cost.
+//! What previews cost, and where they were made.
 
-use forelight_preview::{Choice, PreviewError, Previewer};
+use forelight_preview::Previewer;
 use forelight_protocol::{PreviewBackend, Spent};
 use forelight_scene::Frame;
-use parking_lot::Mutex;
-
-/// The previewer, created on first use: opening a graphics device takes longer than many renders.
-pub(crate) struct SharedPreviewer {
-    choice: Choice,
-    made: Mutex<Option<Previewer>>,
-}
-
-impl SharedPreviewer {
-    /// No previewer yet; the first use makes it.
-    pub fn new(choice: Choice) -> Self {
-        Self { choice, made: Mutex::default() }
-    }
-
-    pub fn with<T>(
-        &self,
-        work: impl FnOnce(&mut Previewer) -> Result<T, PreviewError>,
-    ) -> Result<T, PreviewError> {
-        let mut made = self.made.lock();
-        let previewer = match &mut *made {
-            Some(previewer) => previewer,
-            none => none.insert(Previewer::new(self.choice)?),
-        };
-        work(previewer)
-    }
-}
 
 pub(crate) fn backend(previewer: &Previewer) -> PreviewBackend {
     if previewer.backend() == "gpu" { PreviewBackend::Gpu } else { PreviewBackend::Cpu }
@@ -49,6 +23,7 @@ pub(crate) fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_preview::Choice;
     use forelight_scene::{Limits, Scene};
 
     #[test]

@@ -1,0 +1,183 @@
+"""Hands out what a frame shows as triangles, so that previews need no render.
+
+Only a render engine is given objects as they are rendered: with the modifiers, the visibility and the instances of a
+render. So this module is a render engine. It traces no light, and writes triangles in the world's coordinates into a
+file instead. Blender tells it what has changed since its last frame, and only that is written again.
+"""
+
+import uuid
+
+import bpy
+import forelight_describe
+import forelight_render
+import numpy
+
+# More triangles than this are not handed out: scenes of instances may have billions.
+MOST_TRIANGLES = 20_000_000
+
+
+class Refused(Exception):
+    """Why the frame cannot be previewed by its triangles."""
+
+
+def triangles(frame, settings, threads, out, progress, after):
+    """Triangles of a frame that changed since the step `after`, which handed out another frame, as the file `out`.
+
+    The file has for each piece its positions (3 floats a vertex), its triangles (3 indices each), and the number of
+    the material of each triangle, -1 for none. The answer says what is in it, in order, and which pieces are gone. If
+    `after` was not the last step of this process, everything is written: `whole`.
+    """
+    with forelight_render.Clock() as clock:
+        scene = forelight_render.prepare(frame, settings, threads, Engine.bl_idname, keep=True)
+        try:
+            check(scene)
+            EXPORT.begin(out, after)
+            render = scene.render
+            render.use_compositing = render.use_motion_blur = False
+            bpy.ops.render.render(write_still=False)
+            answer = EXPORT.answer()
+        except Refused as refused:
+            answer = {"refused": str(refused)}
+    progress(1.0)
+    return {**answer, "cost": clock.cost()["cost"]}
+
+
+def check(scene):
+    camera, render = scene.camera.data, scene.render
+    if camera.type != "PERSP":
+        raise Refused(f"camera {scene.camera.name} is of type {camera.type}")
+    if camera.shift_x or camera.shift_y:
+        raise Refused(f"the lens of camera {scene.camera.name} is shifted")
+    if render.pixel_aspect_x != render.pixel_aspect_y:
+        raise Refused("pixels are not square")
+    if render.use_multiview:
+        raise Refused("the scene is rendered for several eyes")
+    if reason := forelight_describe.why_no_triangles():
+        raise Refused(reason)
+
+
+class Export:
+    """What was handed out, and what is being handed out."""
+
+    def __init__(self):
+        # The last step.
+        self.step = None
+        # Number of every piece that was handed out, by what identifies it.
+        self.pieces = {}
+        self.numbers = 0
+
+    def begin(self, out, after):
+        self.out = out
+        self.whole = after is None or after != self.step
+        if self.whole:
+            self.pieces = {}
+        # Known again once all is written.
+        self.step = None
+        self.result, self.failure = None, RuntimeError("Blender did not render the frame")
+
+    def answer(self):
+        if self.failure:
+            raise self.failure
+        self.step = self.result["step"]
+        return self.result
+
+    def frame(self, depsgraph):
+        """Writes what changed in the frame that a render engine was given."""
+        changed = {
+            update.id.original.as_pointer()
+            for update in depsgraph.updates
+            if isinstance(update.id, bpy.types.Object) and (update.is_updated_geometry or update.is_updated_transform)
+        }
+        shown, written, count = {}, [], 0
+        with open(self.out, "wb") as file:
+            for instance in depsgraph.object_instances:
+                thing = instance.object
+                if not instance.show_self or not thing.visible_camera or thing.type not in forelight_describe.GEOMETRY:
+                    continue
+                owners = [thing.original.as_pointer()]
+                if instance.is_instance:
+                    owners.append(instance.parent.original.as_pointer())
+                key = (*owners, tuple(instance.persistent_id) if instance.is_instance else ())
+                number = self.pieces.get(key)
+                if number is None or not changed.isdisjoint(owners):
+                    number = number or self.next_number()
+                    sizes = write(file, thing, instance.matrix_world)
+                    written.append({"piece": number, "object": thing.pass_index - 1, **sizes})
+                    count += sizes["triangles"]
+                    if count > MOST_TRIANGLES:
+                        raise Refused(f"it has over {MOST_TRIANGLES // 1_000_000} million triangles")
+                shown[key] = number
+        gone = sorted(set(self.pieces.values()) - set(shown.values()))
+        self.pieces = shown
+        self.result = {
+            "step": uuid.uuid4().hex,
+            "whole": self.whole,
+            "camera": camera(depsgraph),
+            "written": written,
+            "gone": gone,
+        }
+
+    def next_number(self):
+        self.numbers += 1
+        return self.numbers
+
+
+EXPORT = Export()
+
+
+class Engine(bpy.types.RenderEngine):
+    bl_idname = "FORELIGHT_TRIANGLES"
+    bl_label = "Triangles for previews"
+
+    def render(self, depsgraph):
+        # Of several layers, the first is previewed. Exceptions would only be printed.
+        if EXPORT.result is not None:
+            return
+        try:
+            EXPORT.frame(depsgraph)
+            EXPORT.failure = None
+        except Exception as error:  # noqa: BLE001: raised again by the one who asked
+            EXPORT.failure = error
+
+
+bpy.utils.register_class(Engine)
+
+
+def camera(depsgraph):
+    """Position and axes of the camera, and the tangents of half its angles of view."""
+    scene = depsgraph.scene
+    thing, render = scene.camera.evaluated_get(depsgraph), scene.render
+    projection = thing.calc_matrix_camera(depsgraph, x=render.resolution_x, y=render.resolution_y)
+    axes = thing.matrix_world.to_3x3()
+    right, up, back = (axes.col[axis].normalized() for axis in range(3))
+    return {
+        "origin": list(thing.matrix_world.translation),
+        "right": list(right),
+        "up": list(up),
+        "forward": list(-back),
+        "tan_half_x": 1 / projection[0][0],
+        "tan_half_y": 1 / projection[1][1],
+    }
+
+
+def write(file, thing, matrix):
+    """Writes an evaluated object as triangles. Says how many vertices and triangles it has."""
+    mesh = thing.to_mesh()
+    if mesh is None:
+        return {"vertices": 0, "triangles": 0}
+    mesh.calc_loop_triangles()
+    positions = numpy.empty((len(mesh.vertices), 3), numpy.float32)
+    mesh.vertices.foreach_get("co", positions.ravel())
+    world = numpy.array(matrix, numpy.float32)
+    positions = positions @ world[:3, :3].T + world[:3, 3]
+    corners = numpy.empty(3 * len(mesh.loop_triangles), numpy.int32)
+    mesh.loop_triangles.foreach_get("vertices", corners)
+    slots = numpy.empty(len(mesh.loop_triangles), numpy.int32)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    thing.to_mesh_clear()
+    # Blender takes the last slot for an index beyond it.
+    known = [slot.material.pass_index - 1 if slot.material else -1 for slot in thing.material_slots] or [-1]
+    materials = numpy.array(known, numpy.int32)[slots.clip(0, len(known) - 1)]
+    for array in (positions.astype("<f4"), corners.astype("<i4"), materials.astype("<i4")):
+        file.write(array.tobytes())
+    return {"vertices": len(positions), "triangles": len(materials)}
