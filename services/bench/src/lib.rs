@@ -14,6 +14,7 @@ mod rays;
 mod renderers;
 mod report;
 mod seconds;
+mod share;
 mod shots;
 mod statistics;
 

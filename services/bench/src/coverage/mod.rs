@@ -6,7 +6,6 @@ mod plot;
 mod report;
 mod rows;
 mod scenes;
-mod share;
 
 use crate::report::Report;
 use anyhow::{Context, Result};

@@ -1,7 +1,7 @@
 //! The reliability diagram: observed over nominal shares of truths below a quantile.
 
 use super::rows::{Coverage, Level, Row};
-use super::share::Share;
+use crate::share::Share;
 use forelight_plots::{self as plots, Area, Drawn, PlotError};
 use plotters::prelude::*;
 

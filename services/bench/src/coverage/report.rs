@@ -1,6 +1,6 @@
 use super::rows::{Coverage, Level, Point};
-use super::share::Share;
 use crate::report::Report;
+use crate::share::Share;
 use forelight_terminal::table::{Align, Table};
 
 /// Quantiles that quotes name.

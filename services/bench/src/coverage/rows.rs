@@ -1,7 +1,7 @@
 //! Counts how often the truths of a group of shots stayed below each quantile.
 
 use super::case::{Case, Judged, NOMINAL, Tally};
-use super::share::Share;
+use crate::share::Share;
 use forelight_forecast::Past;
 use serde::Serialize;
 

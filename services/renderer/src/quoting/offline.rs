@@ -41,6 +41,8 @@ pub enum QuotingStep {
 pub struct ShotQuote {
     /// The quote.
     pub document: ForecastDoc,
+    /// Standard deviation of the logarithm of the total CPU time, as calibration takes it.
+    pub spread: f64,
     /// What every frame shows.
     pub preview: PreviewResult,
     /// The measured frames, ascending, if parts of frames were measured.
@@ -119,7 +121,9 @@ pub fn quote_shot(
     };
     let settings = settings.complete().into();
     let shot = QuotedShot { scene: of.1, renderer: Some(renderer.into()), settings };
-    Ok(ShotQuote { document: quote.job.document(shot, quote.frames), preview, measured, profiled })
+    let spread = quote.spreads.0.cpu;
+    let document = quote.job.document(shot, quote.frames);
+    Ok(ShotQuote { document, spread, preview, measured, profiled })
 }
 
 /// Measured frames of this machine.

@@ -53,7 +53,7 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     bar.finish_and_clear();
     let quote = quote?;
     let explained = asked.explain.then(|| quote.explain(&settings)).transpose()?;
-    let ShotQuote { document, measured, profiled, preview } = quote;
+    let ShotQuote { document, measured, profiled, preview, .. } = quote;
     if asked.json {
         return output::json(&Explained { quote: &document, explanation: explained.as_ref() });
     }

@@ -1,13 +1,17 @@
 //! `forelight bench renderers`: quotes shots of other renderers with several seeds, and compares them with the
 //! full renders.
 //!
-//! Quotes and renders alternate, so that a machine that slows down slows both. The true cost of a frame is
-//! the median of its renders.
+//! Quotes and renders alternate, and so do scenes, so that a machine that slows down slows all. The true cost of a
+//! frame is the median of its renders.
+//!
+//! A quote and the render of its seed are also what a farm has of a job: see [`coverage`].
+
+mod coverage;
 
 use crate::report::Report;
 use crate::statistics::{mean_absolute, median, relative_error};
 use anyhow::{Context, Result};
-use forelight_protocol::{FrameSet, Quantiles};
+use forelight_protocol::{FrameSet, Quantiles, SceneDigest};
 use forelight_renderer::door::{Cost, Rendered, RendererId, Settings};
 use forelight_renderer::{ShotQuote, Wanted, quote_shot};
 use forelight_terminal::atomic_file;
@@ -31,7 +35,8 @@ Examples:
   forelight bench renderers hall.rif --frames 1 --pixels 256 --seeds 30 --set ambient_accuracy=0
   forelight bench renderers hall.blend --frames 0 --samples 64 --set adaptive_sampling=true --set noise_threshold=0.1
 
-Costs are CPU time, so nothing else should run on the machine. Every frame is rendered once for each seed.")]
+Costs are CPU time, so nothing else should run on the machine. Every frame is rendered once for each seed. \
+With some dozens of quotes of a renderer, a second table says how often its jobs cost at most P80 and P95.")]
 pub struct Args {
     /// Scenes of other renderers, such as .blend and .rif files
     #[arg(required = true)]
@@ -94,6 +99,8 @@ struct Case {
 struct Trial {
     seed: u32,
     cpu_seconds: Quantiles,
+    /// Standard deviation of the logarithm, as calibration takes it.
+    spread: f64,
     /// Signed, relative to the actual.
     error: f64,
     /// Measured frames.
@@ -109,47 +116,64 @@ struct Trial {
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
-    let mut cases = Vec::new();
-    for scene in &args.scenes {
-        let samples: Vec<Option<u32>> = match args.samples.as_slice() {
-            [] => vec![args.quality.spp],
-            list => list.iter().copied().map(Some).collect(),
-        };
-        let foreign = Foreign::open(scene, &args.machine, &bars, interrupt)?;
-        for spp in samples {
+    let samples: Vec<Option<u32>> = match args.samples.as_slice() {
+        [] => vec![args.quality.spp],
+        list => list.iter().copied().map(Some).collect(),
+    };
+    let open = |scene: &PathBuf| Foreign::open(scene, &args.machine, &bars, interrupt);
+    let opened: Vec<Foreign> = args.scenes.iter().map(open).collect::<Result<_>>()?;
+    let mut shots = Vec::new();
+    for (scene, foreign) in args.scenes.iter().zip(&opened) {
+        for &spp in &samples {
             let quality = QualityOptions { spp, ..args.quality.clone() };
-            let case = measure(args, scene, &foreign, &quality, &bars, interrupt);
-            cases.push(case.with_context(|| format!("scene {}", scene.display()))?);
+            shots.push(ToMeasure::new(args, scene, foreign, &quality)?);
         }
     }
+    let steps: usize = shots.iter().map(|shot| shot.frames.len() + 1).sum();
+    let bar = bars.bar("quoting and rendering", u64::from(args.seeds) * steps as u64);
+    let mut trials: Vec<Vec<Trial>> = shots.iter().map(|_| Vec::new()).collect();
+    for seed in 0..args.seeds {
+        for (shot, trials) in shots.iter().zip(&mut trials) {
+            let trial = shot.trial(args, seed, &|| bar.inc(1), interrupt);
+            trials.push(trial.with_context(|| format!("scene {}", shot.name))?);
+        }
+    }
+    bar.finish_and_clear();
+    let cases: Vec<Case> = shots.into_iter().zip(trials).map(|(shot, trials)| case(shot, trials)).collect();
     json_file::write(args.out.as_deref(), &cases)?;
     report(&cases).printed(args.json, &cases)
 }
 
-fn measure(
-    args: &Args,
-    scene: &Path,
-    foreign: &Foreign,
-    quality: &QualityOptions,
-    bars: &Bars,
-    interrupt: &Interrupt,
-) -> Result<Case> {
-    let settings = foreign.settings(quality, &args.own)?;
-    let frames = foreign.frames(args.frames.as_ref())?;
-    let (name, digest) = foreign.scene(scene)?;
-    let bar = bars.bar(&name, u64::from(args.seeds) * (frames.len() as u64 + 1));
-    let run = foreign.run(interrupt);
-    let mut seeds = Vec::new();
-    for seed in 0..args.seeds {
+/// A shot to quote and render.
+struct ToMeasure<'a> {
+    foreign: &'a Foreign,
+    name: String,
+    digest: SceneDigest,
+    settings: Settings,
+    frames: Vec<u32>,
+}
+
+impl<'a> ToMeasure<'a> {
+    fn new(args: &Args, scene: &Path, foreign: &'a Foreign, quality: &QualityOptions) -> Result<Self> {
+        let settings = foreign.settings(quality, &args.own)?;
+        let frames = foreign.frames(args.frames.as_ref())?;
+        let (name, digest) = foreign.scene(scene)?;
+        Ok(Self { foreign, name, digest, settings, frames })
+    }
+
+    /// Quotes and renders the shot with another seed.
+    fn trial(&self, args: &Args, seed: u32, step: &dyn Fn(), interrupt: &Interrupt) -> Result<Trial> {
+        let Self { foreign, name, digest, settings, frames } = self;
         let mut settings = settings.clone();
         settings.common.seed = settings.common.seed.wrapping_add(seed);
+        let run = foreign.run(interrupt);
         let shot = (foreign.renderer.id(), &*foreign.shot);
         let frames_at_most = args.profile_frames.map(|most| most as usize);
         let wanted = Wanted { frames: frames_at_most, samples: args.pixels, seed: u64::from(seed) };
-        let quote = quote_shot(shot, (&name, digest), &frames, &settings, wanted, &|_| {}, &run)?;
-        bar.inc(1);
+        let quote = quote_shot(shot, (name, *digest), frames, &settings, wanted, &|_| {}, &run)?;
+        step();
         let mut rendered = Vec::with_capacity(frames.len());
-        for &frame in &frames {
+        for &frame in frames {
             if interrupt.is_set() {
                 return Err(Interrupted.into());
             }
@@ -158,12 +182,10 @@ fn measure(
                 foreign.shot.render(number, &settings, &[], &run)?;
             files.iter().try_for_each(std::fs::remove_file).context("cannot remove the image")?;
             rendered.push(cpu_nanos as f64 * 1e-9);
-            bar.inc(1);
+            step();
         }
-        seeds.push(trial(settings.common.seed, &quote, rendered));
+        Ok(trial(settings.common.seed, &quote, rendered))
     }
-    bar.finish_and_clear();
-    Ok(case(name, foreign.renderer.id().clone(), settings, frames, seeds))
 }
 
 fn trial(seed: u32, quote: &ShotQuote, rendered: Vec<f64>) -> Trial {
@@ -176,6 +198,7 @@ fn trial(seed: u32, quote: &ShotQuote, rendered: Vec<f64>) -> Trial {
     Trial {
         seed,
         cpu_seconds: quote.document.total.cpu_seconds,
+        spread: quote.spread,
         error: 0.0,
         measured: quote.document.profiled.frames.clone(),
         frames: quote.document.frames.iter().map(|frame| frame.cpu_seconds.mean).collect(),
@@ -188,13 +211,8 @@ fn trial(seed: u32, quote: &ShotQuote, rendered: Vec<f64>) -> Trial {
     }
 }
 
-fn case(
-    scene: String,
-    renderer: RendererId,
-    settings: Settings,
-    frames: Vec<u32>,
-    mut seeds: Vec<Trial>,
-) -> Case {
+fn case(shot: ToMeasure<'_>, mut seeds: Vec<Trial>) -> Case {
+    let ToMeasure { foreign, name: scene, settings, frames, .. } = shot;
     let of_frame =
         |frame: usize| median(&seeds.iter().map(|trial| trial.rendered[frame]).collect::<Vec<_>>());
     let actual: Vec<f64> = (0..frames.len()).map(of_frame).collect();
@@ -217,7 +235,7 @@ fn case(
     let taken: f64 = seeds.iter().map(|trial| trial.taken_over_cpu_seconds).sum::<f64>() / count / whole;
     Case {
         scene,
-        renderer,
+        renderer: foreign.renderer.id().clone(),
         settings,
         actual_cpu_seconds: whole,
         error: mean_absolute(seeds.iter().map(|trial| trial.error)),
@@ -282,5 +300,8 @@ fn report(cases: &[Case]) -> Report {
          (WAPE). \"3 frames\": first, middle and last frame at full price. \"lost\": what renders cannot take \
          over. \"noise\": largest difference of a render from the median of its seeds."
     );
-    Report::default().table(table).text(&note)
+    let jobs = coverage::table(cases);
+    let jobs_note = "Jobs in the order in which they ended: the share whose cost is at most the quote's quantile, as \
+                     quoted, and as calibrated by the jobs before.";
+    Report::default().table(table).text(&note).table(jobs).text(jobs_note)
 }
