@@ -131,8 +131,6 @@ impl RenderSettings {
     pub const MOST_BOUNCES: u32 = 8;
     /// Most bounces with the integrator `path`: in effect no limit.
     pub const MOST_BOUNCES_OF_A_PATH: u32 = 65_536;
-    /// Most bounces with a cache. Deeper levels would be planned from ever fewer places.
-    pub const MOST_BOUNCES_WITH_A_CACHE: u32 = 2;
 
     /// Number of pixels of the image.
     pub fn pixels(&self) -> u64 {
@@ -178,11 +176,6 @@ impl RenderSettings {
                 return wrong(name, format!("{value} is not within {} to {}", range.start(), range.end()));
             }
         }
-        if cached && self.ambient_bounces > Self::MOST_BOUNCES_WITH_A_CACHE {
-            let most = Self::MOST_BOUNCES_WITH_A_CACHE;
-            let reason = format!("{} is not within 0 to {most}, the most with a cache", self.ambient_bounces);
-            return wrong("ambient_bounces", reason);
-        }
         if self.pixels() > 1 << 28 {
             let reason = format!("{} × {} pixels; an image has at most 2²⁸", self.width, self.height);
             return wrong("width", reason);
@@ -210,7 +203,7 @@ pub struct RenderSettingsRequest {
     /// How light is simulated. Default: `ambient`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub integrator: Option<Integrator>,
-    /// Diffuse interreflections: 0 to 8, with a cache 0 to 2, with `path` 0 to 65536 (in effect no limit).
+    /// Diffuse interreflections: 0 to 8, with `path` 0 to 65536 (in effect no limit).
     /// Default: 2.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(maximum = 65536)]
@@ -330,12 +323,10 @@ mod tests {
     fn what_does_not_go_together_is_said_of_the_setting_that_has_to_change() {
         let mut request = RenderSettingsRequest {
             cache: Some(CacheMode::On),
-            ambient_bounces: Some(3),
+            ambient_bounces: Some(RenderSettings::MOST_BOUNCES),
             ..Default::default()
         };
-        let wrong = request.complete((1, 1)).check().unwrap_err();
-        assert_eq!(wrong.name, "ambient_bounces");
-        assert!(wrong.reason.contains("0 to 2, the most with a cache"), "{wrong}");
+        assert_eq!(request.complete((1, 1)).check(), Ok(()));
         request.integrator = Some(Integrator::Path);
         assert_eq!(request.complete((1, 1)).check().unwrap_err().name, "cache");
     }

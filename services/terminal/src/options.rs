@@ -21,8 +21,8 @@ pub struct QualityOptions {
     /// Method of light transport [default: ambient]
     #[arg(long, value_name = "NAME")]
     pub integrator: Option<Integrator>,
-    /// Diffuse bounces of indirect light, 0 to 8. With a cache at most 2. 0 is direct light only. With the
-    /// path integrator: how often a path may split after its first time
+    /// Diffuse bounces of indirect light, 0 to 8. 0 is direct light only. With the path integrator: how often a path
+    /// may split after its first time
     #[arg(long, value_name = "BOUNCES")]
     pub ambient_bounces: Option<u32>,
     /// Rays of one indirect gather, without a cache [default: 16]

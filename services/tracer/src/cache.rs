@@ -18,7 +18,7 @@
 //! (`secondary`).
 //!
 //! Further diffuse bounces have their own levels. The second is planned from the hits of the first, and
-//! filled before it.
+//! filled before it. Only rays of gathers read it, and hundreds of them are averaged, so it may be coarse.
 //!
 //! | file | subject |
 //! | --- | --- |
@@ -77,8 +77,8 @@ use places::Places;
 use record::{Smoothed, Value};
 use std::sync::OnceLock;
 
-/// Records are read up to this many times farther than they were planned to cover. Several records then blend
-/// at every point, and samples between the planned sites are covered too.
+/// Records of the first level are read up to this many times farther than they were planned to cover. Several records
+/// then blend at every point, and samples between the planned sites are covered too.
 const READ_RELAXED: f32 = 1.6;
 
 /// The records of one bounce.
@@ -98,9 +98,9 @@ pub struct Level {
     explored: usize,
     /// Allowed error; see [`Planned::error`].
     accuracy: f32,
-    /// Whether bright spots get more rays: on the first level. The gathers that read deeper levels average
-    /// their noise.
-    is_guided: bool,
+    /// Whether it is the first level. The gathers that read deeper levels average their errors, so that only here
+    /// bright spots get more rays, and values are interpolated.
+    is_first: bool,
     /// Mean radiance of the first plan's rays, mean over the channels.
     brightness: f32,
     /// Chosen with the first plan.
@@ -161,7 +161,7 @@ pub struct CacheTotals {
 impl Level {
     /// Indexes the planned records. `world` is the bounding box of the scene.
     fn prepare(&mut self, world: Bounds) {
-        let mut index = Index::new(world, self.smallest, self.accuracy * READ_RELAXED);
+        let mut index = Index::new(world, self.smallest, self.allowed());
         self.planned.iter().zip(0..).for_each(|(planned, number)| index.insert(number, planned));
         (self.index, self.places, self.guide) = (index, OnceLock::new(), OnceLock::new());
     }
@@ -182,12 +182,17 @@ impl Level {
         }
     }
 
+    /// The error below which records are read; see [`Planned::error`].
+    fn allowed(&self) -> f32 {
+        if self.is_first { self.accuracy * READ_RELAXED } else { self.accuracy }
+    }
+
     fn places(&self) -> &Places {
         self.places.get_or_init(|| Places::of(&self.planned))
     }
 
     fn guide(&self) -> &Guide {
-        self.guide.get_or_init(|| match self.is_guided {
+        self.guide.get_or_init(|| match self.is_first {
             true => Guide::new(&self.planned, &self.strata, self.brightness),
             false => Guide::default(),
         })

@@ -65,8 +65,10 @@ pub struct Counters {
     pub traversal: Traversal,
     pub shadings: u64,
     pub texels: u64,
-    /// Number of points at which the cache was read.
+    /// Number of points at which the cache was interpolated.
     pub reads: u64,
+    /// Number of points at which one record was read.
+    pub single_reads: u64,
     /// Number of cache records that were considered.
     pub records: u64,
     /// Number of points at which the cache was read and no record covered the point.
@@ -129,7 +131,7 @@ impl Counters {
             work(0, nodes, triangles, 0, 0),
             work(0, 0, 0, self.shadings, 0),
             work(0, 0, 0, 0, self.texels),
-            READ_WORK * self.reads + RECORD_WORK * self.records,
+            READ_WORK * self.reads + SINGLE_READ_WORK * self.single_reads + RECORD_WORK * self.records,
         ]
     }
 }
@@ -159,6 +161,9 @@ impl Tally {
 
 /// Work of reading the cache at a point: finding the records, and interpolating between four or five.
 const READ_WORK: u64 = 300;
+
+/// Work of reading one record at a point.
+const SINGLE_READ_WORK: u64 = 100;
 
 /// Work of considering one cache record.
 const RECORD_WORK: u64 = 4;

@@ -296,12 +296,12 @@ fn report(cases: &[Case]) -> Report {
     }
     let seeds = cases.first().map_or(0, |case| case.seeds.len());
     let note = format!(
-        "Means of |forecast / actual - 1| over {seeds} seeds: of all frames together, and of single frames \
+        "\nMeans of |forecast / actual - 1| over {seeds} seeds: of all frames together, and of single frames \
          (WAPE). \"3 frames\": first, middle and last frame at full price. \"lost\": what renders cannot take \
-         over. \"noise\": largest difference of a render from the median of its seeds."
+         over. \"noise\": largest difference of a render from the median of its seeds.\n\n"
     );
     let jobs = coverage::table(cases);
-    let jobs_note = "Jobs in the order in which they ended: the share whose cost is at most the quote's quantile, as \
-                     quoted, and as calibrated by the jobs before.";
+    let jobs_note = "\nJobs in the order in which they ended: the share whose cost is at most the quote's quantile, as \
+                     quoted, and as calibrated by the jobs before.\n";
     Report::default().table(table).text(&note).table(jobs).text(jobs_note)
 }

@@ -5129,7 +5129,7 @@ export interface components {
         RenderSettingsRequest: {
             /**
              * Format: int32
-             * @description Diffuse interreflections: 0 to 8, with a cache 0 to 2, with `path` 0 to 65536 (in effect no limit).
+             * @description Diffuse interreflections: 0 to 8, with `path` 0 to 65536 (in effect no limit).
              *     Default: 2.
              * @default null
              */

@@ -4,7 +4,7 @@ use super::index::Index;
 use super::loose::LooseOctree;
 use super::octree::Cube;
 use super::spheres::Sphere;
-use super::{Level, Planned, READ_RELAXED, Site};
+use super::{Level, Planned, Site};
 use crate::bounds::Bounds;
 
 /// A level that grows. It finds the records that cover a site, and the records near a new one.
@@ -71,6 +71,6 @@ impl<'a> Coverage<'a> {
 impl Level {
     /// Largest distance at which a record of this radius is read, metres.
     fn reach(&self, radius: f32) -> f32 {
-        radius * self.accuracy * READ_RELAXED
+        radius * self.allowed()
     }
 }

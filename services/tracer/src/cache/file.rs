@@ -212,7 +212,7 @@ impl Cache {
             return Err(CacheError::Damaged("the checksum does not match"));
         }
         for (depth, level) in cache.levels.iter_mut().enumerate() {
-            level.is_guided = depth == 0;
+            level.is_first = depth == 0;
             if depth > 0 && !level.secondary.is_empty() {
                 return Err(CacheError::Damaged("a secondary light belongs to the first level"));
             }

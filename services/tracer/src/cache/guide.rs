@@ -233,7 +233,7 @@ mod tests {
     fn level(spot: f32) -> Level {
         let mut level = Level {
             strata: Strata::for_rays(192),
-            is_guided: true,
+            is_first: true,
             accuracy: 0.2,
             smallest: 0.01,
             largest: 1.0,

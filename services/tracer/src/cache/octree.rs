@@ -1,14 +1,18 @@
 //! An octree that finds the spheres that contain a point.
 
-use super::spheres::{Block, List, Lists, Sphere};
+use super::spheres::{Block, List, Lists, Sphere, WIDER};
 use crate::bounds::Bounds;
 use glam::Vec3;
 
 /// Largest depth of a cell.
 pub const DEPTH: u32 = 20;
 
-/// An octree over a cube. A sphere is stored in all cells of about its size that it touches, at most eight.
-/// So the path to a point holds all spheres that may contain it.
+/// Smallest edge of the cells that hold a sphere, in radii. With two radii, three times as many spheres of the deeper
+/// levels would have to be looked at.
+const CELL: f32 = 1.0;
+
+/// An octree over a cube. A sphere is stored in all cells of about its size that it touches. So the path to a point
+/// holds all spheres that may contain it.
 #[derive(Debug, Default, Clone)]
 pub struct Octree {
     cube: Cube,
@@ -62,7 +66,7 @@ impl Octree {
         let Sphere { center, radius, .. } = sphere;
         let Cube { low, mut edge } = self.cube;
         let mut depth = 0;
-        while depth < DEPTH && edge * 0.5 >= 2.0 * radius {
+        while depth < DEPTH && edge * 0.5 >= CELL * radius {
             edge *= 0.5;
             depth += 1;
         }
@@ -70,6 +74,10 @@ impl Octree {
     }
 
     fn descend(&mut self, cell: u32, low: Vec3, edge: f32, depth: u32, around: (Vec3, Vec3), sphere: Sphere) {
+        let nearest = sphere.center.clamp(low, low + edge);
+        if nearest.distance(sphere.center) > sphere.radius * WIDER {
+            return;
+        }
         if depth == 0 {
             return self.spheres.push(&mut self.cells[cell as usize].members, sphere);
         }

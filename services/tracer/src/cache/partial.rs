@@ -4,7 +4,7 @@
 //! would have to be filled completely, so single rays are followed instead. The colours are those of a cache
 //! with a slightly noisier first level and exact deeper ones.
 
-use super::{Cache, Level, READ_RELAXED};
+use super::{Cache, Level};
 use crate::cost::{Cost, Counters, clocked};
 use crate::tracer::Tracer;
 use rayon::prelude::*;
@@ -25,7 +25,7 @@ impl Cache {
             self.partial.get_or_init(|| ());
         }
         first.make_ready_to_gather();
-        let allowed = first.accuracy * READ_RELAXED;
+        let allowed = first.allowed();
         let look = |pixel: u32| {
             let (mut sites, mut counters) = (Vec::new(), Counters::default());
             tracer.kernel.sites(tracer, pixel, tracer.samples_of(pixel), &mut sites, &mut counters);

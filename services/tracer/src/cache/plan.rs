@@ -66,10 +66,10 @@ const COARSEST_SEEN: f32 = 0.4;
 const LARGEST: f32 = 64.0;
 const LARGEST_OF_VIEW: f32 = 0.2;
 
-/// Each deeper level allows this many times the error of the one before, up to `COARSE`, because gathers of
-/// the first level average out its errors.
+/// Each deeper level allows this many times the error of the one before, because gathers average out its errors. Above
+/// `COARSE`, dozens of records would have to be looked at for one that covers a point.
 const DEEPER: f32 = 2.0;
-const COARSE: f32 = 0.6;
+const COARSE: f32 = 0.4;
 
 /// For the same reason, each level gathers with this many times fewer rays than the one before. (96 × 96
 /// pixels, two bounces, rooms and kitchens: filling costs 20 to 30 % less, errors grow by 0 to 4 %.)
@@ -178,7 +178,7 @@ impl Planning<'_> {
             let deeper = DEEPER.powi(depth as i32);
             Level {
                 strata: Strata::for_rays(settings.rays / FEWER.pow(depth)),
-                is_guided: depth == 0,
+                is_first: depth == 0,
                 accuracy: if depth == 0 { seen } else { (accuracy * deeper).min(COARSE) },
                 smallest: (smallest * deeper).min(largest),
                 largest,
@@ -226,7 +226,7 @@ impl Planning<'_> {
         }
         // The first plan decides, so that records of later frames do not change it. Filled records leave out what
         // was chosen then.
-        if level.is_guided && level.brightness == 0.0 {
+        if level.is_first && level.brightness == 0.0 {
             let (brightness, nanos) = clocked(|| mean_radiance(&level.planned));
             self.plan.cost.cpu_nanos += nanos;
             level.brightness = brightness;
@@ -367,7 +367,7 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
     let locals: [Vec3; PLAN_RAYS] =
         std::array::from_fn(|ray| level.strata.direction(level.strata.of_plan(ray), 0, &sampler));
     let directions = locals.map(|local| basis.to_world(local));
-    let (traced, counters) = tracer.kernel.plan_rays(tracer, &site, key, &directions, level.is_guided);
+    let (traced, counters) = tracer.kernel.plan_rays(tracer, &site, key, &directions, level.is_first);
     let (hits, lit) = (traced.map(|(hit, _)| hit), traced.map(|(_, lit)| lit));
     let mut inverse = 0.0f64;
     let mut corral = [f32::INFINITY; SECTORS];

@@ -1,8 +1,18 @@
-//! Read: interpolates between the records around a point.
+//! Read: interpolates between the records around a point, or takes one of them.
 
-use super::record::Value;
-use super::{Cache, READ_RELAXED, Site};
+use super::record::{Planned, Value};
+use super::{Cache, Level, Site};
 use glam::Vec3;
+
+impl Level {
+    /// The value of a record. `None` if it is not filled.
+    fn value(&self, index: u32) -> Option<Value> {
+        match self.smoothed.get() {
+            Some(smoothed) => Some(smoothed.values[index as usize]),
+            None => self.records[index as usize].get().map(Value::of),
+        }
+    }
+}
 
 impl Cache {
     /// Irradiance at a site from the records of a level, in W/m² per channel, and the number of records
@@ -13,29 +23,49 @@ impl Cache {
     /// where a record's error reaches the allowed one.
     pub fn read(&self, level: usize, place: &Site) -> (Option<Vec3>, u64) {
         let here = &self.levels[level];
-        let allowed = here.accuracy * READ_RELAXED;
-        let smoothed = here.smoothed.get();
+        let allowed = here.allowed();
         let (mut sum, mut weights, mut looked_at) = (Vec3::ZERO, 0.0f32, 0);
         for index in here.index.around(place, |count| looked_at += count) {
             let planned = &here.planned[index as usize];
             let Some(error) = planned.error(place, allowed) else { continue };
-            let gathered = || here.records[index as usize].get().map(Value::of);
-            let value = smoothed.map_or_else(gathered, |smoothed| Some(smoothed.values[index as usize]));
-            let Some(record) = value else {
+            let Some(record) = here.value(index) else {
                 weights += 1.0;
                 continue;
             };
             if record.rejected {
                 continue;
             }
-            let difference = place.position - planned.site.position;
-            let turn = planned.site.normal.cross(place.normal);
             // Where the irradiance changes quickly, distant records get lower weights.
-            let trusted = error + difference.length() * (1.0 / record.trusted - 1.0 / planned.radius);
+            let distance = place.position.distance(planned.site.position);
+            let trusted = error + distance * (1.0 / record.trusted - 1.0 / planned.radius);
             let weight = (1.0 - error / allowed) * (1.0 - trusted / allowed).max(1e-3);
-            sum += weight * record.at(difference, turn);
+            sum += weight * carried(planned, &record, place);
             weights += weight;
         }
         ((weights > 0.0).then(|| sum / weights), looked_at)
     }
+
+    /// The same from the record with the least error. A ray of a gather needs no more, because hundreds of them are
+    /// averaged. Any record would not do: the first ones found are those of open places, which are brighter.
+    pub fn read_one(&self, level: usize, place: &Site) -> (Option<Vec3>, u64) {
+        let here = &self.levels[level];
+        let allowed = here.allowed();
+        let (mut best, mut least, mut looked_at) = (None, allowed, 0);
+        for index in here.index.around(place, |count| looked_at += count) {
+            let planned = &here.planned[index as usize];
+            let Some(error) = planned.error(place, least) else { continue };
+            let value = here.value(index);
+            if value.is_none_or(|value| !value.rejected) {
+                (best, least) = (Some((planned, value)), error);
+            }
+        }
+        let found =
+            best.map(|(planned, value)| value.map_or(Vec3::ZERO, |value| carried(planned, &value, place)));
+        (found, looked_at)
+    }
+}
+
+/// The irradiance at a site by a record with this value.
+fn carried(planned: &Planned, record: &Value, place: &Site) -> Vec3 {
+    record.at(place.position - planned.site.position, planned.site.normal.cross(place.normal))
 }

@@ -77,7 +77,7 @@ impl Level {
             accuracy: self.accuracy,
             smallest: self.smallest,
             largest: self.largest,
-            is_guided: self.is_guided,
+            is_first: self.is_first,
             brightness: self.brightness,
             secondary: self.secondary.carried(),
             ..Self::default()

@@ -1,13 +1,18 @@
 //! Indirect light from the irradiance cache, and the rays that plan and fill it.
 
 use super::{Pixels, Point, Segment, off_surface};
-use crate::cache::{Irradiance, Mean, Planned, Sample, Site, Strata};
+use crate::cache::{Irradiance, Mean, PLAN_RAYS, Planned, Sample, Site, Strata};
 use crate::cost::Category;
 use crate::geometry::Basis;
 use crate::response::Response;
 use forelight_bvh::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
+
+/// One in so many plan rays of the first level's records is followed to plan the second level, and half as many for
+/// every further one. At the few points that gathers read and no record covers, one ray gathers. That costs less than
+/// the records that all rays would call for, and each level would have more records than the one before.
+const FOLLOWED: usize = 4;
 
 impl<const K: u32> Pixels<'_, K> {
     /// Indirect diffuse light: interpolated, or gathered where no record covers the point.
@@ -16,8 +21,17 @@ impl<const K: u32> Pixels<'_, K> {
             return self.gather_uncovered(s, p, response);
         }
         let site = site(p, response);
-        let (irradiance, looked_at) = self.tracer.planned().read(s.level as usize, &site);
-        self.counters.reads += 1;
+        let cache = self.tracer.planned();
+        let (irradiance, looked_at) = match s.level {
+            0 => {
+                self.counters.reads += 1;
+                cache.read(0, &site)
+            }
+            deeper => {
+                self.counters.single_reads += 1;
+                cache.read_one(deeper as usize, &site)
+            }
+        };
         self.counters.records += looked_at;
         let by_secondary = self.secondary_lights(s, p, response);
         let gathered = match irradiance {
@@ -50,10 +64,12 @@ impl<const K: u32> Pixels<'_, K> {
         (hit, if radiance.is_nan() { 0.0 } else { radiance.clamp(0.0, Planned::BRIGHTEST) })
     }
 
-    /// Follows a record's plan rays to where they read `level`, the level after the record's own.
+    /// Follows some of a record's plan rays to where they read `level`, the level after the record's own.
     pub fn walk_gather(&mut self, strata: &Strata, level: u32, planned: &Planned) {
         let basis = Basis::new(planned.site.normal);
-        for (ray, hit) in planned.hits.iter().enumerate() {
+        let step = PLAN_RAYS.min(FOLLOWED << (level - 1).min(8));
+        let first = (planned.key % step as u64) as usize;
+        for (ray, hit) in planned.hits.iter().enumerate().skip(first).step_by(step) {
             let direction = basis.to_world(strata.direction(strata.of_plan(ray), 0, &self.sampler));
             self.arriving(self.gathered_segment(level, &planned.site, direction), *hit);
         }

@@ -128,7 +128,8 @@ fn a_camera_sample_more_costs_what_the_explanation_says_of_it() {
 fn with_a_cache_the_quote_of_the_kitchen_is_within_a_few_percent_of_its_render() {
     let kitchen = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../deploy/scenes/kitchen");
     let shot = OwnRenderer::new(Choice::Cpu).open(&kitchen).unwrap();
-    for bounces in [1, 2] {
+    let mut works = Vec::new();
+    for bounces in [1, 2, 3, 8] {
         let settings = RenderSettingsRequest {
             spp: Some(4),
             ambient_bounces: Some(bounces),
@@ -162,5 +163,13 @@ fn with_a_cache_the_quote_of_the_kitchen_is_within_a_few_percent_of_its_render()
             let error = forecast.mean / (actual as f64).max(1.0) - 1.0;
             println!("  {name}: {actual}, {:+.2} %", error * 100.0);
         }
+        works.push((bounces, stats.work as f64));
+    }
+    // Levels that only gathers read are coarse, and reading them is cheap.
+    for pair in works.windows(2) {
+        let further = f64::from(pair[1].0 - pair[0].0);
+        let share = (pair[1].1 - pair[0].1) / works[0].1 / further;
+        println!("{} bounces: each further one {:.0} % of the first", pair[1].0, 100.0 * share);
+        assert!((0.0..0.5).contains(&share), "{works:?}");
     }
 }
