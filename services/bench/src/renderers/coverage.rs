@@ -62,8 +62,8 @@ pub fn table(cases: &[Case]) -> Table {
         ("<=P80", Align::Right),
         ("<=P95", Align::Right),
         ("calibrated", Align::Right),
-        ("<=P80", Align::Right),
-        ("<=P95", Align::Right),
+        ("<=P80 then", Align::Right),
+        ("<=P95 then", Align::Right),
     ]);
     for (renderer, jobs) in jobs(cases) {
         let quoted: Vec<[bool; 2]> = jobs.iter().map(|job| job.held).collect();

@@ -302,6 +302,6 @@ fn report(cases: &[Case]) -> Report {
     );
     let jobs = coverage::table(cases);
     let jobs_note = "\nJobs in the order in which they ended: the share whose cost is at most the quote's quantile, as \
-                     quoted, and as calibrated by the jobs before.\n";
+                     quoted, and as calibrated by the jobs before. Intervals (95 %) take jobs as independent.\n";
     Report::default().table(table).text(&note).table(jobs).text(jobs_note)
 }

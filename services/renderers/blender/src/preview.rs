@@ -1,24 +1,21 @@
 //! What frames show: drawn from their triangles, or rendered by Cycles where triangles do not show all.
 //!
 //! Even without a GPU, drawing a frame takes a third to a sixth of the time of the least that Cycles can render. But
-//! only Cycles knows what it will show. So a shot is drawn if nothing in its file speaks against it (the driver looks
-//! for transparent surfaces, hair and volumes), and if Cycles shows the same in the first and in the last frame of
-//! those that are asked for.
+//! only Cycles knows what it will show. So frames are drawn if nothing in the file speaks against it (the driver looks
+//! for transparent surfaces, hair and volumes), and if Cycles shows the same in the first and in the last of them.
 
 use crate::image::{Image, scaled};
 use crate::shot::{BlenderShot, Costs, question};
 use crate::triangles::{Answer, Outcome, Pieces};
-use forelight_preview::{Counts, PreviewError, Previewer, SharedPreviewer};
+use forelight_preview::{Counts, PreviewError, Previewer};
 use forelight_renderer::door::{
     Common, Cost, FrameCounts, PixelCount, PreviewBackend, RendererError, Run, Settings,
 };
 use forelight_scene::Frame;
-use parking_lot::Mutex;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// Most pixels of a preview. Counts are scaled to the image.
@@ -28,20 +25,10 @@ const MOST_PIXELS: u64 = 256 * 256;
 /// coincide, and where an edge passes the centre of a pixel.
 const AGREEMENT: f64 = 0.98;
 
-/// How a shot is previewed.
-pub(crate) struct Way {
-    previewer: Arc<SharedPreviewer>,
-    /// Whether triangles show what Cycles shows, once that is known.
-    is_drawn: Mutex<Option<bool>>,
-}
+/// Frames up to which all are rendered: those are all that would be compared.
+const ALL_COMPARED: usize = 2;
 
-impl Way {
-    pub fn new(previewer: Arc<SharedPreviewer>) -> Self {
-        Self { previewer, is_drawn: Mutex::default() }
-    }
-}
-
-/// Why a shot is not drawn, and what it cost to find out.
+/// Why frames are not drawn, and what it cost to find out.
 struct NotDrawn {
     reason: String,
     cost: Cost,
@@ -72,21 +59,16 @@ impl<'a> Previewing<'a> {
 
     /// What each of the frames shows.
     pub fn counts(&self, frames: &[i32]) -> Result<Vec<FrameCounts>, RendererError> {
-        let Way { is_drawn, .. } = &self.shot.way;
-        let known = *is_drawn.lock();
         let mut lost = Cost::default();
         let mut drawn = None;
-        if known != Some(false) {
-            match self.drawn(frames, known.is_some())? {
+        if frames.len() > ALL_COMPARED {
+            match self.drawn(frames)? {
                 Ok(counts) => drawn = Some(counts),
                 Err(NotDrawn { reason, cost }) => {
                     (self.run.log)(&format!("Cycles renders the previews: {reason}"));
                     lost = cost;
                 }
             }
-        }
-        if !frames.is_empty() {
-            *is_drawn.lock() = Some(drawn.is_some());
         }
         let mut counts = drawn.map_or_else(|| self.rendered(frames), Ok)?;
         if let Some(first) = counts.first_mut() {
@@ -96,12 +78,8 @@ impl<'a> Previewing<'a> {
         Ok(counts)
     }
 
-    /// The frames, drawn. `is_checked`: it is known that triangles show what Cycles shows.
-    fn drawn(
-        &self,
-        frames: &[i32],
-        is_checked: bool,
-    ) -> Result<Result<Vec<FrameCounts>, NotDrawn>, RendererError> {
+    /// The frames, drawn.
+    fn drawn(&self, frames: &[i32]) -> Result<Result<Vec<FrameCounts>, NotDrawn>, RendererError> {
         let pool = ThreadPoolBuilder::new().num_threads(self.run.limits.threads as usize).build();
         let pool = pool.map_err(|error| RendererError::Failed(format!("cannot draw previews: {error}")))?;
         let mut pieces = Pieces::new();
@@ -111,8 +89,8 @@ impl<'a> Previewing<'a> {
             Ok(Err(NotDrawn { reason, cost }))
         };
         for (place, &number) in frames.iter().enumerate() {
-            let Answer { mut cost, outcome } =
-                self.triangles(number, (place, frames.len()), pieces.step())?;
+            let of = (place, frames.len());
+            let Answer { mut cost, outcome } = self.triangles(number, of, pieces.step())?;
             let step = match outcome {
                 Outcome::Refused { refused } => return not_drawn(refused, &all, cost),
                 Outcome::Step(step) => step,
@@ -123,8 +101,11 @@ impl<'a> Previewing<'a> {
             let reading = u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
             (cost.cpu_nanos, cost.wall_nanos) = (cost.cpu_nanos + reading, cost.wall_nanos + reading);
             let (counts, backend) = self.draw(&pool, &frame, Previewer::counts, &mut cost)?;
-            if !is_checked && (place == 0 || place + 1 == frames.len()) {
-                let agreement = self.agreement(number, &pool, (&frame, &pieces), &mut cost)?;
+            if place == 0 || place + 1 == frames.len() {
+                let (preview, _) = self.draw(&pool, &frame, Previewer::preview, &mut cost)?;
+                let (image, rendering) = self.with_progress(of, |run| self.render(number, run))?;
+                cost += &rendering;
+                let agreement = image.agreement(preview.stratum.iter().map(|&s| pieces.pair(s)))?;
                 if agreement < AGREEMENT {
                     let other = 100.0 * (1.0 - agreement);
                     let reason = format!("{other:.1} % of the pixels of frame {number} show other triangles");
@@ -172,7 +153,7 @@ impl<'a> Previewing<'a> {
     ) -> Result<(T, PreviewBackend), RendererError> {
         let since = Instant::now();
         let drawn = pool.install(|| {
-            self.shot.way.previewer.with(|previewer| {
+            self.shot.previewer().with(|previewer| {
                 let drawn = draw(previewer, frame)?;
                 let backend =
                     if previewer.backend() == "gpu" { PreviewBackend::Gpu } else { PreviewBackend::Cpu };
@@ -184,20 +165,6 @@ impl<'a> Previewing<'a> {
         cost.cpu_nanos += spent.cpu_nanos + spent.device_nanos;
         cost.wall_nanos += u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
         Ok((drawn, backend))
-    }
-
-    /// Share of the pixels of a frame in which Cycles shows what is drawn.
-    fn agreement(
-        &self,
-        number: i32,
-        pool: &ThreadPool,
-        (frame, pieces): (&Frame, &Pieces),
-        cost: &mut Cost,
-    ) -> Result<f64, RendererError> {
-        let (preview, _) = self.draw(pool, frame, Previewer::preview, cost)?;
-        let (image, rendering) = self.render(number, self.run)?;
-        *cost += &rendering;
-        image.agreement(preview.stratum.iter().map(|&stratum| pieces.pair(stratum)))
     }
 
     fn pixels_by_pair(&self, counts: &Counts, pieces: &Pieces) -> Vec<PixelCount> {

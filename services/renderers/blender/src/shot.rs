@@ -3,8 +3,9 @@
 use crate::connection::Connection;
 use crate::image::{Image, Share, merge};
 use crate::installation::Cycles;
-use crate::preview::{Previewing, Way};
+use crate::preview::Previewing;
 use crate::settings::{SCHEMA, is_on, why_indivisible};
+use forelight_preview::SharedPreviewer;
 use forelight_renderer::door::{
     Artefact, Asset, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
     PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot, StratumCost, TakenOver,
@@ -22,7 +23,6 @@ pub(crate) struct BlenderShot {
     description: Description,
     /// Processes that wait for a question. A question starts one if none waits.
     idle: Mutex<Vec<Connection>>,
-    pub(crate) way: Way,
 }
 
 /// Answer of the driver to a render.
@@ -44,8 +44,11 @@ struct Packed {
 impl BlenderShot {
     pub fn open(cycles: Cycles, scene: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
         let (connection, description) = Connection::open(&cycles, scene, run)?;
-        let way = Way::new(cycles.previewer.clone());
-        Ok(Self { cycles, scene: scene.to_owned(), description, idle: Mutex::new(vec![connection]), way })
+        Ok(Self { cycles, scene: scene.to_owned(), description, idle: Mutex::new(vec![connection]) })
+    }
+
+    pub(crate) fn previewer(&self) -> &SharedPreviewer {
+        &self.cycles.previewer
     }
 
     pub(crate) fn ask<T: DeserializeOwned>(

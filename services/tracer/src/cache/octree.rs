@@ -11,6 +11,9 @@ pub const DEPTH: u32 = 20;
 /// levels would have to be looked at.
 const CELL: f32 = 1.0;
 
+/// More than the borders of cells differ by, relative to their coordinates: a rounding error for each of `DEPTH` steps.
+const ROUNDING: f32 = 2.0 * DEPTH as f32 * f32::EPSILON;
+
 /// An octree over a cube. A sphere is stored in all cells of about its size that it touches. So the path to a point
 /// holds all spheres that may contain it.
 #[derive(Debug, Default, Clone)]
@@ -74,10 +77,6 @@ impl Octree {
     }
 
     fn descend(&mut self, cell: u32, low: Vec3, edge: f32, depth: u32, around: (Vec3, Vec3), sphere: Sphere) {
-        let nearest = sphere.center.clamp(low, low + edge);
-        if nearest.distance(sphere.center) > sphere.radius * WIDER {
-            return;
-        }
         if depth == 0 {
             return self.spheres.push(&mut self.cells[cell as usize].members, sphere);
         }
@@ -85,14 +84,20 @@ impl Octree {
         let middle = low + half;
         let (lower, upper) = (around.0.cmplt(middle).bitmask(), around.1.cmpge(middle).bitmask());
         for octant in (0..8u32).filter(|octant| octant & !upper == 0 && !octant & !lower & 7 == 0) {
+            let offset = Vec3::from([1, 2, 4].map(|bit| if octant & bit != 0 { half } else { 0.0 }));
+            let corner = low + offset;
+            // Borders of cells are rounded, here and in `near`.
+            let reach = sphere.radius * WIDER + ROUNDING * (corner.abs().max_element() + self.cube.edge);
+            if sphere.center.clamp(corner, corner + half).distance(sphere.center) > reach {
+                continue;
+            }
             let mut child = self.cells[cell as usize].children[octant as usize];
             if child == 0 {
                 child = self.cells.len() as u32;
                 self.cells.push(Cell::EMPTY);
                 self.cells[cell as usize].children[octant as usize] = child;
             }
-            let offset = Vec3::from([1, 2, 4].map(|bit| if octant & bit != 0 { half } else { 0.0 }));
-            self.descend(child, low + offset, half, depth - 1, around, sphere);
+            self.descend(child, corner, half, depth - 1, around, sphere);
         }
     }
 
@@ -163,8 +168,25 @@ pub(super) mod tests {
 
     #[test]
     fn every_sphere_that_contains_a_point_is_found() {
-        let spheres = spheres();
-        let mut octree = Octree::over(unit_cube(0.001));
+        found_at(Vec3::ZERO, 0.001);
+    }
+
+    /// Coordinates are rounded to two millimetres there.
+    #[test]
+    fn spheres_far_from_the_origin_are_found() {
+        found_at(Vec3::new(20_000.0, -20_000.0, 9_000.0), 0.05);
+    }
+
+    fn found_at(offset: Vec3, least: f32) {
+        let point = |i: u64| point(i) + offset;
+        let sphere = |sphere: Sphere| Sphere {
+            center: sphere.center + offset,
+            radius: sphere.radius.max(least),
+            ..sphere
+        };
+        let spheres: Vec<Sphere> = spheres().into_iter().map(sphere).collect();
+        let cube = Cube::over(Bounds { low: offset, high: Vec3::ONE + offset }, least);
+        let mut octree = Octree::over(cube);
         spheres.iter().for_each(|sphere| octree.insert(*sphere));
         let mut contained = 0;
         for i in 1000..3000 {

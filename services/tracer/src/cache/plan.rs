@@ -30,7 +30,8 @@ use std::ops::RangeInclusive;
 use std::slice::Chunks;
 use std::sync::OnceLock;
 
-/// Number of pixels whose sites are found together. For deeper levels, the number of plan rays.
+/// Number of pixels whose sites are found together. For deeper levels, the number of plan rays of the records whose
+/// sites are.
 const CHUNK: usize = 4096;
 
 /// Number of pixels or sites that one thread processes at a time.

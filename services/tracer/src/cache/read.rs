@@ -35,9 +35,7 @@ impl Cache {
             if record.rejected {
                 continue;
             }
-            // Where the irradiance changes quickly, distant records get lower weights.
-            let distance = place.position.distance(planned.site.position);
-            let trusted = error + distance * (1.0 / record.trusted - 1.0 / planned.radius);
+            let trusted = trusted_error(planned, &record, place, error);
             let weight = (1.0 - error / allowed) * (1.0 - trusted / allowed).max(1e-3);
             sum += weight * carried(planned, &record, place);
             weights += weight;
@@ -45,24 +43,34 @@ impl Cache {
         ((weights > 0.0).then(|| sum / weights), looked_at)
     }
 
-    /// The same from the record with the least error. A ray of a gather needs no more, because hundreds of them are
+    /// The same from the record with the least error. A ray of a gather needs no more, because many of them are
     /// averaged. Any record would not do: the first ones found are those of open places, which are brighter.
     pub fn read_one(&self, level: usize, place: &Site) -> (Option<Vec3>, u64) {
         let here = &self.levels[level];
         let allowed = here.allowed();
-        let (mut best, mut least, mut looked_at) = (None, allowed, 0);
+        let (mut best, mut least, mut looked_at) = (None, f32::INFINITY, 0);
         for index in here.index.around(place, |count| looked_at += count) {
             let planned = &here.planned[index as usize];
-            let Some(error) = planned.error(place, least) else { continue };
+            let Some(error) = planned.error(place, allowed) else { continue };
             let value = here.value(index);
-            if value.is_none_or(|value| !value.rejected) {
-                (best, least) = (Some((planned, value)), error);
+            if value.is_some_and(|value| value.rejected) {
+                continue;
+            }
+            let trusted = value.map_or(error, |value| trusted_error(planned, &value, place, error));
+            if trusted < least {
+                (best, least) = (Some((planned, value)), trusted);
             }
         }
         let found =
             best.map(|(planned, value)| value.map_or(Vec3::ZERO, |value| carried(planned, &value, place)));
         (found, looked_at)
     }
+}
+
+/// The error of a record at a site, raised where its irradiance changes quickly.
+fn trusted_error(planned: &Planned, record: &Value, place: &Site, error: f32) -> f32 {
+    let distance = place.position.distance(planned.site.position);
+    error + distance * (1.0 / record.trusted - 1.0 / planned.radius)
 }
 
 /// The irradiance at a site by a record with this value.

@@ -23,7 +23,8 @@ impl Cache {
             .collect();
         let sample = |(level, index): (usize, usize)| {
             let gathered = || self.gathered(tracer, level, index);
-            let record = if level + 1 == self.levels.len() {
+            // Records that read no others have their final value.
+            let record = if self.levels[level + 1..].iter().all(|deeper| deeper.planned.is_empty()) {
                 *self.levels[level].records[index].get_or_init(gathered)
             } else {
                 gathered()

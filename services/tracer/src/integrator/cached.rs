@@ -9,8 +9,8 @@ use forelight_bvh::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// One in so many plan rays of the first level's records is followed to plan the second level, and half as many for
-/// every further one. At the few points that gathers read and no record covers, one ray gathers. That costs less than
+/// One in so many plan rays of the first level's records is followed to plan the second level, half as many for every
+/// further one, and at least one. At the few points that gathers read and no record covers, one ray gathers. That costs less than
 /// the records that all rays would call for, and each level would have more records than the one before.
 const FOLLOWED: usize = 4;
 
@@ -67,7 +67,7 @@ impl<const K: u32> Pixels<'_, K> {
     /// Follows some of a record's plan rays to where they read `level`, the level after the record's own.
     pub fn walk_gather(&mut self, strata: &Strata, level: u32, planned: &Planned) {
         let basis = Basis::new(planned.site.normal);
-        let step = PLAN_RAYS.min(FOLLOWED << (level - 1).min(8));
+        let step = PLAN_RAYS.min(FOLLOWED << (level - 1));
         let first = (planned.key % step as u64) as usize;
         for (ray, hit) in planned.hits.iter().enumerate().skip(first).step_by(step) {
             let direction = basis.to_world(strata.direction(strata.of_plan(ray), 0, &self.sampler));

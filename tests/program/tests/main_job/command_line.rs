@@ -165,8 +165,10 @@ async fn with_a_cache_the_number_of_records_is_known_before_and_what_was_gathere
     ];
     let quality =
         ["--width", "48", "--spp", "2", "--ambient-bounces", "2", "--cache", "on", "--cache-rays", "48"];
+    // Frames that share a cache take over its records instead.
+    let sharing = ["--cache-sharing", "private"];
     let profile = ["--samples", "64", "--profile-frames", "1"];
-    let printed = run_well(&[&job[..], &quality, &profile].concat());
+    let printed = run_well(&[&job[..], &quality, &sharing, &profile].concat());
     let printed: Value = serde_json::from_str(&printed).expect("JSON is printed and nothing else");
     assert_eq!(
         (&printed["job"]["state"], &printed["job"]["settings"]["cache"]),

@@ -97,13 +97,18 @@ def answer(question):
 
         return forelight_pack.pack(**question)
     import forelight_render
-    import forelight_triangles
+
+    def triangles(**asked):
+        # Only this needs numpy.
+        import forelight_triangles
+
+        return forelight_triangles.triangles(**asked)
 
     ask = {
         "ids": forelight_render.ids,
         "samples": forelight_render.samples,
         "regions": forelight_render.regions,
-        "triangles": forelight_triangles.triangles,
+        "triangles": triangles,
     }[todo]
     return ask(progress=lambda share: say({"progress": share}), **question)
 

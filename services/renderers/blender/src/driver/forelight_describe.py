@@ -16,8 +16,9 @@ NO_TRIANGLES = {"CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL", "GPENCIL"}
 
 
 def objects():
-    """The file's objects with geometry, in the order of their names. They are the same in every frame."""
-    found = [o for o in bpy.data.objects if o.type in GEOMETRY and o.users and may_be_rendered(o)]
+    """The file's objects with geometry, in the order of their names. They are the same in every frame. What is hidden
+    may be instanced."""
+    found = [o for o in bpy.data.objects if o.type in GEOMETRY and o.users]
     return sorted(found, key=lambda o: (o.name, o.library.filepath if o.library else ""))
 
 
@@ -54,8 +55,8 @@ def describe(scene):
 
 
 def triangles(thing):
-    """Triangles of an object as evaluated in the current frame. `None` if it has none."""
-    if thing.type in NO_TRIANGLES:
+    """Triangles of an object as evaluated in the current frame. `None` if it has none, or is not rendered."""
+    if thing.type in NO_TRIANGLES or not may_be_rendered(thing):
         return None
     evaluated = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
     try:
@@ -108,7 +109,7 @@ def why_no_triangles():
 
 
 def without_triangles():
-    for thing in objects():
+    for thing in filter(may_be_rendered, objects()):
         if thing.type in NO_TRIANGLES:
             yield f"object {thing.name} is of kind {thing.type}"
         if any(system.settings.type == "HAIR" for system in thing.particle_systems):
@@ -136,7 +137,7 @@ def see_through(material):
 def is_see_through(node):
     if node.type == "BSDF_PRINCIPLED":
         alpha = node.inputs["Alpha"]
-        return bool(alpha.links) or alpha.default_value < 1.0
+        return bool(alpha.links) or alpha.default_value < 1.0 or bool(node.id_data.animation_data)
     # Nobody knows what a script does.
     return node.type in {"BSDF_TRANSPARENT", "HOLDOUT", "SCRIPT"}
 

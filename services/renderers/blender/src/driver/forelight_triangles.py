@@ -12,8 +12,8 @@ import forelight_describe
 import forelight_render
 import numpy
 
-# More triangles than this are not handed out: scenes of instances may have billions.
-MOST_TRIANGLES = 20_000_000
+# More triangles than this are not handed out: scenes of instances may have billions. They take a gigabyte.
+MOST_TRIANGLES = 5_000_000
 
 
 class Refused(Exception):
@@ -38,12 +38,16 @@ def triangles(frame, settings, threads, out, progress, after):
             answer = EXPORT.answer()
         except Refused as refused:
             answer = {"refused": str(refused)}
+        except Exception as error:  # noqa: BLE001: Cycles may show what this cannot
+            answer = {"refused": f"{type(error).__name__}: {error}"}
     progress(1.0)
     return {**answer, "cost": clock.cost()["cost"]}
 
 
 def check(scene):
     camera, render = scene.camera.data, scene.render
+    if scene.camera.type != "CAMERA":
+        raise Refused(f"the camera is the object {scene.camera.name} of kind {scene.camera.type}")
     if camera.type != "PERSP":
         raise Refused(f"camera {scene.camera.name} is of type {camera.type}")
     if camera.shift_x or camera.shift_y:
@@ -52,6 +56,8 @@ def check(scene):
         raise Refused("pixels are not square")
     if render.use_multiview:
         raise Refused("the scene is rendered for several eyes")
+    if any(layer.material_override for layer in scene.view_layers):
+        raise Refused("a view layer overrides materials")
     if reason := forelight_describe.why_no_triangles():
         raise Refused(reason)
 
@@ -62,7 +68,7 @@ class Export:
     def __init__(self):
         # The last step.
         self.step = None
-        # Number of every piece that was handed out, by what identifies it.
+        # Every piece that was handed out: its number, place and number of triangles, by what identifies it.
         self.pieces = {}
         self.numbers = 0
 
@@ -73,6 +79,7 @@ class Export:
             self.pieces = {}
         # Known again once all is written.
         self.step = None
+        self.is_called = False
         self.result, self.failure = None, RuntimeError("Blender did not render the frame")
 
     def answer(self):
@@ -83,31 +90,34 @@ class Export:
 
     def frame(self, depsgraph):
         """Writes what changed in the frame that a render engine was given."""
-        changed = {
-            update.id.original.as_pointer()
-            for update in depsgraph.updates
-            if isinstance(update.id, bpy.types.Object) and (update.is_updated_geometry or update.is_updated_transform)
-        }
+        changed, bent = set(), False
+        for update in depsgraph.updates:
+            if isinstance(update.id, bpy.types.Object) and (update.is_updated_geometry or update.is_updated_transform):
+                changed.add(update.id.original.as_pointer())
+                bent = bent or update.is_updated_geometry
         shown, written, count = {}, [], 0
         with open(self.out, "wb") as file:
             for instance in depsgraph.object_instances:
                 thing = instance.object
-                if not instance.show_self or not thing.visible_camera or thing.type not in forelight_describe.GEOMETRY:
+                if not instance.show_self or thing.type not in forelight_describe.GEOMETRY or is_unseen(instance):
                     continue
-                owners = [thing.original.as_pointer()]
-                if instance.is_instance:
-                    owners.append(instance.parent.original.as_pointer())
-                key = (*owners, tuple(instance.persistent_id) if instance.is_instance else ())
-                number = self.pieces.get(key)
-                if number is None or not changed.isdisjoint(owners):
+                if thing.type in forelight_describe.NO_TRIANGLES:
+                    raise Refused(f"instances of {thing.name} are of kind {thing.type}")
+                owner = thing.original.as_pointer()
+                key = (owner, instance.parent.original.as_pointer(), *instance.persistent_id) if instance.is_instance else owner
+                place = tuple(value for row in instance.matrix_world for value in row)
+                number, before, triangles = self.pieces.get(key, (None, None, 0))
+                # What bends an instance may be any object on the way to it.
+                if number is None or place != before or owner in changed or (bent and instance.is_instance):
                     number = number or self.next_number()
-                    sizes = write(file, thing, instance.matrix_world)
+                    sizes = write(file, thing, instance.matrix_world, MOST_TRIANGLES - count)
                     written.append({"piece": number, "object": thing.pass_index - 1, **sizes})
-                    count += sizes["triangles"]
-                    if count > MOST_TRIANGLES:
-                        raise Refused(f"it has over {MOST_TRIANGLES // 1_000_000} million triangles")
-                shown[key] = number
-        gone = sorted(set(self.pieces.values()) - set(shown.values()))
+                    triangles = sizes["triangles"]
+                count += triangles
+                if count > MOST_TRIANGLES:
+                    raise too_many()
+                shown[key] = number, place, triangles
+        gone = sorted({number for number, _, _ in self.pieces.values()} - {number for number, _, _ in shown.values()})
         self.pieces = shown
         self.result = {
             "step": uuid.uuid4().hex,
@@ -125,18 +135,31 @@ class Export:
 EXPORT = Export()
 
 
+def is_unseen(instance):
+    """Whether the camera does not see the instance. Holdouts are left to Cycles."""
+    things = [instance.object, instance.parent] if instance.is_instance else [instance.object]
+    if any(thing.is_holdout for thing in things):
+        raise Refused(f"object {instance.object.name} is a holdout")
+    return not all(thing.visible_camera for thing in things)
+
+
+def too_many():
+    return Refused(f"it has over {MOST_TRIANGLES // 1_000_000} million triangles")
+
+
 class Engine(bpy.types.RenderEngine):
     bl_idname = "FORELIGHT_TRIANGLES"
     bl_label = "Triangles for previews"
 
     def render(self, depsgraph):
-        # Of several layers, the first is previewed. Exceptions would only be printed.
-        if EXPORT.result is not None:
+        # Of several layers, the first is previewed.
+        if EXPORT.is_called:
             return
+        EXPORT.is_called = True
         try:
             EXPORT.frame(depsgraph)
             EXPORT.failure = None
-        except Exception as error:  # noqa: BLE001: raised again by the one who asked
+        except Exception as error:  # noqa: BLE001: Blender would only print it; it is raised again where it was asked
             EXPORT.failure = error
 
 
@@ -160,12 +183,14 @@ def camera(depsgraph):
     }
 
 
-def write(file, thing, matrix):
-    """Writes an evaluated object as triangles. Says how many vertices and triangles it has."""
+def write(file, thing, matrix, most):
+    """Writes an evaluated object as triangles, at most so many. Says how many vertices and triangles it has."""
     mesh = thing.to_mesh()
     if mesh is None:
         return {"vertices": 0, "triangles": 0}
     mesh.calc_loop_triangles()
+    if len(mesh.loop_triangles) > most:
+        raise too_many()
     positions = numpy.empty((len(mesh.vertices), 3), numpy.float32)
     mesh.vertices.foreach_get("co", positions.ravel())
     world = numpy.array(matrix, numpy.float32)
