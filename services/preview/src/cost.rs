@@ -16,6 +16,13 @@ pub struct Cost {
     pub device_nanos: u64,
 }
 
+impl Cost {
+    /// Time that counts as CPU time, nanoseconds: with the device's, since a software driver runs on the same processor.
+    pub fn nanos(&self) -> u64 {
+        self.cpu_nanos + self.device_nanos
+    }
+}
+
 impl Add for Cost {
     type Output = Self;
 

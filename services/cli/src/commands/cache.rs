@@ -29,10 +29,9 @@ Examples:
   forelight render kitchen/ --frame 12 --ambient-bounces 1 --cache-file shot.cache --out 12.exr
 
 Planning finds the number of records that the shot needs, before any light is gathered. Any processes on any \
-machines may fill parts, and merge them in any order: the images have the same bits. Every bounce has \
-a level of records, and the deepest is filled first. Fill and merge the parts once for each level then, or fill without \
---part. A frame replaces the records \
-whose light has changed because an object or a light has moved.")]
+machines may fill parts, and merge them in any order: the images have the same bits. Every bounce has a \
+level of records, and the deepest is filled first. Fill and merge the parts once for each level then, or fill \
+without --part. A frame replaces the records whose light has changed because an object or a light has moved.")]
 pub struct Args {
     #[command(subcommand)]
     step: Step,

@@ -100,9 +100,9 @@ impl<'a> Previewing<'a> {
             let frame = pieces.advance(step, &self.out, (width, height))?;
             let reading = u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
             (cost.cpu_nanos, cost.wall_nanos) = (cost.cpu_nanos + reading, cost.wall_nanos + reading);
-            let (counts, backend) = self.draw(&pool, &frame, Previewer::counts, &mut cost)?;
-            if place == 0 || place + 1 == frames.len() {
-                let (preview, _) = self.draw(&pool, &frame, Previewer::preview, &mut cost)?;
+            let is_compared = place == 0 || place + 1 == frames.len();
+            let (counts, backend) = if is_compared {
+                let (preview, backend) = self.draw(&pool, &frame, Previewer::preview, &mut cost)?;
                 let (image, rendering) = self.with_progress(of, |run| self.render(number, run))?;
                 cost += &rendering;
                 let agreement = image.agreement(preview.stratum.iter().map(|&s| pieces.pair(s)))?;
@@ -111,7 +111,10 @@ impl<'a> Previewing<'a> {
                     let reason = format!("{other:.1} % of the pixels of frame {number} show other triangles");
                     return not_drawn(reason, &all, cost);
                 }
-            }
+                (preview.counts(), backend)
+            } else {
+                self.draw(&pool, &frame, Previewer::counts, &mut cost)?
+            };
             all.push(FrameCounts {
                 frame: number,
                 counts: self.pixels_by_pair(&counts, &pieces),
@@ -162,7 +165,7 @@ impl<'a> Previewing<'a> {
         });
         let (drawn, backend, spent) =
             drawn.map_err(|error| RendererError::Failed(format!("cannot draw a preview: {error}")))?;
-        cost.cpu_nanos += spent.cpu_nanos + spent.device_nanos;
+        cost.cpu_nanos += spent.nanos();
         cost.wall_nanos += u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
         Ok((drawn, backend))
     }

@@ -9,7 +9,7 @@ pub(crate) fn backend(previewer: &Previewer) -> PreviewBackend {
 }
 
 /// Cost of the last preview. CPU work is in the tracer's weights. GPU work is one operation per pixel and
-/// triangle. Time includes the device's, since a software driver runs on the same processor.
+/// triangle.
 pub(crate) fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u64) -> Spent {
     let cost = previewer.cost();
     let (pixels, triangles) = (frame.camera.pixels() as u64, frame.geometry.triangles.len() as u64);
@@ -17,7 +17,7 @@ pub(crate) fn preview_spent(previewer: &Previewer, frame: &Frame, setup_nanos: u
         0 => pixels + triangles,
         nodes => forelight_tracer::work(pixels, nodes, cost.triangles, 0, 0),
     };
-    Spent { work, cpu_nanos: cost.cpu_nanos + cost.device_nanos + setup_nanos }
+    Spent { work, cpu_nanos: cost.nanos() + setup_nanos }
 }
 
 #[cfg(test)]

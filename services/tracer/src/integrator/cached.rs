@@ -9,9 +9,9 @@ use forelight_bvh::{Hit, Ray};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// One in so many plan rays of the first level's records is followed to plan the second level, half as many for every
-/// further one, and at least one. At the few points that gathers read and no record covers, one ray gathers. That costs less than
-/// the records that all rays would call for, and each level would have more records than the one before.
+/// One in so many plan rays of the first level's records is followed to plan the second level. For every further level
+/// it is half as many, and at least one of a record. All rays would call for more records at each level than at the
+/// one before. Where no record covers a point, one ray gathers, which costs less.
 const FOLLOWED: usize = 4;
 
 impl<const K: u32> Pixels<'_, K> {
