@@ -114,10 +114,18 @@ is "SELECT count(*) FROM results r JOIN tasks t ON t.id = r.task_id JOIN jobs j 
   fail 'the frame was not rendered in three parts'
 same_image "$work/5.exr" "$work/parts/frame-0005.exr"
 
-echo 'a quote says which objects it is for'
+echo 'a quote says which objects it is for, and where in the image its time will go'
 FORELIGHT_BPY_PYTHON=$environment/bin/python "$FORELIGHT_BIN" forecast "$work/scenes/kitchen.blend" --frames 0,12 "${size[@]}" \
-  --explain >"$work/why.log" 2>&1 || fail 'no explanation'
-for text in 'of CPU time)' 'floor, floor_tiles' 'to halve the work: '; do grep -q "$text" "$work/why.log" || fail "not told: $text"; done
+  --explain --cost-map "$work/map.png" >"$work/why.log" 2>&1 || fail 'no explanation'
+for text in 'of CPU time)' 'floor, floor_tiles' 'to halve the work: ' 'cost map of frame'; do
+  grep -q "$text" "$work/why.log" || fail "not told: $text"
+done
+picture_of_several_colours "$work/map.png" || fail 'the cost map shows nothing'
+"$FORELIGHT_BIN" submit "$work/scenes/kitchen.blend" --server "http://127.0.0.1:$port" --data "$work/data" --shared --frames 3 \
+  "${size[@]}" --hold --name held >/dev/null
+wait_for 60 at_least "SELECT count(preview_png) FROM frames f JOIN jobs j ON j.id = f.job_id WHERE j.name = 'held'" 1
+is "SELECT count(*) FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE j.name = 'held' AND t.kind = 'render'" 0 ||
+  fail 'a frame of the held job was rendered'
 
 echo 'a missing texture is named before anything is rendered'
 submit "$work/scenes/missing.blend" --shared --frames 1 --spp 1 --name missing >/dev/null

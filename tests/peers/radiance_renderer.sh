@@ -52,7 +52,8 @@ rif=$(export_scene kitchen 128) || fail 'the kitchen cannot be exported'
 echo 'the command line finds Radiance, and quotes, renders and writes three kinds of image'
 "$FORELIGHT_BIN" renderers --json >"$work/renderers.json" 2>"$work/renderers.log" || fail 'no renderers'
 grep -q '"name": "radiance"' "$work/renderers.json" || fail 'Radiance is not listed'
-"$FORELIGHT_BIN" forecast "$rif" --threads 1 --json >"$work/quote.json" 2>"$work/forecast.log" || fail 'no quote'
+"$FORELIGHT_BIN" forecast "$rif" --threads 1 --cost-map "$work/map.png" --json >"$work/quote.json" 2>"$work/forecast.log" || fail 'no quote'
+picture_of_several_colours "$work/map.png" || fail 'the cost map shows nothing'
 for kind in exr hdr png; do
   "$FORELIGHT_BIN" render "$rif" --threads 1 --out "$work/1.$kind" --stats "$work/stats.json" >/dev/null 2>"$work/render.log" ||
     fail "no $kind image"

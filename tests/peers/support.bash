@@ -146,3 +146,12 @@ PYTHON
 }
 is() { [ "$(ask "$1")" = "$2" ]; }
 at_least() { [ "$(ask "$1")" -ge "$2" ]; }
+
+# picture_of_several_colours FILE.png: whether a picture shows something. Needs a Python with NumPy.
+picture_of_several_colours() {
+  ffmpeg -v error -i "$1" -f rawvideo -pix_fmt rgb24 - | "$environment/bin/python" -c '
+import sys
+import numpy
+pixels = numpy.frombuffer(sys.stdin.buffer.read(), numpy.uint8).reshape(-1, 3)
+sys.exit(len(numpy.unique(pixels, axis=0)) < 20)'
+}

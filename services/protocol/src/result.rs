@@ -60,7 +60,10 @@ impl TaskResult {
             TaskResult::Profile(result) => {
                 std::iter::once(result.artifacts.profile).chain(result.artifacts.preview_png).collect()
             }
-            TaskResult::Measured(result) => result.shares.iter().filter_map(|share| share.hash).collect(),
+            TaskResult::Measured(result) => {
+                let shares = result.shares.iter().filter_map(|share| share.hash);
+                shares.chain(result.preview_png).collect()
+            }
             TaskResult::CachePlan(result) => result.cache.into_iter().collect(),
             TaskResult::CacheFill(result) => vec![result.cache],
             TaskResult::CacheMerge(result) => vec![result.cache],
@@ -173,8 +176,8 @@ pub struct SampleCost {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FixedPart {
-    /// What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `finish`, `write`, and
-    /// `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters.
+    /// What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `pixels`, `finish`,
+    /// `write`, and `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters.
     #[schema(min_length = 1, max_length = 50, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
     /// CPU time over all threads, in nanoseconds.
@@ -259,6 +262,9 @@ pub struct MeasuredFrame {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schema(max_items = 100)]
     pub shares: Vec<MeasuredShare>,
+    /// Object and material of each pixel as a colour. Absent if the renderer does not know them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub preview_png: Option<ArtifactHash>,
     /// Cost of the whole task.
     pub spent: Spent,
     /// Largest resident memory in bytes. 0 if unknown.

@@ -239,6 +239,7 @@ fn cpu_time_of_another_renderer_is_divided_by_what_a_frame_shows() {
             fixed: vec![fixed("tree", 70), fixed("write", 20), fixed("a word of its own", 10)],
             strata: vec![time(0, wall), time(1, vase)],
             shares: Vec::new(),
+            preview_png: None,
             spent: Spent::default(),
             peak_memory_bytes: 0,
         };

@@ -16,9 +16,9 @@ use bytes::Bytes;
 use forelight_forecast::Strategy;
 use forelight_pictures::{cost_map, tone_map};
 use forelight_protocol::{
-    FinishedPart, LogLevel, PartRange, PreviewSpec, ProfileSpec, Rays, RenderArtifacts, RenderPartResult,
-    RenderPartSpec, RenderResult, RenderSpec, RenderStats, SampleRange, SampleShare, SceneDigest,
-    SceneSummary, TaskLimit, TaskResult, TaskSpec,
+    ArtifactHash, FinishedPart, LogLevel, PartRange, PreviewSpec, ProfileSpec, Rays, RenderArtifacts,
+    RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, SampleRange, SampleShare,
+    SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
 };
 use forelight_scene::open_regular;
 use image::{DynamicImage, Rgb, RgbImage};
@@ -149,11 +149,12 @@ impl Task<'_> {
         }
         let frame = (spec.frame, u32::try_from(spec.phase_seed).unwrap_or(0));
         let measured = measure_frame(self.renderer, &*self.open.shot, frame, &self.settings, &self.run)?;
-        let Measurement { mut result, artefacts } = measured;
+        let Measurement { mut result, artefacts, ids, .. } = measured;
         let mut files = Files::default();
         for (share, artefact) in result.shares.iter_mut().zip(&artefacts) {
             share.hash = Some(files.add(read(&artefact.path)?));
         }
+        result.preview_png = add_picture(&mut files, ids.as_ref())?;
         Ok(Outcome { result: TaskResult::Measured(result), artifacts: files.contents })
     }
 
@@ -166,7 +167,7 @@ impl Task<'_> {
         let PixelProfile { mut result, artefact, ids, .. } = profiled;
         let mut files = Files::default();
         result.artifacts.profile = files.add(read(&artefact.path)?);
-        result.artifacts.preview_png = ids.map(|ids| png(&ids).map(|bytes| files.add(bytes))).transpose()?;
+        result.artifacts.preview_png = add_picture(&mut files, ids.as_ref())?;
         Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
     }
 
@@ -210,7 +211,7 @@ impl Task<'_> {
             image_exr: kept.add(read(image)?),
             image_png: kept.add(png(&picture.map_or_else(|| picture_of(image), Ok)?)?),
             cost_map_png: kept.add(png(&self.cost_map(blocks.as_ref()))?),
-            preview_png: ids.as_ref().map(|ids| png(ids).map(|bytes| kept.add(bytes))).transpose()?,
+            preview_png: add_picture(&mut kept, ids.as_ref())?,
         };
         let stats = self.stats(spec, &cost, taken_over);
         Ok(Outcome {
@@ -241,13 +242,8 @@ impl Task<'_> {
     /// The cost of each pixel as a colour, block by block. One colour if the renderer does not know.
     fn cost_map(&self, blocks: Option<&BlockCosts>) -> RgbImage {
         let (width, height) = (self.settings.common.width, self.settings.common.height);
-        let costs: Vec<u64> = match blocks {
-            None => Vec::new(),
-            Some(BlockCosts { side, columns, nanos }) => (0..height)
-                .flat_map(|y| (0..width).map(move |x| (x, y)))
-                .map(|(x, y)| nanos.get((y / side * columns + x / side) as usize).copied().unwrap_or(0))
-                .collect(),
-        };
+        let costs = blocks.map_or_else(Vec::new, |blocks| blocks.of_pixels(width, height));
+        let costs: Vec<u64> = costs.into_iter().map(|nanos| nanos as u64).collect();
         cost_map(width, height, &costs)
     }
 
@@ -302,6 +298,11 @@ fn picture_of(path: &Path) -> Result<RgbImage, RendererError> {
 fn png(picture: &RgbImage) -> Result<Vec<u8>, RendererError> {
     let failed = |error| RendererError::Answer(format!("cannot encode a picture: {error}"));
     forelight_pictures::png(picture).map_err(failed)
+}
+
+/// Adds a picture to the files of a result, if there is one.
+fn add_picture(files: &mut Files, picture: Option<&RgbImage>) -> Result<Option<ArtifactHash>, RendererError> {
+    picture.map(|picture| Ok(files.add(png(picture)?))).transpose()
 }
 
 /// BLAKE3 hash of a scene's file.

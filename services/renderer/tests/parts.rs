@@ -100,6 +100,7 @@ impl Shot for ListedShot {
             pieces: Vec::new(),
             strata: Vec::new(),
             blocks: None,
+            ids: None,
             artefact: Some(artefact).filter(|artefact| artefact.settings.common.seed == 0),
         })
     }

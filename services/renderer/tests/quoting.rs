@@ -121,6 +121,7 @@ impl Shot for Known {
             pieces,
             strata: Vec::new(),
             blocks: None,
+            ids: None,
             artefact: None,
         })
     }

@@ -307,7 +307,10 @@ async fn keep(
                 None => versions::choose(write, row.job_id, now).await?,
             }
         }
-        TaskResult::Measured(_) | TaskResult::Video(_) => {}
+        TaskResult::Video(_) => {}
+        TaskResult::Measured(measured) => {
+            show_preview(write, row.job_id, measured.frame, measured.preview_png);
+        }
         TaskResult::Profile(profile) => {
             show_preview(write, row.job_id, profile.frame, profile.artifacts.preview_png);
         }

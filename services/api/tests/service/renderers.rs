@@ -60,6 +60,10 @@ async fn a_job_of_another_renderer_is_described_measured_booked_and_rendered_whe
         profiled.push(profile.spec.frame().unwrap());
         farm.finish(&profile).await;
     }
+    for &frame in &profiled {
+        let picture = farm.viewer.get(&format!("/v1/jobs/{}/frames/{frame}/preview.png", job.id)).await;
+        assert_eq!(picture.status(), StatusCode::OK);
+    }
     assert!(farm.claim(&plain).await.is_none());
     let first = farm.next_task(&blender).await;
     assert_eq!(farm.job(&job).await.state, JobState::Rendering);

@@ -49,6 +49,7 @@ impl Farm {
             fixed: vec![FixedPart { name: "tree".to_owned(), cpu_nanos: 10_000_000 }],
             strata: vec![StratumTime { object: Some(0), material: Some(0), nanos: 4 * sample }],
             shares: vec![MeasuredShare { offset: 0, count: 4, cpu_nanos: 4 * sample, hash }],
+            preview_png: Some(self.artifact(b"a preview").await),
             spent: Spent { work: 18_000, cpu_nanos: 18_000_000 },
             peak_memory_bytes: 1 << 20,
         }

@@ -82,6 +82,8 @@ struct Case {
     actual_cpu_seconds: f64,
     /// Mean over seeds of |forecast mean / actual − 1| of all frames together.
     error: f64,
+    /// Mean over seeds of forecast mean / actual − 1 of all frames together.
+    bias: f64,
     /// Mean over seeds of Σ |forecast − actual| / Σ actual over the frames.
     frame_error: f64,
     /// Error of first, middle and last frame at full price, interpolated over time. `None` for few frames.
@@ -239,6 +241,7 @@ fn case(shot: ToMeasure<'_>, mut seeds: Vec<Trial>) -> Case {
         settings,
         actual_cpu_seconds: whole,
         error: mean_absolute(seeds.iter().map(|trial| trial.error)),
+        bias: seeds.iter().map(|trial| trial.error).sum::<f64>() / count,
         frame_error: seeds.iter().map(wape).sum::<f64>() / count,
         three_frames_error: three_frames(&actual).map(|forecast| relative_error(forecast, whole)),
         noise,
@@ -272,6 +275,7 @@ fn report(cases: &[Case]) -> Report {
         ("frames", Align::Right),
         ("CPU time", Align::Right),
         ("error", Align::Right),
+        ("bias", Align::Right),
         ("of frames", Align::Right),
         ("3 frames", Align::Right),
         ("quote costs", Align::Right),
@@ -287,6 +291,7 @@ fn report(cases: &[Case]) -> Report {
             case.frames.len().to_string(),
             seconds(case.actual_cpu_seconds),
             share(case.error),
+            format!("{:+.1} %", case.bias * 100.0),
             share(case.frame_error),
             case.three_frames_error.map_or_else(String::new, |error| share(error.abs())),
             share(case.spent_fraction),
@@ -297,7 +302,7 @@ fn report(cases: &[Case]) -> Report {
     let seeds = cases.first().map_or(0, |case| case.seeds.len());
     let note = format!(
         "\nMeans of |forecast / actual - 1| over {seeds} seeds: of all frames together, and of single frames \
-         (WAPE). \"3 frames\": first, middle and last frame at full price. \"lost\": what renders cannot take \
+         (WAPE). \"bias\": the same with its sign. \"3 frames\": first, middle and last frame at full price. \"lost\": what renders cannot take \
          over. \"noise\": largest difference of a render from the median of its seeds.\n\n"
     );
     let jobs = coverage::table(cases);

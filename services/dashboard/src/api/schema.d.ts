@@ -2805,8 +2805,8 @@ export interface components {
              * @description CPU time over all threads, in nanoseconds.
              */
             cpu_nanos: number;
-            /** @description What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `finish`, `write`, and
-             *     `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters. */
+            /** @description What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `pixels`, `finish`,
+             *     `write`, and `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters. */
             name: string;
         };
         /** @description The quote of a job: the output of `forelight forecast --json` and of `GET /v1/jobs/{id}/forecast`. */
@@ -3677,6 +3677,7 @@ export interface components {
              * @description Largest resident memory in bytes. 0 if unknown.
              */
             peak_memory_bytes?: number;
+            preview_png?: components["schemas"]["ArtifactHash"] | null;
             /** @description The renderer. */
             renderer: components["schemas"]["RendererId"];
             /** @description The measured shares of the samples. At most 100. */

@@ -87,6 +87,21 @@ pub struct BlockCosts {
     pub nanos: Vec<u64>,
 }
 
+impl BlockCosts {
+    /// Mean nanoseconds of the pixels of its block, for each pixel of an image of this size, in rows from the top.
+    pub fn of_pixels(&self, width: u32, height: u32) -> Vec<f64> {
+        let side = self.side.max(1);
+        // The last block of a row or a column may be smaller.
+        let length = |at: u32, all: u32| f64::from(side.min(all - at / side * side));
+        let of_pixel = |x: u32, y: u32| {
+            let block = y / side * self.columns + x / side;
+            let nanos = self.nanos.get(block as usize).copied().unwrap_or(0);
+            nanos as f64 / (length(x, width) * length(y, height))
+        };
+        (0..height).flat_map(|y| (0..width).map(move |x| of_pixel(x, y))).collect()
+    }
+}
+
 /// Cost of one of several pieces that were measured one by one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PieceCost {
@@ -97,7 +112,7 @@ pub struct PieceCost {
 }
 
 /// The cost of a part of a frame.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Measured {
     /// Cost of the part, with what is in `fixed`.
     pub cost: Cost,
@@ -109,6 +124,8 @@ pub struct Measured {
     pub strata: Vec<StratumCost>,
     /// Costs by place. `None` if not known.
     pub blocks: Option<BlockCosts>,
+    /// Object and material of each pixel as a colour. `None` if the renderer does not know them.
+    pub ids: Option<RgbImage>,
     /// What a render may take over.
     pub artefact: Option<Artefact>,
 }
@@ -149,4 +166,19 @@ pub struct Rendered {
     pub blocks: Option<BlockCosts>,
     /// Pixels that were taken over. Shares of the samples are not in it: the task states their cost.
     pub taken_over: TakenOver,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_share_the_time_of_their_block_also_where_it_is_smaller() {
+        // Blocks of 4 × 4, 1 × 4, 4 × 2 and 1 × 2 pixels.
+        let blocks = BlockCosts { side: 4, columns: 2, nanos: vec![160, 8, 24, 6] };
+        let costs = blocks.of_pixels(5, 6);
+        assert_eq!(costs.len(), 30);
+        assert_eq!([costs[0], costs[4], costs[20], costs[29]], [10.0, 2.0, 3.0, 3.0]);
+        assert_eq!(costs.iter().sum::<f64>(), 198.0);
+    }
 }

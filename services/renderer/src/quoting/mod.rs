@@ -22,8 +22,11 @@ pub use pixels::{PixelChoice, PixelProfile, profile_pixels};
 pub use previews::preview_result;
 pub(crate) use previews::{as_spent, own_number};
 
-use crate::door::{Artefact, Cost, FixedCosts, Part, RendererError, RendererId, Run, Settings, Shot};
+use crate::door::{
+    Artefact, BlockCosts, Cost, FixedCosts, Part, RendererError, RendererId, Run, Settings, Shot,
+};
 use forelight_protocol::{FixedPart, MeasuredFrame, MeasuredShare, StratumTime};
+use image::RgbImage;
 use probes::{best, costs, hide, probes, whole};
 use std::collections::BTreeMap;
 
@@ -34,6 +37,10 @@ pub struct Measurement {
     pub result: MeasuredFrame,
     /// The files of these shares, in the same order.
     pub artefacts: Vec<Artefact>,
+    /// Where in the image the time of the largest measured part went, if the renderer says so.
+    pub blocks: Option<BlockCosts>,
+    /// Object and material of each pixel as a colour, if the renderer made such a picture.
+    pub ids: Option<RgbImage>,
 }
 
 /// Measures parts of a frame, by what the renderer can do: a few samples, or smaller images, or regions. If
@@ -55,6 +62,7 @@ pub fn measure_frame(
     let (mut measured, mut shares, mut artefacts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut times, mut spent) = (BTreeMap::new(), Cost::default());
     let mut known_fixed: Vec<FixedCosts> = Vec::new();
+    let (mut blocks, mut ids) = (None, None);
     for probe in probes(varied, &can, settings, turn) {
         if probe.in_addition && !hide(&measured) {
             continue;
@@ -67,6 +75,8 @@ pub fn measure_frame(
             shares.push(MeasuredShare { offset: *offset, count: *count, cpu_nanos, hash: None });
             artefacts.push(artefact);
         }
+        blocks = part.blocks.or(blocks);
+        ids = ids.or(part.ids);
         known_fixed.extend(Some(part.fixed).filter(|fixed| !fixed.is_empty()));
         for cost in part.strata {
             *times.entry((cost.count.object, cost.count.material)).or_insert(0) += cost.nanos;
@@ -82,10 +92,11 @@ pub fn measure_frame(
         fixed: mean(&known_fixed),
         strata: times.into_iter().map(time).collect(),
         shares,
+        preview_png: None,
         spent: as_spent(spent.cpu_nanos),
         peak_memory_bytes: spent.peak_memory_bytes,
     };
-    Ok(Measurement { result, artefacts })
+    Ok(Measurement { result, artefacts, blocks, ids })
 }
 
 /// The mean of fixed costs, by name. What is absent from one of them is 0 there.

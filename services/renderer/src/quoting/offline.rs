@@ -1,7 +1,7 @@
 //! A quote on this machine alone: the steps of a farm, one after the other.
 
 use super::{Measurement, PixelChoice, PixelProfile, measure_frame, preview_result, profile_pixels};
-use crate::door::{Capability, RendererError, RendererId, Run, Settings, Shot};
+use crate::door::{Capability, Common, RendererError, RendererId, Run, Settings, Shot};
 use forelight_forecast::Strategy;
 use forelight_protocol::{Explanation, ForecastDoc, PreviewResult, QuotedShot, SceneDigest};
 use forelight_quote::{
@@ -52,6 +52,23 @@ pub struct ShotQuote {
 }
 
 impl ShotQuote {
+    /// What each pixel of the first measured frame will cost, in nanoseconds of CPU time, in rows from the top, and the
+    /// number of that frame. The pixels add up to the mean of the frame's forecast. `None` if the renderer does not
+    /// say where the time goes.
+    pub fn pixel_costs(&self, settings: &Settings) -> Option<(u32, Vec<f64>)> {
+        let Common { width, height, .. } = settings.common;
+        let of_blocks =
+            |found: &Measurement| Some((found.result.frame, found.blocks.as_ref()?.of_pixels(width, height)));
+        let of_pixels = |found: &PixelProfile| (found.result.frame, found.expected.clone());
+        let measured = self.measured.first().and_then(of_blocks);
+        let (frame, mut costs) = measured.or_else(|| self.profiled.first().map(of_pixels))?;
+        let forecast = self.document.frames.iter().find(|forecast| forecast.frame == frame)?;
+        let sum: f64 = costs.iter().sum();
+        let factor = if sum > 0.0 { forecast.cpu_seconds.mean * 1e9 / sum } else { 0.0 };
+        costs.iter_mut().for_each(|cost| *cost *= factor);
+        Some((frame, costs))
+    }
+
     /// Why all frames cost what they cost, in CPU time.
     ///
     /// # Errors

@@ -180,7 +180,9 @@ fn a_share_of_the_samples_says_what_is_fixed_and_where_time_goes() {
             let fixed: u64 = measured.fixed.values().sum();
             assert!(fixed > 0 && fixed < measured.cost.cpu_nanos, "{measured:?}");
             println!("{name}: fixed CPU ns: {:?}", measured.fixed);
-            for part in ["prepare", "scene", "tree", "write"] {
+            let size = (settings.common.width, settings.common.height);
+            assert_eq!(measured.ids.as_ref().unwrap().dimensions(), size);
+            for part in ["prepare", "scene", "tree", "pixels", "write"] {
                 assert!(
                     measured.fixed.get(part).is_some_and(|&nanos| nanos > 0),
                     "{part}: {:?}",

@@ -297,6 +297,7 @@ impl Shot for CommandShot {
             fixed: FixedCosts::new(),
             strata: Vec::new(),
             blocks: None,
+            ids: None,
             artefact: None,
         })
     }

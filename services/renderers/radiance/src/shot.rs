@@ -242,7 +242,15 @@ impl Shot for RadianceShot {
             Part::Regions(regions) => (pieces(regions.iter().copied(), &traced), None),
             Part::Pixels(_) => (pieces(groups.iter().map(region), &traced), None),
         };
-        Ok(Measured { cost: traced.cost, fixed, pieces, strata: Vec::new(), blocks, artefact: None })
+        Ok(Measured {
+            cost: traced.cost,
+            fixed,
+            pieces,
+            strata: Vec::new(),
+            blocks,
+            ids: None,
+            artefact: None,
+        })
     }
 
     fn profile_pixels<'a>(

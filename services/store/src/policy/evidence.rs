@@ -233,6 +233,10 @@ pub(crate) fn expected_files(spec: &TaskSpec, result: &TaskResult) -> Vec<Expect
                 .into_iter()
                 .collect()
         }
+        (_, TaskResult::Measured(result)) => {
+            let image = result.preview_png.map(|hash| png("/result/measured/preview_png".to_owned(), hash));
+            image.into_iter().collect()
+        }
         (TaskSpec::Render(spec), TaskResult::Render(result)) => {
             let RenderArtifacts { image_exr, image_png, cost_map_png, preview_png } = result.artifacts;
             let at = |name: &str| format!("/result/render/artifacts/{name}");

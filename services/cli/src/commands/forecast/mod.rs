@@ -90,7 +90,7 @@ pub struct Args {
     #[arg(long, value_name = "HOW", value_enum, default_value_t = CacheSharing::Private)]
     cache_sharing: CacheSharing,
     /// Write the forecast cost of each pixel of the first frame as a picture, in the colours of a render's
-    /// cost map
+    /// cost map. With another renderer, of the first measured frame
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     cost_map: Option<PathBuf>,
     /// What the cost map shows
@@ -184,7 +184,7 @@ fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         ("--calibration", args.calibration.is_some()),
         ("--for-node", args.for_node.is_some()),
         ("--cache-sharing", args.cache_sharing != CacheSharing::Private),
-        ("--cost-map", args.cost_map.is_some()),
+        ("--cost-map-at", args.cost_map_at != cost_map::At::Mean),
     ])?;
     let asked = foreign::AskedForecast {
         scene: &args.bundle,
@@ -196,6 +196,7 @@ fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         own: &args.own,
         machine: &args.machine,
         explain: args.explain,
+        cost_map: args.cost_map.as_deref(),
         json: args.json,
     };
     foreign::forecast(&asked, interrupt)

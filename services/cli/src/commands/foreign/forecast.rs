@@ -1,10 +1,14 @@
 //! `forelight forecast shot.blend`: the quote of a shot that another renderer renders.
 
 use crate::commands::explain::{self, Explained, Unit};
-use anyhow::Result;
+use anyhow::{Context, Result};
+use forelight_pictures::png;
 use forelight_protocol::{ForecastDoc, FrameSet, PreviewBackend, Quantiles};
-use forelight_renderer::door::{Common, RendererId, Settings};
+use forelight_renderer::door::{Capability, Common, RendererId, Settings};
 use forelight_renderer::{QuotingStep, ShotQuote, Wanted, quote_shot};
+use forelight_terminal::atomic_file::{self, write_bytes};
+use forelight_terminal::cost_picture::{Paint, Scale, map};
+use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{Foreign, OwnSetting};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
@@ -27,6 +31,8 @@ pub struct Asked<'a> {
     pub machine: &'a MachineOptions,
     /// Whether the reasons are wanted too.
     pub explain: bool,
+    /// Where to write the forecast cost of each pixel.
+    pub cost_map: Option<&'a Path>,
     pub json: bool,
 }
 
@@ -35,6 +41,10 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(asked.json);
     let foreign = Foreign::open(asked.scene, asked.machine, &bars, interrupt)?;
     let settings = foreign.settings(asked.quality, asked.own)?;
+    if let Some(path) = asked.cost_map {
+        check_cost_map(&foreign, &settings)?;
+        atomic_file::check([Some(path)])?;
+    }
     let frames = foreign.frames(asked.frames)?;
     let (name, digest) = foreign.scene(asked.scene)?;
     let frames_at_most = asked.measured_frames.map(|count| count as usize);
@@ -53,6 +63,9 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     bar.finish_and_clear();
     let quote = quote?;
     let explained = asked.explain.then(|| quote.explain(&settings)).transpose()?;
+    if let Some(path) = asked.cost_map {
+        write_cost_map(path, &quote, &settings, &bars)?;
+    }
     let ShotQuote { document, measured, profiled, preview, .. } = quote;
     if asked.json {
         return output::json(&Explained { quote: &document, explanation: explained.as_ref() });
@@ -66,6 +79,30 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     }
     let why = explained.as_ref().map_or_else(String::new, |found| explain::text(found, Unit::CpuMicros));
     output::print(&(report(&document, foreign.renderer.id(), &settings, &measured) + &why))
+}
+
+/// Checks that the renderer says where in an image the time goes, at these settings.
+fn check_cost_map(foreign: &Foreign, settings: &Settings) -> Result<()> {
+    let can = foreign.shot.capabilities(settings);
+    let has = |capability| can.contains(&capability);
+    if has(Capability::MeasurePixels) || has(Capability::LocateCosts) && has(Capability::MeasureSamples) {
+        return Ok(());
+    }
+    let reason =
+        format!("--cost-map: {} does not say where in an image the time goes", foreign.renderer.id());
+    let hint = "leave out --cost-map; Blender says it from version 5.0 on, without adaptive sampling";
+    Err(BadInput::new(reason).hint(hint).into())
+}
+
+/// Writes the forecast cost of each pixel of the first measured frame as a picture.
+fn write_cost_map(path: &Path, quote: &ShotQuote, settings: &Settings, bars: &Bars) -> Result<()> {
+    let (frame, costs) = quote.pixel_costs(settings).context("no measured frame says where its time goes")?;
+    let scale = Scale::of(&costs);
+    let [least, most] = [scale.lowest, scale.highest].map(|nanos| nanos * 1e-6);
+    bars.note(format!(
+        "cost map of frame {frame}: cyan is {least:.3} ms of CPU time per pixel, red is {most:.3} ms"
+    ));
+    write_bytes(path, &png(&map(settings.common.width, &costs, scale, Paint::Colour))?)
 }
 
 /// What was measured: samples of frames, or pixels.
