@@ -121,6 +121,10 @@ for text in 'of CPU time)' 'floor, floor_tiles' 'to halve the work: ' 'cost map 
   grep -q "$text" "$work/why.log" || fail "not told: $text"
 done
 picture_of_several_colours "$work/map.png" || fail 'the cost map shows nothing'
+status=0
+FORELIGHT_BPY_PYTHON=$environment/bin/python "$FORELIGHT_BIN" forecast "$work/scenes/kitchen.blend" --frames 0 --spp 1 \
+  --cost-map "$work/none.png" >"$work/none.log" 2>&1 || status=$?
+[ $status = 2 ] && grep -q 'of 2 samples or more' "$work/none.log" || fail 'a cost map of one sample was not refused'
 "$FORELIGHT_BIN" submit "$work/scenes/kitchen.blend" --server "http://127.0.0.1:$port" --data "$work/data" --shared --frames 3 \
   "${size[@]}" --hold --name held >/dev/null
 wait_for 60 at_least "SELECT count(preview_png) FROM frames f JOIN jobs j ON j.id = f.job_id WHERE j.name = 'held'" 1

@@ -11,6 +11,7 @@ Beside each NAME.blend, NAME.json says what is in it, as a renderer should descr
 | `changing.blend` | objects move, bend, appear and disappear, and are rendered otherwise than they are edited |
 | `clipped.blend` | something is too near to the camera to be seen |
 | `leaf.blend` | a material is transparent |
+| `layers.blend` | it has a second view layer, which is rendered too |
 | `points.blend` | geometry nodes make points, and scatter a hidden object |
 
 Materials are Principled, lights are surfaces that emit. The camera and translations of objects are animated.
@@ -271,6 +272,10 @@ def leaf():
     nodes_of(bpy.data.materials["Material"]).nodes["Principled BSDF"].inputs["Alpha"].default_value = 0.5
 
 
+def layers():
+    bpy.context.scene.view_layers.new("Again")
+
+
 def points():
     """Points on the cube, and an instance of a hidden ball at each of them."""
     bpy.ops.mesh.primitive_uv_sphere_add(radius=0.2)
@@ -307,6 +312,7 @@ def main():
     small(out, "changing", changing)
     small(out, "clipped", clipped)
     small(out, "leaf", leaf)
+    small(out, "layers", layers)
     small(out, "points", points)
 
 

@@ -147,8 +147,9 @@ PYTHON
 is() { [ "$(ask "$1")" = "$2" ]; }
 at_least() { [ "$(ask "$1")" -ge "$2" ]; }
 
-# picture_of_several_colours FILE.png: whether a picture shows something. Needs a Python with NumPy.
+# picture_of_several_colours FILE.png: whether a picture shows something. Needs NumPy in the environment.
 picture_of_several_colours() {
+  deploy/packages.sh ffmpeg || skip 'no ffmpeg (Debian: ffmpeg)'
   ffmpeg -v error -i "$1" -f rawvideo -pix_fmt rgb24 - | "$environment/bin/python" -c '
 import sys
 import numpy

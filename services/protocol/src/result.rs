@@ -176,8 +176,9 @@ pub struct SampleCost {
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FixedPart {
-    /// What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `pixels`, `finish`,
-    /// `write`, and `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters.
+    /// What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `pixels` (what the first
+    /// sample of a pixel takes longer), `finish`, `write`, and `prepare` for what is not told apart. Or a word
+    /// of its own, 1 to 50 characters.
     #[schema(min_length = 1, max_length = 50, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
     /// CPU time over all threads, in nanoseconds.

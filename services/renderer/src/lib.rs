@@ -27,8 +27,8 @@ pub use memory::{peak_rss_bytes, resident_bytes};
 pub use open_shots::OpenShots;
 pub use quoting::{
     Measurement, PixelChoice, PixelProfile, QuotingError, QuotingStep, ShotQuote, WARMING_SHARE, Wanted,
-    free_neighbours, measure_frame, middle_mean, preview_result, profile_pixels, proportional_sites,
-    quote_shot, sites,
+    free_neighbours, locates_costs, measure_frame, middle_mean, preview_result, profile_pixels,
+    proportional_sites, quote_shot, sites,
 };
 pub use summary::summary;
 pub use tasks::{Renderers, failure, scene_digest, scene_name, with_run};

@@ -3,11 +3,11 @@
 use forelight_protocol::{SceneDigest, Varied};
 use forelight_renderer::door::RendererId;
 use forelight_renderer::door::{
-    Artefact, Capabilities, Capability, Common, Cost, Description, FixedCosts, FrameCounts, Frames, Limits,
-    Measured, Part, PieceCost, PixelCount, PreviewBackend, Region, Rendered, RendererError, Run, Settings,
-    Shot,
+    Artefact, BlockCosts, Capabilities, Capability, Common, Cost, Description, FixedCosts, FrameCounts,
+    Frames, Limits, Measured, Part, PieceCost, PixelCount, PreviewBackend, Region, Rendered, RendererError,
+    Run, Settings, Shot,
 };
-use forelight_renderer::{ShotQuote, Wanted, quote_shot};
+use forelight_renderer::{ShotQuote, Wanted, locates_costs, quote_shot};
 use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
@@ -120,7 +120,14 @@ impl Shot for Known {
             fixed: FixedCosts::new(),
             pieces,
             strata: Vec::new(),
-            blocks: None,
+            // The lower blocks have 20 rows of pixels.
+            blocks: self.can.contains(&Capability::LocateCosts).then(|| {
+                let nanos = |(x, y, height)| {
+                    self.cost(frame, samples, Region { x, y, width: 160, height }, width) - START
+                };
+                let nanos = [(0, 0, 160), (160, 0, 160), (0, 160, 20), (160, 160, 20)].map(nanos).to_vec();
+                BlockCosts { side: 160, columns: 2, nanos }
+            }),
             ids: None,
             artefact: None,
         })
@@ -153,6 +160,27 @@ fn any_renderer_is_quoted_by_what_it_can() {
         println!("{varied:?}: error {error:+.4}, {share:.3} of the cost");
         assert!(share < if varied == Varied::Nothing { 0.25 } else { 0.05 }, "{varied:?}: {share}");
     }
+}
+
+#[test]
+fn pixels_of_a_measured_frame_add_up_to_its_forecast_without_fixed_costs() {
+    let shot = Known::new(&[Capability::MeasureSamples, Capability::LocateCosts], 1000);
+    let settings = &shot.description.settings;
+    assert!(locates_costs(&shot, settings));
+    let quote = shot.quote();
+    let (frame, costs) = quote.pixel_costs(settings).unwrap().unwrap();
+    let forecast = quote.document.frames.iter().find(|forecast| forecast.frame == frame).unwrap();
+    let sum = costs.iter().sum::<f64>() + START as f64;
+    assert!((sum * 1e-9 / forecast.cpu_seconds.mean - 1.0).abs() < 1e-3, "{sum} {:?}", forecast.cpu_seconds);
+    // A pixel costs 0.75 in the left half, and 1.25 in the right one.
+    let [left, right] = [&costs[..160], &costs[320 * 170 + 160..320 * 171]];
+    let ratio = right.iter().sum::<f64>() / left.iter().sum::<f64>();
+    assert!((ratio * 0.75 / 1.25 - 1.0).abs() < 1e-6, "{ratio}");
+    for can in [&[Capability::MeasureSamples][..], &[Capability::Resize, Capability::LocateCosts]] {
+        let shot = Known::new(can, 1000);
+        assert!(!locates_costs(&shot, settings));
+    }
+    assert_eq!(Known::new(&[Capability::Resize], 1000).quote().pixel_costs(settings).unwrap(), None);
 }
 
 #[test]

@@ -302,8 +302,8 @@ fn report(cases: &[Case]) -> Report {
     let seeds = cases.first().map_or(0, |case| case.seeds.len());
     let note = format!(
         "\nMeans of |forecast / actual - 1| over {seeds} seeds: of all frames together, and of single frames \
-         (WAPE). \"bias\": the same with its sign. \"3 frames\": first, middle and last frame at full price. \"lost\": what renders cannot take \
-         over. \"noise\": largest difference of a render from the median of its seeds.\n\n"
+         (WAPE). \"bias\": mean of forecast / actual - 1 of all frames together. \"3 frames\": first, middle and \
+         last frame at full price. \"lost\": what renders cannot take over. \"noise\": largest difference of a render from the median of its seeds.\n\n"
     );
     let jobs = coverage::table(cases);
     let jobs_note = "\nJobs in the order in which they ended: the share whose cost is at most the quote's quantile, as \

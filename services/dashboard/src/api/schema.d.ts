@@ -2805,8 +2805,9 @@ export interface components {
              * @description CPU time over all threads, in nanoseconds.
              */
             cpu_nanos: number;
-            /** @description What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `pixels`, `finish`,
-             *     `write`, and `prepare` for what is not told apart. Or a word of its own, 1 to 50 characters. */
+            /** @description What the renderer did: `scene`, `tree`, `textures`, `kernels`, `images`, `pixels` (what the first
+             *     sample of a pixel takes longer), `finish`, `write`, and `prepare` for what is not told apart. Or a word
+             *     of its own, 1 to 50 characters. */
             name: string;
         };
         /** @description The quote of a job: the output of `forelight forecast --json` and of `GET /v1/jobs/{id}/forecast`. */

@@ -58,7 +58,7 @@ fn in_words(name: &str) -> &str {
         "textures" => "loading textures",
         "kernels" => "loading kernels",
         "images" => "image buffers",
-        "pixels" => "the beginning of each pixel",
+        "pixels" => "first samples, before caches are warm",
         "finish" => "denoising and compositing",
         "write" => "writing the image",
         own => own,

@@ -23,9 +23,9 @@ pub use previews::preview_result;
 pub(crate) use previews::{as_spent, own_number};
 
 use crate::door::{
-    Artefact, BlockCosts, Cost, FixedCosts, Part, RendererError, RendererId, Run, Settings, Shot,
+    Artefact, BlockCosts, Capability, Cost, FixedCosts, Part, RendererError, RendererId, Run, Settings, Shot,
 };
-use forelight_protocol::{FixedPart, MeasuredFrame, MeasuredShare, StratumTime};
+use forelight_protocol::{FixedPart, MeasuredFrame, MeasuredShare, StratumTime, Varied};
 use image::RgbImage;
 use probes::{best, costs, hide, probes, whole};
 use std::collections::BTreeMap;
@@ -41,6 +41,13 @@ pub struct Measurement {
     pub blocks: Option<BlockCosts>,
     /// Object and material of each pixel as a colour, if the renderer made such a picture.
     pub ids: Option<RgbImage>,
+}
+
+/// Whether a quote at these settings knows where in the image the time will go: see [`ShotQuote::pixel_costs`].
+pub fn locates_costs(shot: &dyn Shot, settings: &Settings) -> bool {
+    let can = shot.capabilities(settings);
+    can.contains(&Capability::MeasurePixels)
+        || can.contains(&Capability::LocateCosts) && best(&can, settings) == Varied::Samples
 }
 
 /// Measures parts of a frame, by what the renderer can do: a few samples, or smaller images, or regions. If

@@ -1,7 +1,7 @@
 //! A quote on this machine alone: the steps of a farm, one after the other.
 
 use super::{Measurement, PixelChoice, PixelProfile, measure_frame, preview_result, profile_pixels};
-use crate::door::{Capability, Common, RendererError, RendererId, Run, Settings, Shot};
+use crate::door::{Capability, RendererError, RendererId, Run, Settings, Shot};
 use forelight_forecast::Strategy;
 use forelight_protocol::{Explanation, ForecastDoc, PreviewResult, QuotedShot, SceneDigest};
 use forelight_quote::{
@@ -43,6 +43,8 @@ pub struct ShotQuote {
     pub document: ForecastDoc,
     /// Standard deviation of the logarithm of the total CPU time, as calibration takes it.
     pub spread: f64,
+    /// Mean cost of a frame that does not depend on its samples or pixels, nanoseconds of CPU time.
+    pub fixed_nanos: u64,
     /// What every frame shows.
     pub preview: PreviewResult,
     /// The measured frames, ascending, if parts of frames were measured.
@@ -53,20 +55,35 @@ pub struct ShotQuote {
 
 impl ShotQuote {
     /// What each pixel of the first measured frame will cost, in nanoseconds of CPU time, in rows from the top, and the
-    /// number of that frame. The pixels add up to the mean of the frame's forecast. `None` if the renderer does not
-    /// say where the time goes.
-    pub fn pixel_costs(&self, settings: &Settings) -> Option<(u32, Vec<f64>)> {
-        let Common { width, height, .. } = settings.common;
-        let of_blocks =
-            |found: &Measurement| Some((found.result.frame, found.blocks.as_ref()?.of_pixels(width, height)));
-        let of_pixels = |found: &PixelProfile| (found.result.frame, found.expected.clone());
-        let measured = self.measured.first().and_then(of_blocks);
-        let (frame, mut costs) = measured.or_else(|| self.profiled.first().map(of_pixels))?;
-        let forecast = self.document.frames.iter().find(|forecast| forecast.frame == frame)?;
+    /// number of that frame. Fixed costs are not in it. `None` if the renderer does not say where the time goes, see
+    /// [`locates_costs`](super::locates_costs).
+    ///
+    /// # Errors
+    /// Those of the quote.
+    pub fn pixel_costs(&self, settings: &Settings) -> Result<Option<(u32, Vec<f64>)>, QuoteError> {
+        if let Some(profile) = self.profiled.first() {
+            let frame = profile.result.frame;
+            let profiles = pixels_of(&self.profiled, settings.common.samples);
+            let micros = Measured::new(&self.preview, &profiles).pixel_work(frame, None)?;
+            return Ok(micros.map(|micros| {
+                let of = |shown: Option<(u32, u32)>| match shown {
+                    Some((object, material)) => micros.of(object, material),
+                    None => micros.of_background(),
+                };
+                (frame, profile.strata.shown().map(|shown| of(shown) * 1e3).collect())
+            }));
+        }
+        let Some(Measurement { result, blocks: Some(blocks), .. }) = self.measured.first() else {
+            return Ok(None);
+        };
+        let forecast = self.document.frames.iter().find(|forecast| forecast.frame == result.frame);
+        let nanos =
+            forecast.map_or(0.0, |forecast| forecast.cpu_seconds.mean * 1e9 - self.fixed_nanos as f64);
+        let mut costs = blocks.of_pixels(settings.common.width, settings.common.height);
         let sum: f64 = costs.iter().sum();
-        let factor = if sum > 0.0 { forecast.cpu_seconds.mean * 1e9 / sum } else { 0.0 };
+        let factor = if sum > 0.0 { nanos.max(0.0) / sum } else { 0.0 };
         costs.iter_mut().for_each(|cost| *cost *= factor);
-        Some((frame, costs))
+        Ok(Some((result.frame, costs)))
     }
 
     /// Why all frames cost what they cost, in CPU time.
@@ -139,8 +156,9 @@ pub fn quote_shot(
     let settings = settings.complete().into();
     let shot = QuotedShot { scene: of.1, renderer: Some(renderer.into()), settings };
     let spread = quote.spreads.0.cpu;
+    let fixed_nanos = quote.job.fixed.map_or(0, |fixed| fixed.build.cpu_nanos);
     let document = quote.job.document(shot, quote.frames);
-    Ok(ShotQuote { document, spread, preview, measured, profiled })
+    Ok(ShotQuote { document, spread, fixed_nanos, preview, measured, profiled })
 }
 
 /// Measured frames of this machine.

@@ -26,8 +26,8 @@ pub struct PixelProfile {
     pub taken_over_nanos: u64,
     /// Object and material of each pixel as a colour, if the renderer made such a picture.
     pub ids: Option<RgbImage>,
-    /// CPU time in nanoseconds that each pixel is expected to take, in rows from the top.
-    pub expected: Vec<f64>,
+    /// What each pixel shows.
+    pub(super) strata: Strata,
 }
 
 /// Which pixels of a frame are profiled.
@@ -87,8 +87,7 @@ pub fn profile_pixels(
         spent: as_spent(cost.cpu_nanos),
         artifacts: ProfileArtifacts { profile: artifact_name(&bytes), preview_png: None },
     };
-    let expected = strata.expected(&pixels, &costs);
-    Ok(PixelProfile { result, artefact, taken_over_nanos: finished_nanos, ids, expected })
+    Ok(PixelProfile { result, artefact, taken_over_nanos: finished_nanos, ids, strata })
 }
 
 /// Measures pixels by strata, in two phases. Returns pixels and their costs.
@@ -198,7 +197,8 @@ fn observation((pick, cost): (&Pick, &PixelCost)) -> Observation {
 }
 
 /// Strata of a frame, in the order of their numbers.
-struct Strata {
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Strata {
     /// What each shows, without the background.
     shown: Vec<Shown>,
     /// As the forecast has them, the background last.
@@ -241,19 +241,10 @@ impl Strata {
         (seen.iter().map(|&at| self.shown[at]).collect(), samples)
     }
 
-    /// CPU time of each pixel of the frame, nanoseconds: the mean of the measured pixels that show the same, or of
-    /// all measured pixels where none of them does.
-    fn expected(&self, pixels: &[u32], costs: &[PixelCost]) -> Vec<f64> {
-        let mut sums = vec![(0.0, 0u32); self.known.len()];
-        let mut all = (0.0, 0u32);
-        for (&pixel, cost) in pixels.iter().zip(costs) {
-            for sum in [&mut sums[self.of_pixels[pixel as usize] as usize], &mut all] {
-                *sum = (sum.0 + cost.cpu_nanos as f64, sum.1 + 1);
-            }
-        }
-        let mean = |(sum, count): (f64, u32)| (count > 0).then(|| sum / f64::from(count));
-        let means: Vec<f64> = sums.into_iter().map(|sum| mean(sum).or(mean(all)).unwrap_or(0.0)).collect();
-        self.of_pixels.iter().map(|&stratum| means[stratum as usize]).collect()
+    /// Numbers of object and material of each pixel. `None`: the background.
+    pub(super) fn shown(&self) -> impl Iterator<Item = Option<(u32, u32)>> {
+        let known = &self.known[..self.shown.len()];
+        self.of_pixels.iter().map(|&at| known.get(at as usize).map(|shown| (shown.object, shown.material)))
     }
 }
 

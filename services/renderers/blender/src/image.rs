@@ -66,6 +66,22 @@ impl Image {
         channels.filter(|c| names.contains(&pass_of(c))).find_map(floats)
     }
 
+    /// Milliseconds of each pixel, in all view layers together. `None` if the image does not hold times.
+    fn times(&self) -> Option<Vec<f64>> {
+        let channels = self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
+        let mut layers = channels.filter(|c| TIME.contains(&pass_of(c))).filter_map(floats);
+        let mut sums: Vec<f64> = layers.next()?.iter().copied().map(f64::from).collect();
+        for layer in layers {
+            sums.iter_mut().zip(layer).for_each(|(sum, &time)| *sum += f64::from(time));
+        }
+        Some(sums)
+    }
+
+    /// Time of all pixels in nanoseconds. `None` if the image does not hold times.
+    pub fn nanos(&self) -> Option<u64> {
+        Some(nanos(self.times()?.iter().sum()))
+    }
+
     /// The image for viewing. Black where the file has no image.
     pub fn picture(&self) -> RgbImage {
         let channels = || self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
@@ -132,14 +148,15 @@ impl Image {
         Ok(same as f64 / pixels.max(1) as f64)
     }
 
-    /// Costs by stratum. Empty if the image does not hold ids and times.
+    /// Costs by stratum. Empty if the image does not hold ids and times. Of several view layers, the first says what
+    /// a pixel shows.
     pub fn stratum_costs(&self) -> Vec<StratumCost> {
-        let (Some(strata), Some(times)) = (self.strata(), self.pass(&TIME)) else { return Vec::new() };
+        let (Some(strata), Some(times)) = (self.strata(), self.times()) else { return Vec::new() };
         let mut sums = BTreeMap::new();
-        for (stratum, &time) in strata.into_iter().zip(times) {
+        for (stratum, time) in strata.into_iter().zip(times) {
             let (pixels, millis) = sums.entry(stratum).or_insert((0u64, 0.0));
             *pixels += 1;
-            *millis += f64::from(time);
+            *millis += time;
         }
         let cost = |((object, material), (pixels, millis))| StratumCost {
             count: PixelCount { object, material, pixels },
@@ -150,12 +167,12 @@ impl Image {
 
     /// Costs by block. `None` if the image does not hold times.
     pub fn block_costs(&self) -> Option<BlockCosts> {
-        let times = self.pass(&TIME)?;
+        let times = self.times()?;
         let (width, side) = (self.width(), BLOCK as usize);
         let columns = width.div_ceil(side);
         let mut sums = vec![0.0; columns * (times.len() / width).div_ceil(side)];
-        for (pixel, &time) in times.iter().enumerate() {
-            sums[pixel / width / side * columns + pixel % width / side] += f64::from(time);
+        for (pixel, time) in times.iter().enumerate() {
+            sums[pixel / width / side * columns + pixel % width / side] += time;
         }
         let columns = u32::try_from(columns).unwrap_or(u32::MAX);
         Some(BlockCosts { side: BLOCK, columns, nanos: sums.into_iter().map(nanos).collect() })

@@ -8,7 +8,7 @@ use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_preview::SharedPreviewer;
 use forelight_renderer::door::{
     Artefact, Asset, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
-    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, Shot, StratumCost, TakenOver,
+    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, SettingsError, Shot, TakenOver,
 };
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -71,6 +71,15 @@ impl BlenderShot {
 
     fn check(&self, settings: &Settings) -> Result<(), RendererError> {
         settings.check(&SCHEMA)?;
+        let cameras = || self.description.cameras.iter().map(|camera| camera.name.as_str());
+        if let Some(name) = settings.own.get("camera").and_then(Value::as_str)
+            && !name.is_empty()
+            && cameras().all(|known| known != name)
+        {
+            let known = cameras().collect::<Vec<_>>().join(", ");
+            let reason = format!("the scene has no camera {name}; its cameras are: {known}");
+            return Err(SettingsError { path: "/own/camera".to_owned(), reason }.into());
+        }
         if is_on(settings, "allow_missing") { Ok(()) } else { self.description.require_assets() }
     }
 
@@ -114,7 +123,8 @@ impl BlenderShot {
         // Nobody knows how long denoising and compositing take. Both are part of every share, like all that
         // is fixed, so that a line through two shares knows.
         let is_processed = is_on(settings, "denoise") || is_on(settings, "compositing");
-        let fixed = if is_processed { FixedCosts::new() } else { with_pixels(fixed, &cost, &strata, count) };
+        let fixed =
+            if is_processed { FixedCosts::new() } else { with_pixels(fixed, &cost, image.nanos(), count) };
         let artefact = if self.why_indivisible(settings).is_none() {
             let renderer = self.cycles.id().clone();
             let part = Part::Samples { offset, count };
@@ -182,23 +192,28 @@ pub(crate) fn question(name: &str, frame: i32, settings: &Settings, out: &Path, 
     json!({"do": name, "frame": frame, "settings": settings, "threads": run.limits.threads, "out": out})
 }
 
-/// What a pixel costs beside its samples, as a multiple of one: Cycles traces them one after the other, and the
-/// first finds less of the scene in the processor's caches. One sample alone takes 1.06 to 1.12 times as long as
-/// each of sixteen (medians of five rooms, 256 × 256, Blender 5.0). One to two per cent of it are the images.
-const BEGINNING: f64 = 0.06;
+/// What the first sample of a pixel takes longer than a later one, as a multiple of a later one. Cycles traces the samples of
+/// a pixel one after the other, and the first finds less of the scene in the processor's caches. In five rooms (256 × 256,
+/// Blender 5.0, medians of interleaved renders), it is 0.06 to 0.13, with a median of 0.073. The images, which are counted
+/// apart, are 0.01 to 0.02 of it.
+const FIRST_SAMPLE: f64 = 0.06;
 
-/// Fixed costs with those of a share of the samples that grow with its pixels, and not with its samples.
-fn with_pixels(mut fixed: FixedCosts, cost: &Cost, pixels: &[StratumCost], samples: u32) -> FixedCosts {
-    // What images cost beside the light in their pixels: buffers, passes. Pixels tell their time by the clock. It
-    // exceeds the CPU time on a busy machine, and nothing is known about the images then.
-    let in_pixels: u64 = pixels.iter().map(|stratum| stratum.nanos).sum();
-    let known = in_pixels + fixed.values().sum::<u64>();
-    if in_pixels > 0 && known < cost.cpu_nanos {
-        fixed.insert("images".to_owned(), cost.cpu_nanos - known);
+/// Adds to the fixed costs of a share of the samples what it costs for each pixel, however many samples there are. `in_pixels`
+/// are the nanoseconds of all pixels by the clock.
+fn with_pixels(mut fixed: FixedCosts, cost: &Cost, in_pixels: Option<u64>, samples: u32) -> FixedCosts {
+    // Cycles did not tell when the samples began, so a line through two shares must tell the fixed costs.
+    if fixed.is_empty() {
+        return fixed;
     }
     let sampling = cost.cpu_nanos.saturating_sub(fixed.values().sum());
-    let beginning = sampling as f64 * BEGINNING / (f64::from(samples) + BEGINNING);
-    fixed.insert("pixels".to_owned(), beginning as u64);
+    // What images cost beside the light in their pixels: buffers, passes. On a busy machine, pixels take longer by the clock
+    // than all CPU time, and nothing is known about the images.
+    let in_pixels = in_pixels.filter(|&nanos| (1..sampling).contains(&nanos)).unwrap_or(sampling);
+    let first = in_pixels as f64 * FIRST_SAMPLE / (f64::from(samples) + FIRST_SAMPLE);
+    let parts = [("images", sampling - in_pixels), ("pixels", first as u64)];
+    fixed.extend(
+        parts.into_iter().filter(|&(_, nanos)| nanos > 0).map(|(name, nanos)| (name.to_owned(), nanos)),
+    );
     fixed
 }
 
@@ -293,5 +308,29 @@ impl Shot for BlenderShot {
             blocks,
             taken_over: TakenOver::default(),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_pixels_cost_beside_their_samples_is_fixed() {
+        let cost = |cpu_nanos| Cost { cpu_nanos, ..Cost::default() };
+        let known = || FixedCosts::from([("tree".to_owned(), 1_000)]);
+        let part = |fixed: &FixedCosts, name: &str| fixed.get(name).copied();
+        // One sample of 1,060 in its pixels, of which 60 are those of a first one. Images take 40.
+        let fixed = with_pixels(known(), &cost(2_100), Some(1_060), 1);
+        assert_eq!((part(&fixed, "images"), part(&fixed, "pixels")), (Some(40), Some(60)));
+        // Four samples.
+        let fixed = with_pixels(known(), &cost(5_060), None, 4);
+        assert_eq!((part(&fixed, "images"), part(&fixed, "pixels")), (None, Some(60)));
+        // By the clock, pixels took longer than the CPU did.
+        let fixed = with_pixels(known(), &cost(2_060), Some(5_000), 1);
+        assert_eq!((part(&fixed, "images"), part(&fixed, "pixels")), (None, Some(60)));
+        // Nothing is known, or there is nothing.
+        assert!(with_pixels(FixedCosts::new(), &cost(2_060), Some(1_060), 1).is_empty());
+        assert_eq!(with_pixels(known(), &cost(500), Some(1_060), 1), known());
     }
 }

@@ -198,6 +198,21 @@ fn a_share_of_the_samples_says_what_is_fixed_and_where_time_goes() {
 
 #[test]
 #[ignore = "tests/peers/blender.sh makes its files"]
+fn the_samples_of_all_view_layers_count() {
+    ask("layers", |shot, run| {
+        let mut settings = shot.description().settings.clone();
+        (settings.common.width, settings.common.height) = (256, 256);
+        settings.own.insert("adaptive_sampling".to_owned(), false.into());
+        let samples = Part::Samples { offset: 0, count: 8 };
+        let measured = shot.measure(0, &settings, &samples, run).unwrap();
+        // Half of the samples would count as images, if one layer's time stood for both.
+        let images = measured.fixed.get("images").copied().unwrap_or_default();
+        assert!(images < measured.sample_nanos() / 3, "{measured:?}");
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
 fn previews_count_pixels_and_regions_have_costs() {
     for name in names() {
         ask(&name, |shot, run| {
@@ -313,9 +328,6 @@ fn a_missing_texture_is_named_before_anything_is_rendered() {
         assert!(error.to_string().contains("textures/wood.png"), "{error}");
         settings.own.insert("allow_missing".to_owned(), true.into());
         shot.render(0, &settings, &[], run).unwrap();
-        settings.own.insert("camera".to_owned(), "Nobody".into());
-        let error = shot.render(0, &settings, &[], run).unwrap_err();
-        assert!(error.to_string().contains("no camera 'Nobody'"), "{error}");
     });
 }
 
@@ -374,6 +386,19 @@ fn scripts_of_a_file_are_not_run_and_said() {
         settings.common.samples = 1;
         shot.render(1, &settings, &[], run).unwrap();
         assert!(!blends().join("script-was-run").exists());
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
+fn a_camera_that_does_not_exist_is_named() {
+    ask("script", |shot, run| {
+        let mut settings = shot.description().settings.clone();
+        settings.own.insert("camera".to_owned(), "Elsewhere".into());
+        let error = shot.preview(&[1], &settings, run).unwrap_err();
+        let RendererError::Settings(error) = error else { panic!("{error}") };
+        assert_eq!(error.path, "/own/camera");
+        assert!(error.reason.contains("no camera Elsewhere; its cameras are: Camera"), "{error}");
     });
 }
 

@@ -115,7 +115,8 @@ fn claims(result: &TaskResult) -> Vec<Claim> {
         TaskResult::Profile(result) => profile(result),
         TaskResult::Measured(result) => {
             const AT: &str = "/result/measured";
-            let parts = result.costs.iter().map(|cost| cost.cpu_nanos);
+            // Those of amount 0 are the fixed costs, which are in all others.
+            let parts = result.costs.iter().filter(|cost| cost.amount > 0).map(|cost| cost.cpu_nanos);
             let shares = result.shares.iter().map(|share| share.cpu_nanos);
             let strata = result.strata.iter().map(|stratum| stratum.nanos);
             let fixed = result.fixed.iter().map(|part| part.cpu_nanos);
@@ -293,7 +294,10 @@ impl ExpectedFile {
 
 #[cfg(test)]
 mod tests {
-    use forelight_protocol::{ByClass, FrameRate, JobId, Rays, VideoFile, VideoResult, VideoSpec};
+    use forelight_protocol::{
+        ByClass, FrameRate, JobId, MeasuredFrame, Rays, RendererId, SampleCost, Varied, VideoFile,
+        VideoResult, VideoSpec,
+    };
 
     use super::*;
 
@@ -342,6 +346,42 @@ mod tests {
         let taken_over = Means { taken_over_nanos: 3_600_000_000_000, ..HOUR };
         assert_eq!(pointer(&rendered(1.3 * 7200.0, 0), &taken_over), None);
         assert!(objection(&rendered(1e12, 0), &HOUR).unwrap().reason.contains("2 cores"));
+    }
+
+    /// A frame of Cycles with these measured costs: amounts and nanoseconds.
+    fn measured(costs: &[(u32, u64)]) -> TaskResult {
+        TaskResult::Measured(MeasuredFrame {
+            frame: 0,
+            renderer: RendererId { name: "cycles".into(), version: "5.0.1".into() },
+            varied: Varied::Samples,
+            whole: 64,
+            costs: costs.iter().map(|&(amount, cpu_nanos)| SampleCost { amount, cpu_nanos }).collect(),
+            fixed: Vec::new(),
+            strata: Vec::new(),
+            shares: Vec::new(),
+            preview_png: Some(ArtifactHash([7; 32])),
+            spent: Spent::default(),
+            peak_memory_bytes: 0,
+        })
+    }
+
+    #[test]
+    fn fixed_costs_of_a_measured_frame_count_once() {
+        // 50 minutes to prepare the scene, and 20 for a sample, on one core.
+        const MINUTE: u64 = 60_000_000_000;
+        let means = Means { core_micros: 4_200_000_000, cores: 1, ..HOUR };
+        assert_eq!(pointer(&measured(&[(1, 70 * MINUTE), (0, 50 * MINUTE)]), &means), None);
+        let twice = measured(&[(1, 70 * MINUTE), (1, 70 * MINUTE)]);
+        assert_eq!(pointer(&twice, &means).unwrap(), "/result/measured/costs");
+    }
+
+    #[test]
+    fn the_preview_of_a_measured_frame_is_a_png() {
+        let spec =
+            VideoSpec { job_id: JobId::new(), frames_per_second: FrameRate::FILM, pictures: Vec::new() };
+        let found = expected_files(&TaskSpec::Video(spec), &measured(&[]));
+        let [picture] = &found[..] else { panic!("{found:?}") };
+        assert_eq!((picture.pointer.as_str(), picture.kind), ("/result/measured/preview_png", Kind::Png));
     }
 
     #[test]

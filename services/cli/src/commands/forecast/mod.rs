@@ -90,7 +90,7 @@ pub struct Args {
     #[arg(long, value_name = "HOW", value_enum, default_value_t = CacheSharing::Private)]
     cache_sharing: CacheSharing,
     /// Write the forecast cost of each pixel of the first frame as a picture, in the colours of a render's
-    /// cost map. With another renderer, of the first measured frame
+    /// cost map. Other renderers draw the first measured frame
     #[arg(long, value_name = "FILE.png", value_parser = png_file)]
     cost_map: Option<PathBuf>,
     /// What the cost map shows

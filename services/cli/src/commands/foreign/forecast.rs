@@ -4,8 +4,8 @@ use crate::commands::explain::{self, Explained, Unit};
 use anyhow::{Context, Result};
 use forelight_pictures::png;
 use forelight_protocol::{ForecastDoc, FrameSet, PreviewBackend, Quantiles};
-use forelight_renderer::door::{Capability, Common, RendererId, Settings};
-use forelight_renderer::{QuotingStep, ShotQuote, Wanted, quote_shot};
+use forelight_renderer::door::{Common, RendererId, Settings};
+use forelight_renderer::{QuotingStep, ShotQuote, Wanted, locates_costs, quote_shot};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::cost_picture::{Paint, Scale, map};
 use forelight_terminal::failure::BadInput;
@@ -63,13 +63,19 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     bar.finish_and_clear();
     let quote = quote?;
     let explained = asked.explain.then(|| quote.explain(&settings)).transpose()?;
-    if let Some(path) = asked.cost_map {
-        write_cost_map(path, &quote, &settings, &bars)?;
-    }
-    let ShotQuote { document, measured, profiled, preview, .. } = quote;
+    let explained = explained.as_ref();
     if asked.json {
-        return output::json(&Explained { quote: &document, explanation: explained.as_ref() });
+        output::json(&Explained { quote: &quote.document, explanation: explained })?;
+    } else {
+        let why = explained.map_or_else(String::new, |found| explain::text(found, Unit::CpuMicros));
+        output::print(&(text(&quote, foreign.renderer.id(), &settings) + &why))?;
     }
+    asked.cost_map.map_or(Ok(()), |path| write_cost_map(path, &quote, &settings, &bars))
+}
+
+/// The quote as a table, and what was measured for it.
+fn text(quote: &ShotQuote, renderer: &RendererId, settings: &Settings) -> String {
+    let ShotQuote { document, measured, profiled, preview, .. } = quote;
     let samples =
         measured.first().map_or(0, |frame| frame.result.shares.iter().map(|share| share.count).sum());
     let pixels = profiled.first().map(|profile| profile.result.samples.len());
@@ -77,26 +83,27 @@ pub fn forecast(asked: &Asked<'_>, interrupt: &Interrupt) -> Result<()> {
     if preview.backend != PreviewBackend::Renderer {
         measured.push_str("; previewed all frames from their triangles");
     }
-    let why = explained.as_ref().map_or_else(String::new, |found| explain::text(found, Unit::CpuMicros));
-    output::print(&(report(&document, foreign.renderer.id(), &settings, &measured) + &why))
+    report(document, renderer, settings, &measured)
 }
 
-/// Checks that the renderer says where in an image the time goes, at these settings.
+/// Checks that the quote will know where in the image the time goes.
 fn check_cost_map(foreign: &Foreign, settings: &Settings) -> Result<()> {
-    let can = foreign.shot.capabilities(settings);
-    let has = |capability| can.contains(&capability);
-    if has(Capability::MeasurePixels) || has(Capability::LocateCosts) && has(Capability::MeasureSamples) {
+    if locates_costs(&*foreign.shot, settings) {
         return Ok(());
     }
-    let reason =
-        format!("--cost-map: {} does not say where in an image the time goes", foreign.renderer.id());
-    let hint = "leave out --cost-map; Blender says it from version 5.0 on, without adaptive sampling";
+    let renderer = foreign.renderer.id();
+    let reason = format!("--cost-map: {renderer} does not say where in the image the time of this shot goes");
+    let hint = match renderer.name.as_str() {
+        "cycles" => "Blender 5.0 and later say it of 2 samples or more, with --set adaptive_sampling=false",
+        _ => "leave out --cost-map",
+    };
     Err(BadInput::new(reason).hint(hint).into())
 }
 
 /// Writes the forecast cost of each pixel of the first measured frame as a picture.
 fn write_cost_map(path: &Path, quote: &ShotQuote, settings: &Settings, bars: &Bars) -> Result<()> {
-    let (frame, costs) = quote.pixel_costs(settings).context("no measured frame says where its time goes")?;
+    let (frame, costs) =
+        quote.pixel_costs(settings)?.context("the renderer did not say where the time goes")?;
     let scale = Scale::of(&costs);
     let [least, most] = [scale.lowest, scale.highest].map(|nanos| nanos * 1e-6);
     bars.note(format!(

@@ -43,7 +43,7 @@ struct Stats<'a> {
     cpu_seconds: f64,
     wall_seconds: f64,
     peak_rss_bytes: u64,
-    /// CPU time that does not depend on the samples, nanoseconds.
+    /// CPU time before and after the samples, nanoseconds.
     fixed_nanos: &'a FixedCosts,
 }
 

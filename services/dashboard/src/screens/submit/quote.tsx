@@ -131,7 +131,8 @@ function usePreviewed(job: Job): number {
   return Math.floor(share * job.frames_total);
 }
 
-/** The ID previews of frames. A renderer that has no objects to tell apart draws none. */
+/** The ID previews of frames. Renderers that do not tell objects apart draw none, nor does Cycles with adaptive
+ * sampling. */
 function Previews(props: { job: Job; frames: readonly number[] }) {
   const [missing, setMissing] = useState<readonly number[]>([]);
   return (
