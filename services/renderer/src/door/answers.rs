@@ -88,7 +88,8 @@ pub struct BlockCosts {
 }
 
 impl BlockCosts {
-    /// Mean nanoseconds of the pixels of its block, for each pixel of an image of this size, in rows from the top.
+    /// Mean nanoseconds of the pixels of its block, for each pixel of an image of this size, in rows from the
+    /// top.
     pub fn of_pixels(&self, width: u32, height: u32) -> Vec<f64> {
         let side = self.side.max(1);
         // The last block of a row or a column may be smaller.

@@ -54,9 +54,9 @@ pub struct ShotQuote {
 }
 
 impl ShotQuote {
-    /// What each pixel of the first measured frame will cost, in nanoseconds of CPU time, in rows from the top, and the
-    /// number of that frame. Fixed costs are not in it. `None` if the renderer does not say where the time goes, see
-    /// [`locates_costs`](super::locates_costs).
+    /// The number of the first measured frame, and what each of its pixels will cost, in nanoseconds of CPU
+    /// time, in rows from the top. Fixed costs are not in it. `None` if the renderer does not say where the time
+    /// goes, see [`locates_costs`](super::locates_costs).
     ///
     /// # Errors
     /// Those of the quote.

@@ -148,8 +148,8 @@ impl Image {
         Ok(same as f64 / pixels.max(1) as f64)
     }
 
-    /// Costs by stratum. Empty if the image does not hold ids and times. Of several view layers, the first says what
-    /// a pixel shows.
+    /// Costs by stratum. Empty if the image does not hold ids and times. Of several view layers, the first says
+    /// what a pixel shows.
     pub fn stratum_costs(&self) -> Vec<StratumCost> {
         let (Some(strata), Some(times)) = (self.strata(), self.times()) else { return Vec::new() };
         let mut sums = BTreeMap::new();

@@ -192,22 +192,22 @@ pub(crate) fn question(name: &str, frame: i32, settings: &Settings, out: &Path, 
     json!({"do": name, "frame": frame, "settings": settings, "threads": run.limits.threads, "out": out})
 }
 
-/// What the first sample of a pixel takes longer than a later one, as a multiple of a later one. Cycles traces the samples of
-/// a pixel one after the other, and the first finds less of the scene in the processor's caches. In five rooms (256 × 256,
-/// Blender 5.0, medians of interleaved renders), it is 0.06 to 0.13, with a median of 0.073. The images, which are counted
-/// apart, are 0.01 to 0.02 of it.
+/// What the first sample of a pixel takes longer than a later one, as a multiple of a later one. Cycles traces
+/// the samples of a pixel one after the other, and the first finds less of the scene in the processor's caches.
+/// In five rooms (256 × 256, Blender 5.0, medians of interleaved renders), it is 0.06 to 0.13, with a median of
+/// 0.073. The images, which are counted apart, are 0.01 to 0.02 of it.
 const FIRST_SAMPLE: f64 = 0.06;
 
-/// Adds to the fixed costs of a share of the samples what it costs for each pixel, however many samples there are. `in_pixels`
-/// are the nanoseconds of all pixels by the clock.
+/// Adds to the fixed costs of a share of the samples what it costs for each pixel, however many samples there
+/// are. `in_pixels` are the nanoseconds of all pixels by the clock.
 fn with_pixels(mut fixed: FixedCosts, cost: &Cost, in_pixels: Option<u64>, samples: u32) -> FixedCosts {
     // Cycles did not tell when the samples began, so a line through two shares must tell the fixed costs.
     if fixed.is_empty() {
         return fixed;
     }
     let sampling = cost.cpu_nanos.saturating_sub(fixed.values().sum());
-    // What images cost beside the light in their pixels: buffers, passes. On a busy machine, pixels take longer by the clock
-    // than all CPU time, and nothing is known about the images.
+    // What images cost beside the light in their pixels: buffers, passes. On a busy machine, pixels take longer
+    // by the clock than all CPU time, and nothing is known about the images.
     let in_pixels = in_pixels.filter(|&nanos| (1..sampling).contains(&nanos)).unwrap_or(sampling);
     let first = in_pixels as f64 * FIRST_SAMPLE / (f64::from(samples) + FIRST_SAMPLE);
     let parts = [("images", sampling - in_pixels), ("pixels", first as u64)];
