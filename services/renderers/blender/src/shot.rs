@@ -210,7 +210,7 @@ fn with_pixels(mut fixed: FixedCosts, cost: &Cost, in_pixels: Option<u64>, sampl
     // by the clock than all CPU time, and nothing is known about the images.
     let in_pixels = in_pixels.filter(|&nanos| (1..sampling).contains(&nanos)).unwrap_or(sampling);
     let first = in_pixels as f64 * FIRST_SAMPLE / (f64::from(samples) + FIRST_SAMPLE);
-    let parts = [("images", sampling - in_pixels), ("pixels", first as u64)];
+    let parts = [("images", sampling - in_pixels), ("pixels", first.round() as u64)];
     fixed.extend(
         parts.into_iter().filter(|&(_, nanos)| nanos > 0).map(|(name, nanos)| (name.to_owned(), nanos)),
     );
