@@ -97,9 +97,9 @@ if [ "${1:-}" = --quick ]; then
 else
   peers=(tests/peers/{slurm,dashboard,blender_farm,mitsuba,schemathesis,command,gltf}.sh tests/peers/*.sh)
 fi
-step 'Tests, three programs at a time'
+step 'Tests, two programs at a time'
 # Where one fails, the others still run.
-printf '%s\n' tests/rust.sh "${peers[@]}" | awk '!seen[$0]++' | xargs -P 3 -I{} bash -c 'run_logged {}'
+printf '%s\n' tests/rust.sh "${peers[@]}" | awk '!seen[$0]++' | xargs -P 2 -I{} bash -c 'run_logged {}'
 
 if [ "${1:-}" != --quick ]; then
   step 'The main job'
