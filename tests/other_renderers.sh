@@ -18,8 +18,7 @@ mkdir -p "$scenes"
 blender_module
 FORELIGHT_BPY_PYTHON=$environment/bin/python
 "$FORELIGHT_BPY_PYTHON" tests/peers/blender_scenes.py "$scenes" deploy/scenes/{kitchen,corridor} >/dev/null 2>&1
-python_with radiance pyradiance==1.3.1 'numpy>=2,<3' 'pillow>=11' 'OpenEXR>=3.3,<4'
-FORELIGHT_RADIANCE=$("$environment/bin/python" -c 'import pathlib, pyradiance; print(pathlib.Path(pyradiance.__file__).parent / "bin")')
+radiance_programs
 rifs=()
 for name in kitchen corridor; do
   "$environment/bin/python" tests/peers/radiance_scenes.py "deploy/scenes/$name" "$scenes/$name" --size 96 >/dev/null
@@ -28,7 +27,7 @@ done
 python_with mitsuba mitsuba==3.9.1 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
 deploy/packages.sh povray
 "$environment/bin/python" tests/peers/command_scenes.py "$scenes" "$PWD/deploy/scenes/kitchen"
-export FORELIGHT_BPY_PYTHON FORELIGHT_RADIANCE
+export FORELIGHT_BPY_PYTHON
 
 if [ -z "${FORELIGHT_BIN:-}" ]; then
   cargo build --quiet --release --package forelight-cli

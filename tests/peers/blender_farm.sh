@@ -125,8 +125,7 @@ status=0
 FORELIGHT_BPY_PYTHON=$environment/bin/python "$FORELIGHT_BIN" forecast "$work/scenes/kitchen.blend" --frames 0 --spp 1 \
   --cost-map "$work/none.png" >"$work/none.log" 2>&1 || status=$?
 [ $status = 2 ] && grep -q 'of 2 samples or more' "$work/none.log" || fail 'a cost map of one sample was not refused'
-"$FORELIGHT_BIN" submit "$work/scenes/kitchen.blend" --server "http://127.0.0.1:$port" --data "$work/data" --shared --frames 3 \
-  "${size[@]}" --hold --name held >/dev/null
+submit "$work/scenes/kitchen.blend" --shared --frames 3 "${size[@]}" --hold --name held >/dev/null
 wait_for 60 at_least "SELECT count(preview_png) FROM frames f JOIN jobs j ON j.id = f.job_id WHERE j.name = 'held'" 1
 is "SELECT count(*) FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE j.name = 'held' AND t.kind = 'render'" 0 ||
   fail 'a frame of the held job was rendered'

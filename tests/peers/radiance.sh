@@ -16,7 +16,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
-python_with radiance pyradiance==1.3.1 'numpy>=2,<3' 'pillow>=11' 'OpenEXR>=3.3,<4'
+radiance_programs
 radiance() { "$environment/bin/python" "$here/radiance_peer.py" "$@"; }
 
 work=$(mktemp -d)

@@ -14,9 +14,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
-python_with radiance pyradiance==1.3.1 'numpy>=2,<3' 'pillow>=11' 'OpenEXR>=3.3,<4'
-FORELIGHT_RADIANCE=$("$environment/bin/python" -c 'import pathlib, pyradiance; print(pathlib.Path(pyradiance.__file__).parent / "bin")')
-export FORELIGHT_RADIANCE
+radiance_programs
 
 work=$(mktemp -d)
 farm=

@@ -45,6 +45,13 @@ blender_module() {
   PIP_NO_CACHE_DIR=1 python_with "blender${FORELIGHT_BPY_VERSION:+-$version}" "bpy==$version" 'numpy>=1.26,<3' 'OpenEXR>=3.3,<4'
 }
 
+# Sets `environment` to one with Radiance, and FORELIGHT_RADIANCE to the folder of its programs.
+radiance_programs() {
+  python_with radiance pyradiance==1.3.1 'numpy>=2,<3' 'pillow>=11' 'OpenEXR>=3.3,<4'
+  FORELIGHT_RADIANCE=$("$environment/bin/python" -c 'import pathlib, pyradiance; print(pathlib.Path(pyradiance.__file__).parent / "bin")')
+  export FORELIGHT_RADIANCE
+}
+
 # workspace VERB…: cargo, for the whole workspace and with the features of tests/run.sh. For single packages,
 # cargo would build their dependencies again, with fewer features.
 workspace() {

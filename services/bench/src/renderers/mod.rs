@@ -303,7 +303,8 @@ fn report(cases: &[Case]) -> Report {
     let note = format!(
         "\nMeans of |forecast / actual - 1| over {seeds} seeds: of all frames together, and of single frames \
          (WAPE). \"bias\": mean of forecast / actual - 1 of all frames together. \"3 frames\": first, middle and \
-         last frame at full price. \"lost\": what renders cannot take over. \"noise\": largest difference of a render from the median of its seeds.\n\n"
+         last frame at full price. \"lost\": what renders cannot take over. \"noise\": largest difference of a render \
+         from the median of its seeds.\n\n"
     );
     let jobs = coverage::table(cases);
     let jobs_note = "\nJobs in the order in which they ended: the share whose cost is at most the quote's quantile, as \

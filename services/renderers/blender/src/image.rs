@@ -77,11 +77,6 @@ impl Image {
         Some(sums)
     }
 
-    /// Time of all pixels in nanoseconds. `None` if the image does not hold times.
-    pub fn nanos(&self) -> Option<u64> {
-        Some(nanos(self.times()?.iter().sum()))
-    }
-
     /// The image for viewing. Black where the file has no image.
     pub fn picture(&self) -> RgbImage {
         let channels = || self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);

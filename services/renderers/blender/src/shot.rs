@@ -123,8 +123,10 @@ impl BlenderShot {
         // Nobody knows how long denoising and compositing take. Both are part of every share, like all that
         // is fixed, so that a line through two shares knows.
         let is_processed = is_on(settings, "denoise") || is_on(settings, "compositing");
+        let (blocks, ids) = (image.block_costs(), image.ids());
+        let in_pixels = blocks.as_ref().map(|blocks| blocks.nanos.iter().sum());
         let fixed =
-            if is_processed { FixedCosts::new() } else { with_pixels(fixed, &cost, image.nanos(), count) };
+            if is_processed { FixedCosts::new() } else { with_pixels(fixed, &cost, in_pixels, count) };
         let artefact = if self.why_indivisible(settings).is_none() {
             let renderer = self.cycles.id().clone();
             let part = Part::Samples { offset, count };
@@ -133,7 +135,6 @@ impl BlenderShot {
             std::fs::remove_file(&path).map_err(RendererError::io(&path))?;
             None
         };
-        let (blocks, ids) = (image.block_costs(), image.ids());
         Ok(Measured { cost, fixed, pieces: Vec::new(), strata, blocks, ids, artefact })
     }
 

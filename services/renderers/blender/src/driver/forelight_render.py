@@ -142,12 +142,9 @@ def prepare(frame, settings, threads, engine="CYCLES", keep=False):
     cycles.adaptive_min_samples = own.get("minimum_samples", cycles.adaptive_min_samples)
     # The only pattern in which a share of the samples is the same as in one render of all.
     cycles.sampling_pattern = "TABULATED_SOBOL"
-    name = own.get("camera")
-    if name:
-        camera = scene.objects.get(name)
-        if camera is None or camera.type != "CAMERA":
-            raise ValueError(f"the scene has no camera {name!r}")
-        scene.camera = camera
+    # One of the description's cameras: the other side refuses all others.
+    if own.get("camera"):
+        scene.camera = scene.objects[own["camera"]]
     if scene.camera is None:
         raise ValueError("the scene has no camera")
     for known in (forelight_describe.objects(), forelight_describe.materials()):
