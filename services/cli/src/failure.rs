@@ -10,6 +10,7 @@
 use forelight_api::ServiceError;
 use forelight_client::ClientError;
 use forelight_protocol::{Problem, ProblemKind};
+use forelight_renderer::QuotingError;
 use forelight_renderer::door::RendererError;
 use forelight_renderer_own::RenderError;
 use forelight_store::StoreError;
@@ -31,7 +32,7 @@ impl std::error::Error for Threatened {}
 
 pub fn exit_code(error: &anyhow::Error) -> u8 {
     for cause in error.chain() {
-        if cause.is::<Interrupted>() || matches!(cause.downcast_ref(), Some(RendererError::Cancelled)) {
+        if cause.is::<Interrupted>() || matches!(of_renderer(cause), Some(RendererError::Cancelled)) {
             return 130;
         }
         if cause.is::<Threatened>() {
@@ -83,7 +84,16 @@ fn is_bad_bundle(cause: &(dyn std::error::Error + 'static)) -> bool {
 
 /// Whether the scene of another renderer, or what is asked of it, is invalid.
 fn is_bad_scene(cause: &(dyn std::error::Error + 'static)) -> bool {
-    cause.downcast_ref().is_some_and(RendererError::is_permanent)
+    of_renderer(cause).is_some_and(RendererError::is_permanent)
+}
+
+/// The error of a renderer, also if it ended a quote: a quote's error is transparent, so the chain of causes
+/// does not contain what it holds.
+fn of_renderer<'a>(cause: &'a (dyn std::error::Error + 'static)) -> Option<&'a RendererError> {
+    match cause.downcast_ref() {
+        Some(QuotingError::Renderer(error)) => Some(error),
+        _ => cause.downcast_ref(),
+    }
 }
 
 /// Whether the service rejected the content of the request, not its token or its time.
@@ -103,7 +113,7 @@ fn hint(error: &anyhow::Error) -> Option<String> {
                  place, and start again (see `forelight backup --help`)"
             ));
         }
-        if let Some(error) = cause.downcast_ref() {
+        if let Some(error) = of_renderer(cause) {
             return scene_hint(error).map(str::to_owned);
         }
         match cause.downcast_ref::<ClientError>()? {
@@ -164,8 +174,12 @@ mod tests {
         let missing = anyhow::Error::from(RendererError::MissingAssets(Vec::new())).context("quote");
         assert_eq!(exit_code(&missing), 2);
         assert!(describe(&missing).contains("hint: put the files back"), "{}", describe(&missing));
+        let quoted = anyhow::Error::from(QuotingError::from(RendererError::MissingAssets(Vec::new())));
+        assert_eq!(exit_code(&quoted), 2);
+        assert!(describe(&quoted).contains("hint: put the files back"), "{}", describe(&quoted));
         assert_eq!(exit_code(&RendererError::OutOfMemory("x".into()).into()), 1);
         assert_eq!(exit_code(&RendererError::Cancelled.into()), 130);
+        assert_eq!(exit_code(&QuotingError::from(RendererError::Cancelled).into()), 130);
     }
 
     #[test]
