@@ -38,6 +38,7 @@ bench paper "${scenes[@]}" --size 128 --seeds 20 --repeats 1 --out "$report"
 bench seconds "${scenes[@]}" --width 96 --rounds 3
 bench divide "${scenes[@]}" --width 640 --height 360 --ambient-bounces 1
 bench effects "${scenes[@]}" --width 64 --height 64 --repeats 3
+bench cache "${scenes[@]}" --size 192 --height 108 --rung '--cache on' --error 0.5,1,2,4
 bench images "${scenes[0]}" --size 128 --repeats 1 --reference '--integrator path --spp 1024'
 bench preview "${scenes[@]}"
 bench rays "${scenes[@]}"

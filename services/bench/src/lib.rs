@@ -1,5 +1,6 @@
 //! `forelight bench`: measures what the documentation claims, on bundles that the user names.
 
+mod cache;
 mod conventions;
 mod coverage;
 mod divide;
@@ -29,6 +30,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
+  forelight bench cache kitchen/ corridor/
   forelight bench coverage kitchen/ corridor/ --svg reliability.svg
   forelight bench divide kitchen/ corridor/
   forelight bench effects kitchen/ corridor/
@@ -55,6 +57,7 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Bench {
+    Cache(cache::Args),
     Coverage(coverage::Args),
     Divide(divide::Args),
     Effects(effects::Args),
@@ -76,6 +79,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let file = args.write.as_deref().map(page::file).transpose()?;
     atomic_file::check([file.as_deref()])?;
     let (name, report) = match &args.bench {
+        Bench::Cache(args) => ("cache", cache::run(args, interrupt)?),
         Bench::Coverage(args) => ("coverage", coverage::run(args, interrupt)?),
         Bench::Divide(args) => ("divide", divide::run(args, interrupt)?),
         Bench::Effects(args) => ("effects", effects::run(args, interrupt)?),

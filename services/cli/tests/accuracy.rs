@@ -1,4 +1,4 @@
-//! `forelight accuracy` as a user runs it.
+//! `forelight accuracy` and `--cache-error` as a user runs them.
 
 use forelight_protocol::{AccuracyDoc, LadderKind};
 use std::process::{Command, Output};
@@ -74,5 +74,28 @@ fn a_bundle_or_a_job_is_named_and_not_both() {
     for other in [&[KITCHEN][..], &["--spp", "4"], &["--frame", "0"], &["--measure"], &["--threads", "1"]] {
         let error = run(&[&["--job", job][..], other].concat());
         assert!(error.contains("cannot be used with"), "{error}");
+    }
+}
+
+#[test]
+fn a_cache_for_an_error_comes_with_its_flags_and_one_that_cannot_be_is_wrong_input() {
+    let render = |flags: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_forelight"));
+        command.args(["render", KITCHEN, "--preview", "cpu", "--width", "32", "--spp", "1"]);
+        let output = command.args(flags.split(' ')).output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, text) = render("--ambient-bounces 1 --cache-error 20");
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.contains("--cache on --cache-accuracy 1 --cache-rays 48; forecast error"), "{text}");
+    for (flags, reason) in [
+        ("--ambient-bounces 1 --cache-error 0.001", "no irradiance cache is so accurate"),
+        ("--ambient-bounces 0 --cache-error 1", "without ambient bounces"),
+        ("--integrator path --cache-error 1", "does not use an irradiance cache"),
+        ("--cache-rays 48 --cache-error 1", "cannot be used with"),
+    ] {
+        let (code, text) = render(flags);
+        assert_eq!(code, Some(2), "{flags}: {text}");
+        assert!(text.contains(reason), "{flags}: {text}");
     }
 }

@@ -93,6 +93,13 @@ pub struct MachineOptions {
     pub keep: Keep,
 }
 
+impl Default for MachineOptions {
+    /// As without flags.
+    fn default() -> Self {
+        Self { threads: None, preview: PreviewBackend::Auto, keep: Keep::On }
+    }
+}
+
 /// Whether loaded scenes are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Keep {

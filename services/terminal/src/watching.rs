@@ -62,6 +62,42 @@ impl Observer for QuoteWatcher<'_> {
     }
 }
 
+/// A progress bar for what accuracy costs.
+pub struct AccuracyWatcher<'a> {
+    bar: ProgressBar,
+    interrupt: &'a Interrupt,
+}
+
+impl<'a> AccuracyWatcher<'a> {
+    /// A bar with this name.
+    pub fn new(bars: &Bars, name: &str, interrupt: &'a Interrupt) -> Self {
+        Self { bar: bars.bar(name, 0), interrupt }
+    }
+
+    /// Ends the bar. An error says that the user stopped, or names the bundle.
+    pub fn done<T>(&self, outcome: Result<T, ShotError>, bundle: &Path) -> Result<T> {
+        self.bar.finish_and_clear();
+        match outcome {
+            Err(ShotError::Cancelled) => Err(Interrupted.into()),
+            Err(ShotError::Render(error)) => {
+                Err(error).with_context(|| format!("bundle {}", bundle.display()))
+            }
+            other => Ok(other?),
+        }
+    }
+}
+
+impl AccuracyObserver for AccuracyWatcher<'_> {
+    fn predicted(&self, done: usize, all: usize) {
+        self.bar.set_length(all as u64);
+        self.bar.set_position(done as u64);
+    }
+
+    fn cancel(&self) -> &AtomicBool {
+        self.interrupt.flag()
+    }
+}
+
 /// Observes only the user's wish to stop.
 pub struct Stopping<'a>(pub &'a Interrupt);
 

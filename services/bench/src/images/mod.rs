@@ -13,6 +13,7 @@ mod rendered;
 mod report;
 
 pub use args::Args;
+pub use quality::Quality;
 
 use crate::report::Report;
 use anyhow::Result;

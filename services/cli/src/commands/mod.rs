@@ -8,6 +8,7 @@ mod audit;
 mod backup;
 mod budget;
 mod cache;
+mod cache_error;
 mod calibrate;
 mod cancel;
 mod dashboard;
@@ -167,7 +168,7 @@ impl Cli {
     }
 }
 
-async fn blocking(work: impl FnOnce() -> Result<()> + Send + 'static) -> Result<()> {
+async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
     match tokio::task::spawn_blocking(work).await {
         Ok(done) => done,
         Err(error) => match error.try_into_panic() {

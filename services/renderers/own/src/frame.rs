@@ -1,5 +1,6 @@
 //! One frame, ready to be traced.
 
+use crate::accuracy::Blocks;
 use crate::answers::{CacheUse, Finished, Previewed, Progress, Step};
 use crate::costs::{by_class, spent};
 use crate::error::RenderError;
@@ -196,6 +197,12 @@ impl OwnFrame<'_> {
         progress(Progress { step: Step::Planning, done: 0, all: 1 });
         self.tracer.plan();
         self.tracer.fill(&|done, all| progress(Progress { step: Step::Filling, done, all }), cancel)
+    }
+
+    /// The image in blocks of pixels, and its cost. Any cache must be filled. Uses the current thread pool. `None`
+    /// if `cancel` was set.
+    pub fn blocks(&self, seed: u64, cancel: &AtomicBool) -> Option<(Blocks, Spent)> {
+        Blocks::of(&self.tracer, seed, cancel).map(|(blocks, cost)| (blocks, spent(cost)))
     }
 
     /// Cost of the irradiance cache so far: planning and gathering. Zero without one.

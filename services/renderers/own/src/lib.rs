@@ -42,7 +42,9 @@ mod shared_cache;
 mod shot;
 mod tasks;
 
-pub use accuracy::{AccuracyObserver, AccuracyOptions, MeasureOptions, measure, predict};
+pub use accuracy::{
+    AccuracyObserver, AccuracyOptions, Blocks, ChosenCache, MeasureOptions, choose_cache, measure, predict,
+};
 pub use adaptive::allocation::{Aim, AllotOptions, render_allotted, render_as_allotted};
 pub use adaptive::made::{AllotError, Allotted};
 pub use adaptive::time_limit::{Budget, Stopwatch};

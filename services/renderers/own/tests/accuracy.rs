@@ -4,7 +4,9 @@ mod common;
 
 use common::{Nobody, kitchen};
 use forelight_protocol::{AccuracyDoc, CacheMode, LadderKind, RenderSettings, RenderSettingsRequest};
-use forelight_renderer_own::{AccuracyOptions, MeasureOptions, ShotError, measure, predict};
+use forelight_renderer_own::{
+    AccuracyObserver as _, AccuracyOptions, Blocks, MeasureOptions, ShotError, choose_cache, measure, predict,
+};
 use std::sync::atomic::AtomicBool;
 
 fn tiny() -> RenderSettings {
@@ -118,4 +120,33 @@ fn whoever_does_not_want_to_wait_is_obeyed() {
     let options = AccuracyOptions { samples: 16, seed: 0 };
     let stopped = predict(&kitchen(), 0, &tiny(), &LadderKind::ALL, &options, &observer);
     assert!(matches!(stopped, Err(ShotError::Cancelled)));
+}
+
+/// The error of a cache that is chosen for an error, against light gathered at every point.
+#[test]
+fn a_cache_that_is_chosen_for_an_error_keeps_it() {
+    let (shot, observer) = (kitchen(), Nobody::default());
+    let request = RenderSettingsRequest {
+        spp: Some(4),
+        ambient_bounces: Some(1),
+        ambient_divisions: Some(64),
+        seed: Some(7),
+        ..RenderSettingsRequest::default()
+    };
+    let gathered = request.complete((96, 54));
+    let blocks = |settings: &RenderSettings| -> Blocks {
+        let ready = shot.frame(0, settings).unwrap();
+        assert!(ready.fill(&|_| (), observer.cancel()));
+        ready.blocks(1, observer.cancel()).unwrap().0
+    };
+    let reference = blocks(&gathered);
+    let asked = 0.02;
+    let chosen = choose_cache(&shot, 0, &gathered, asked, &observer).unwrap().expect("a cache");
+    assert!(chosen.error <= asked && chosen.spent.work > 0, "{chosen:?}");
+    let cached = RenderSettings { seed: 1, ..chosen.settings(&gathered) };
+    let error = blocks(&cached).minus(&reference).mean_square().max(0.0).sqrt() / reference.mean();
+    // Measured: 1.5 %. The law is that of other rooms.
+    assert!((0.4 * asked..1.3 * asked).contains(&error), "{error} with {chosen:?}");
+    let direct = RenderSettings { ambient_bounces: 0, ..gathered };
+    assert!(choose_cache(&shot, 0, &direct, asked, &observer).unwrap().is_none());
 }

@@ -28,12 +28,24 @@ impl Tracer {
     pub fn independent_pixels(
         &self,
         pixels: &[u32],
+        times: (u32, u32),
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<(Vec<Vec<Pixel>>, Cost)> {
+        self.pixels_by(self.settings.seed, pixels, times, stop)
+    }
+
+    /// The same by random numbers that follow from `seed`, whatever the settings' is. So images that differ in
+    /// their caches have the same camera samples.
+    pub fn pixels_by(
+        &self,
+        seed: u64,
+        pixels: &[u32],
         (times, samples): (u32, u32),
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Option<(Vec<Vec<Pixel>>, Cost)> {
-        let seed = |time: u32| hash(hash(self.settings.seed) ^ u64::from(time));
+        let of_time = |time: u32| hash(hash(seed) ^ u64::from(time));
         let again = |&index: &u32| {
-            let traced = |time| self.kernel.again(self, index, seed(time), samples);
+            let traced = |time| self.kernel.again(self, index, of_time(time), samples);
             (!stop()).then(|| clocked(|| (0..times).map(traced).collect::<Vec<Pixel>>()))
         };
         let traced = pixels.par_iter().map(again).collect::<Option<Vec<_>>>()?;

@@ -193,3 +193,18 @@ async fn with_a_cache_the_number_of_records_is_known_before_and_what_was_gathere
     }
     assert_eq!(quote.total.cache_records, all.map(Quantiles::known));
 }
+
+#[tokio::test]
+async fn a_job_for_an_error_of_the_cache_has_the_settings_that_were_chosen_for_it() {
+    let service = farm().await;
+    let (scene, data) = (shipped("kitchen").display().to_string(), service.data().display().to_string());
+    let job = ["submit", &scene, "--server", service.address(), "--data", &data, "--frames", "3", "--json"];
+    let quality = ["--width", "32", "--spp", "1", "--ambient-bounces", "1", "--cache-error", "20"];
+    let printed = run_well(&[&job[..], &quality].concat());
+    let printed: Value = serde_json::from_str(&printed).expect("JSON is printed and nothing else");
+    let settings = &printed["settings"];
+    assert_eq!(
+        (&settings["cache"], &settings["cache_accuracy"], &settings["cache_rays"]),
+        (&json!("on"), &json!(1000), &json!(48))
+    );
+}

@@ -9,18 +9,15 @@ use crate::connection::connect;
 use anyhow::{Context, Result};
 use forelight_denoise::Denoiser;
 use forelight_protocol::{AccuracyDoc, JobId, LadderKind};
-use forelight_renderer_own::{
-    AccuracyObserver, AccuracyOptions, MeasureOptions, ShotError, measure, predict,
-};
+use forelight_renderer_own::{AccuracyOptions, MeasureOptions, measure, predict};
 use forelight_terminal::atomic_file::{self, write_bytes};
-use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_terminal::failure::BadInput;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::Local;
 use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
-use indicatif::ProgressBar;
+use forelight_terminal::watching::AccuracyWatcher;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 
 /// Forecast error against CPU time for ladders of qualities
 #[derive(Debug, clap::Args)]
@@ -108,13 +105,13 @@ fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
     let settings = local.settings(&args.quality)?;
     local.check_frame("--frame", args.frame)?;
     let options = AccuracyOptions { samples: args.samples, seed: args.phase_seed };
-    let watcher = Watcher::new(&bars, "profiling", interrupt);
+    let watcher = AccuracyWatcher::new(&bars, "profiling", interrupt);
     let predict = || predict(&local.shot, args.frame, &settings, &LadderKind::ALL, &options, &watcher);
     let predicted = local.pool.install(predict);
     let mut document = watcher.done(predicted, bundle)?;
     if args.measure {
         let options = MeasureOptions { reference_spp: args.reference_spp, denoiser: denoiser.as_ref() };
-        let watcher = Watcher::new(&bars, "rendering", interrupt);
+        let watcher = AccuracyWatcher::new(&bars, "rendering", interrupt);
         let measured =
             local.pool.install(|| measure(&local.shot, args.frame, &mut document, &options, &watcher));
         watcher.done(measured, bundle)?;
@@ -127,39 +124,6 @@ fn show(args: &Args, title: &str, document: &AccuracyDoc) -> Result<()> {
         write_bytes(path, plot::svg(title, document)?.as_bytes())?;
     }
     if args.json { output::json(document) } else { output::print(&table::text(document)) }
-}
-
-struct Watcher<'a> {
-    bar: ProgressBar,
-    interrupt: &'a Interrupt,
-}
-
-impl<'a> Watcher<'a> {
-    fn new(bars: &Bars, name: &str, interrupt: &'a Interrupt) -> Self {
-        Self { bar: bars.bar(name, 0), interrupt }
-    }
-
-    fn done<T>(&self, outcome: Result<T, ShotError>, bundle: &Path) -> Result<T> {
-        self.bar.finish_and_clear();
-        match outcome {
-            Err(ShotError::Cancelled) => Err(Interrupted.into()),
-            Err(ShotError::Render(error)) => {
-                Err(error).with_context(|| format!("bundle {}", bundle.display()))
-            }
-            other => Ok(other?),
-        }
-    }
-}
-
-impl AccuracyObserver for Watcher<'_> {
-    fn predicted(&self, done: usize, all: usize) {
-        self.bar.set_length(all as u64);
-        self.bar.set_position(done as u64);
-    }
-
-    fn cancel(&self) -> &AtomicBool {
-        self.interrupt.flag()
-    }
 }
 
 /// The value that differs along a rung's ladder.

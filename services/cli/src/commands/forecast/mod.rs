@@ -3,6 +3,7 @@
 mod cost_map;
 mod sharing;
 
+use super::cache_error::CacheErrorOption;
 use super::explain::{self, Unit};
 use super::{calibrate, foreign};
 use crate::caches;
@@ -42,6 +43,7 @@ Examples:
   forelight forecast kitchen/ --calibration calibration.json
   forelight forecast kitchen/ --for-node rack-7.json
   forelight forecast kitchen/ --frames 0-47 --cache on --cache-sharing auto
+  forelight forecast kitchen/ --frames 0-47 --cache-error 1
 
 All frames are previewed. --samples pixels are profiled in each of five frames, or of more frames if the forecast is \
 still uncertain. Around a few of these pixels, blocks of neighbours are traced, to measure the time of pixels that lie \
@@ -109,6 +111,8 @@ pub struct Args {
     #[command(flatten)]
     quality: QualityOptions,
     #[command(flatten)]
+    cache_error: CacheErrorOption,
+    #[command(flatten)]
     machine: MachineOptions,
 }
 
@@ -124,7 +128,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         return forecast_foreign(args, interrupt);
     }
     refuse_own_settings(&args.own)?;
-    sharing::check(args.cache_sharing, args.strategy, &args.quality)?;
+    sharing::check(args.cache_sharing, args.strategy, &args.cache_error.quality(&args.quality)?)?;
     if args.cost_map.is_some() {
         cost_map::check(args.cost_map_at, args.strategy, args.samples)?;
     }
@@ -133,8 +137,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let other = args.for_node.as_deref().map(calibrate::read).transpose()?;
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
-    let settings = local.settings(&args.quality)?;
     let frames = local.frames(args.frames.as_ref())?;
+    let middle = frames.get(frames.len() / 2).copied().unwrap_or_default();
+    let settings =
+        args.cache_error.settings((&local, &args.bundle), &args.quality, middle, &bars, interrupt)?;
     let options = QuoteOptions {
         samples: args.samples,
         profile_frames: args.profile_frames.map(|frames| frames as usize),
@@ -185,6 +191,7 @@ fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         ("--for-node", args.for_node.is_some()),
         ("--cache-sharing", args.cache_sharing != CacheSharing::Private),
         ("--cost-map-at", args.cost_map_at != cost_map::At::Mean),
+        ("--cache-error", args.cache_error.is_given()),
     ])?;
     let asked = foreign::AskedForecast {
         scene: &args.bundle,

@@ -6,6 +6,7 @@ mod sequence;
 use self::on_farm::FarmOptions;
 use super::allot::{self, AllotArgs};
 use super::cache::read_full_cache;
+use super::cache_error::CacheErrorOption;
 use super::explain;
 use super::forecast::once_costs;
 use super::foreign;
@@ -42,7 +43,7 @@ Examples:
   forelight render kitchen.zip --width 640 --spp 16 --out f.exr --stats f.json
   forelight render kitchen/ --frames 0-47 --out images/####.exr
   forelight render kitchen/ --profile profiles/frame-0000.profile --out 0.png
-  forelight render kitchen/ --cache on --cache-accuracy 0.1 --out smooth.png
+  forelight render kitchen/ --cache-error 1 --out smooth.png
   forelight render kitchen/ --frame 12 --cache-file shot.cache --out 12.exr
   forelight render kitchen/ --integrator path --spp 256 --out caustics.png
   forelight render kitchen/ --cache on --within 60 --out minute.png --samples-map minute-samples.png
@@ -82,7 +83,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
     /// Take over the shot's irradiance cache from `forelight cache`. Implies --cache on
-    #[arg(long, value_name = "FILE", conflicts_with = "profile")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["profile", "cache_error"])]
     cache_file: Option<PathBuf>,
     /// Remove the noise of the image by Open Image Denoise, if it is installed, and measure the error that is
     /// left. An .exr file keeps the noisy image as noisy.R, G, B
@@ -101,6 +102,8 @@ pub struct Args {
     allot: AllotArgs,
     #[command(flatten)]
     quality: QualityOptions,
+    #[command(flatten)]
+    cache_error: CacheErrorOption,
     #[command(flatten)]
     machine: MachineOptions,
     #[command(flatten)]
@@ -146,7 +149,7 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     atomic_file::check([args.out.as_deref(), args.cost_map.as_deref(), args.stats.as_deref(), samples_map])?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
     let bars = Bars::new(args.json);
-    let mut opened = Opened::new(args, &bars)?;
+    let mut opened = Opened::new(args, frame, &bars, interrupt)?;
     let size = (opened.settings.width, opened.settings.height);
     let samples = args.allot.given_samples(size)?;
     // If writing fails, the final write reports it.
@@ -199,7 +202,8 @@ struct Opened {
 }
 
 impl Opened {
-    fn new(args: &Args, bars: &Bars) -> Result<Self> {
+    /// The settings of a cache may be chosen for a frame.
+    fn new(args: &Args, frame: u32, bars: &Bars, interrupt: &Interrupt) -> Result<Self> {
         let denoiser = args.denoise.then(Denoiser::find).transpose().context("--denoise")?;
         let cache = args.cache_file.as_deref().map(read_full_cache).transpose()?;
         let mut local = Local::open(&args.bundle, &args.machine, bars)?;
@@ -207,7 +211,7 @@ impl Opened {
             local.shot = local.shot.with_everything();
         }
         let quality = if cache.is_some() { args.quality.cached()? } else { args.quality.clone() };
-        let settings = local.settings(&quality)?;
+        let settings = args.cache_error.settings((&local, &args.bundle), &quality, frame, bars, interrupt)?;
         Ok(Self { bundle: args.bundle.clone(), local, settings, cache, denoiser })
     }
 
@@ -233,6 +237,7 @@ fn render_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         ("--profile", args.profile.is_some()),
         ("--cache-file", args.cache_file.is_some()),
         ("--denoise", args.denoise),
+        ("--cache-error", args.cache_error.is_given()),
         ("--effects", args.effects != EffectsSwitch::CalledFor),
         ("--within, --within-money, --error and --samples-from", args.allot.is_given()),
     ])?;

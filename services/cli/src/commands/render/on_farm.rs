@@ -76,7 +76,7 @@ pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     atomic_file::check([args.out.as_deref(), args.farm.watch.as_deref(), args.stats.as_deref(), None])?;
     let client = connect(&connection)?;
     let bars = Bars::new(args.json);
-    let job = submit_frame(args, &client, &bars).await?;
+    let job = submit_frame(args, &client, &bars, interrupt).await?;
     let stopped = interrupt.token();
     let done = tokio::select! {
         done = watch(args, &client, &job, &bars) => done?,
@@ -134,12 +134,13 @@ fn frame_of(args: &Args) -> Result<u32> {
     Ok(u32::try_from(frame).map_err(|_| BadInput::new(format!("--frame {frame}: frames begin at 0")))?)
 }
 
-async fn submit_frame(args: &Args, client: &Client, bars: &Bars) -> Result<Job> {
+async fn submit_frame(args: &Args, client: &Client, bars: &Bars, interrupt: &Interrupt) -> Result<Job> {
     let frame = frame_of(args)?;
-    args.quality.check()?;
+    let quality =
+        args.cache_error.for_farm(&args.bundle, &args.quality, Some(frame), bars, interrupt).await?;
     let key = Uuid::now_v7();
     let (bundle, scene) = upload(&args.bundle, client, submit::upload_key(key), bars).await?;
-    let settings = settings_request(&args.quality, (scene.width, scene.height));
+    let settings = settings_request(&quality, (scene.width, scene.height));
     let request = JobRequest {
         division: args.farm.parts,
         project: args.farm.project.clone(),

@@ -44,7 +44,8 @@ pub fn render(args: &Args, frames: &FrameSet, interrupt: &Interrupt) -> Result<(
     refuse_because(&others, "only a single frame can have this", "render with --frame N")?;
     args.out.as_deref().map(format_of).transpose()?;
     let bars = Bars::new(args.json);
-    let opened = Opened::new(args, &bars)?;
+    let first = frames.iter().next().unwrap_or_default();
+    let opened = Opened::new(args, first, &bars, interrupt)?;
     opened.local.frames(Some(frames))?;
     let paths = frames.iter().map(|frame| Paths::of(args, frame)).collect::<Result<Vec<Paths>>>()?;
     atomic_file::check(

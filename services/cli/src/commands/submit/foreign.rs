@@ -2,6 +2,7 @@
 //! there is one: for the frames of the shot, for missing files, and for a copy that holds all files.
 
 use super::{Args, on_shared_storage, upload, upload_key};
+use crate::commands::blocking;
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_kept::{LARGEST, named};
@@ -9,10 +10,10 @@ use forelight_protocol::{FrameSet, JobRequest, RendererRequest};
 use forelight_renderer::door::RendererError;
 use forelight_renderer::{scene_digest, scene_name};
 use forelight_terminal::failure::BadInput;
-use forelight_terminal::foreign::{Foreign, OwnSetting, is_blend, is_radiance, shot_request};
+use forelight_terminal::foreign::{Foreign, OwnSetting, is_blend, is_radiance, refuse, shot_request};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::kept_scenes;
-use forelight_terminal::options::{Keep, MachineOptions, PreviewBackend, QualityOptions};
+use forelight_terminal::options::{Keep, MachineOptions, QualityOptions};
 use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::bytes;
 use std::path::{Path, PathBuf};
@@ -29,6 +30,7 @@ pub(super) async fn request(
     client: &Client,
     (key, bars, interrupt): (Uuid, &Bars, &Interrupt),
 ) -> Result<JobRequest> {
+    refuse(&[("--cache-error", args.cache_error.is_given())])?;
     let settings = shot_request(&args.quality, &args.own)?;
     check(args, scene)?;
     let mut found = Found { frames: args.frames.clone(), packed: None };
@@ -41,7 +43,7 @@ pub(super) async fn request(
             pack: !args.shared,
         };
         let (bars, interrupt) = (bars.clone(), interrupt.clone());
-        found = tokio::task::spawn_blocking(move || question.ask(&bars, &interrupt)).await??;
+        found = blocking(move || question.ask(&bars, &interrupt)).await?;
     }
     let Some(frames) = found.frames else {
         let reason =
@@ -100,7 +102,7 @@ impl Question {
         if !is_blend(&self.scene) && !is_radiance(&self.scene) {
             return Ok(Found { frames: self.frames, packed: None });
         }
-        let machine = MachineOptions { threads: None, preview: PreviewBackend::Auto, keep: Keep::On };
+        let machine = MachineOptions::default();
         let foreign = match Foreign::open(&self.scene, &machine, bars, interrupt) {
             Err(error) if matches!(error.downcast_ref(), Some(RendererError::NotInstalled { .. })) => {
                 if self.pack {

@@ -6,6 +6,7 @@ mod images;
 mod report;
 
 use super::allot::error_target;
+use super::cache_error::CacheErrorOption;
 use super::video;
 use super::worker::task_limits;
 use crate::archive;
@@ -169,6 +170,8 @@ pub struct Args {
     #[command(flatten)]
     quality: QualityOptions,
     #[command(flatten)]
+    cache_error: CacheErrorOption,
+    #[command(flatten)]
     connection: ConnectionOptions,
 }
 /// Reads `NAME` or `NAME VERSION`.
@@ -251,14 +254,15 @@ async fn submit(
         return client.submit(&request, key).await.context("cannot submit the job");
     }
     refuse_own_settings(&args.own)?;
+    let middle = args.frames.as_ref().and_then(|frames| frames.iter().nth(frames.count() as usize / 2));
+    let quality = args.cache_error.for_farm(bundle, &args.quality, middle, bars, interrupt).await?;
     let (reference, scene) = if args.shared {
         shared(args, bundle, client).await?
     } else {
         upload(bundle, client, upload_key(key), bars).await?
     };
     let frames = args.frames.clone().unwrap_or_else(|| FrameSet::range(0, scene.frames.saturating_sub(1)));
-    args.quality.check()?;
-    let settings = settings_request(&args.quality, (scene.width, scene.height));
+    let settings = settings_request(&quality, (scene.width, scene.height));
     let request = request(args, reference, scene.name, frames, settings)?;
     client.submit(&request, key).await.context("cannot submit the job")
 }

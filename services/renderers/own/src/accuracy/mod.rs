@@ -5,6 +5,7 @@
 //! | `pilot` | profiled pixels of one kind of setting: their cost and their error |
 //! | `gathers` | how other gathers change the error of the same pixels |
 //! | `interpolation` | the error that an irradiance cache adds |
+//! | `cache_error`, `blocks` | settings of a cache for an error; images in blocks of pixels |
 //! | `measure` | measured errors: rungs rendered and compared to converged images |
 //!
 //! Every kind of setting (an integrator, a number of divisions, an accuracy of the cache) is profiled once,
@@ -13,12 +14,16 @@
 //! interpolation error, which does not fall with samples. Other resolutions share the pilot of the settings
 //! that were asked for.
 
+mod blocks;
+mod cache_error;
 mod gathers;
 mod interpolation;
 mod measure;
 mod observer;
 mod pilot;
 
+pub use blocks::Blocks;
+pub use cache_error::{ChosenCache, choose_cache};
 #[cfg(test)]
 pub(crate) use measure::Converged;
 #[cfg(test)]
