@@ -89,7 +89,7 @@ fn a_cache_for_an_error_comes_with_its_flags_and_one_that_cannot_be_is_wrong_inp
     assert_eq!(code, Some(0), "{text}");
     assert!(text.contains("--cache on --cache-accuracy 1 --cache-rays 48; forecast error"), "{text}");
     for (flags, reason) in [
-        ("--ambient-bounces 1 --cache-error 0.001", "no irradiance cache is so accurate"),
+        ("--ambient-bounces 1 --cache-error 0.001", "the best cache here is forecast to leave"),
         ("--ambient-bounces 0 --cache-error 1", "without ambient bounces"),
         ("--integrator path --cache-error 1", "does not use an irradiance cache"),
         ("--cache-rays 48 --cache-error 1", "cannot be used with"),

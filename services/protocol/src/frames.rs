@@ -48,6 +48,19 @@ impl FrameSet {
         self.0.last().map_or(0, |range| *range.end())
     }
 
+    /// The frame in the middle: as many frames come before it as after it, or one more. Does not iterate.
+    pub fn middle(&self) -> u32 {
+        let mut before = self.count() / 2;
+        for range in &self.0 {
+            let frames = u64::from(range.end() - range.start()) + 1;
+            if before < frames {
+                return range.start() + before as u32;
+            }
+            before -= frames;
+        }
+        self.last()
+    }
+
     /// Whether `frame` is in the set.
     pub fn contains(&self, frame: u32) -> bool {
         self.0.iter().any(|range| range.contains(&frame))
@@ -145,6 +158,13 @@ mod tests {
     fn the_whole_range_of_numbers_is_counted_without_walking_it() {
         let set: FrameSet = "0-4294967295,4294967295".parse().unwrap();
         assert_eq!(set.count(), 1 << 32);
+    }
+
+    #[test]
+    fn the_middle_is_found_without_a_walk() {
+        let middle = |text: &str| text.parse::<FrameSet>().unwrap().middle();
+        assert_eq!([middle("7"), middle("0-47"), middle("0,5,9-12")], [7, 24, 10]);
+        assert_eq!(middle("0-4294967295"), 1 << 31);
     }
 
     #[test]

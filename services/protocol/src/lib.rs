@@ -157,7 +157,8 @@ pub use session::{Session, SessionCode, SessionPage, SessionRequest, SignInWays}
 pub use settings::{BadSetting, CacheMode, Integrator, MaterialMode, RenderSettings, RenderSettingsRequest};
 pub use spent::{Spent, at_speed_one};
 pub use stats::{
-    AllottedForecast, AllottedStats, BudgetClock, CacheStats, DenoisedStats, Rays, RenderStats, WithinStats,
+    AllottedForecast, AllottedStats, BudgetClock, CacheChoice, CacheStats, DenoisedStats, Rays, RenderStats,
+    WithinStats,
 };
 pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};

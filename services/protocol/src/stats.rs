@@ -83,6 +83,21 @@ pub struct CacheStats {
     pub secondary_lights: u64,
 }
 
+/// Settings of an irradiance cache that were chosen for an error, by `--cache-error`.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CacheChoice {
+    /// Allowed error of interpolation, in thousandths.
+    pub cache_accuracy: u32,
+    /// Rays of a record.
+    pub cache_rays: u32,
+    /// Forecast of the error that the cache leaves: a root mean square over blocks of 4 × 4 pixels, as a share of
+    /// the image's mean.
+    pub error: f64,
+    /// CPU seconds of the choice. Not included in those of any frame.
+    pub cpu_seconds: f64,
+}
+
 /// Actual cost of a rendered frame, as written by `forelight render --stats`. Totals do not depend on reuse
 /// of profiled pixels; `reused_…` is the part that this run did not trace. Totals include an irradiance
 /// cache.
@@ -116,6 +131,9 @@ pub struct RenderStats {
     /// Cost of the irradiance cache. Absent without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cache: Option<CacheStats>,
+    /// How the settings of the cache were chosen. Absent if they were given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cache_choice: Option<CacheChoice>,
     /// Deterministic count of operations.
     pub work: u64,
     /// `work` by class. Reused work is divided in the proportions of this run.

@@ -264,6 +264,7 @@ impl Task<'_> {
             rays: Rays::default(),
             cache_records: Vec::new(),
             cache: None,
+            cache_choice: None,
             work: whole.work,
             work_by_class: None,
             work_by_ray: None,

@@ -399,6 +399,7 @@ fn stats(frame: u32) -> RenderStats {
         rays: Rays { primary: 1024, ..Rays::default() },
         cache_records: Vec::new(),
         cache: None,
+        cache_choice: None,
         work: 1000,
         work_by_class: None,
         work_by_ray: Some(Rays { primary: 900, ..Rays::default() }),

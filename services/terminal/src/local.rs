@@ -60,6 +60,14 @@ impl Local {
         }
     }
 
+    /// The frame in the middle of these, checked against the shot. `None` is all frames.
+    pub fn middle_frame(&self, wanted: Option<&FrameSet>) -> Result<u32, BadInput> {
+        match wanted {
+            None => Ok(self.shot.info().summary.frames / 2),
+            Some(wanted) => self.check_frame("--frames", wanted.last()).map(|()| wanted.middle()),
+        }
+    }
+
     /// Checks that the shot has a frame. An error names the flag.
     pub fn check_frame(&self, flag: &str, frame: u32) -> Result<(), BadInput> {
         let last = self.shot.info().summary.frames.saturating_sub(1);

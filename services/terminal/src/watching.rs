@@ -116,7 +116,7 @@ pub fn allotment_failure(flag: &str, error: AllotError) -> anyhow::Error {
             .hint("set a higher limit, profile fewer pixels (--samples), or render a smaller image")
             .into(),
         AllotError::TooLittleForCache { .. } => BadInput::new(format!("{flag}: {error}"))
-            .hint("set a higher limit, use a rougher cache (--cache-rays, --cache-accuracy), or none (--cache off)")
+            .hint("set a higher limit, use a rougher cache (--cache-error, or --cache-rays and --cache-accuracy), or none (--cache off)")
             .into(),
         AllotError::Shot(ShotError::Render(error)) => error.into(),
         error => error.into(),

@@ -156,6 +156,7 @@ impl Farm {
                 rays: Rays { primary: 1024, ..Rays::default() },
                 cache_records: Vec::new(),
                 cache: None,
+                cache_choice: None,
                 work,
                 work_by_class: None,
                 work_by_ray: Some(Rays { primary: work / 2, ..Rays::default() }),

@@ -9,7 +9,7 @@ use forelight_renderer_own::{Blocks, ChosenCache, OwnRenderer, OwnShot, choose_c
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::Bars;
-use forelight_terminal::watching::Stopping;
+use forelight_terminal::watching::AccuracyWatcher;
 use serde::Serialize;
 use std::path::Path;
 
@@ -66,22 +66,18 @@ pub fn bundle(
     bars: &Bars,
     interrupt: &Interrupt,
 ) -> Result<Measured> {
-    let shot = OwnRenderer::new(Choice::Cpu).open(bundle);
-    let shot = shot.with_context(|| format!("bundle {}", bundle.display()))?;
+    let named = || format!("bundle {}", bundle.display());
+    let shot = OwnRenderer::new(Choice::Cpu).open(bundle).with_context(named)?;
     let base = base(args);
-    shot.frame(args.frame, &base)?;
+    shot.frame(args.frame, &base).with_context(named)?;
     let of_rung =
-        |quality: &Quality| match quality.asked(&base)? {
-            asked if asked.cache == CacheMode::On => Ok((quality.to_string(), Asked::Settings(asked))),
-            _ => Err(BadInput::new(format!("--rung `{quality}`: there is no irradiance cache"))
-                .hint("add --cache on")),
-        };
+        |rung: &Quality| of_rung(rung, &base).map(|asked| (rung.to_string(), Asked::Settings(asked)));
     let mut asked = rungs.iter().map(of_rung).collect::<Result<Vec<_>, BadInput>>()?;
     asked.extend(
         args.error.iter().map(|error| (format!("--cache-error {error}"), Asked::Error(error / 100.0))),
     );
     let name = shot.info().summary.name.clone();
-    let bench = Bench { args, shot: &shot, interrupt };
+    let bench = Bench { bundle, bars, args, shot: &shot, interrupt };
     let bar = bars.bar(&name, asked.len() as u64 * args.seeds + 1);
     bar.set_message(format!("{name}: reference"));
     let gathered =
@@ -105,6 +101,23 @@ pub fn bundle(
     Ok(Measured { bundle: name, rungs })
 }
 
+/// The settings of a rung. They may differ from `base` in the cache alone.
+fn of_rung(rung: &Quality, base: &RenderSettings) -> Result<RenderSettings, BadInput> {
+    let asked = rung.asked(base)?;
+    if asked.cache == CacheMode::Off {
+        return Err(
+            BadInput::new(format!("--rung `{rung}`: there is no irradiance cache")).hint("add --cache on")
+        );
+    }
+    let RenderSettings { spp, cache, cache_accuracy, cache_rays, .. } = asked;
+    let cached = RenderSettings { cache, cache_accuracy, cache_rays, ..base.clone() };
+    if rung.error().is_some() || rung.is_denoised() || asked != (RenderSettings { spp, ..cached.clone() }) {
+        let reason = format!("--rung `{rung}`: only the settings of the cache may differ");
+        return Err(BadInput::new(reason).hint("use --cache-accuracy and --cache-rays"));
+    }
+    Ok(cached)
+}
+
 fn base(args: &Args) -> RenderSettings {
     RenderSettings {
         ambient_bounces: args.ambient_bounces,
@@ -115,6 +128,8 @@ fn base(args: &Args) -> RenderSettings {
 }
 
 struct Bench<'a> {
+    bundle: &'a Path,
+    bars: &'a Bars,
     args: &'a Args,
     shot: &'a OwnShot,
     interrupt: &'a Interrupt,
@@ -136,9 +151,12 @@ impl Bench<'_> {
                 self.image(&RenderSettings { seed: base.seed, ..asked.clone() }).map(Some)
             }
             Asked::Error(error) => {
-                let stopping = Stopping(self.interrupt);
-                let chosen = choose_cache(self.shot, self.args.frame, &base, *error, &stopping)?;
-                let Some(chosen) = chosen else { return Ok(None) };
+                let watcher = AccuracyWatcher::new(self.bars, "choosing the cache", self.interrupt);
+                let chosen = choose_cache(self.shot, self.args.frame, &base, *error, &watcher);
+                let chosen = watcher.done(chosen, self.bundle)?;
+                if chosen.error > *error {
+                    return Ok(None);
+                }
                 let made = self.image(&chosen.settings(&base))?;
                 Ok(Some(Made { chosen: Some(chosen), ..made }))
             }

@@ -27,9 +27,10 @@ Examples:
 
 The error is a root mean square over blocks of 4 x 4 pixels, as a share of the image's mean. Only indirect light \
 differs. The noise of pixels and of the reference is taken off: two images are made from each cache by independent \
-camera samples, and compared to independent references by the same camera samples. `random` is the part that differs from seed to seed, and \
-`constant` the part that is the same in all. `structure` is the correlation of the differences of pixels that are \
-8 pixels apart.")]
+camera samples, and compared to independent references by the same camera samples. `random` is the part that differs \
+from seed to seed, and `constant` the part that is the same in all. `structure` is the correlation of the \
+differences of pixels that are 8 pixels apart. `choice` is the work of choosing settings for --error, as a share of \
+the cache's.")]
 pub struct Args {
     /// Scene bundles: folders or zip files
     #[arg(required = true, value_name = "BUNDLE")]

@@ -159,6 +159,7 @@ pub fn rendered(frame: u32, spp: u32) -> TaskResult {
             rays: Rays { primary: 64 * u64::from(spp), ..Rays::default() },
             cache_records: Vec::new(),
             cache: None,
+            cache_choice: None,
             allotted: None,
             denoised: None,
             work: 1000,

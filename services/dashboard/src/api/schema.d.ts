@@ -1923,6 +1923,30 @@ export interface components {
              */
             traversal: number;
         };
+        /** @description Settings of an irradiance cache that were chosen for an error, by `--cache-error`. */
+        CacheChoice: {
+            /**
+             * Format: int32
+             * @description Allowed error of interpolation, in thousandths.
+             */
+            cache_accuracy: number;
+            /**
+             * Format: int32
+             * @description Rays of a record.
+             */
+            cache_rays: number;
+            /**
+             * Format: double
+             * @description CPU seconds of the choice. Not included in those of any frame.
+             */
+            cpu_seconds: number;
+            /**
+             * Format: double
+             * @description Forecast of the error that the cache leaves: a root mean square over blocks of 4 × 4 pixels, as a share of
+             *     the image's mean.
+             */
+            error: number;
+        };
         /** @description Result of filling one part. */
         CacheFillResult: {
             /**
@@ -5232,6 +5256,7 @@ export interface components {
         RenderStats: {
             allotted?: components["schemas"]["AllottedStats"] | null;
             cache?: components["schemas"]["CacheStats"] | null;
+            cache_choice?: components["schemas"]["CacheChoice"] | null;
             /** @description Number of irradiance cache records by level. Empty without a cache. */
             cache_records?: number[];
             /**

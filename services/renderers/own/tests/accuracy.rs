@@ -141,12 +141,10 @@ fn a_cache_that_is_chosen_for_an_error_keeps_it() {
     };
     let reference = blocks(&gathered);
     let asked = 0.02;
-    let chosen = choose_cache(&shot, 0, &gathered, asked, &observer).unwrap().expect("a cache");
+    let chosen = choose_cache(&shot, 0, &gathered, asked, &observer).unwrap();
     assert!(chosen.error <= asked && chosen.spent.work > 0, "{chosen:?}");
     let cached = RenderSettings { seed: 1, ..chosen.settings(&gathered) };
     let error = blocks(&cached).minus(&reference).mean_square().max(0.0).sqrt() / reference.mean();
-    // Measured: 1.5 %. The law is that of other rooms.
+    // Measured: 1.6 %.
     assert!((0.4 * asked..1.3 * asked).contains(&error), "{error} with {chosen:?}");
-    let direct = RenderSettings { ambient_bounces: 0, ..gathered };
-    assert!(choose_cache(&shot, 0, &direct, asked, &observer).unwrap().is_none());
 }

@@ -317,6 +317,7 @@ mod tests {
             rays: Rays::default(),
             cache_records: Vec::new(),
             cache: None,
+            cache_choice: None,
             work,
             work_by_class: None::<ByClass>,
             work_by_ray: None,

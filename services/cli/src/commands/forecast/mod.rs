@@ -3,7 +3,7 @@
 mod cost_map;
 mod sharing;
 
-use super::cache_error::CacheErrorOption;
+use super::cache_error::{Asker, CacheErrorOption};
 use super::explain::{self, Unit};
 use super::{calibrate, foreign};
 use crate::caches;
@@ -88,7 +88,7 @@ pub struct Args {
     /// calibrated first, for a few seconds
     #[arg(long, value_name = "FILE")]
     for_node: Option<PathBuf>,
-    /// Share one irradiance cache between frames, or give each frame its own. Needs --cache on
+    /// Share one irradiance cache between frames, or give each frame its own. Needs --cache on or --cache-error
     #[arg(long, value_name = "HOW", value_enum, default_value_t = CacheSharing::Private)]
     cache_sharing: CacheSharing,
     /// Write the forecast cost of each pixel of the first frame as a picture, in the colours of a render's
@@ -138,9 +138,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let other = args.for_node.as_deref().map(calibrate::read).transpose()?;
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let frames = local.frames(args.frames.as_ref())?;
-    let middle = frames.get(frames.len() / 2).copied().unwrap_or_default();
-    let settings =
-        args.cache_error.settings((&local, &args.bundle), &args.quality, middle, &bars, interrupt)?;
+    let mut settings = local.settings(&args.cache_error.quality(&args.quality)?)?;
+    let middle = local.middle_frame(args.frames.as_ref())?;
+    let here = Asker { local: &local, bundle: &args.bundle, bars: &bars, interrupt };
+    args.cache_error.choose(&mut settings, middle, &here)?;
     let options = QuoteOptions {
         samples: args.samples,
         profile_frames: args.profile_frames.map(|frames| frames as usize),

@@ -6,7 +6,7 @@ mod sequence;
 use self::on_farm::FarmOptions;
 use super::allot::{self, AllotArgs};
 use super::cache::read_full_cache;
-use super::cache_error::CacheErrorOption;
+use super::cache_error::{Asker, CacheErrorOption};
 use super::explain;
 use super::forecast::once_costs;
 use super::foreign;
@@ -14,7 +14,9 @@ use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_denoise::Denoiser;
-use forelight_protocol::{CACHE_BYTES, DenoisedStats, FrameSet, LeftOut, Rays, RenderSettings, RenderStats};
+use forelight_protocol::{
+    CACHE_BYTES, CacheChoice, DenoisedStats, FrameSet, LeftOut, Rays, RenderSettings, RenderStats,
+};
 use forelight_renderer_own::{
     Given, Progress, RenderError, png, render_allotted, render_as_allotted, render_frame,
 };
@@ -80,7 +82,7 @@ pub struct Args {
     stats: Option<PathBuf>,
     /// Take over the finished pixels or the irradiance cache of a profile from
     /// `forelight forecast --save-profile`
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "cache_error")]
     profile: Option<PathBuf>,
     /// Take over the shot's irradiance cache from `forelight cache`. Implies --cache on
     #[arg(long, value_name = "FILE", conflicts_with_all = ["profile", "cache_error"])]
@@ -149,7 +151,8 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     atomic_file::check([args.out.as_deref(), args.cost_map.as_deref(), args.stats.as_deref(), samples_map])?;
     let profile = args.profile.as_deref().map(read_profile).transpose()?;
     let bars = Bars::new(args.json);
-    let mut opened = Opened::new(args, frame, &bars, interrupt)?;
+    let mut opened = Opened::new(args, &bars)?;
+    opened.choose_cache(args, frame, &bars, interrupt)?;
     let size = (opened.settings.width, opened.settings.height);
     let samples = args.allot.given_samples(size)?;
     // If writing fails, the final write reports it.
@@ -183,6 +186,7 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if let Some(within) = rendered.stats.allotted.as_mut().and_then(|allotted| allotted.within.as_mut()) {
         wish.settle(within);
     }
+    rendered.stats.cache_choice = opened.choice;
     json_file::write(args.stats.as_deref(), &rendered.stats)?;
     if args.json {
         output::json(&rendered.stats)?;
@@ -199,11 +203,12 @@ struct Opened {
     settings: RenderSettings,
     cache: Option<Cache>,
     denoiser: Option<Denoiser>,
+    /// How the settings of the cache were chosen.
+    choice: Option<CacheChoice>,
 }
 
 impl Opened {
-    /// The settings of a cache may be chosen for a frame.
-    fn new(args: &Args, frame: u32, bars: &Bars, interrupt: &Interrupt) -> Result<Self> {
+    fn new(args: &Args, bars: &Bars) -> Result<Self> {
         let denoiser = args.denoise.then(Denoiser::find).transpose().context("--denoise")?;
         let cache = args.cache_file.as_deref().map(read_full_cache).transpose()?;
         let mut local = Local::open(&args.bundle, &args.machine, bars)?;
@@ -211,8 +216,15 @@ impl Opened {
             local.shot = local.shot.with_everything();
         }
         let quality = if cache.is_some() { args.quality.cached()? } else { args.quality.clone() };
-        let settings = args.cache_error.settings((&local, &args.bundle), &quality, frame, bars, interrupt)?;
-        Ok(Self { bundle: args.bundle.clone(), local, settings, cache, denoiser })
+        let settings = local.settings(&args.cache_error.quality(&quality)?)?;
+        Ok(Self { bundle: args.bundle.clone(), local, settings, cache, denoiser, choice: None })
+    }
+
+    /// Chooses the settings of the cache on a frame, if an error is given.
+    fn choose_cache(&mut self, args: &Args, frame: u32, bars: &Bars, interrupt: &Interrupt) -> Result<()> {
+        let here = Asker { local: &self.local, bundle: &self.bundle, bars, interrupt };
+        self.choice = args.cache_error.choose(&mut self.settings, frame, &here)?;
+        Ok(())
     }
 
     /// Runs `trace` on all threads, with what is given to the frame and a bar for its progress.

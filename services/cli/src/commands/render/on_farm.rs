@@ -136,8 +136,8 @@ fn frame_of(args: &Args) -> Result<u32> {
 
 async fn submit_frame(args: &Args, client: &Client, bars: &Bars, interrupt: &Interrupt) -> Result<Job> {
     let frame = frame_of(args)?;
-    let quality =
-        args.cache_error.for_farm(&args.bundle, &args.quality, Some(frame), bars, interrupt).await?;
+    let (only, here) = (FrameSet::range(frame, frame), (&*args.bundle, &args.machine));
+    let quality = args.cache_error.for_farm(&args.quality, Some(only), here, (bars, interrupt)).await?;
     let key = Uuid::now_v7();
     let (bundle, scene) = upload(&args.bundle, client, submit::upload_key(key), bars).await?;
     let settings = settings_request(&quality, (scene.width, scene.height));

@@ -44,13 +44,13 @@ pub fn render(args: &Args, frames: &FrameSet, interrupt: &Interrupt) -> Result<(
     refuse_because(&others, "only a single frame can have this", "render with --frame N")?;
     args.out.as_deref().map(format_of).transpose()?;
     let bars = Bars::new(args.json);
-    let first = frames.iter().next().unwrap_or_default();
-    let opened = Opened::new(args, first, &bars, interrupt)?;
-    opened.local.frames(Some(frames))?;
+    let mut opened = Opened::new(args, &bars)?;
+    let middle = opened.local.middle_frame(Some(frames))?;
     let paths = frames.iter().map(|frame| Paths::of(args, frame)).collect::<Result<Vec<Paths>>>()?;
     atomic_file::check(
         paths.iter().flat_map(|paths| [&paths.out, &paths.cost_map, &paths.stats]).map(Option::as_deref),
     )?;
+    opened.choose_cache(args, middle, &bars, interrupt)?;
     let bar = bars.bar("frames", frames.count());
     let mut finished = Vec::new();
     for (frame, paths) in frames.iter().zip(&paths) {
@@ -58,7 +58,8 @@ pub fn render(args: &Args, frames: &FrameSet, interrupt: &Interrupt) -> Result<(
         let rendered = opened.trace(None, opened.cache.clone(), &bars, |given, progress| {
             Ok(render_frame(shot, frame, settings, given, progress, interrupt.flag())?)
         })?;
-        let Some(rendered) = rendered else { break };
+        let Some(mut rendered) = rendered else { break };
+        rendered.stats.cache_choice = opened.choice;
         let files = Files::new(paths.out.as_deref(), paths.cost_map.as_deref())?;
         opened.local.pool.install(|| files.write(&rendered.image, &rendered.frame))?;
         json_file::write(paths.stats.as_deref(), &rendered.stats)?;

@@ -23,7 +23,7 @@ use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
-use forelight_terminal::options::{QualityOptions, duration};
+use forelight_terminal::options::{MachineOptions, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
 use std::path::{Path, PathBuf};
@@ -117,7 +117,7 @@ pub struct Args {
     /// times a small one [default: the ladders that the job's own profile covers]
     #[arg(long, conflicts_with = "limit")]
     ladders: bool,
-    /// Share one irradiance cache between frames. Needs --cache on
+    /// Share one irradiance cache between frames. Needs --cache on or --cache-error
     #[arg(long, value_name = "WAY", default_value = "auto")]
     cache_sharing: CacheSharing,
     /// Divide frames into parts that several nodes render at the same time: auto divides long frames where
@@ -254,8 +254,9 @@ async fn submit(
         return client.submit(&request, key).await.context("cannot submit the job");
     }
     refuse_own_settings(&args.own)?;
-    let middle = args.frames.as_ref().and_then(|frames| frames.iter().nth(frames.count() as usize / 2));
-    let quality = args.cache_error.for_farm(bundle, &args.quality, middle, bars, interrupt).await?;
+    let here = (bundle, &MachineOptions::default());
+    let frames = args.frames.clone();
+    let quality = args.cache_error.for_farm(&args.quality, frames, here, (bars, interrupt)).await?;
     let (reference, scene) = if args.shared {
         shared(args, bundle, client).await?
     } else {

@@ -125,6 +125,7 @@ fn stats(
         rays: rays(gathered, all.rays),
         cache_records: ready.cache_records().into_iter().map(u64::from).collect(),
         cache: finished.cache.as_ref().map(|cache| cache_stats(cache, &finished.image)),
+        cache_choice: None,
         work: cost.work,
         work_by_class: of_frame(ready, all.work as f64, fill.work as f64),
         work_by_ray: Some(work_by_ray),
