@@ -1,5 +1,6 @@
 //! Differences between two plans.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -40,21 +41,43 @@ pub struct JobDifference {
 }
 
 /// A plan's bookings in order, as those of our plans are anyway.
-fn sorted(plan: &Plan) -> Vec<Booking> {
-    let mut bookings = plan.bookings.clone();
-    bookings.sort_unstable();
+fn sorted(plan: &Plan) -> Cow<'_, [Booking]> {
+    let mut bookings = Cow::Borrowed(&*plan.bookings);
+    if !bookings.is_sorted() {
+        bookings.to_mut().sort_unstable();
+    }
     bookings
+}
+
+/// The bookings of either list that the other does not have, by task. Both are sorted.
+fn apart(old: &[Booking], new: &[Booking]) -> [BTreeMap<(u64, Task), Booking>; 2] {
+    let [mut only_old, mut only_new] = [BTreeMap::new(), BTreeMap::new()];
+    let (mut old, mut new) = (old.iter().peekable(), new.iter().peekable());
+    while old.peek().is_some() || new.peek().is_some() {
+        // The end of a list comes after all bookings.
+        let order = match (old.peek(), new.peek()) {
+            (Some(one), Some(other)) => one.cmp(other),
+            (one, other) => other.is_some().cmp(&one.is_some()),
+        };
+        let (one, other) = (old.next_if(|_| order.is_le()), new.next_if(|_| order.is_ge()));
+        match (one, other) {
+            (Some(one), None) => only_old.insert((one.job, one.task), *one),
+            (None, Some(other)) => only_new.insert((other.job, other.task), *other),
+            _ => None,
+        };
+    }
+    [only_old, only_new]
 }
 
 /// Compares two plans.
 pub fn difference(before: &Plan, after: &Plan) -> Difference {
-    let (old, new) = (sorted(before), sorted(after));
+    difference_from(before.id(), before, after)
+}
+
+/// The same for an old plan whose identity is known.
+pub(crate) fn difference_from(from: PlanId, before: &Plan, after: &Plan) -> Difference {
     // Most bookings are in both plans, so tasks are matched among the others alone.
-    let only_in = |these: &[Booking], those: &[Booking]| -> BTreeMap<(u64, Task), Booking> {
-        let only = these.iter().filter(|booking| those.binary_search(booking).is_err());
-        only.map(|booking| ((booking.job, booking.task), *booking)).collect()
-    };
-    let (old, new) = (only_in(&old, &new), only_in(&new, &old));
+    let [old, new] = apart(&sorted(before), &sorted(after));
     let moved = old.iter().filter_map(|(task, old)| Some((*old, *new.get(task)?)));
     let missing = |these: &BTreeMap<(u64, Task), Booking>, those: &BTreeMap<(u64, Task), Booking>| {
         these.iter().filter(|(task, _)| !those.contains_key(task)).map(|(_, booking)| *booking).collect()
@@ -72,7 +95,7 @@ pub fn difference(before: &Plan, after: &Plan) -> Difference {
         (old != new).then_some(JobDifference { job, before: old.0, after: new.0, kept: (old.1, new.1) })
     });
     Difference {
-        from: before.id(),
+        from,
         to: after.id(),
         moved: moved.collect(),
         added: missing(&new, &old),

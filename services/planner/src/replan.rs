@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::admission::Admission;
 use crate::answers::{Change, find, node, own_job};
 use crate::bound::{bound, bound_of_all};
-use crate::difference::{Difference, difference};
+use crate::difference::{Difference, difference_from};
 use crate::model::{
     Booking, Bound, FixedBooking, Input, InputError, Interval, Job, JobPlan, Node, Plan, PlanId, Task,
 };
@@ -136,7 +136,7 @@ fn mended(input: Input, old: &Plan, still: &[Booking]) -> Result<Replanned, Inpu
     let inherited = Admission::none(&problem).with_proof(old.proof.clone());
     let plan = outcome::plan(&state, &inherited, bounds, together, Some(parent));
     let at_risk = at_risk(&input, old, &plan)?;
-    let difference = difference(old, &plan);
+    let difference = difference_from(parent, old, &plan);
     drop(state);
     Ok(Replanned { plan, difference, at_risk, input })
 }

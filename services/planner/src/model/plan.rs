@@ -37,11 +37,15 @@ impl std::fmt::Display for PlanId {
     }
 }
 
+/// Bytes of a booking in the digest.
+const BYTES_OF_BOOKING: usize = 52;
+
 impl Plan {
     /// The plan's identity: the first eight bytes of the BLAKE3 digest of its parent and bookings.
     pub fn id(&self) -> PlanId {
         // In one piece, since many short updates take several times as long.
-        let mut bytes = self.parent.map_or(0, |parent| parent.0).to_le_bytes().to_vec();
+        let mut bytes = Vec::with_capacity(8 + self.bookings.len() * BYTES_OF_BOOKING);
+        bytes.extend(self.parent.map_or(0, |parent| parent.0).to_le_bytes());
         for booking in &self.bookings {
             let (kind, frame, part, parts) = match booking.task {
                 Task::SharedCache => (0u32, 0, 0, 0),
