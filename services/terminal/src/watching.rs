@@ -36,13 +36,7 @@ impl<'a> QuoteWatcher<'a> {
         let quoted = local.pool.install(|| quote(&local.shot, frames, settings, options, self));
         self.previews.finish_and_clear();
         self.profiles.finish_and_clear();
-        match quoted {
-            Err(ShotError::Cancelled) => Err(Interrupted.into()),
-            Err(ShotError::Render(error)) => {
-                Err(error).with_context(|| format!("bundle {}", bundle.display()))
-            }
-            other => Ok(other?),
-        }
+        of_bundle(quoted, bundle)
     }
 }
 
@@ -77,13 +71,7 @@ impl<'a> AccuracyWatcher<'a> {
     /// Ends the bar. An error says that the user stopped, or names the bundle.
     pub fn done<T>(&self, outcome: Result<T, ShotError>, bundle: &Path) -> Result<T> {
         self.bar.finish_and_clear();
-        match outcome {
-            Err(ShotError::Cancelled) => Err(Interrupted.into()),
-            Err(ShotError::Render(error)) => {
-                Err(error).with_context(|| format!("bundle {}", bundle.display()))
-            }
-            other => Ok(other?),
-        }
+        of_bundle(outcome, bundle)
     }
 }
 
@@ -95,6 +83,15 @@ impl AccuracyObserver for AccuracyWatcher<'_> {
 
     fn cancel(&self) -> &AtomicBool {
         self.interrupt.flag()
+    }
+}
+
+/// An error says that the user stopped, or names the bundle.
+fn of_bundle<T>(outcome: Result<T, ShotError>, bundle: &Path) -> Result<T> {
+    match outcome {
+        Err(ShotError::Cancelled) => Err(Interrupted.into()),
+        Err(ShotError::Render(error)) => Err(error).with_context(|| format!("bundle {}", bundle.display())),
+        other => Ok(other?),
     }
 }
 

@@ -164,8 +164,7 @@ impl Bench<'_> {
     }
 
     fn image(&self, settings: &RenderSettings) -> Result<Made> {
-        let settings = RenderSettings { spp: self.args.spp, ..settings.clone() };
-        let ready = self.shot.frame(self.args.frame, &settings)?;
+        let ready = self.shot.frame(self.args.frame, settings)?;
         let cancel = self.interrupt.flag();
         ready.fill(&|_| (), cancel);
         let (blocks, _) = ready.blocks(CAMERA_SEED, cancel).ok_or(Interrupted)?;

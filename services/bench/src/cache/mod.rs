@@ -3,19 +3,18 @@
 mod measure;
 
 use crate::images::Quality;
-use crate::report::Report;
+use crate::report::{Report, share};
 use anyhow::Result;
 use forelight_protocol::MaterialMode;
 use forelight_terminal::atomic_file;
 use forelight_terminal::interrupt::Interrupt;
-use forelight_terminal::json_file;
 use forelight_terminal::local::thread_pool;
 use forelight_terminal::options::positive;
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::count;
 use forelight_terminal::table::{Align, Table};
 use measure::{Measured, Rung};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Measure the error that an irradiance cache leaves, against light gathered at every point
 #[derive(Debug, clap::Args)]
@@ -86,23 +85,9 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
         args.rung.clone()
     };
     let pool = thread_pool(args.threads)?;
-    let mut report = Report::default();
-    let mut measured = Vec::with_capacity(args.bundles.len());
-    for bundle in &args.bundles {
-        let scene = pool.install(|| measure::bundle(args, bundle, &rungs, &bars, interrupt))?;
-        let own = of(args, &scene);
-        if !args.json {
-            // Print each bundle at once: the next may take long.
-            output::print(&own.for_terminal())?;
-        }
-        report = report.then(own);
-        measured.push(scene);
-    }
-    json_file::write(args.out.as_deref(), &measured)?;
-    if args.json {
-        output::json(&measured)?;
-    }
-    Ok(report)
+    let measured = |bundle: &Path| pool.install(|| measure::bundle(args, bundle, &rungs, &bars, interrupt));
+    let report = |measured: &Measured| of(args, measured);
+    Report::of_each(&args.bundles, (args.json, args.out.as_deref()), measured, report)
 }
 
 fn of(args: &Args, measured: &Measured) -> Report {
@@ -143,9 +128,4 @@ fn of(args: &Args, measured: &Measured) -> Report {
         materials.name()
     );
     Report::default().text(text).table(table).text("\n\n")
-}
-
-/// `1.23 %`
-fn share(fraction: f64) -> String {
-    format!("{:.2} %", fraction * 100.0)
 }

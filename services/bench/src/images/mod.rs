@@ -20,8 +20,8 @@ use anyhow::Result;
 use forelight_terminal::atomic_file;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::interrupt::Interrupt;
-use forelight_terminal::json_file;
-use forelight_terminal::output::{self, Bars};
+use forelight_terminal::output::Bars;
+use std::path::Path;
 
 pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     if args.bundles.len() > 1 && !args.peer.is_empty() {
@@ -30,22 +30,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<Report> {
     atomic_file::check([args.out.as_deref()])?;
     let bars = Bars::new(args.json);
     let rungs = if args.rung.is_empty() { quality::ladder() } else { args.rung.clone() };
-    let mut report = Report::default();
-    let mut measured = Vec::with_capacity(args.bundles.len());
-    for bundle in &args.bundles {
-        let bench = measure::Bench::open(args, bundle, &rungs, &bars, interrupt)?;
-        let scene = bench.measure(&rungs)?;
-        let own = report::of(&scene);
-        if !args.json {
-            // Print each bundle at once: the next may take hours.
-            output::print(&own.for_terminal())?;
-        }
-        report = report.then(own);
-        measured.push(scene);
-    }
-    json_file::write(args.out.as_deref(), &measured)?;
-    if args.json {
-        output::json(&measured)?;
-    }
-    Ok(report)
+    let measured = |bundle: &Path| {
+        measure::Bench::open(args, bundle, &rungs, &bars, interrupt).and_then(|bench| bench.measure(&rungs))
+    };
+    Report::of_each(&args.bundles, (args.json, args.out.as_deref()), measured, report::of)
 }

@@ -1,5 +1,5 @@
 use super::measured::{Measured, MeasuredPeer};
-use crate::report::Report;
+use crate::report::{Report, share};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 
@@ -107,11 +107,6 @@ fn peers(peers: &[MeasuredPeer]) -> Table {
         ]);
     }
     table
-}
-
-/// `1.23 %`
-fn share(fraction: f64) -> String {
-    format!("{:.2} %", fraction * 100.0)
 }
 
 /// `12.3 x`, or a dash if unknown.

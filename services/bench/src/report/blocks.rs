@@ -1,9 +1,16 @@
 //! Tables, and text between them.
 
 use anyhow::Result;
+use forelight_terminal::json_file;
 use forelight_terminal::output;
 use forelight_terminal::table::Table;
 use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// `1.23 %`
+pub fn share(fraction: f64) -> String {
+    format!("{:.2} %", fraction * 100.0)
+}
 
 #[derive(Debug, Default)]
 pub struct Report(Vec<Block>);
@@ -43,6 +50,32 @@ impl Report {
             output::print(&self.for_terminal())?
         }
         Ok(self)
+    }
+
+    /// Measures bundles one after the other. Prints the report of each at once, since the next may take hours, or
+    /// all measurements as JSON at the end; also writes these to the file `out`. Returns the whole report.
+    pub fn of_each<T: Serialize>(
+        bundles: &[PathBuf],
+        (json, out): (bool, Option<&Path>),
+        mut measured: impl FnMut(&Path) -> Result<T>,
+        report: impl Fn(&T) -> Self,
+    ) -> Result<Self> {
+        let mut whole = Self::default();
+        let mut all = Vec::with_capacity(bundles.len());
+        for bundle in bundles {
+            let one = measured(bundle)?;
+            let own = report(&one);
+            if !json {
+                output::print(&own.for_terminal())?;
+            }
+            whole = whole.then(own);
+            all.push(one);
+        }
+        json_file::write(out, &all)?;
+        if json {
+            output::json(&all)?;
+        }
+        Ok(whole)
     }
 
     pub fn for_terminal(&self) -> String {

@@ -4,5 +4,5 @@ mod blocks;
 mod origin;
 pub mod page;
 
-pub use blocks::Report;
+pub use blocks::{Report, share};
 pub use origin::Origin;

@@ -30,7 +30,7 @@ pub struct CacheErrorOption {
     cache_error: Option<f64>,
 }
 
-/// Who asks for the choice.
+/// Who asks about an open bundle.
 pub struct Asker<'a> {
     pub local: &'a Local,
     pub bundle: &'a Path,
@@ -131,10 +131,11 @@ impl Choice {
         let local = Local::open(bundle, machine, bars)?;
         let frame = local.middle_frame(frames.as_ref())?;
         let mut settings = local.settings(quality)?;
-        let choice =
-            option.choose(&mut settings, frame, &Asker { local: &local, bundle, bars, interrupt })?;
-        let (cache_accuracy, cache_rays) =
-            choice.map(|choice| (choice.cache_accuracy, choice.cache_rays)).unzip();
-        Ok(QualityOptions { cache_accuracy, cache_rays, ..quality.clone() })
+        option.choose(&mut settings, frame, &Asker { local: &local, bundle, bars, interrupt })?;
+        Ok(QualityOptions {
+            cache_accuracy: Some(settings.cache_accuracy),
+            cache_rays: Some(settings.cache_rays),
+            ..quality.clone()
+        })
     }
 }

@@ -154,9 +154,7 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     };
     let watcher = QuoteWatcher::new(&bars, frames.len(), interrupt);
     let mut quoted = watcher.quote(&local, &args.bundle, &frames, &settings, &options)?;
-    let asker =
-        sharing::Asker { local: &local, bundle: &args.bundle, settings: &settings, bars: &bars, interrupt };
-    if let Some(document) = asker.quote(args.cache_sharing, &frames, &quoted)? {
+    if let Some(document) = sharing::quote(&here, &settings, args.cache_sharing, &frames, &quoted)? {
         quoted.document = document;
     }
     if let Some((name, other)) = other {

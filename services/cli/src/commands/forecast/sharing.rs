@@ -1,16 +1,13 @@
 //! Compares one irradiance cache for all frames with one for each frame.
 
+use crate::commands::cache_error::Asker;
 use anyhow::{Context, Result};
 use forelight_forecast::Strategy;
 use forelight_protocol::{CacheMode, CacheSharing, ForecastDoc, RenderSettings};
 use forelight_quote::is_shared_cache_worth_planning;
 use forelight_renderer_own::{Quote, SharedPlan, plan_shared};
 use forelight_terminal::failure::{BadInput, Interrupted};
-use forelight_terminal::interrupt::Interrupt;
-use forelight_terminal::local::Local;
 use forelight_terminal::options::QualityOptions;
-use forelight_terminal::output::Bars;
-use std::path::Path;
 
 /// Fails if this quote has no cache, or uses another strategy than snapshot.
 pub fn check(sharing: CacheSharing, strategy: Strategy, quality: &QualityOptions) -> Result<(), BadInput> {
@@ -31,44 +28,35 @@ pub fn check(sharing: CacheSharing, strategy: Strategy, quality: &QualityOptions
     Err(BadInput::new(reason).hint("leave out --strategy, or use --cache-sharing private"))
 }
 
-pub struct Asker<'a> {
-    pub local: &'a Local,
-    pub bundle: &'a Path,
-    pub settings: &'a RenderSettings,
-    pub bars: &'a Bars,
-    pub interrupt: &'a Interrupt,
+/// The quote with the caches as chosen. `None` for private caches, which the given quote has already.
+pub fn quote(
+    asker: &Asker<'_>,
+    settings: &RenderSettings,
+    sharing: CacheSharing,
+    frames: &[u32],
+    quoted: &Quote,
+) -> Result<Option<ForecastDoc>> {
+    if sharing == CacheSharing::Private {
+        return Ok(None);
+    }
+    let planned = match is_shared_cache_worth_planning(sharing, quoted.preview()) {
+        true => Some(plan(asker, settings, frames)?),
+        false => None,
+    };
+    let quote = || quoted.with_sharing(&asker.local.shot, settings, sharing, planned);
+    let document = asker.local.pool.install(quote);
+    document.map(Some).with_context(|| format!("bundle {}", asker.bundle.display()))
 }
 
-impl Asker<'_> {
-    /// The quote with the caches as chosen. `None` for private caches, which the given quote has already.
-    pub fn quote(
-        &self,
-        sharing: CacheSharing,
-        frames: &[u32],
-        quoted: &Quote,
-    ) -> Result<Option<ForecastDoc>> {
-        if sharing == CacheSharing::Private {
-            return Ok(None);
-        }
-        let planned = match is_shared_cache_worth_planning(sharing, quoted.preview()) {
-            true => Some(self.plan(frames)?),
-            false => None,
-        };
-        let quote = || quoted.with_sharing(&self.local.shot, self.settings, sharing, planned);
-        let document = self.local.pool.install(quote);
-        document.map(Some).with_context(|| format!("bundle {}", self.bundle.display()))
-    }
-
-    fn plan(&self, frames: &[u32]) -> Result<SharedPlan> {
-        const STEPS: f64 = 1000.0;
-        let bar = self.bars.bar("planning a cache for all", STEPS as u64);
-        let progress = |done: f64| bar.set_position((done * STEPS) as u64);
-        let plan = || plan_shared(&self.local.shot, frames, self.settings, &progress, self.interrupt.flag());
-        let planned = self.local.pool.install(plan);
-        bar.finish_and_clear();
-        let planned = planned.with_context(|| format!("bundle {}", self.bundle.display()))?;
-        planned.ok_or_else(|| Interrupted.into())
-    }
+fn plan(asker: &Asker<'_>, settings: &RenderSettings, frames: &[u32]) -> Result<SharedPlan> {
+    const STEPS: f64 = 1000.0;
+    let bar = asker.bars.bar("planning a cache for all", STEPS as u64);
+    let progress = |done: f64| bar.set_position((done * STEPS) as u64);
+    let plan = || plan_shared(&asker.local.shot, frames, settings, &progress, asker.interrupt.flag());
+    let planned = asker.local.pool.install(plan);
+    bar.finish_and_clear();
+    let planned = planned.with_context(|| format!("bundle {}", asker.bundle.display()))?;
+    planned.ok_or_else(|| Interrupted.into())
 }
 
 #[cfg(test)]
@@ -76,8 +64,12 @@ mod tests {
     use super::*;
     use crate::commands::forecast::{Args, run};
     use forelight_renderer_own::QuoteOptions;
+    use forelight_terminal::interrupt::Interrupt;
+    use forelight_terminal::local::Local;
     use forelight_terminal::options::parsed;
+    use forelight_terminal::output::Bars;
     use forelight_terminal::watching::QuoteWatcher;
+    use std::path::Path;
 
     #[test]
     fn both_ways_are_priced_as_a_farm_would_and_the_cheaper_one_is_quoted() {
@@ -95,14 +87,8 @@ mod tests {
         let frames = [0, 8, 16];
         let watcher = QuoteWatcher::new(&bars, frames.len(), &interrupt);
         let quoted = watcher.quote(&local, Path::new(bundle), &frames, &settings, &options).unwrap();
-        let asker = Asker {
-            local: &local,
-            bundle: Path::new(bundle),
-            settings: &settings,
-            bars: &bars,
-            interrupt: &interrupt,
-        };
-        let ask = |sharing| asker.quote(sharing, &frames, &quoted);
+        let asker = Asker { local: &local, bundle: Path::new(bundle), bars: &bars, interrupt: &interrupt };
+        let ask = |sharing| quote(&asker, &settings, sharing, &frames, &quoted);
         assert!(ask(CacheSharing::Private).unwrap().is_none());
         let document = ask(CacheSharing::Auto).unwrap().unwrap();
         let cache = document.cache.as_ref().unwrap();
