@@ -59,9 +59,12 @@ pub(crate) fn cut<T, K: Serialize>(
     Some(PageToken(json.bytes().map(|byte| format!("{byte:02x}")).collect()))
 }
 
+/// Longest token. The longest names of jobs fit: 200 characters of four bytes.
+const LONGEST: usize = 4096;
+
 fn from_hex(text: &str) -> Option<Vec<u8>> {
     if !text.len().is_multiple_of(2)
-        || text.len() > 1000
+        || text.len() > LONGEST
         || !text.bytes().all(|byte| byte.is_ascii_hexdigit())
     {
         return None;
@@ -81,7 +84,10 @@ mod tests {
         let query = |token: &str| PageQuery { page_token: Some(token.to_owned()), page_size: None };
         assert_eq!(query(&token.0).key::<i32>("frames").ok().flatten(), Some(2));
         assert!(query(&token.0).key::<i32>("jobs").is_err());
-        for broken in ["", "zz", "é", "7", &"00".repeat(600)] {
+        let long = "名".repeat(200);
+        let token = cut(&mut vec![long.clone(), long.clone()], 1, "jobs", Clone::clone).unwrap();
+        assert_eq!(query(&token.0).key::<String>("jobs").ok().flatten(), Some(long));
+        for broken in ["", "zz", "é", "7", &"00".repeat(2100)] {
             assert!(query(broken).key::<i32>("frames").is_err(), "{broken}");
         }
         assert!(cut(&mut items, 2, "frames", |&item| item).is_none());

@@ -27,7 +27,7 @@ pub(crate) async fn difference(store: &Store, after: Plan) -> Result<PlanDiffere
     let compared = planner::difference(&places.plan(&before), &places.plan(&after.bookings));
     let mut nodes = BTreeMap::new();
     for id in &places.nodes {
-        nodes.insert(*id, store.node(*id).await?.name);
+        nodes.insert(*id, store.node_name(*id).await?);
     }
     let mut frames: Vec<FrameMove> = Vec::new();
     let moved = compared.moved.iter().filter(|(old, new)| !stayed(old, new));
@@ -48,7 +48,11 @@ pub(crate) async fn difference(store: &Store, after: Plan) -> Result<PlanDiffere
             |verdict: Option<&JobVerdict>| verdict.and_then(|verdict| verdict.cost).unwrap_or_default().0;
         added_cost = added_cost.saturating_add(cost(Some(verdict)).saturating_sub(cost(old)));
         if old != Some(verdict) {
-            let name = store.job(verdict.job_id).await?.name;
+            let name = match store.job(verdict.job_id).await {
+                Ok(job) => job.name,
+                Err(StoreError::NotFound(_)) => continue,
+                Err(error) => return Err(error),
+            };
             jobs.push(VerdictChange {
                 job_id: verdict.job_id,
                 name,

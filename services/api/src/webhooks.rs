@@ -118,7 +118,7 @@ async fn note(store: &Store, sent: &Sent, now: Timestamp) {
     let again_at = now.plus_micros(pause(delivery.attempts));
     let is_given_up = again_at.micros_since(delivery.created_at) > PATIENCE;
     if let Some(error) = error {
-        tracing::info!(url = delivery.url, error, again = !is_given_up, "a webhook was not told");
+        tracing::info!(webhook = %delivery.webhook, error, again = !is_given_up, "a webhook was not told");
     }
     let again_at = (!is_given_up).then_some(again_at);
     let attempt = Attempt { status: *status, error: error.clone(), again_at };

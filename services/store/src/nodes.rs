@@ -93,6 +93,12 @@ impl Store {
         Ok(Node { activity: listing::activity(&mut connection, &node).await?, ..node })
     }
 
+    /// The name of a node, which may have been removed.
+    pub async fn node_name(&self, node: NodeId) -> Result<String> {
+        let name = sqlx::query_scalar!("SELECT name FROM nodes WHERE id = ?", node.0);
+        name.fetch_optional(self.readers()).await?.ok_or(StoreError::NotFound("node"))
+    }
+
     /// The nodes after `after`, oldest first, at most `limit`.
     pub async fn nodes(&self, after: Option<NodeId>, limit: u32) -> Result<Vec<Node>> {
         list(&mut *self.readers().acquire().await?, after, limit).await
@@ -122,8 +128,8 @@ pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Res
     Ok(row.ok_or(StoreError::NotFound("node"))?.into())
 }
 
-/// A node that measured something. It may have been removed since.
-pub(crate) async fn that_measured(connection: &mut SqliteConnection, node: NodeId) -> Result<Node> {
+/// A node that may have been removed, but is still booked, holds a task or has measured something.
+pub(crate) async fn read_any(connection: &mut SqliteConnection, node: NodeId) -> Result<Node> {
     let row = node_rows!("WHERE n.id = ?", node.0).fetch_one(connection).await?;
     Ok(row.into())
 }
@@ -173,7 +179,7 @@ pub(crate) async fn sleep_of(
     if !has_calendar {
         return Ok(None);
     }
-    Ok(match opening(&read(connection, node).await?, now) {
+    Ok(match opening(&read_any(connection, node).await?, now) {
         Opening::Awake(_) => None,
         Opening::Asleep(until) => Some(until.unwrap_or(now.plus_micros(ASLEEP_FOR_LONG))),
     })

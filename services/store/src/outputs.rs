@@ -38,7 +38,7 @@ impl Store {
             Row,
             "SELECT f.job_id, f.frame, j.name, j.project, j.output, f.artifacts \
              FROM frames f INDEXED BY frames_output_due JOIN jobs j ON j.id = f.job_id \
-             WHERE f.output_due = 1 ORDER BY f.output_tried_at, f.job_id, f.frame LIMIT ?",
+             WHERE f.output_due = 1 AND f.artifacts IS NOT NULL ORDER BY f.output_tried_at, f.job_id, f.frame LIMIT ?",
             limit
         )
         .fetch_all(self.readers())
@@ -46,17 +46,20 @@ impl Store {
         rows.into_iter().filter_map(|row| row.due().transpose()).collect()
     }
 
-    /// Notes that an image was written, or why not: it stays due then, behind all others.
+    /// Notes that an image was written, or why not: it stays due then, behind all others. If the frame has another
+    /// image by now, nothing is noted: that one is due.
     pub async fn note_output(&self, of: &DueOutput, error: Option<&str>, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         run!(
             write,
             "UPDATE frames SET output_due = ?1 IS NOT NULL, output_error = ?1, output_tried_at = iif(?1 IS NULL, NULL, ?4) \
-             WHERE job_id = ?2 AND frame = ?3 AND output_due = 1",
+             WHERE job_id = ?2 AND frame = ?3 AND output_due = 1 \
+             AND ?5 IN (artifacts ->> 'image_exr', artifacts ->> 'image_png')",
             error,
             of.job.0,
             of.frame,
-            now.micros()
+            now.micros(),
+            of.content.to_string()
         );
         self.commit(write).await
     }

@@ -210,7 +210,7 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
         if fresh != Some(job_id) {
             let state = jobs::state(write.connection().await?, job_id).await?;
             if !state.is_booked() {
-                return Err(StoreError::Conflict(format!("job {job_id} is {state} and needs no plan")));
+                return Err(StoreError::Conflict(format!("job {job_id} needs no plan: it is {state}")));
             }
         }
         keep_job(write, plan_id, job).await?;
@@ -334,7 +334,7 @@ pub(crate) async fn book_tasks(
             None => None,
             Some(Entry::Occupied(known)) => *known.get(),
             Some(Entry::Vacant(new)) => {
-                let node = nodes::read(write.connection().await?, *new.key()).await?;
+                let node = nodes::read_any(write.connection().await?, *new.key()).await?;
                 *new.insert(of_job.on(&node))
             }
         };

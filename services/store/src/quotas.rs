@@ -102,8 +102,8 @@ impl Store {
         self.commit(write).await
     }
 
-    /// All quotas, and how much of each is used.
-    pub async fn quotas(&self) -> Result<Vec<Quota>> {
+    /// The quotas that are wanted, and how much of each is used.
+    pub async fn quotas(&self, is_wanted: impl Fn(QuotaOf<'_>) -> bool) -> Result<Vec<Quota>> {
         let rows = sqlx::query!(
             r#"SELECT kind, name, storage_bytes AS "storage_bytes?: u64", open_jobs AS "open_jobs?: u32"
                FROM quotas ORDER BY kind, name"#
@@ -114,6 +114,9 @@ impl Store {
         for row in rows {
             let is_project = row.kind == "project";
             let of = if is_project { QuotaOf::Project(&row.name) } else { QuotaOf::Token(&row.name) };
+            if !is_wanted(of) {
+                continue;
+            }
             let (used_storage_bytes, used_open_jobs) =
                 (self.stored_bytes(of).await?, self.open_jobs_of(of).await?);
             let limits = QuotaRequest {

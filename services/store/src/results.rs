@@ -174,7 +174,7 @@ impl Store {
                     "a profile task of our own renderer has settings of another one",
                 ));
             };
-            let node = nodes::that_measured(&mut *self.readers().acquire().await?, node.into()).await?;
+            let node = nodes::read_any(&mut *self.readers().acquire().await?, node.into()).await?;
             let by_class = node.corrected_speed(result.work_by_class.as_ref());
             profiles.push(MeasuredProfile::new(result, by_class.unwrap_or(node_speed), settings.spp));
         }

@@ -96,7 +96,7 @@ impl Store {
         };
         // For the job's classes of work, as the times of its profiles are.
         let work = row.work_by_class.map(|it| it.0);
-        let node = nodes::that_measured(&mut *self.readers().acquire().await?, node.into()).await?;
+        let node = nodes::read_any(&mut *self.readers().acquire().await?, node.into()).await?;
         Ok(PlannedCache::There { plan: Box::new(plan), node_speed: node.speed_for(work.as_ref()) })
     }
 }

@@ -294,8 +294,9 @@ impl Store {
         for row in rows {
             let array = row.id.0;
             let elements = sqlx::query!(
-                "SELECT e.position, e.task_id, e.outcome, t.state FROM slurm_elements e \
-                 JOIN tasks t ON t.id = e.task_id WHERE e.array_id = ? ORDER BY e.position",
+                r#"SELECT e.position, e.task_id, e.outcome,
+                          iif(t.state = 'leased' AND t.again = 1 AND e.beside = 1, 'ready', t.state) AS "state!: String"
+                   FROM slurm_elements e JOIN tasks t ON t.id = e.task_id WHERE e.array_id = ? ORDER BY e.position"#,
                 array
             )
             .fetch_all(&mut *transaction)

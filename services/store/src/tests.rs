@@ -44,6 +44,7 @@ mod statements;
 mod trust;
 mod unattended;
 mod versions;
+mod webhooks;
 mod work_stealing;
 mod writing;
 

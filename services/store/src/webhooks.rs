@@ -204,13 +204,16 @@ impl Store {
         self.commit(write).await
     }
 
-    /// The deliveries that are due, the first of each job and webhook, and when the next one is.
+    /// The deliveries that are due, the first of each job and webhook, and when the next one is. A webhook has at most
+    /// fifty of them, so that one whose receiver is away holds up no other.
     pub async fn due_deliveries(&self, now: Timestamp) -> Result<(Vec<DueDelivery>, Option<Timestamp>)> {
         let rows = sqlx::query!(
             r#"SELECT d.id, d.webhook_id, d.job_id AS "job_id?: Id", d.body, d.attempts AS "attempts: u32", d.next_at,
                       d.created_at, w.url, w.secret FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id
-               WHERE d.state = 'pending' AND NOT EXISTS (SELECT 1 FROM deliveries e INDEXED BY deliveries_pending
-                     WHERE e.state = 'pending' AND e.webhook_id = d.webhook_id AND e.job_id IS d.job_id AND e.id < d.id)
+               WHERE d.id IN (SELECT id FROM (SELECT f.id, row_number() OVER (PARTITION BY f.webhook_id ORDER BY f.next_at, f.id) AS place
+                     FROM deliveries f WHERE f.state = 'pending' AND NOT EXISTS (SELECT 1 FROM deliveries e INDEXED BY deliveries_pending
+                           WHERE e.state = 'pending' AND e.webhook_id = f.webhook_id AND e.job_id IS f.job_id AND e.id < f.id))
+                     WHERE place <= 50)
                ORDER BY d.next_at, d.id LIMIT 1000"#
         )
         .fetch_all(self.readers())

@@ -23,13 +23,14 @@ const BYTES_OF_PIXEL: u64 = 35;
 #[utoipa::path(get, path = "/v1/quotas", operation_id = "quota_list", tag = "farm",
     responses((status = 200, description = "The quotas", body = QuotaList), Problems))]
 pub(crate) async fn list(State(app): State<App>, Reader(caller): Reader) -> ApiResult<Json<QuotaList>> {
-    let mut items = app.store.quotas().await?;
-    if !caller.reaches_all() {
-        items.retain(|item| match (&item.allowed.project, &item.allowed.token) {
-            (Some(project), _) => caller.sees(project),
-            (None, token) => token.as_ref() == Some(&caller.name),
-        });
-    }
+    let is_seen = |of: QuotaOf<'_>| {
+        caller.reaches_all()
+            || match of {
+                QuotaOf::Project(project) => caller.sees(project),
+                QuotaOf::Token(token) => token == caller.name,
+            }
+    };
+    let items = app.store.quotas(is_seen).await?;
     Ok(Json(QuotaList { items }))
 }
 
@@ -61,7 +62,7 @@ pub(crate) async fn set(
         within("/open_jobs", i64::from(jobs), 0..=MOST_JOBS)?;
     }
     app.by(&caller).set_quota(of, &request, app.now()).await?;
-    Ok(Json(QuotaList { items: app.store.quotas().await? }))
+    Ok(Json(QuotaList { items: app.store.quotas(|_| true).await? }))
 }
 
 /// Refuses a job whose files do not fit into the quotas of its project and of the caller.

@@ -14,6 +14,7 @@ use bytes::Bytes;
 use forelight_protocol::{ArtifactHash, Event, EventKind, Timestamp};
 use futures::stream::{self, BoxStream};
 use futures::{StreamExt as _, TryStreamExt as _};
+use rustix::io::Errno;
 
 use super::reader::{ArtifactReader, Content};
 use super::{Artifacts, place_of};
@@ -246,7 +247,13 @@ fn open_file(
     trusted: Option<Verified>,
 ) -> Result<(Content, Option<SystemTime>)> {
     let lost = |reason: String| StoreError::ArtifactLost { hash, reason };
-    let failed = |error: std::io::Error| StoreError::file(path, error);
+    let failed = |error: std::io::Error| match Errno::from_io_error(&error) {
+        // It is not the file's fault, and will be over.
+        Some(Errno::MFILE | Errno::NFILE | Errno::NOMEM | Errno::AGAIN) | None => {
+            StoreError::file(path, error)
+        }
+        Some(_) => lost(format!("its file cannot be read: {error}")),
+    };
     let mut file = match File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {

@@ -72,6 +72,17 @@ impl Asking<'_> {
 /// A query that parameters are bound to.
 pub(crate) type Query = QueryAs<'static, Sqlite, OfferedTask, SqliteArguments>;
 
+/// Whether the node probably ends a task before its window does: a frame, or its part of one. All others are short.
+macro_rules! ends_in_time {
+    () => {
+        "(?4 IS NULL OR (SELECT CASE tasks.kind WHEN 'render_part' THEN f.cpu_p95 * ifnull(tasks.share, 1.0 / f.parts) \
+         WHEN 'render' THEN iif(f.parts = 1, f.cpu_p95, NULL) END \
+         FROM frames f WHERE f.job_id = tasks.job_id AND f.frame = tasks.frame) \
+         > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE)"
+    };
+}
+pub(crate) use ends_in_time;
+
 /// A statement for the first task, by an index, that meets a condition and that the node `?1` may have now.
 /// The node must have the task's renderer.
 ///
@@ -92,9 +103,9 @@ macro_rules! next_task {
             " AND held = 0 AND not_before <= ?2 AND (renderer IS NULL OR renderer IN (SELECT value FROM \
              json_each((SELECT renderers FROM nodes WHERE id = ?1)))) AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS \
              (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1 \
-             AND NOT f.alone)) \
-              AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
-              > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) ORDER BY ",
+             AND NOT f.alone)) AND ",
+            $crate::claims::asking::ends_in_time!(),
+            " ORDER BY ",
             $order,
             " LIMIT 1"
         )
@@ -106,13 +117,14 @@ pub(crate) use next_task;
 /// has not tried it.
 macro_rules! next_stalled_task {
     () => {
-        "SELECT id FROM tasks INDEXED BY tasks_again WHERE state = 'leased' AND again = 1 AND held = 0 AND \
+        concat!(
+            "SELECT id FROM tasks INDEXED BY tasks_again WHERE state = 'leased' AND again = 1 AND held = 0 AND \
          (renderer IS NULL OR renderer IN (SELECT value FROM json_each((SELECT renderers FROM nodes WHERE id = ?1)))) \
          AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.node_id = ?1 \
-         AND f.state IN ('active', 'failed')) \
-         AND (?4 IS NULL OR (SELECT cpu_p95 FROM frames WHERE job_id = tasks.job_id AND frame = tasks.frame) \
-         > ?4 ->> ('$.\"' || hex(tasks.job_id) || '\"') IS NOT TRUE) \
-         ORDER BY due_at, priority DESC, job_id, frame LIMIT 1"
+         AND f.state IN ('active', 'failed')) AND ",
+            $crate::claims::asking::ends_in_time!(),
+            " ORDER BY due_at, priority DESC, job_id, frame LIMIT 1"
+        )
     };
 }
 pub(crate) use next_stalled_task;

@@ -1,9 +1,12 @@
 //! Reading plans.
 
+use std::collections::BTreeSet;
+
 use forelight_protocol::{Booking, JobId, JobVerdict, Plan, PlanId, PlanSummary};
+use futures::TryStreamExt as _;
 use sqlx::SqliteConnection;
 
-use crate::columns::{Id, Json, corrupt};
+use crate::columns::Json;
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::shared_cache::parts;
@@ -49,24 +52,37 @@ impl Store {
     pub async fn booked_before(&self, plan: PlanId) -> Result<(Vec<Booking>, Vec<JobVerdict>)> {
         let mut transaction = self.read().await?;
         let rows = sqlx::query!(
-            r#"SELECT j.job_id AS "job_id!: String",
-                      (SELECT p.id FROM plans p WHERE p.rowid < (SELECT rowid FROM plans WHERE id = ?1)
-                       AND EXISTS (SELECT 1 FROM json_each(p.verdicts) v WHERE v.value ->> 'job_id' = j.job_id)
-                       ORDER BY p.rowid DESC LIMIT 1) AS "before?: Id"
-               FROM (SELECT value ->> 'job_id' AS job_id FROM plans, json_each(plans.verdicts) WHERE plans.id = ?1) j"#,
+            r#"SELECT j.id, j.created_at FROM plans, json_each(plans.verdicts) v
+               JOIN jobs j ON j.id = unhex(replace(v.value ->> 'job_id', '-', '')) WHERE plans.id = ?"#,
             plan.0
         )
         .fetch_all(&mut *transaction)
         .await?;
-        let (mut bookings, mut verdicts) = (Vec::new(), Vec::new());
-        for row in rows {
-            let Some(before) = row.before else { continue };
-            let job: JobId = row.job_id.parse().map_err(|error| corrupt("verdicts", error))?;
-            let said = sqlx::query_scalar!("SELECT verdicts FROM plans WHERE id = ?", before)
-                .fetch_one(&mut *transaction)
-                .await?;
-            verdicts.extend(said.0.into_iter().filter(|verdict| verdict.job_id == job));
-            bookings.extend(bookings_of(&mut transaction, before.into(), job).await?);
+        let since = rows.iter().map(|row| row.created_at).min();
+        let mut open: BTreeSet<JobId> = rows.into_iter().map(|row| row.id.into()).collect();
+        let (mut found, mut verdicts) = (Vec::new(), Vec::new());
+        // From the newest on, and no further than needed: a farm keeps thousands of plans.
+        let mut plans = sqlx::query!(
+            "SELECT id, verdicts FROM plans WHERE rowid < (SELECT rowid FROM plans WHERE id = ?) AND created_at >= ? \
+             ORDER BY rowid DESC",
+            plan.0,
+            since
+        )
+        .fetch(&mut *transaction);
+        while !open.is_empty()
+            && let Some(before) = plans.try_next().await?
+        {
+            for verdict in before.verdicts.0 {
+                if open.remove(&verdict.job_id) {
+                    found.push((PlanId::from(before.id), verdict.job_id));
+                    verdicts.push(verdict);
+                }
+            }
+        }
+        drop(plans);
+        let mut bookings = Vec::new();
+        for (before, job) in found {
+            bookings.extend(bookings_of(&mut transaction, before, job).await?);
         }
         Ok((bookings, verdicts))
     }

@@ -12,6 +12,9 @@ use crate::tasks::withdraw;
 use crate::videos;
 use crate::writing::run;
 
+/// Tasks of a job that has ended may take so long to be cancelled in Slurm, microseconds.
+const TO_END_IN_SLURM: i64 = 600_000_000;
+
 /// A job that has ended.
 struct Ended {
     job: JobId,
@@ -23,12 +26,18 @@ impl Store {
     /// Deletes a job that has ended: its frames, tasks, logs, events and bookings. Its files are deleted once
     /// nothing else refers to them. What it cost stays in the books of its project.
     ///
-    /// A [`StoreError::Conflict`] if the job is still open.
+    /// A [`StoreError::Conflict`] if the job is still open, or Slurm is still told to end its tasks.
     pub async fn delete_job(&self, job: JobId, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         let found = read(write.connection().await?, job).await?;
         if !found.state.is_final() {
             return Err(StoreError::Conflict(format!("the job is {}; cancel it first", found.state)));
+        }
+        // Afterwards nothing would end them. If Slurm does not answer for long, that is not waited for.
+        let is_new = found.finished_at.is_some_and(|at| now.micros_since(at) < TO_END_IN_SLURM);
+        if is_new && is_in_slurm(&mut write, job).await? {
+            let reason = "its tasks are about to be cancelled in Slurm; delete it in some minutes";
+            return Err(StoreError::Conflict(reason.to_owned()));
         }
         note_only(&mut write, Deed::new(AuditAction::JobDeleted, job).of_project(&found.project), now);
         delete(&mut write, job, now).await?;
@@ -48,19 +57,18 @@ impl Store {
         let is_over =
             |ended: &Ended| rules.cut(kind, Some(&ended.project), now).is_some_and(|cut| ended.at < cut);
         let (mut number, mut bytes) = (0, 0);
-        for Ended { job, .. } in self.ended(kind, latest).await?.into_iter().filter(is_over) {
-            bytes += self.file_bytes(job, kind).await?;
+        for ended in self.ended(kind, latest).await?.into_iter().filter(is_over) {
+            let size = self.file_bytes(ended.job, kind).await?;
+            if !dry_run {
+                let mut write = self.write().await?;
+                if !is_as_it_ended(&mut write, &ended).await? {
+                    continue;
+                }
+                prune(&mut write, ended.job, kind, now).await?;
+                self.commit(write).await?;
+            }
             number += 1;
-            if dry_run {
-                continue;
-            }
-            let mut write = self.write().await?;
-            match kind {
-                RetentionKind::Images => delete_images(&mut write, job, now).await?,
-                RetentionKind::Profiles => delete_profiles(&mut write, job, now).await?,
-                _ => delete(&mut write, job, now).await?,
-            }
-            self.commit(write).await?;
+            bytes += size;
         }
         if kind == RetentionKind::Jobs && !dry_run {
             let mut write = self.write().await?;
@@ -107,6 +115,35 @@ impl Store {
     }
 }
 
+/// Whether a job is still as it ended then: it may be gone, or its frames may have been retried.
+async fn is_as_it_ended(write: &mut Write, Ended { job, at, .. }: &Ended) -> Result<bool> {
+    let found = sqlx::query_scalar!(
+        r#"SELECT EXISTS (SELECT 1 FROM jobs WHERE id = ? AND finished_at = ?) AS "found!: bool""#,
+        job.0,
+        at.micros()
+    );
+    Ok(found.fetch_one(write.connection().await?).await?)
+}
+
+/// Whether a process or a reservation of the job may be left in Slurm.
+async fn is_in_slurm(write: &mut Write, job: JobId) -> Result<bool> {
+    let found = sqlx::query_scalar!(
+        r#"SELECT EXISTS (SELECT 1 FROM slurm_arrays a WHERE a.job_id = ? AND (a.reservation IS NOT NULL OR EXISTS
+               (SELECT 1 FROM slurm_elements e WHERE e.array_id = a.id AND e.outcome IS NULL))) AS "found!: bool""#,
+        job.0
+    );
+    Ok(found.fetch_one(write.connection().await?).await?)
+}
+
+/// Deletes one kind of thing of a job that is over.
+async fn prune(write: &mut Write, job: JobId, kind: RetentionKind, now: Timestamp) -> Result<()> {
+    match kind {
+        RetentionKind::Images => delete_images(write, job, now).await,
+        RetentionKind::Profiles => delete_profiles(write, job, now).await,
+        _ => delete(write, job, now).await,
+    }
+}
+
 async fn delete_images(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
     run!(
         write,
@@ -114,7 +151,11 @@ async fn delete_images(write: &mut Write, job: JobId, now: Timestamp) -> Result<
          (SELECT id FROM tasks WHERE job_id = ? AND kind IN ('preview', 'render'))",
         job.0
     );
-    run!(write, "UPDATE frames SET artifacts = NULL, preview_png = NULL WHERE job_id = ?", job.0);
+    run!(
+        write,
+        "UPDATE frames SET artifacts = NULL, preview_png = NULL, output_due = 0 WHERE job_id = ?",
+        job.0
+    );
     videos::take_video_back(write, job, "cancelled", now).await?;
     run!(write, "UPDATE jobs SET images_deleted_at = ?, video = NULL WHERE id = ?", now.micros(), job.0);
     Ok(())

@@ -258,6 +258,16 @@ async fn a_scrub_goes_through_all_artefacts_in_parts_and_finds_damage_before_any
     }
     assert_eq!((seen, damaged.len()), (5, 1));
     assert!(damaged[0].contains(&name), "{damaged:?}");
+    // A file that cannot be read holds up no other.
+    let unreadable = hash_of("bb").to_string();
+    let path = farm.folder.path().join("artifacts/blake3").join(&unreadable[..2]).join(&unreadable);
+    std::fs::remove_file(&path).unwrap();
+    std::os::unix::fs::symlink(&path, &path).unwrap();
+    let part = artifacts.scrub_on(u64::MAX, at(6)).await.unwrap();
+    assert_eq!((part.artifacts, part.damaged.len()), (5, 2), "{part:?}");
+    assert!(part.damaged.iter().any(|one| one.contains("its file cannot be read")), "{part:?}");
+    std::fs::remove_file(&path).unwrap();
+    artifacts.put(hash_of("bb"), stream(&["bb"]), 100, at(6)).await.unwrap();
     // The next round begins anew, and forgets what is whole again.
     artifacts.put(hash_of("ccc"), stream(&["ccc"]), 100, at(6)).await.unwrap();
     let whole = artifacts.scrub_on(u64::MAX, at(7)).await.unwrap();

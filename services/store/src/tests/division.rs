@@ -520,3 +520,19 @@ async fn the_rest_of_a_late_part_is_divided_among_idle_nodes() {
     assert_eq!(farm.done(a, 9).await.len(), 6);
     assert_eq!(farm.store.job(job).await.unwrap().state, JobState::Done);
 }
+
+#[tokio::test]
+async fn a_part_is_done_before_a_nodes_window_ends_if_the_part_takes_no_longer() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    farm.divided_job(request("0-1"), node, 4).await;
+    let closed = forelight_protocol::TimeSpan { start: at(24), end: None };
+    let terms = forelight_protocol::NodeTerms { maintenance: vec![closed], ..Default::default() };
+    let change = forelight_protocol::NodeChange { terms: Some(terms), ..Default::default() };
+    farm.store.change_node(node, &change, at(0)).await.unwrap();
+    // One frame in twenty takes five seconds or more, and a part of it a quarter of that.
+    let divide = farm.claim(node, at(20)).await.expect("a short task");
+    farm.commit(&divide, at(20)).await;
+    let part = farm.claim(node, at(20)).await.expect("a part");
+    assert_eq!(part.spec.kind(), TaskKind::RenderPart);
+}

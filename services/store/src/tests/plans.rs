@@ -296,10 +296,28 @@ async fn a_new_plan_books_what_waits_anew_and_leaves_what_is_done_as_it_was() {
     assert_eq!((kept.parent_id, kept.reason), (first, PlanReason::Events));
     let (before, verdicts) = farm.store.booked_before(second).await.unwrap();
     assert_eq!((before.len(), verdicts.len()), (3, 1));
+    assert_eq!(farm.store.booked_before(first.unwrap()).await.unwrap(), (Vec::new(), Vec::new()));
     let job_now = farm.store.job(job).await.unwrap();
     assert_eq!((job_now.plan_id, said.plan_id), (Some(second), first));
     // Two plans that were made of the same state: the second is refused.
     assert!(matches!(farm.store.replan(&plan, at(22)).await, Err(StoreError::Conflict(_))));
     let next = farm.claim(b.id, at(23)).await.unwrap();
     assert_eq!(next.spec.frame(), Some(1), "what is booked on the node comes first");
+}
+
+#[tokio::test]
+async fn a_removed_node_keeps_its_name_for_old_plans_and_its_last_task_is_stopped() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await.id;
+    let closed = forelight_protocol::TimeSpan { start: at(500), end: None };
+    let terms = forelight_protocol::NodeTerms { maintenance: vec![closed], ..Default::default() };
+    let change = forelight_protocol::NodeChange { terms: Some(terms), ..Default::default() };
+    farm.store.change_node(node, &change, at(0)).await.unwrap();
+    farm.booked_job(request("0-2"), node, at(10)).await;
+    let lease = farm.claim(node, at(10)).await.unwrap();
+    farm.store.remove_node(node, true, at(11)).await.unwrap();
+    assert!(matches!(farm.store.node(node).await, Err(StoreError::NotFound("node"))));
+    assert_eq!(farm.store.node_name(node).await.unwrap(), "a");
+    let told = farm.store.renew(lease.lease_id, &renewal(lease.fence, 0.5), TTL, at(12)).await;
+    assert!(!matches!(told, Err(StoreError::NotFound(_))), "{told:?}");
 }
