@@ -12,6 +12,7 @@ Beside each NAME.blend, NAME.json says what is in it, as a renderer should descr
 | `clipped.blend` | something is too near to the camera to be seen |
 | `leaf.blend` | a material is transparent |
 | `layers.blend` | it has a second view layer, which is rendered too |
+| `markers.blend` | markers choose the camera; the size is 70 % of one that is no multiple of ten |
 | `points.blend` | geometry nodes make points, and scatter a hidden object |
 
 Materials are Principled, lights are surfaces that emit. The camera and translations of objects are animated.
@@ -276,6 +277,23 @@ def layers():
     bpy.context.scene.view_layers.new("Again")
 
 
+def markers():
+    """Two cameras, of which one looks away, and a text without a mesh: its nodes make nothing."""
+    scene = bpy.context.scene
+    scene.frame_end = 2
+    away = scene.camera.copy()
+    away.name, away.rotation_euler = "Away", (math.pi, 0, 0)
+    scene.collection.objects.link(away)
+    for frame, camera in ((1, scene.camera), (2, away)):
+        scene.timeline_markers.new(camera.name, frame=frame).camera = camera
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 1280, 1440, 70
+    bpy.ops.object.text_add()
+    tree = bpy.data.node_groups.new("nothing", "GeometryNodeTree")
+    tree.interface.new_socket(name="Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    tree.nodes.new("NodeGroupOutput")
+    bpy.context.object.modifiers.new("nothing", "NODES").node_group = tree
+
+
 def points():
     """Points on the cube, and an instance of a hidden ball at each of them."""
     bpy.ops.mesh.primitive_uv_sphere_add(radius=0.2)
@@ -313,6 +331,7 @@ def main():
     small(out, "clipped", clipped)
     small(out, "leaf", leaf)
     small(out, "layers", layers)
+    small(out, "markers", markers)
     small(out, "points", points)
 
 

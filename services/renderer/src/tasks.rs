@@ -21,11 +21,13 @@ use forelight_protocol::{
     SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
 };
 use forelight_scene::open_regular;
-use image::{DynamicImage, Rgb, RgbImage};
-use std::fs;
+use image::{DynamicImage, ImageFormat, ImageReader, Rgb, RgbImage};
+use rustix::fs::OFlags;
+use std::fs::{self, File};
+use std::io::{self, BufReader, Read as _};
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// Executes tasks with one renderer. All workers of a process share it, and so its open scenes.
 struct ShotRunner {
@@ -281,13 +283,28 @@ impl Task<'_> {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, RendererError> {
-    fs::read(path).map_err(RendererError::io(path))
+    let mut bytes = Vec::new();
+    let read = open_written(path).and_then(|mut file| file.read_to_end(&mut bytes));
+    read.map_err(RendererError::io(path))?;
+    Ok(bytes)
+}
+
+/// Opens a file that a renderer has written, and no link: a scene could make one to a file that only the worker may
+/// read.
+fn open_written(path: &Path) -> io::Result<File> {
+    let no_link = i32::try_from(OFlags::NOFOLLOW.bits()).map_err(io::Error::other)?;
+    File::options().read(true).custom_flags(no_link).open(path)
 }
 
 /// The picture in an image file of a common format.
 fn picture_of(path: &Path) -> Result<RgbImage, RendererError> {
     let unreadable = |reason: String| RendererError::Answer(format!("{}: {reason}", path.display()));
-    let image = image::open(path).map_err(|error| unreadable(error.to_string()))?;
+    let file = open_written(path).map_err(|error| unreadable(error.to_string()))?;
+    let mut reader = ImageReader::new(BufReader::new(file));
+    if let Ok(format) = ImageFormat::from_path(path) {
+        reader.set_format(format);
+    }
+    let image = reader.decode().map_err(|error| unreadable(error.to_string()))?;
     if !matches!(image, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
         return Ok(image.to_rgb8());
     }
@@ -339,7 +356,8 @@ pub fn with_run<T>(
     let log = |line: &str| control.log(LogLevel::Info, line);
     let limits = Limits {
         memory_bytes: assignment.limits.memory_bytes,
-        time: assignment.limits.wall_ms.map(Duration::from_millis),
+        // The worker holds tasks to their time, and leaves pauses out.
+        time: None,
         threads: assignment.threads,
         ..Limits::default()
     };

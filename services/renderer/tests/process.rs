@@ -157,8 +157,10 @@ fn a_program_that_closes_its_output_is_still_held_to_its_time() {
 fn memory_of_all_processes_together_is_limited() {
     let outside = Outside::new();
     let limits = Limits { memory_bytes: Some(100 << 20), ..quick(100) };
-    let error = outside.shell("tail /dev/zero & wait", limits).unwrap_err();
-    assert!(matches!(error, RendererError::OutOfMemory(_)), "{error}");
+    for script in ["tail /dev/zero & wait", "setsid tail /dev/zero & wait"] {
+        let error = outside.shell(script, limits).unwrap_err();
+        assert!(matches!(error, RendererError::OutOfMemory(_)), "{script}: {error}");
+    }
     let program = Program::new("/bin/sh", outside.folder.path()).arg("-c").arg("tail /dev/zero");
     let error = outside.with(limits, |o| run(&program, &[], o, &mut |_| {})).unwrap_err();
     assert!(matches!(error, RendererError::OutOfMemory(_)), "{error}");

@@ -17,9 +17,20 @@ pub(super) struct Member {
     shared: u64,
 }
 
-/// Living processes of the group.
+/// Living processes of the group, and their descendants in other groups: a shell's `timeout` makes one, for example.
 pub(super) fn members(group: Pid) -> Vec<Member> {
-    pids().filter_map(|pid| member(pid, Some(group))).collect()
+    let all = pids().filter_map(process);
+    let (mut inside, mut others): (Vec<Process>, Vec<Process>) =
+        all.partition(|process| process.group == Some(group));
+    let mut known = 0;
+    while known < inside.len() {
+        let parents = inside[known..].iter().map(|process| Some(process.pid)).collect::<Vec<_>>();
+        known = inside.len();
+        let (children, rest) = others.into_iter().partition(|process| parents.contains(&process.parent));
+        inside.extend::<Vec<Process>>(children);
+        others = rest;
+    }
+    inside.into_iter().filter_map(Process::measured).collect()
 }
 
 /// Of the members of a group that is a sandbox, the program. The first process is the sandbox itself.
@@ -50,28 +61,45 @@ fn has_default(pid: Pid, signal: Signal) -> bool {
     !is_in("SigCgt") && !is_in("SigIgn")
 }
 
-/// The process, if it lives and is in the group.
-pub(super) fn member(pid: Pid, group: Option<Pid>) -> Option<Member> {
-    let id = pid.as_raw_nonzero();
-    let stat = fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+/// A process whose memory is not known.
+struct Process {
+    pid: Pid,
+    parent: Option<Pid>,
+    group: Option<Pid>,
+    cpu_nanos: u64,
+}
+
+/// The process, if it lives.
+fn process(pid: Pid) -> Option<Process> {
+    let stat = fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_nonzero())).ok()?;
     // The name in parentheses may hold anything, so fields are counted from its end: proc_pid_stat(5).
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    let number = |index: usize| fields.get(index).and_then(|field| field.parse::<u64>().ok());
-    if matches!(*fields.first()?, "Z" | "X") || group.is_some_and(|group| number(2) != raw(group)) {
+    if matches!(*fields.first()?, "Z" | "X") {
         return None;
     }
+    let number = |index: usize| fields.get(index).and_then(|field| field.parse::<u64>().ok());
+    let pid_in = |index: usize| Pid::from_raw(i32::try_from(number(index)?).ok()?);
     let ticks: u64 = (11..15).filter_map(number).sum();
-    let statm = fs::read_to_string(format!("/proc/{id}/statm")).ok()?;
-    let mut pages = statm.split_whitespace().skip(1).map_while(|field| field.parse::<u64>().ok());
-    let (resident, shared) = (pages.next()?, pages.next()?);
-    let page = rustix::param::page_size() as u64;
-    Some(Member {
-        pid,
-        parent: number(1).and_then(|parent| Pid::from_raw(i32::try_from(parent).ok()?)),
-        cpu_nanos: ticks * (1_000_000_000 / rustix::param::clock_ticks_per_second().max(1)),
-        private: resident.saturating_sub(shared) * page,
-        shared: shared * page,
-    })
+    let cpu_nanos = ticks * (1_000_000_000 / rustix::param::clock_ticks_per_second().max(1));
+    Some(Process { pid, parent: pid_in(1), group: pid_in(2), cpu_nanos })
+}
+
+impl Process {
+    /// The process with its memory, if it still lives.
+    fn measured(self) -> Option<Member> {
+        let Self { pid, parent, cpu_nanos, .. } = self;
+        let statm = fs::read_to_string(format!("/proc/{}/statm", pid.as_raw_nonzero())).ok()?;
+        let mut pages = statm.split_whitespace().skip(1).map_while(|field| field.parse::<u64>().ok());
+        let (resident, shared) = (pages.next()?, pages.next()?);
+        let page = rustix::param::page_size() as u64;
+        let private = resident.saturating_sub(shared) * page;
+        Some(Member { pid, parent, cpu_nanos, private, shared: shared * page })
+    }
+}
+
+/// The process, if it lives.
+pub(super) fn member(pid: Pid) -> Option<Member> {
+    process(pid)?.measured()
 }
 
 /// Resident memory of processes together. What they may share counts once, as much as the largest has of it.
@@ -82,7 +110,7 @@ pub(super) fn memory_bytes(members: &[Member]) -> u64 {
 
 /// Living processes whose environment holds this line, such as `NAME=value`, wherever they are.
 pub(super) fn marked(mark: &str) -> Vec<Member> {
-    pids().filter(|&pid| is_marked(pid, mark)).filter_map(|pid| member(pid, None)).collect()
+    pids().filter(|&pid| is_marked(pid, mark)).filter_map(member).collect()
 }
 
 fn is_marked(pid: Pid, mark: &str) -> bool {
@@ -98,10 +126,6 @@ pub(super) fn kill_marked(pid: Pid, mark: &str) {
         // It may have ended by itself.
         let _ = pidfd_send_signal(&process, Signal::KILL);
     }
-}
-
-fn raw(pid: Pid) -> Option<u64> {
-    u64::try_from(pid.as_raw_nonzero().get()).ok()
 }
 
 fn pids() -> impl Iterator<Item = Pid> {

@@ -15,6 +15,18 @@ pub enum Meaning {
     Gpu,
 }
 
+impl Meaning {
+    /// The error that a line with this meaning tells of.
+    pub fn error(self, line: String) -> RendererError {
+        match self {
+            Self::MissingFile => RendererError::MissingFile(line),
+            Self::OutOfMemory => RendererError::OutOfMemory(line),
+            Self::Licence => RendererError::Licence(line),
+            Self::Gpu => RendererError::Gpu(line),
+        }
+    }
+}
+
 /// A part of a line, in lower case, and its meaning.
 pub type Message = (&'static str, Meaning);
 
@@ -43,10 +55,5 @@ pub(super) fn meaning(lines: &[String], known: &[Message]) -> Option<RendererErr
         })
     };
     let (meaning, line) = found(Some(Meaning::Gpu)).or_else(|| found(None))?;
-    Some(match meaning {
-        Meaning::MissingFile => RendererError::MissingFile(line),
-        Meaning::OutOfMemory => RendererError::OutOfMemory(line),
-        Meaning::Licence => RendererError::Licence(line),
-        Meaning::Gpu => RendererError::Gpu(line),
-    })
+    Some(meaning.error(line))
 }

@@ -101,12 +101,18 @@ impl Session {
 
     /// The number of the program's process. `None` once it has ended.
     pub(super) fn pid(&self) -> Option<Pid> {
-        let running = self.supervisor.as_ref().filter(|thread| !thread.is_finished());
-        running?;
+        if self.has_ended() {
+            return None;
+        }
         self.program.get().copied().or_else(|| {
             let found = group::program_inside(self.pid, &group::members(self.pid))?;
             Some(*self.program.get_or_init(|| found))
         })
+    }
+
+    /// Whether the program has ended.
+    pub fn has_ended(&self) -> bool {
+        self.supervisor.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
     /// Holds the program to the memory limit of this run from now on.
@@ -141,9 +147,7 @@ impl Session {
                 Err(RecvTimeoutError::Disconnected) => return Ok(None),
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            if self.supervisor.as_ref().is_none_or(JoinHandle::is_finished)
-                && ended.get_or_insert_with(Instant::now).elapsed() > OUTPUT_AFTER_END
-            {
+            if self.has_ended() && ended.get_or_insert_with(Instant::now).elapsed() > OUTPUT_AFTER_END {
                 return Ok(None);
             }
         }

@@ -251,7 +251,7 @@ impl Watch {
                 program = program.or_else(|| group::program_inside(group, &all));
                 all
             } else {
-                program.and_then(|program| group::member(program, None)).into_iter().collect()
+                program.and_then(group::member).into_iter().collect()
             };
             let memory = group::memory_bytes(&members);
             peak = peak.max(memory);

@@ -69,6 +69,11 @@ impl Connection {
         Ok((connection, description))
     }
 
+    /// Whether Blender has ended.
+    pub fn has_ended(&self) -> bool {
+        self.session.has_ended()
+    }
+
     /// Asks a question and waits for its answer. After any error but [`RendererError::Failed`] the
     /// connection should be dropped.
     pub fn ask<T: DeserializeOwned>(&mut self, question: &Value, run: &Run<'_>) -> Result<T, RendererError> {

@@ -11,7 +11,7 @@ pub(crate) static SCHEMA: LazyLock<Value> = LazyLock::new(|| {
         "type": "object",
         "additionalProperties": false,
         "properties": {
-            "camera": {"type": "string", "description": "Name of the camera. Default: the active camera of the file."},
+            "camera": {"type": "string", "description": "Name of the camera. Default: the active camera of the file, or those of its markers."},
             "adaptive_sampling": {"type": "boolean", "default": true,
                 "description": "Stop sampling a pixel when its noise is below the threshold. Samples are not taken over then."},
             "noise_threshold": {"type": "number", "minimum": 0, "maximum": 1, "default": 0.01,

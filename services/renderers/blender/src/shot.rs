@@ -56,7 +56,12 @@ impl BlenderShot {
         question: &Value,
         run: &Run<'_>,
     ) -> Result<T, RendererError> {
-        let idle = self.idle.lock().pop();
+        let idle = {
+            let mut idle = self.idle.lock();
+            // The system may have ended one meanwhile, for its memory.
+            idle.retain(|connection| !connection.has_ended());
+            idle.pop()
+        };
         let mut connection = match idle {
             Some(connection) => connection,
             None => Connection::open::<Value>(&self.cycles, &self.scene, run)?.0,

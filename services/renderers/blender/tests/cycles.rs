@@ -404,6 +404,26 @@ fn a_camera_that_does_not_exist_is_named() {
 
 #[test]
 #[ignore = "tests/peers/blender.sh makes its files"]
+fn markers_choose_the_camera_unless_the_job_does() {
+    ask("markers", |shot, run| {
+        let mut settings = shot.description().settings.clone();
+        assert_eq!((settings.common.width, settings.common.height), (896, 1008), "as Blender computes them");
+        assert_eq!(settings.own.get("camera"), None);
+        let mut shows_the_cube = |camera: Option<&str>| {
+            settings.own.remove("camera");
+            settings.own.extend(camera.map(|name| ("camera".to_owned(), name.into())));
+            let seen = shot.preview(&[1, 2], &settings, run).unwrap();
+            [&seen[0], &seen[1]].map(|frame| frame.counts.iter().any(|count| count.object.is_some()))
+        };
+        assert_eq!(shows_the_cube(None), [true, false]);
+        assert_eq!(shows_the_cube(Some("Camera")), [true, true]);
+        assert_eq!(shows_the_cube(Some("Away")), [false, false]);
+        assert_eq!(shows_the_cube(None), [true, false]);
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
 fn files_that_are_none_are_refused() {
     let scratch = tempfile::tempdir().unwrap();
     with(scratch.path(), &AtomicBool::new(false), &|_| {}, |run| {

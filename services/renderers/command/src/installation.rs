@@ -38,6 +38,10 @@ pub fn open_command(path: &Path) -> Result<CommandRenderer, RendererError> {
         }
     };
     let id = RendererId { name: file.name.clone(), version };
+    id.check().map_err(|(field, reason)| RendererError::Scene {
+        scene: path.clone(),
+        reason: format!("{field}: {reason}; `version` or `version_pattern` can say the version"),
+    })?;
     let renderer = CommandRenderer { id, file: Arc::new(file), path, program };
     let own = Settings { common: renderer.file.common(), own: renderer.file.own() };
     own.check(&renderer.settings_schema()).map_err(|wrong| RendererError::Scene {

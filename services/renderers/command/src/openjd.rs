@@ -75,11 +75,68 @@ struct JobTemplate {
 }
 
 #[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
 struct JobParameter {
     name: String,
     #[serde(rename = "type")]
     kind: String,
     default: Option<Value>,
+    allowed_values: Option<Vec<Value>>,
+    min_value: Option<Value>,
+    max_value: Option<Value>,
+    min_length: Option<usize>,
+    max_length: Option<usize>,
+}
+
+impl JobParameter {
+    /// Checks a value against the parameter's type, and against what the template allows.
+    fn check(&self, value: &str) -> Result<(), String> {
+        let Self { name, kind, .. } = self;
+        let wrong = |reason: String| Err(format!("parameter {name} is {value:?}; {reason}"));
+        let number = value.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+        let is_number = match kind.as_str() {
+            "INT" if value.trim().parse::<i64>().is_err() => {
+                return wrong("it is INT: a whole number".to_owned());
+            }
+            "FLOAT" if number.is_none() => return wrong("it is FLOAT: a number".to_owned()),
+            kind => ["INT", "FLOAT"].contains(&kind),
+        };
+        let number = number.filter(|_| is_number);
+        let bound = |bound: &Option<Value>| number.zip(text_of(bound.as_ref()?)?.trim().parse::<f64>().ok());
+        if let Some((_, least)) = bound(&self.min_value).filter(|(number, least)| number < least) {
+            return wrong(format!("its minValue is {least}"));
+        }
+        if let Some((_, most)) = bound(&self.max_value).filter(|(number, most)| number > most) {
+            return wrong(format!("its maxValue is {most}"));
+        }
+        let length = value.chars().count();
+        if let Some(least) = self.min_length.filter(|&least| length < least) {
+            return wrong(format!("its minLength is {least}"));
+        }
+        if let Some(most) = self.max_length.filter(|&most| length > most) {
+            return wrong(format!("its maxLength is {most}"));
+        }
+        if let Some(allowed) = &self.allowed_values {
+            let allowed: Vec<String> = allowed.iter().filter_map(text_of).collect();
+            let is_value = |text: &String| match number {
+                Some(number) => text.trim().parse() == Ok(number),
+                None => text == value,
+            };
+            if !allowed.iter().any(is_value) {
+                return wrong(format!("its allowedValues are {}", allowed.join(", ")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A string, number or truth value as text.
+fn text_of(value: &Value) -> Option<String> {
+    match value {
+        Value::String(text) => Some(text.clone()),
+        Value::Number(_) | Value::Bool(_) => Some(value.to_string()),
+        _ => None,
+    }
 }
 
 #[derive(Deserialize)]
@@ -249,20 +306,24 @@ impl OpenJdTable {
         parameter: &JobParameter,
         (own_folder, folder): (&Path, &Path),
     ) -> Result<Template, String> {
-        let JobParameter { name, kind, default } = parameter;
+        let JobParameter { name, kind, default, .. } = parameter;
         if let Some(set) = self.parameters.get(name) {
             let set = set.get_ref().clone();
+            // What placeholders stand for is known when a frame is rendered.
+            if set.names().next().is_none() {
+                parameter.check(&set.fill(&BTreeMap::new()))?;
+            }
             // As all paths of a command file, it is from the file's folder on.
             return Ok(match kind == "PATH" && set.begins_relative() {
                 true => Template::joined([Template::text(&format!("{}/", own_folder.display())), set]),
                 false => set,
             });
         }
-        let text = match default {
-            Some(Value::String(text)) => text.clone(),
-            Some(value @ (Value::Number(_) | Value::Bool(_))) => value.to_string(),
-            _ => return Err(format!("parameter {name} has no default: set it in openjd.parameters")),
-        };
+        let text = default
+            .as_ref()
+            .and_then(text_of)
+            .ok_or_else(|| format!("parameter {name} has no default: set it in openjd.parameters"))?;
+        parameter.check(&text)?;
         // An empty path is none.
         let is_path = kind == "PATH" && !text.is_empty();
         let text = if is_path { folder.join(&text).display().to_string() } else { text };
@@ -367,6 +428,28 @@ mod tests {
         assert_eq!(frames("7"), Some((7, 7, 1)));
         assert_eq!(frames("{{ Param.Frames }}"), Some((5, 9, 2)));
         assert_eq!(frames("1,4,9"), None);
+    }
+
+    #[test]
+    fn parameters_have_values_that_the_template_allows() {
+        let check = |definition: &str, value: &str| {
+            let parameter: JobParameter = yaml_serde::from_str(definition).unwrap();
+            parameter.check(value).err().unwrap_or_default()
+        };
+        let samples = "{name: Samples, type: INT, minValue: 1, maxValue: '64', allowedValues: [4, 16, 64]}";
+        assert_eq!(check(samples, "16"), "");
+        assert!(check(samples, "0").contains("its minValue is 1"));
+        assert!(check(samples, "128").contains("its maxValue is 64"));
+        assert_eq!(check(samples, "8"), "parameter Samples is \"8\"; its allowedValues are 4, 16, 64");
+        assert!(check(samples, "many").contains("a whole number"));
+        let scale = "{name: Scale, type: FLOAT, allowedValues: [0.5, 1.0]}";
+        assert_eq!(check(scale, "1"), "", "numbers are compared as numbers");
+        assert!(check(scale, "x").contains("a number"));
+        let camera = "{name: Camera, type: STRING, minLength: 1, maxLength: 4, allowedValues: [left, '7']}";
+        assert_eq!(check(camera, "left"), "");
+        assert!(check(camera, "7.0").contains("its allowedValues are left, 7"), "text is compared as text");
+        assert!(check(camera, "").contains("its minLength is 1"));
+        assert!(check(camera, "right").contains("its maxLength is 4"));
     }
 
     #[test]

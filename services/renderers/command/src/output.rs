@@ -42,12 +42,7 @@ impl<'a> Listener<'a> {
                 | RendererError::Gpu(_)
         );
         match &self.heard {
-            Some((meaning, line)) if is_vague => match meaning {
-                Meaning::MissingFile => RendererError::MissingFile(line.clone()),
-                Meaning::OutOfMemory => RendererError::OutOfMemory(line.clone()),
-                Meaning::Licence => RendererError::Licence(line.clone()),
-                Meaning::Gpu => RendererError::Gpu(line.clone()),
-            },
+            Some((meaning, line)) if is_vague => meaning.error(line.clone()),
             _ => error,
         }
     }

@@ -15,7 +15,7 @@ use serde_json::Value;
 use std::fs::File;
 use std::io::Write as _;
 use std::os::unix::fs::OpenOptionsExt as _;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// A scene of a command.
@@ -190,18 +190,23 @@ impl CommandShot {
         let mut costs = Vec::with_capacity(pieces.len());
         for (done, piece) in pieces.iter().enumerate() {
             let progress = |share: f64| (run.progress)((done as f64 + share) / pieces.len() as f64);
-            let out = self.output(piece, folder.path());
+            let out = self.output(piece, folder.path())?;
             costs.push(self.start(piece, &out, &Run { progress: &progress, ..*run })?);
         }
         Ok(costs)
     }
 
-    fn output(&self, piece: &Piece<'_>, folder: &Path) -> PathBuf {
+    fn output(&self, piece: &Piece<'_>, folder: &Path) -> Result<PathBuf, RendererError> {
         let mut values: Values = [("frame".to_owned(), piece.frame.to_string())].into();
         for (name, value) in self.description.settings.own.iter().chain(&piece.settings.own) {
             values.insert(name.clone(), plain(value));
         }
-        folder.join(self.renderer.file.output.get_ref().fill(&values))
+        let name = self.renderer.file.output.get_ref().fill(&values);
+        // A setting of the job may be part of the name.
+        if !Path::new(&name).components().all(|part| matches!(part, Component::Normal(_))) {
+            return self.unsupported(&format!("writes {name:?}, which is not in its own folder"));
+        }
+        Ok(folder.join(name))
     }
 
     fn unsupported<T>(&self, reason: &str) -> Result<T, RendererError> {
@@ -240,7 +245,7 @@ impl Shot for CommandShot {
 
     fn image_extensions(&self, settings: &Settings) -> Vec<String> {
         let piece = Piece { frame: 0, settings, samples: settings.common.samples, region: None };
-        let name = self.output(&piece, Path::new(""));
+        let name = self.output(&piece, Path::new("")).unwrap_or_default();
         name.extension().map(|end| end.to_string_lossy().into_owned()).into_iter().collect()
     }
 
@@ -314,7 +319,7 @@ impl Shot for CommandShot {
             return Err(artefact.unusable(format!("{} takes nothing over", self.renderer.id().name)));
         }
         let piece = Piece { frame, settings, samples: settings.common.samples, region: None };
-        let out = self.output(&piece, run.scratch);
+        let out = self.output(&piece, run.scratch)?;
         let cost = self.start(&piece, &out, run)?;
         Ok(Rendered {
             files: vec![out],

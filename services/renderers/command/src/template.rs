@@ -92,9 +92,10 @@ impl Template {
                 Piece::Text(plain) => text.push_str(plain),
                 Piece::Placeholder(name, digits) => {
                     let value = values.get(name).map_or("", String::as_str);
-                    match value.parse::<i64>() {
-                        Ok(number) => text.push_str(&format!("{number:0digits$}", digits = *digits)),
-                        Err(_) => text.push_str(value),
+                    // Without digits, what looks like a number may be a name: `007`.
+                    match value.parse::<i64>().ok().filter(|_| *digits > 0) {
+                        Some(number) => text.push_str(&format!("{number:0digits$}", digits = *digits)),
+                        None => text.push_str(value),
                     }
                 }
             }

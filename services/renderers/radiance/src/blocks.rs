@@ -28,6 +28,11 @@ impl Blocks {
         self.columns() * self.height.div_ceil(SIDE)
     }
 
+    /// The block of a pixel.
+    pub fn of(self, pixel: u32) -> u32 {
+        pixel / self.width / SIDE * self.columns() + pixel % self.width / SIDE
+    }
+
     /// Pixels of a block, in rows from the top.
     pub fn pixels(self, block: u32) -> Vec<u32> {
         let (x, y) = (block % self.columns() * SIDE, block / self.columns() * SIDE);
@@ -50,6 +55,9 @@ mod tests {
     fn blocks_hold_every_pixel_once() {
         for (width, height) in [(16, 8), (17, 9), (3, 2), (1, 100)] {
             let blocks = Blocks::new(&Common { width, height, samples: 1, seed: 0 });
+            for block in 0..blocks.count() {
+                assert!(blocks.pixels(block).into_iter().all(|pixel| blocks.of(pixel) == block));
+            }
             let mut all: Vec<u32> = (0..blocks.count()).flat_map(|block| blocks.pixels(block)).collect();
             all.sort_unstable();
             assert!(all.into_iter().eq(0..width * height), "{width} × {height}");

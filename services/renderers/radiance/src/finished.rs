@@ -3,7 +3,8 @@
 use crate::tracer::Colour;
 use forelight_renderer::door::{Artefact, RendererError};
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File};
+use std::io::{ErrorKind, Write as _};
 use std::path::Path;
 
 /// What begins such a file.
@@ -41,7 +42,17 @@ pub(crate) fn write(path: &Path, pixels: &Finished, ambient: &[u8]) -> Result<()
         bytes.extend(pixel.cpu_nanos.to_le_bytes());
     }
     bytes.extend_from_slice(ambient);
-    fs::write(path, bytes).map_err(RendererError::io(path))
+    write_new(path, &bytes)
+}
+
+/// Writes a new file in place of whatever has its name: a scene's commands could have made a link.
+pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> Result<(), RendererError> {
+    let removed = match fs::remove_file(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        removed => removed,
+    };
+    let written = removed.and_then(|()| File::create_new(path)).and_then(|mut file| file.write_all(bytes));
+    written.map_err(RendererError::io(path))
 }
 
 /// Reads the file of an image with so many pixels.
@@ -87,6 +98,19 @@ mod tests {
             part: Part::Pixels(Vec::new()),
             path: path.to_owned(),
         }
+    }
+
+    #[test]
+    fn a_link_is_replaced_and_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (target, link) = (folder.path().join("target"), folder.path().join("link"));
+        fs::write(&target, "of the worker").unwrap();
+        std::os::unix::fs::symlink(&target, &link).unwrap();
+        for _ in 0..2 {
+            write_new(&link, b"new").unwrap();
+        }
+        assert_eq!(fs::read(&target).unwrap(), b"of the worker");
+        assert_eq!(fs::read(&link).unwrap(), b"new");
     }
 
     #[test]

@@ -65,8 +65,24 @@ pub(crate) struct Kept {
 }
 
 impl Kept {
-    /// What the frame shows, and the cost of finding it now: none if a preview found it.
+    /// What the frame shows, and the cost of finding it now. It is kept for the frame's profile.
     pub fn see(
+        &self,
+        opened: &Opened,
+        frame: &SceneFrame,
+        common: &Common,
+        run: &Run<'_>,
+    ) -> Result<(Arc<Seen>, Cost), RendererError> {
+        let (seen, cost) = self.take(opened, frame, common, run)?;
+        let mut kept = self.seen.lock();
+        if kept.len() < KEPT {
+            kept.insert((frame.number, common.width, common.height), seen.clone());
+        }
+        Ok((seen, cost))
+    }
+
+    /// What the frame shows, and the cost of finding it now: none if a preview found it. It is not kept.
+    pub fn take(
         &self,
         opened: &Opened,
         frame: &SceneFrame,
@@ -79,10 +95,6 @@ impl Kept {
         }
         let seen = Arc::new(see(opened, frame, common, run)?);
         let cost = seen.cost.clone();
-        let mut kept = self.seen.lock();
-        if kept.len() < KEPT {
-            kept.insert(key, seen.clone());
-        }
         Ok((seen, cost))
     }
 }

@@ -6,9 +6,9 @@ use crate::rays::{Rays, rays_of};
 use crate::scene::SceneFrame;
 use crate::settings::arguments;
 use crate::tracer::{Colour, Tracer};
-use forelight_renderer::door::{Cost, FixedCosts, RendererError, Run, Settings};
+use forelight_renderer::door::{Cost, FixedCosts, Limits, RendererError, Run, Settings};
 use std::ops::Range;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
 /// Rays that vwrays makes at a time.
@@ -57,13 +57,19 @@ pub(crate) fn trace(
 ) -> Result<Traced, RendererError> {
     let since = Instant::now();
     let processes = (run.limits.threads.max(1) as usize).min(groups.len().max(1));
-    let done = AtomicUsize::new(0);
-    let one = Process { opened, frame, settings, samples, ambient, run, done: &done, all: groups.len() };
+    // Each process has its share of the memory.
+    let memory_bytes = run.limits.memory_bytes.map(|bytes| bytes / processes as u64);
+    let run = &Run { limits: Limits { memory_bytes, ..run.limits }, ..*run };
+    let (done, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let all = groups.len();
+    let one = Process { opened, frame, settings, samples, ambient, run, done: &done, all, failed: &failed };
     let mut traced = Traced::default();
     std::thread::scope(|scope| {
         let shares: Vec<_> = groups
             .chunks(groups.len().div_ceil(processes).max(1))
-            .map(|share| scope.spawn(|| one.trace(share)))
+            .map(|share| {
+                scope.spawn(|| one.trace(share).inspect_err(|_| failed.store(true, Ordering::Relaxed)))
+            })
             .collect();
         // All are waited for: an error does not leave threads behind.
         let all: Vec<Result<Traced, RendererError>> = shares
@@ -74,7 +80,16 @@ pub(crate) fn trace(
                     .unwrap_or_else(|_| Err(RendererError::Failed("a thread of the render ended".to_owned())))
             })
             .collect();
-        all.into_iter().try_for_each(|share| share.map(|share| traced.add(share)))
+        // Processes that stop because another failed count as cancelled.
+        let (mut stopped, mut failed) = (None, None);
+        for share in all {
+            match share {
+                Ok(share) => traced.add(share),
+                Err(RendererError::Cancelled) => stopped = Some(RendererError::Cancelled),
+                Err(error) => failed = failed.or(Some(error)),
+            }
+        }
+        failed.or(stopped).map_or(Ok(()), Err)
     })?;
     traced.cost.wall_nanos = u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
     Ok(traced)
@@ -92,6 +107,8 @@ struct Process<'a> {
     /// Groups that are done, over all processes, of `all`.
     done: &'a AtomicUsize,
     all: usize,
+    /// Whether one of the processes has failed.
+    failed: &'a AtomicBool,
 }
 
 impl Process<'_> {
@@ -114,6 +131,9 @@ impl Process<'_> {
             traced.cost.cpu_nanos += cpu_nanos;
             let mut rays = rays.as_slice();
             for group in now {
+                if self.failed.load(Ordering::Relaxed) {
+                    return Err(RendererError::Cancelled);
+                }
                 let (own, others) = rays.split_at(group.len() * self.samples.len());
                 rays = others;
                 let values = tracer.values(own, run)?;

@@ -1,19 +1,22 @@
 //! Image files: OpenEXR with floats, and Radiance's own RGBE.
 
+use crate::finished::write_new;
 use crate::scene::SceneFrame;
 use crate::tracer::Colour;
 use forelight_pictures::tone_map;
 use forelight_renderer::door::{Common, RendererError};
 use image::codecs::hdr::HdrEncoder;
 use image::{ImageFormat, Rgb, Rgb32FImage, RgbImage};
-use std::fs;
+use std::io::Cursor;
 use std::path::Path;
 
 /// Writes the image with floats.
 pub(crate) fn write_exr(path: &Path, pixels: &[Colour], common: &Common) -> Result<(), RendererError> {
     let colour = |x, y| Rgb(at(pixels, common, x, y));
     let image = Rgb32FImage::from_fn(common.width, common.height, colour);
-    image.save_with_format(path, ImageFormat::OpenExr).map_err(failed(path))
+    let mut bytes = Cursor::new(Vec::new());
+    image.write_to(&mut bytes, ImageFormat::OpenExr).map_err(failed(path))?;
+    write_new(path, bytes.get_ref())
 }
 
 /// Writes Radiance's own kind of picture. Its header holds the view, so that Radiance's programs know it.
@@ -31,7 +34,7 @@ pub(crate) fn write_hdr(
     let first = bytes.iter().position(|&byte| byte == b'\n').map_or(0, |end| end + 1);
     let view = format!("VIEW= {}\n", frame.view.arguments.join(" "));
     bytes.splice(first..first, view.bytes());
-    fs::write(path, bytes).map_err(RendererError::io(path))
+    write_new(path, &bytes)
 }
 
 /// The image for viewing.
@@ -51,6 +54,7 @@ fn failed(path: &Path) -> impl FnOnce(image::ImageError) -> RendererError {
 mod tests {
     use super::*;
     use crate::views::View;
+    use std::fs;
 
     #[test]
     fn both_files_hold_the_image_and_the_header_its_view() {

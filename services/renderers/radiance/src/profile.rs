@@ -65,7 +65,7 @@ impl<'a> RadianceProfiler<'a> {
     ) -> Result<Self, RendererError> {
         let since = Instant::now();
         let quiet = Run { progress: &|_| {}, ..*run };
-        let (seen, seeing) = opened.kept.see(opened, frame, &settings.common, &quiet)?;
+        let (seen, seeing) = opened.kept.take(opened, frame, &settings.common, &quiet)?;
         let arguments = opened.arguments(arguments(settings));
         let ambient = shares_values(settings).then(|| Ambient::new(run.scratch)).transpose()?;
         let with_file: Vec<String> =

@@ -8,6 +8,7 @@ use crate::views::{View, views_of};
 use forelight_renderer::door::{Asset, Cost, RendererError, Run};
 use forelight_renderer::process::{Program, run, run_on_files};
 use std::fs::{self, File};
+use std::io::{Read as _, Seek as _};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tempfile::TempDir;
@@ -199,10 +200,9 @@ impl Reader<'_> {
         self.cost.wall_nanos += u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX);
     }
 
-    fn on_files(&mut self, program: &Program, to: &Path) -> Result<(), RendererError> {
+    fn on_files(&mut self, program: &Program, out: File) -> Result<(), RendererError> {
         let since = Instant::now();
         let from = File::open("/dev/null").map_err(RendererError::io("/dev/null"))?;
-        let out = File::create(to).map_err(RendererError::io(to))?;
         let finished = run_on_files(program, MESSAGES, self.run, from, out)?;
         self.add(finished.usage.cpu_nanos, since);
         Ok(())
@@ -210,16 +210,18 @@ impl Reader<'_> {
 
     fn build(&mut self, arguments: &[String], octree: &Path) -> Result<(), RendererError> {
         let oconv = self.program("oconv").args(arguments);
-        self.on_files(&oconv, octree)
+        self.on_files(&oconv, File::create_new(octree).map_err(RendererError::io(octree))?)
     }
 
     /// Files that the scene's own files name.
     fn assets(&mut self, files: &[String], folders: &[PathBuf]) -> Result<Vec<Asset>, RendererError> {
-        let flat = self.home.path().join("flat.rad");
+        // Commands of the scene have run by now. They cannot put anything in the place of a file without a name.
+        let failed = || RendererError::io(std::env::temp_dir());
+        let mut flat = tempfile::tempfile().map_err(failed())?;
         let xform = self.program("xform").arg("-e").args(files);
-        self.on_files(&xform, &flat)?;
-        let text = fs::read(&flat).map_err(RendererError::io(&flat))?;
-        fs::remove_file(&flat).map_err(RendererError::io(&flat))?;
+        self.on_files(&xform, flat.try_clone().map_err(failed())?)?;
+        let mut text = Vec::new();
+        flat.rewind().and_then(|()| flat.read_to_end(&mut text)).map_err(failed())?;
         Ok(assets_of(&String::from_utf8_lossy(&text), folders))
     }
 

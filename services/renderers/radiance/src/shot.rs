@@ -288,7 +288,10 @@ impl Shot for RadianceShot {
         let shared = (ambient.as_ref(), run);
         let traced = trace(&self.opened, shown, settings, &groups, 0..settings.common.samples, shared)?;
         let fixed = traced.fixed();
-        let Traced { pixels, nanos, cost, .. } = traced;
+        let Traced { pixels, mut nanos, cost, .. } = traced;
+        for (&index, pixel) in &finished {
+            nanos[blocks.of(index) as usize] += pixel.cpu_nanos;
+        }
         finished.extend(pixels.into_iter().map(|(index, colour)| (index, Pixel { colour, cpu_nanos: 0 })));
         let pixels: Vec<Colour> = finished.into_values().map(|pixel| pixel.colour).collect();
         let (exr, hdr) = (format!("frame-{frame:04}.exr"), format!("frame-{frame:04}.hdr"));

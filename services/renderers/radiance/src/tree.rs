@@ -148,7 +148,8 @@ impl Reader {
             return Some(());
         }
         let depth = line.iter().take_while(|&&byte| byte == b'\t').count();
-        let text = std::str::from_utf8(&line[depth..]).ok()?;
+        // Names may be in any encoding.
+        let text = String::from_utf8_lossy(&line[depth..]);
         let mut words = text.split('\t');
         let mut number = || words.next()?.parse::<f64>().ok().filter(|number| number.is_finite());
         let mut triple = || Some([number()?, number()?, number()?]);

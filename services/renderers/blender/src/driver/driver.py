@@ -25,15 +25,20 @@ sys.path.insert(0, FOLDER)
 LONGEST_MESSAGE = 2000
 
 
+def text_of(what):
+    """JSON in UTF-8. Names of files may have bytes that are not: these become question marks."""
+    return json.dumps(what, ensure_ascii=False).encode("utf-8", "replace").decode("utf-8")
+
+
 def say(what):
-    ANSWERS.write("forelight " + json.dumps(what) + "\n")
+    ANSWERS.write("forelight " + text_of(what) + "\n")
     ANSWERS.flush()
 
 
 def reply(what):
     path = os.path.join(FOLDER, "answer.json")
     with open(path, "w", encoding="utf-8") as file:
-        json.dump(what, file)
+        file.write(text_of(what))
     say({"answer": path})
 
 

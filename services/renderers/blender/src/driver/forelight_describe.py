@@ -63,6 +63,9 @@ def triangles(thing):
         mesh = evaluated.to_mesh()
     except RuntimeError:
         return None
+    # A curve or a text whose modifiers leave no mesh.
+    if mesh is None:
+        return 0
     # A polygon with n corners has n - 2 triangles.
     count = len(mesh.loops) - 2 * len(mesh.polygons)
     evaluated.to_mesh_clear()
@@ -72,7 +75,6 @@ def triangles(thing):
 def settings(scene):
     """The settings that the file has, by the names of the schema."""
     render, cycles = scene.render, scene.cycles
-    share = render.resolution_percentage / 100
     own = {
         "adaptive_sampling": cycles.use_adaptive_sampling,
         "noise_threshold": cycles.adaptive_threshold,
@@ -82,11 +84,13 @@ def settings(scene):
         "motion_blur": render.use_motion_blur,
         "max_bounces": cycles.max_bounces,
     }
-    if scene.camera:
+    # Where markers of the time line choose cameras, a name would stand for all frames.
+    if scene.camera and not any(marker.camera for marker in scene.timeline_markers):
         own["camera"] = scene.camera.name
     return {
-        "width": max(1, int(render.resolution_x * share)),
-        "height": max(1, int(render.resolution_y * share)),
+        # In whole numbers, as Blender does.
+        "width": max(1, render.resolution_x * render.resolution_percentage // 100),
+        "height": max(1, render.resolution_y * render.resolution_percentage // 100),
         "samples": cycles.samples,
         "seed": max(0, cycles.seed),
         "own": own,

@@ -6,6 +6,7 @@ sampling and writing.
 """
 
 import contextlib
+import functools
 import json
 import re
 import time
@@ -109,6 +110,12 @@ class Clock:
         return {"cost": cost, "fixed": {**self.before_samples(whole - self.sampling - write), "write": write}}
 
 
+@functools.cache
+def cameras_of_markers():
+    """Markers of the time line that choose cameras, with these, as the file has them."""
+    return [(marker, marker.camera) for marker in bpy.context.scene.timeline_markers if marker.camera]
+
+
 def prepare(frame, settings, threads, engine="CYCLES", keep=False):
     """Sets the scene to a frame and to settings, with an index for every object and material.
 
@@ -142,6 +149,9 @@ def prepare(frame, settings, threads, engine="CYCLES", keep=False):
     cycles.adaptive_min_samples = own.get("minimum_samples", cycles.adaptive_min_samples)
     # The only pattern in which a share of the samples is the same as in one render of all.
     cycles.sampling_pattern = "TABULATED_SOBOL"
+    # A change of a marker changes the scene's camera, too.
+    for marker, camera in cameras_of_markers():
+        marker.camera = None if own.get("camera") else camera
     # One of the description's cameras: the other side refuses all others.
     if own.get("camera"):
         scene.camera = scene.objects[own["camera"]]
