@@ -79,15 +79,27 @@ fn a_bundle_or_a_job_is_named_and_not_both() {
 
 #[test]
 fn a_cache_for_an_error_comes_with_its_flags_and_one_that_cannot_be_is_wrong_input() {
-    let render = |flags: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_forelight"));
-        command.args(["render", KITCHEN, "--preview", "cpu", "--width", "32", "--spp", "1"]);
-        let output = command.args(flags.split(' ')).output().unwrap();
+    let run = |command: &str, flags: &str| {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_forelight"));
+        program.args(command.split(' ')).args([KITCHEN, "--preview", "cpu", "--width", "32", "--spp", "1"]);
+        let output = program.args(flags.split(' ')).output().unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
+    let render = |flags: &str| run("render", flags);
     let (code, text) = render("--ambient-bounces 1 --cache-error 20");
     assert_eq!(code, Some(0), "{text}");
-    assert!(text.contains("--cache on --cache-accuracy 1 --cache-rays 48; forecast error"), "{text}");
+    let chosen = "--cache on --cache-accuracy 1 --cache-rays 48; forecast error";
+    assert!(text.contains(chosen), "{text}");
+    let folder = tempfile::tempdir().unwrap();
+    let [planned, full] = ["planned", "full"].map(|name| folder.path().join(name).display().to_string());
+    let (code, text) =
+        run("cache plan", &format!("--frames 0 --ambient-bounces 1 --cache-error 20 --out {planned}"));
+    assert!(code == Some(0) && text.contains(chosen), "{text}");
+    let later = "--ambient-bounces 1 --cache-accuracy 1 --cache-rays 48 --cache-file";
+    let (code, text) = run("cache fill", &format!("{later} {planned} --out {full}"));
+    assert_eq!(code, Some(0), "the later steps take what was chosen: {text}");
+    let (code, text) = render(&format!("{later} {full}"));
+    assert_eq!(code, Some(0), "{text}");
     for (flags, reason) in [
         ("--ambient-bounces 1 --cache-error 0.001", "the best cache here is forecast to leave"),
         ("--ambient-bounces 0 --cache-error 1", "without ambient bounces"),

@@ -1,5 +1,6 @@
 //! `forelight cache`: plans the irradiance cache of a shot, and fills it in any number of processes.
 
+use super::cache_error::{Asker, CacheErrorOption};
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_protocol::{CACHE_BYTES, FrameSet};
@@ -31,7 +32,11 @@ Examples:
 Planning finds the number of records that the shot needs, before any light is gathered. Any processes on any \
 machines may fill parts, and merge them in any order: the images have the same bits. Every bounce has a \
 level of records, and the deepest is filled first. Fill and merge the parts once for each level then, or fill \
-without --part. A frame replaces the records whose light has changed because an object or a light has moved.")]
+without --part. A frame replaces the records whose light has changed because an object or a light has moved.
+
+\
+The later steps need the same quality. After `plan --cache-error`, give them the --cache-accuracy and --cache-rays that \
+it prints.")]
 pub struct Args {
     #[command(subcommand)]
     step: Step,
@@ -56,6 +61,8 @@ struct Plan {
     written: Written,
     #[command(flatten)]
     quality: QualityOptions,
+    #[command(flatten)]
+    cache_error: CacheErrorOption,
     #[command(flatten)]
     machine: MachineOptions,
 }
@@ -131,8 +138,11 @@ fn plan(args: &Plan, interrupt: &Interrupt) -> Result<()> {
     args.written.check()?;
     let bars = Bars::new(args.written.json);
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
-    let settings = local.settings(&args.quality.cached()?)?;
+    let mut settings = local.settings(&args.quality.cached()?)?;
     let frames = local.frames(args.frames.as_ref())?;
+    let middle = local.middle_frame(args.frames.as_ref())?;
+    let here = Asker { local: &local, bundle: &args.bundle, bars: &bars, interrupt };
+    args.cache_error.choose(&mut settings, middle, &here)?;
     let bar = bars.bar("planning", frames.len() as u64);
     let planned = local.pool.install(|| {
         local.shot.plan_cache(&frames, &settings, &|done| bar.set_position(done), interrupt.flag())
