@@ -5,7 +5,8 @@ use crate::connection::connect;
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{
-    AnswersDoc, Job, JobId, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer, QualityOffer, Timestamp,
+    AnswersDoc, CacheMode, Integrator, Job, JobId, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
+    QualityOffer, RenderSettings, Timestamp,
 };
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
@@ -165,17 +166,20 @@ fn qualities(offers: &[QualityOffer], at: impl Fn(Timestamp) -> String) -> Strin
     let mut table = Table::new(&[
         ("samples", Align::Right),
         ("pixels", Align::Left),
+        ("other settings", Align::Left),
         ("error", Align::Right),
         ("ready by", Align::Left),
         ("in time", Align::Right),
         ("cost", Align::Right),
         ("", Align::Left),
     ]);
+    let asked = offers.iter().find(|offer| offer.asked_for).map(|offer| &offer.settings);
     for offer in offers {
         let settings = &offer.settings;
         table.row([
             settings.spp.to_string(),
             format!("{} × {}", settings.width, settings.height),
+            asked.map_or_else(String::new, |asked| other_settings(settings, asked)),
             offer.error.map_or("-".into(), |error| format!("{:.1} %", error.p50 * 100.0)),
             offer.finish.map_or("never".into(), &at),
             offer.probability.map_or("-".into(), probability_in_words),
@@ -190,6 +194,31 @@ fn qualities(offers: &[QualityOffer], at: impl Fn(Timestamp) -> String) -> Strin
         ]);
     }
     format!("\nQualities\n{}", table.render())
+}
+
+/// What differs from the job's settings, beside samples and size.
+fn other_settings(settings: &RenderSettings, asked: &RenderSettings) -> String {
+    let mut others = Vec::new();
+    if settings.integrator != asked.integrator {
+        others.push(settings.integrator.name().to_owned());
+    }
+    if settings.ambient_bounces != asked.ambient_bounces {
+        others.push(format!("{} bounces", settings.ambient_bounces));
+    }
+    let cache = |of: &RenderSettings| (of.cache, of.cache_accuracy, of.cache_rays);
+    let gathers = settings.integrator == Integrator::Ambient;
+    match settings.cache {
+        CacheMode::On if gathers && cache(settings) != cache(asked) => {
+            let accuracy = f64::from(settings.cache_accuracy) / 1000.0;
+            others.push(format!("cache {accuracy}, {} rays", settings.cache_rays));
+        }
+        CacheMode::Off if gathers && asked.cache == CacheMode::On => others.push("no cache".to_owned()),
+        _ => {}
+    }
+    if settings.ambient_divisions != asked.ambient_divisions && settings.cache == CacheMode::Off && gathers {
+        others.push(format!("{} divisions", settings.ambient_divisions));
+    }
+    others.join(", ")
 }
 
 fn pushed_back(jobs: &[MovedJob]) -> String {
@@ -221,10 +250,12 @@ fn listed(title: &str, effects: &[PlanEffect], at: impl Fn(Timestamp) -> String)
     text
 }
 
+/// The deadlines at which the price changes.
 fn curve(offers: &[PriceOffer], at: impl Fn(Timestamp) -> String) -> String {
     let mut table =
         Table::new(&[("deadline", Align::Left), ("price", Align::Right), ("at least", Align::Right)]);
-    for offer in offers {
+    let price = |offer: &PriceOffer| (offer.cost, offer.cost_at_least);
+    for offer in offers.chunk_by(|one, next| price(one) == price(next)).filter_map(|same| same.first()) {
         table.row([
             at(offer.deadline),
             money(offer.cost.micro_units()),
@@ -232,4 +263,48 @@ fn curve(offers: &[PriceOffer], at: impl Fn(Timestamp) -> String) -> String {
         ]);
     }
     if offers.is_empty() { String::new() } else { format!("\n{}", table.render()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_protocol::RenderSettingsRequest;
+
+    #[test]
+    fn qualities_are_told_apart_by_what_the_job_does_not_have() {
+        let asked = RenderSettingsRequest::default().complete((160, 90));
+        let other = |change: &dyn Fn(&mut RenderSettings)| {
+            let mut settings = asked.clone();
+            change(&mut settings);
+            other_settings(&settings, &asked)
+        };
+        assert_eq!(other(&|_| ()), "");
+        assert_eq!(other(&|settings| (settings.spp, settings.width) = (64, 320)), "");
+        assert_eq!(other(&|settings| settings.integrator = Integrator::Path), "path");
+        assert_eq!(other(&|settings| settings.ambient_bounces = 5), "5 bounces");
+        assert_eq!(other(&|settings| settings.ambient_divisions = 8), "8 divisions");
+        let cached = |settings: &mut RenderSettings| {
+            (settings.cache, settings.cache_accuracy, settings.cache_rays) = (CacheMode::On, 150, 768);
+        };
+        assert_eq!(other(&cached), "cache 0.15, 768 rays");
+        let mut with_cache = asked.clone();
+        cached(&mut with_cache);
+        assert_eq!(other_settings(&asked, &with_cache), "no cache");
+    }
+
+    #[test]
+    fn a_price_is_listed_once() {
+        let offer = |seconds: i64, cost: i64| PriceOffer {
+            deadline: Timestamp::from_micros(seconds * 1_000_000),
+            finish: Timestamp::from_micros(seconds * 1_000_000),
+            cost: Money(cost),
+            cost_at_least: Money(cost),
+        };
+        let text = curve(&[offer(1, 9), offer(2, 9), offer(3, 7), offer(4, 7)], |at| {
+            format!("{}s", at.micros() / 1_000_000)
+        });
+        let rows: Vec<&str> =
+            text.lines().skip(3).map(|line| line.split_whitespace().next().unwrap()).collect();
+        assert_eq!(rows, ["1s", "3s"], "{text}");
+    }
 }
