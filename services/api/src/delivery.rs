@@ -3,7 +3,9 @@
 use std::ops::Range;
 
 use axum::body::{Body, Bytes};
-use axum::http::header::{ACCEPT_RANGES, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, RANGE};
+use axum::http::header::{
+    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE, ETAG, RANGE,
+};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ProblemKind};
@@ -21,6 +23,24 @@ pub(crate) struct Asked {
     pub headers: HeaderMap,
 }
 
+/// How long caches may keep a file.
+#[derive(Clone, Copy)]
+pub(crate) enum Keep {
+    /// Its address names its content.
+    ForEver,
+    /// Another file can replace it at the same address, so caches have to ask.
+    WhileItIsThere,
+}
+
+impl Keep {
+    const fn header(self) -> HeaderValue {
+        HeaderValue::from_static(match self {
+            Self::ForEver => "private, immutable, max-age=31536000",
+            Self::WhileItIsThere => "private, no-cache",
+        })
+    }
+}
+
 /// What of a file is asked for.
 #[derive(Debug, PartialEq)]
 enum Parts {
@@ -35,13 +55,13 @@ enum Parts {
 /// Most ranges at once. Whoever asks for more gets the whole file.
 const MOST_RANGES: usize = 16;
 
-/// An artefact as the answer. Its tag is its hash; `own` are further headers.
+/// An artefact as the answer. Its tag is its hash.
 pub(crate) async fn deliver(
     app: &App,
     asked: &Asked,
     hash: ArtifactHash,
     media_type: &'static str,
-    own: HeaderMap,
+    keep: Keep,
 ) -> ApiResult<Response> {
     let tag = HeaderValue::from_str(&format!("\"{hash}\""))
         .map_err(|_| ApiError::new(ProblemKind::Internal, "the file has no tag"))?;
@@ -54,7 +74,7 @@ pub(crate) async fn deliver(
         content(app, asked, hash, media_type, &tag).await?
     };
     let headers = answer.headers_mut();
-    headers.extend(own);
+    headers.insert(CACHE_CONTROL, keep.header());
     headers.insert(ETAG, tag);
     headers.insert(ACCEPT_RANGES, HeaderValue::from_static("bytes"));
     Ok(answer)

@@ -71,7 +71,11 @@ impl Denoiser {
             ))
         })?;
         if !has_processor {
-            return Err(not_usable(format!("{} cannot use this processor", program.display())));
+            let reason = format!(
+                "{} names no processor that it can use: is it {PROGRAM} 2 or later?",
+                program.display()
+            );
+            return Err(not_usable(reason));
         }
         Ok(Self { program })
     }

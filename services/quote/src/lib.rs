@@ -61,7 +61,7 @@ pub use limit::{Limit, Most};
 pub use measured::{Measured, MeasuredProfile, SharedCache};
 pub use pixel_costs::PixelWork;
 pub use price::mean_price;
-pub use qualities::{is_own, ladder, mark, points, without_ladders};
+pub use qualities::{image_error, is_own, ladder, mark, points, without_ladders};
 pub use sampled::{SampledProfile, quote_sampled, stratum_key};
 pub use samples::with_samples;
 pub use sharing::{is_shared_cache_worth_planning, quote};

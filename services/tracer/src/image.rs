@@ -21,12 +21,12 @@ pub struct Image {
     /// For each pixel, whether it was taken from a profile.
     pub reused: Vec<bool>,
     /// Its colours without noise, by a denoiser. Files and pictures have these in place of the pixels' own.
-    pub denoised: Option<Denoised>,
+    pub denoised: Option<DenoisedColors>,
 }
 
 /// Colours from a denoiser, and what it was given beside the noisy ones.
 #[derive(Debug, Clone)]
-pub struct Denoised {
+pub struct DenoisedColors {
     /// The denoiser and its version.
     pub by: String,
     /// Linear Rec. 709 radiance of every pixel.
@@ -151,7 +151,7 @@ impl Image {
         let mut attributes = LayerAttributes::default();
         let mattes = mattes(frame);
         let ids = forelight_threads::map(&mattes, 1, |matte| matte.channels(&self.pixels));
-        let denoised = self.denoised.iter().flat_map(Denoised::channels);
+        let denoised = self.denoised.iter().flat_map(DenoisedColors::channels);
         for (name, values) in ids.into_iter().flatten().chain(denoised) {
             channels.push(AnyChannel::new(name.as_str(), FlatSamples::F32(values)));
         }
@@ -190,7 +190,7 @@ impl Image {
     }
 }
 
-impl Denoised {
+impl DenoisedColors {
     /// The channels of a file, with their names.
     fn channels(&self) -> Vec<(String, Vec<f32>)> {
         let colors = |c: usize| self.colors.iter().map(|color| color[c]).collect();

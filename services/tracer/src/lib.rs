@@ -65,7 +65,7 @@ pub use cost::{
 };
 pub use effects::Effects;
 pub use fingerprint::tracer_version;
-pub use image::{Denoised, Image, ImageError, Totals};
+pub use image::{DenoisedColors, Image, ImageError, Totals};
 pub use origin::Origin;
 pub use passes::{Advanced, Grown, Passes, SoFar};
 pub use pixel::{Coverage, Feature, Pixel, PixelsFinished};

@@ -3,14 +3,13 @@
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::header::CACHE_CONTROL;
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode};
+use axum::http::{HeaderMap, Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 use forelight_protocol::{ArtifactHash, ArtifactStored};
 use forelight_store::StoreError;
 use forelight_store::tokens::Principal;
 
-use crate::delivery::{Asked, deliver};
+use crate::delivery::{Asked, Keep, deliver};
 use crate::error::{ApiResult, Problems};
 use crate::extract::{Anyone, Segment, WorkerToken, within_announced_length};
 use crate::schema::FileContent;
@@ -57,9 +56,7 @@ pub(crate) async fn get(
     headers: HeaderMap,
 ) -> ApiResult<Response> {
     check_seen(&app, &caller, hash).await?;
-    let for_ever = HeaderValue::from_static("private, immutable, max-age=31536000");
-    let own = HeaderMap::from_iter([(CACHE_CONTROL, for_ever)]);
-    deliver(&app, &Asked { method, headers }, hash, MEDIA_TYPE, own).await
+    deliver(&app, &Asked { method, headers }, hash, MEDIA_TYPE, Keep::ForEver).await
 }
 
 /// Checks that an artefact exists and is whole, and gives its length.

@@ -1,13 +1,12 @@
 //! A job's frames and their pictures.
 
 use axum::extract::State;
-use axum::http::header::CACHE_CONTROL;
-use axum::http::{HeaderMap, HeaderValue, Method};
+use axum::http::{HeaderMap, Method};
 use axum::response::Response;
 use forelight_protocol::{ArtifactHash, FrameArtifacts, FramePage, FrameRow, JobId, ProblemKind};
 
 use super::responses::tagged;
-use crate::delivery::{Asked, deliver};
+use crate::delivery::{Asked, Keep, deliver};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{QueryParameters, SeenFrame, SeenJob};
 use crate::page::{PageQuery, cut};
@@ -94,7 +93,5 @@ async fn picture(
         };
         return Err(ApiError::new(ProblemKind::NotFound, reason));
     };
-    // A better preview can replace a picture at the same address, so caches have to revalidate.
-    let own = HeaderMap::from_iter([(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))]);
-    deliver(app, asked, hash, media_type, own).await
+    deliver(app, asked, hash, media_type, Keep::WhileItIsThere).await
 }

@@ -2,12 +2,11 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::header::CACHE_CONTROL;
-use axum::http::{HeaderMap, HeaderValue, Method};
+use axum::http::{HeaderMap, Method};
 use axum::response::Response;
 use forelight_protocol::{Job, JobId, ProblemKind, VIDEO_FRAMES, VideoRequest};
 
-use crate::delivery::{Asked, deliver};
+use crate::delivery::{Asked, Keep, deliver};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, OwnJob, SeenJob};
 use crate::schema::FileContent;
@@ -51,9 +50,7 @@ pub(crate) async fn get(
         return Err(missing("no video is made of the job's frames, or it was deleted"));
     };
     let file = video.file.ok_or_else(|| missing("the job does not have its video yet"))?;
-    // Another video can replace it at the same address, so caches have to revalidate.
-    let own = HeaderMap::from_iter([(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"))]);
-    deliver(&app, &Asked { method, headers }, file.hash, "video/mp4", own).await
+    deliver(&app, &Asked { method, headers }, file.hash, "video/mp4", Keep::WhileItIsThere).await
 }
 
 /// Checks that a video of so many frames can be made.

@@ -13,3 +13,4 @@ mod noise;
 mod one_frame;
 
 pub use ladder::{is_own, ladder, mark, points, without_ladders};
+pub use noise::image_error;

@@ -23,9 +23,13 @@ impl Noise {
     pub fn error(&self, spp: u32) -> Option<ImageError> {
         let images = self.0.as_ref().ok()?;
         let frames: Vec<MeanSquare> = images.iter().map(|image| image.at(spp)).collect();
-        let ErrorQuantiles { p05, p50, p80, p95 } = MeanSquare::mean(&frames)?.error(Calibration::NONE);
-        Some(ImageError { p05, p50, p80, p95 })
+        Some(image_error(MeanSquare::mean(&frames)?.error(Calibration::NONE)))
     }
+}
+
+/// An image's error, as documents have it.
+pub fn image_error(ErrorQuantiles { p05, p50, p80, p95 }: ErrorQuantiles) -> ImageError {
+    ImageError { p05, p50, p80, p95 }
 }
 
 fn image(profile: &MeasuredProfile) -> Result<ImageNoise, String> {

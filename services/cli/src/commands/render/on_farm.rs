@@ -87,7 +87,7 @@ pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     };
     if done.state != JobState::Done {
         bail!(
-            "job {} is {}: {}",
+            "job {} was not rendered, it is {}: {}",
             done.id,
             done.state,
             done.error.as_deref().unwrap_or("no reason was given")

@@ -11,14 +11,14 @@ use crate::profile::{self, Observer, profile_ready};
 use crate::quote_options::QuoteOptions;
 use crate::results::uncovered_gathers;
 use crate::shot::OwnShot;
-use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise};
+use forelight_forecast::accuracy::ImageNoise;
 use forelight_forecast::{
     Calibration, Cost, Expansion, ForecastError, FramePopulation, Observation, ProfiledFrame, RecordStrata,
     Stratum, forecast_shot,
 };
 use forelight_preview::Preview;
 use forelight_protocol::{FixedCosts, ImageError, Quantiles, RenderSettings, Spent};
-use forelight_quote::quantiles;
+use forelight_quote::{image_error, quantiles};
 use forelight_tracer::{Pixel, RecordCost};
 use std::collections::BTreeMap;
 
@@ -143,8 +143,7 @@ impl Pilot {
         if let Some(interpolation) = &self.interpolation {
             square = square.plus(image(interpolation)?.bias_square());
         }
-        let ErrorQuantiles { p05, p50, p80, p95 } = square.error(Calibration::NONE);
-        Ok(ImageError { p05, p50, p80, p95 })
+        Ok(image_error(square.error(Calibration::NONE)))
     }
 
     /// Work and CPU seconds of a frame with `spp` camera samples per pixel and the counts of `view`.

@@ -5,8 +5,9 @@ use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::render::{Rendered, rendered};
 use forelight_forecast::Calibration;
-use forelight_forecast::accuracy::{ErrorQuantiles, Survey};
-use forelight_protocol::{AllottedForecast, AllottedStats, ImageError, RenderSettings, WithinStats};
+use forelight_forecast::accuracy::Survey;
+use forelight_protocol::{AllottedForecast, AllottedStats, RenderSettings, WithinStats};
+use forelight_quote::image_error;
 use forelight_tracer::SampleCounts;
 
 /// Why samples cannot be distributed.
@@ -65,8 +66,7 @@ impl Made {
     ) -> Allotted {
         let Self { finished, samples, survey, within } = self;
         let (least, most, mean) = samples.range();
-        let ErrorQuantiles { p05, p50, p80, p95 } = survey.error(survey.samples(), Calibration::NONE);
-        let error = ImageError { p05, p50, p80, p95 };
+        let error = image_error(survey.error(survey.samples(), Calibration::NONE));
         let mut rendered = rendered(ready, finished, settings, wall_seconds);
         rendered.stats.spp = mean.round() as u32;
         rendered.stats.allotted =

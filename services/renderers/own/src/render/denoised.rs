@@ -14,7 +14,7 @@ use forelight_forecast::PixelCurve;
 use forelight_protocol::{DenoisedStats, ImageError};
 use forelight_random::Random;
 use forelight_renderer::door::{Limits, RendererError, Run};
-use forelight_tracer::{Denoised, Image, Pixel};
+use forelight_tracer::{DenoisedColors, Image, Pixel};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Camera samples by which features are averaged: enough for smooth edges.
@@ -68,7 +68,7 @@ pub(crate) fn remove_noise(
         Err(_) if stop() => return Ok(None),
         made => made?,
     };
-    image.denoised = Some(Denoised { by: made.by, colors: made.color, features });
+    image.denoised = Some(DenoisedColors { by: made.by, colors: made.color, features });
     progress(Progress { step: Step::Denoising, done: 1, all: 1 });
     Ok(Some(DenoisingCost { denoiser: seconds(made.usage.cpu_nanos), features: seconds(tracing) }))
 }
