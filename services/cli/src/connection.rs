@@ -9,12 +9,15 @@ use std::path::{Path, PathBuf};
 /// Path of the operator's token, relative to a farm's data folder.
 pub const OPERATOR_TOKEN: &str = "tokens/operator.token";
 
+/// Address of a service on this machine.
+pub const LOCAL: &str = "http://127.0.0.1:7878";
+
 /// Where the service is.
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Connection")]
 pub struct ServerOptions {
     /// Address of the service
-    #[arg(long, value_name = "URL", env = "FORELIGHT_SERVER", default_value = "http://127.0.0.1:7878")]
+    #[arg(long, value_name = "URL", env = "FORELIGHT_SERVER", default_value = LOCAL)]
     pub server: String,
     /// Certificates in PEM form, to one of which that of an https:// service must lead [default: those of the
     /// system]

@@ -53,6 +53,12 @@ impl Layout {
     }
 }
 
+/// A picture no larger than a sheet shows it. Thousands of whole ones would not fit into memory.
+pub fn thumbnail(picture: &RgbImage) -> RgbImage {
+    let (width, height) = Layout::new(1, picture.dimensions()).thumbnail;
+    imageops::resize(picture, width, height, FilterType::Triangle)
+}
+
 pub fn contact_sheet(cells: &[Cell]) -> RgbImage {
     let pictures = cells.iter().flat_map(|c| [&c.image, &c.cost_map]).flatten();
     let size = pictures.map(RgbImage::dimensions).next().unwrap_or((16, 9));
@@ -64,6 +70,7 @@ pub fn contact_sheet(cells: &[Cell]) -> RgbImage {
         for (picture, (x, y)) in [&cell.image, &cell.cost_map].into_iter().zip(corners) {
             let (width, height) = layout.thumbnail;
             let thumbnail = match picture {
+                Some(picture) if picture.dimensions() == layout.thumbnail => picture.clone(),
                 Some(picture) => imageops::resize(picture, width, height, FilterType::Triangle),
                 None => RgbImage::from_pixel(width, height, EMPTY),
             };
@@ -159,6 +166,13 @@ mod tests {
             assert_eq!(sheet.get_pixel(x + 60, y + 60), &Rgb([i * 10, 0, 200]));
             assert_eq!(sheet.get_pixel(u + 60, v + 60), &Rgb([i * 10, 99, 0]));
         }
+    }
+
+    #[test]
+    fn a_sheet_of_thumbnails_is_that_of_the_pictures() {
+        let picture = RgbImage::from_fn(1920, 1080, |x, y| Rgb([x, y, x ^ y].map(|v| (v % 256) as u8)));
+        let cell = |image: RgbImage| [Cell { frame: 1, image: Some(image), cost_map: None }];
+        assert!(contact_sheet(&cell(thumbnail(&picture))) == contact_sheet(&cell(picture)));
     }
 
     #[test]

@@ -94,12 +94,12 @@ pub enum AgentError {
 }
 
 /// How a process ended that was started for one task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Errand {
     /// It executed the task, and the service knows the outcome.
     Ended,
-    /// The task was over before this process could lease it.
-    Needless,
+    /// The task was over before this process could lease it, or this node cannot do it: says which.
+    Needless(String),
     /// It was told to stop. If it held the task, it gave the lease back.
     Stopped,
 }
@@ -209,7 +209,9 @@ impl Agent {
                 }
                 // A task that was placed on this node runs whatever its calendar says.
                 Ok(Claimed::Nothing | Claimed::Asleep(_)) => tracing::info!(%task, "task already leased"),
-                Err(error) if error.is(ProblemKind::Conflict) => return Ok(Errand::Needless),
+                Err(error) if error.is(ProblemKind::Conflict) => {
+                    return Ok(Errand::Needless(error.to_string()));
+                }
                 Err(error) => return Err(self.refused(error)),
             }
         }

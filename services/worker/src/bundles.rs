@@ -57,7 +57,7 @@ impl Bundles {
             return Ok(path);
         }
         let partial = tempfile::Builder::new()
-            .prefix(".fetching-")
+            .prefix(forelight_kept::UNFINISHED)
             .tempfile_in(self.folder.path())
             .map_err(failed)?
             .into_temp_path();

@@ -524,7 +524,8 @@ async fn a_process_for_one_task_waits_for_it_does_it_and_ends_and_ends_at_once_w
         assert!(farm.wanted.len() > 1 && farm.wanted.iter().all(|&wanted| wanted == Some(task)));
         farm.over = true;
     }
-    assert_eq!(agent.run_task(task, CancellationToken::new()).await.unwrap(), Errand::Needless);
+    let errand = agent.run_task(task, CancellationToken::new()).await.unwrap();
+    assert!(matches!(&errand, Errand::Needless(_)), "{errand:?}");
     farm.lock().over = false;
     let stop = CancellationToken::new();
     let stopping = stop.clone();

@@ -20,7 +20,8 @@ Examples:
 
 `forelight status JOB` shows more about one job. The mark `!` means that a job is late, or that its deadline is at risk.")]
 pub struct Args {
-    /// List only jobs in this state: previewing, profiling, booked, rendering, done, failed or cancelled
+    /// List only jobs in this state: previewing, profiling, quoted, booked, rendering, done, failed or
+    /// cancelled
     #[arg(long, value_name = "STATE", value_parser = state)]
     state: Option<JobState>,
     /// List only jobs of this project

@@ -178,7 +178,15 @@ pub async fn run(args: Args) -> Result<()> {
                     .hint("`forelight node` without a name lists all nodes")
                     .into());
             };
+            if args.cancel_task && args.order != Some(Order::Remove) {
+                return Err(BadInput::new("--cancel-task is for the order `remove`")
+                    .hint("`stop` drops the task, and the node takes no more")
+                    .into());
+            }
             if args.order == Some(Order::Remove) {
+                if args.change(node)? != NodeChange::default() {
+                    return Err(BadInput::new("`remove` takes no changes of the node").into());
+                }
                 client
                     .remove_node(node.id, args.cancel_task)
                     .await

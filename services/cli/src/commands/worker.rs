@@ -130,7 +130,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     output::line(format!("task {task} on {name} with {cores} threads for {address}"))?;
     match agent.run_task(task, interrupt.token()).await? {
         Errand::Ended => output::line("the task ended; its result is with the service"),
-        Errand::Needless => output::line("nothing to do: the task is done already"),
+        Errand::Needless(why) => output::line(format!("nothing to do: {why}")),
         Errand::Stopped => Err(Interrupted.into()),
     }
 }

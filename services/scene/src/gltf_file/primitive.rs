@@ -26,7 +26,9 @@ impl Reader<'_, '_> {
         if primitive.morph_targets().next().is_some() {
             self.ignore("morph targets");
         }
-        let most = self.spend(0)?;
+        // Accessors may be longer than the file that names them: no longer than those of the largest mesh.
+        let largest = self.assembly.bundle.limits().triangles.saturating_mul(3);
+        let most = self.spend(0)?.min(largest);
         let source = self.source(primitive, key, at, most)?;
         let Some(positions) = source.floats::<3>(&Semantic::Positions)? else {
             return self.opened.fail(at, "has no positions");

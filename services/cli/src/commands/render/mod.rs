@@ -130,6 +130,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     if args.farm.is_asked() {
         return on_farm::run(&args, &interrupt).await;
     }
+    args.farm.refuse_without_server()?;
     // Tracing light would block the runtime, so it has a thread of its own.
     super::blocking(move || render_here(&args, &interrupt)).await
 }

@@ -1,6 +1,6 @@
 //! `forelight render --server`: renders one frame on the farm, and shows it as its parts come in.
 
-use super::{Args, Format, format_of};
+use super::{Args, EffectsSwitch, Format, format_of};
 use crate::commands::submit::{self, division, upload};
 use crate::connection::{ConnectionOptions, Credentials, ServerOptions, connect};
 use anyhow::{Context, Result, bail};
@@ -12,7 +12,7 @@ use forelight_protocol::{
 use forelight_renderer_own::colors_of_part;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::{BadInput, Interrupted};
-use forelight_terminal::foreign::{is_foreign, refuse_because};
+use forelight_terminal::foreign::{is_foreign, refuse_because, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::settings_request;
@@ -60,6 +60,13 @@ impl FarmOptions {
     fn connection(&self) -> Option<ConnectionOptions> {
         let server = ServerOptions { server: self.server.clone()?, ca_file: self.ca_file.clone() };
         Some(ConnectionOptions { server, credentials: self.credentials.clone() })
+    }
+
+    /// Refuses flags that say who asks a farm, if none is named: the frame would be rendered here.
+    pub fn refuse_without_server(&self) -> Result<()> {
+        let Credentials { data, token_file, .. } = &self.credentials;
+        let flags = [("--data", data.is_some()), ("--token-file", token_file.is_some())];
+        refuse_because(&flags, "only a render on the farm uses this", "add --server URL, or leave it out")
     }
 
     /// Whether the frame is rendered on the farm.
@@ -119,7 +126,9 @@ fn refuse_others(args: &Args) -> Result<()> {
         let reason = format!("{}: frames of other renderers are submitted as jobs", args.bundle.display());
         return Err(BadInput::new(reason).hint("use forelight submit --frames N --out FOLDER").into());
     }
+    refuse_own_settings(&args.own)?;
     let others = [
+        ("--effects", args.effects != EffectsSwitch::CalledFor),
         ("--cost-map", args.cost_map.is_some()),
         ("--profile", args.profile.is_some()),
         ("--cache-file", args.cache_file.is_some()),

@@ -1,6 +1,6 @@
 //! Fetches a job's images, and makes the contact sheet.
 
-use crate::contact_sheet::{Cell, contact_sheet};
+use crate::contact_sheet::{Cell, contact_sheet, thumbnail};
 use anyhow::{Context, Result, bail};
 use forelight_client::{Client, ClientError, FramePicture};
 use forelight_protocol::{ArtifactHash, FrameRow, Job, ProblemKind};
@@ -101,7 +101,7 @@ fn write_sheet(frames: &[FrameRow], folder: &Path) -> Result<()> {
         let file = files(row, folder).into_iter().find(|file| file.picture == wanted);
         let Some(File { path, .. }) = file else { return Ok(None) };
         let picture = image::open(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        Ok(Some(picture.into_rgb8()))
+        Ok(Some(thumbnail(&picture.into_rgb8())))
     };
     let mut cells = Vec::with_capacity(frames.len());
     for row in frames {

@@ -1,10 +1,11 @@
 //! `forelight token create`: makes a bearer token, or a one-time token with which a machine joins.
 
 use super::{after, hand_over};
-use crate::connection::{ServerOptions, read_token};
+use crate::connection::{LOCAL, ServerOptions, read_token};
 use anyhow::{Context, Result};
 use forelight_protocol::{JoinTokenRequest, Role, Timestamp, TokenKind, TokenRequest, UnknownRole};
 use forelight_store::Store;
+use forelight_terminal::atomic_file;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::options::duration;
 use std::collections::BTreeMap;
@@ -75,6 +76,15 @@ pub async fn run(args: Options) -> Result<()> {
     let name = args.name.trim();
     if name.is_empty() || name.chars().count() > 200 {
         return Err(BadInput::new("--name: a name has 1 to 200 characters").into());
+    }
+    atomic_file::check([args.out.as_deref()])?;
+    if args.token_file.is_none() && args.data.is_none() && args.server.server != LOCAL {
+        return Err(BadInput::new(format!(
+            "the service at {} makes a token for an operator only",
+            args.server.server
+        ))
+        .hint("add --token-file FILE with an operator's token, or --data DIR for the farm in that folder")
+        .into());
     }
     let request = args.role.map(|role| {
         let projects = args.project.iter().map(|(name, own)| (name.clone(), own.unwrap_or(role)));

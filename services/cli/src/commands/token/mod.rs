@@ -170,6 +170,7 @@ pub async fn run(args: Args) -> Result<()> {
             output::print(&report(&[changed], Timestamp::now()))
         }
         Some(Command::Rotate(rotate)) => {
+            atomic_file::check([rotate.out.as_deref()])?;
             let client = connect(&rotate.connection)?;
             let token = find(&client, &rotate.wanted).await?;
             let grace_seconds = u32::try_from(rotate.grace.as_secs()).unwrap_or(u32::MAX);
@@ -193,12 +194,13 @@ pub async fn run(args: Args) -> Result<()> {
     }
 }
 
-/// Writes a secret to the file, or prints it: once.
+/// Writes a secret to the file, or prints it: once. If it cannot be written, it is printed, for there is no other copy.
 fn hand_over(secret: &str, out: Option<&std::path::Path>) -> Result<()> {
-    match out {
-        Some(path) => atomic_file::write_secret(path, secret.as_bytes()),
-        None => output::line(secret),
-    }
+    let Some(path) = out else { return output::line(secret) };
+    atomic_file::write_secret(path, secret.as_bytes()).or_else(|error| {
+        output::line(secret)?;
+        Err(error)
+    })
 }
 
 const TOKENS: Kind = Kind {
