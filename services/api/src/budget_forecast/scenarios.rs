@@ -1,7 +1,11 @@
 //! Carries out the bookings in many scenarios and adds up their cost.
 
+use std::collections::BTreeSet;
+
 use forelight_planner as planner;
-use forelight_protocol::{BudgetForecast, BudgetOutlook, JobId, Night, NightRecord, NotReady, Timestamp};
+use forelight_protocol::{
+    BudgetForecast, BudgetOutlook, JobId, JobState, Night, NightRecord, NotReady, Timestamp,
+};
 use forelight_store::OpenJob;
 
 use super::basis::Basis;
@@ -11,6 +15,7 @@ use super::periods::{THREATENED, outlook, periods};
 use super::planner_input::planner_input;
 use super::sums::Sums;
 use crate::conductor::farm::Snapshot;
+use crate::conductor::numbers::frame_part;
 
 const SCENARIOS: usize = 2000;
 const MOST_DRAWS: usize = 4_000_000;
@@ -21,6 +26,11 @@ const SEED: u64 = 0x6e69_6768_7473;
 pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForecast, BudgetForecastError> {
     let jobs: Vec<JobId> = basis.jobs.iter().map(|open| open.job.id).collect();
     let (input, plan) = planner_input(snapshot, &jobs);
+    let booked: BTreeSet<(u64, u32)> = plan
+        .bookings
+        .iter()
+        .filter_map(|booking| Some((booking.job, frame_part(booking.task)?.frame)))
+        .collect();
     let scenarios = (MOST_DRAWS / plan.bookings.len().max(1)).clamp(200, SCENARIOS);
     let mut sums = Sums::new(basis, scenarios);
     let mut periods = periods(basis, scenarios);
@@ -84,8 +94,12 @@ pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForec
             .jobs
             .iter()
             .zip(&ends)
-            .filter(|(open, _)| basis.is_about(&open.job.project))
-            .filter_map(|(job, ends)| not_ready(basis, job, ends))
+            .zip(0..)
+            .filter(|((open, _), _)| basis.is_about(&open.job.project))
+            .filter_map(|((open, ends), job)| {
+                let is_booked = open.frames.iter().all(|&(frame, ..)| booked.contains(&(job, frame)));
+                not_ready(basis, open, ends, is_booked)
+            })
             .collect(),
         unknown_total: u32::try_from(unknown.len()).unwrap_or(u32::MAX),
         unknown,
@@ -95,19 +109,20 @@ pub(super) fn work_out(basis: &Basis, snapshot: &Snapshot) -> Result<BudgetForec
     })
 }
 
-fn not_ready(basis: &Basis, open: &OpenJob, ends: &[i64]) -> Option<NotReady> {
+/// `is_booked`: whether all of its frames are.
+fn not_ready(basis: &Basis, open: &OpenJob, ends: &[i64], is_booked: bool) -> Option<NotReady> {
     let job = &open.job;
     let horizon = basis.nights.last()?.until;
     let deadline = job.deadline.filter(|&deadline| deadline <= horizon)?;
     let known = open.forecast.is_some();
     let late = ends.iter().filter(|&&end| end > deadline.micros()).count();
-    let never = open.held || job.deadline.is_some_and(|deadline| deadline <= basis.now);
+    let never = open.held || !is_booked || job.deadline.is_some_and(|deadline| deadline <= basis.now);
     let probability = if never { 1.0 } else { late as f64 / ends.len().max(1) as f64 };
     if known && probability <= THREATENED {
         return None;
     }
     let finish = |per_cent| {
-        let end = at(ends, per_cent).filter(|_| known && !open.held)?;
+        let end = at(ends, per_cent).filter(|_| known && is_booked && !open.held)?;
         (end > i64::MIN && end < i64::MAX).then(|| Timestamp::from_micros(end))
     };
     let reason = if !known {
@@ -116,6 +131,10 @@ fn not_ready(basis: &Basis, open: &OpenJob, ends: &[i64]) -> Option<NotReady> {
         "its project's budget is used up"
     } else if deadline <= basis.now {
         "its deadline has passed"
+    } else if job.state == JobState::Quoted {
+        "it waits to be accepted"
+    } else if !is_booked {
+        "some of its frames are booked nowhere"
     } else {
         "what is booked takes longer"
     };

@@ -164,7 +164,7 @@ fn add_qualities(
         return Ok(());
     }
     for offer in qualities(farm, place, &settled.plan.bookings, rungs) {
-        let Some(best) = offer?.way_out(&planned.verdict) else { continue };
+        let Some(best) = offer?.way_out(&planned.verdict, farm.jobs[place].spent) else { continue };
         planned.verdict.ways_out.push(best);
         planned.verdict.ways_out.sort_by_key(|way| way.added_cost);
         planned.verdict.ways_out.truncate(3);

@@ -1,6 +1,7 @@
 //! The farm as planner input. Nodes, jobs and projects are numbered by their place in a list.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
@@ -150,10 +151,7 @@ impl Farm {
         let input = planner::Input {
             now: now.micros(),
             nodes: nodes
-                .map(|(node, id)| planner::Node {
-                    speeds: demands.speeds(node),
-                    ..planner_node(node, id, now, horizon, spare)
-                })
+                .map(|(node, id)| planner_node(node, id, (now, horizon), demands.speeds(node), spare))
                 .collect(),
             fixed: under_way(snapshot, &index, &places),
             projects: snapshot
@@ -267,7 +265,13 @@ fn planner_job(
     }
 }
 
-fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare: u64) -> planner::Node {
+fn planner_node(
+    node: &Node,
+    id: u64,
+    (now, horizon): (Timestamp, Timestamp),
+    speeds: Arc<BTreeMap<u32, u64>>,
+    spare: u64,
+) -> planner::Node {
     const SECOND: i64 = 1_000_000;
     let seconds = |seconds: u32| i64::from(seconds) * SECOND;
     let awake = matches!(opening(node, now), Opening::Awake(_));
@@ -281,10 +285,13 @@ fn planner_node(node: &Node, id: u64, now: Timestamp, horizon: Timestamp, spare:
         setup: seconds(node.terms.setup_seconds),
         power: if awake { planner::Power::On } else { planner::Power::Standby },
         available_from: now.micros(),
+        speeds,
         ..planner::Node::default()
     };
-    // Tasks that might outlast the window are not handed out, so the plan ends the window earlier.
-    let spare = found.duration(spare, 0).unwrap_or(0);
+    // Tasks that might outlast the window are not handed out, so the plan ends the window earlier: by what the work takes
+    // that is slowest here.
+    let classes = std::iter::once(0).chain(found.speeds.keys().copied());
+    let spare = classes.filter_map(|class| found.duration(spare, class)).max().unwrap_or(0);
     found.calendar = free_time_of(node, now, horizon)
         .into_iter()
         .map(|open| Interval {

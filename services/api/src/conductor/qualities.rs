@@ -19,9 +19,10 @@ pub(crate) struct Offered {
 }
 
 impl Offered {
-    pub fn way_out(&self, verdict: &JobVerdict) -> Option<PlanEffect> {
-        let cost = verdict.cost.unwrap_or_default();
-        (verdict.verdict != Verdict::OnTime).then(|| self.way(cost.micro_units())).flatten()
+    /// The quality as a way out of a verdict, whose cost includes what the job has `spent`.
+    pub fn way_out(&self, verdict: &JobVerdict, spent: i64) -> Option<PlanEffect> {
+        let cost = verdict.cost.unwrap_or_default().micro_units().saturating_sub(spent);
+        (verdict.verdict != Verdict::OnTime).then(|| self.way(cost)).flatten()
     }
 
     /// The quality as a change of a job with this cost. `None` if it does not fit or changes nothing.
