@@ -103,9 +103,10 @@ class AsyncFarm:
                         await source.response.aread()
                     if wire.checked(source.response).status_code == httpx.codes.NO_CONTENT:
                         return
+                    attempts = 0
                     async for message in source.aiter_sse():
                         event = wire.event(message)
-                        last, attempts = event.id, 0
+                        last = event.id
                         yield event
                         if wire.ends(event):
                             return

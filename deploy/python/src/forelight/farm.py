@@ -106,8 +106,9 @@ class Farm:
                         source.response.read()
                     if wire.checked(source.response).status_code == httpx.codes.NO_CONTENT:
                         return
+                    attempts = 0
                     for event in map(wire.event, source.iter_sse()):
-                        last, attempts = event.id, 0
+                        last = event.id
                         yield event
                         if wire.ends(event):
                             return

@@ -71,8 +71,18 @@ async def apieces(path: Path) -> AsyncIterator[bytes]:
         yield piece
 
 
+# What the service answers when it has too much to do, and a proxy when the service is away.
+BUSY = {429, 502, 503, 504}
+
+
+class Busy(httpx.TransportError):
+    """The service cannot answer now. It may later, as after a lost connection."""
+
+
 def checked(response: httpx.Response) -> httpx.Response:
     """The answer, unless it is a refusal."""
+    if response.status_code in BUSY:
+        raise Busy(f"{response.request.url} answered {response.status_code}")
     if response.is_error:
         raise Refused(Problem.from_dict(response.json()))
     return response
@@ -80,6 +90,8 @@ def checked(response: httpx.Response) -> httpx.Response:
 
 def answer(response: Response[Any], kind: type[T]) -> T:
     """The parsed answer, unless it is a refusal."""
+    if response.status_code in BUSY:
+        raise Busy(f"the service answered {int(response.status_code)}")
     parsed: object = response.parsed
     if isinstance(parsed, Problem):
         raise Refused(parsed)

@@ -57,13 +57,26 @@ export function canTake(change: PlanChange): boolean {
   return !("more_nodes" in change) && !("node_gone" in change);
 }
 
+/** Deadlines that are being moved, by what moves them: who tries again after a lost answer does not move one twice. */
+const moving = new Map<string, string>();
+
+async function moveDeadline(id: string, byMs: number): Promise<void> {
+  const { deadline } = await get("/v1/jobs/{id}", { path: { id } });
+  if (!deadline) throw new Error("This job has no deadline any more.");
+  const key = `${id} ${byMs}`;
+  const begun = moving.get(key);
+  if (!begun || Date.parse(begun) !== Date.parse(deadline)) {
+    const to = new Date(Date.parse(deadline) + byMs).toISOString();
+    moving.set(key, to);
+    await changeJob(id, { deadline: to });
+  }
+  moving.delete(key);
+}
+
 /** Makes a change that was offered as a rescue. Returns the job to look at afterwards. */
 export async function take(change: PlanChange, about: string): Promise<string> {
   if ("later" in change) {
-    const { job_id: id, by_ms } = change.later;
-    const job = await get("/v1/jobs/{id}", { path: { id } });
-    if (!job.deadline) throw new Error("This job has no deadline any more.");
-    await changeJob(id, { deadline: new Date(Date.parse(job.deadline) + by_ms).toISOString() });
+    await moveDeadline(change.later.job_id, change.later.by_ms);
   } else if ("confidence" in change) {
     const { job_id: id, confidence } = change.confidence;
     await changeJob(id, { confidence });

@@ -73,6 +73,7 @@ export function unwatch(): void {
   document.removeEventListener("visibilitychange", woken);
   unfollow();
   farm.value = null;
+  farmError.value = null;
   recent.value = [];
 }
 
@@ -129,10 +130,9 @@ function take(events: readonly Event[]): void {
 function sumUp(told: FarmSummary): void {
   const old = farm.peek();
   if (!old || told.last_event_id < old.last_event_id) return;
-  const isAhead = (recent.peek()[0]?.id ?? 0) > told.last_event_id;
+  const counts = (event: Event) => event.kind === "job_created" || event.job_state != null;
+  const isAhead = recent.peek().some((event) => event.id > told.last_event_id && counts(event));
   if (!isAhead) counted = told.last_event_id;
   farm.value = farmSummed(old, told, isAhead);
   now.value = Date.now();
-  due = Infinity;
-  schedule(QUIET);
 }

@@ -68,6 +68,9 @@ export function openStream(options: StreamOptions): Stream {
     for (const [name, other] of Object.entries(options.others ?? {})) {
       stream.addEventListener(name, (message: MessageEvent<string>) => other(message.data));
     }
+    // Tabs that were opened in the background were never shown.
+    clearTimeout(hide);
+    if (document.visibilityState === "hidden") hide = setTimeout(disconnect, HIDDEN_FOR);
   };
   const again = async () => {
     if (options.ends && (await hasEnded(options.address(lastId)))) close();

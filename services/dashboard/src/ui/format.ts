@@ -110,15 +110,23 @@ export function money(micros: number): string {
   return amount.toFixed(digits);
 }
 
+/** An amount in a field: exact, with a point and without groups. */
+export function moneyField(micros: number): string {
+  const [whole = "0", digits = ""] = (micros / 1e6).toFixed(6).replace(/0+$/, "").split(".");
+  return `${whole}.${digits.padEnd(2, "0")}`;
+}
+
 /** An amount on an axis whose lines are so far apart: as many digits as tell them apart. */
 export function moneyOnAxis(micros: number, step: number): string {
   const digits = Math.min(6, Math.max(2, -Math.floor(Math.log10(Math.max(1, step) / 1e6))));
   return (micros / 1e6).toFixed(digits);
 }
 
-/** Micro-units of an amount that a person typed, or `null`. */
+/** Micro-units of an amount that a person typed, or `null`. `1,500` may be either, so it is none. */
 export function parseMoney(text: string): number | null {
-  const clean = text.trim().replace(",", ".");
+  const plain = text.replace(/\s/g, "");
+  if (/^\d{1,3}(,\d{3})+$/.test(plain)) return null;
+  const clean = plain.replace(",", ".");
   if (!/^\d+(\.\d{1,6})?$/.test(clean)) return null;
   return Math.round(Number(clean) * 1e6);
 }

@@ -28,28 +28,45 @@ export function useResource<T>(
   const shown = useRef(keyText);
   const latest = useRef(load);
   latest.current = load;
+  // What is asked again while it is being asked waits for the answer: a slow service would never be heard.
+  const busy = useRef(false);
+  const again = useRef(false);
 
   useEffect(() => {
     const abort = new AbortController();
+    again.current = false;
     const fresh = shown.current !== keyText;
     shown.current = keyText;
     const asked = latest.current(abort.signal);
+    busy.current = asked !== null;
+    const settled = () => {
+      busy.current = false;
+      if (again.current) setRound((n) => n + 1);
+    };
     if (!asked) {
       setState({ data: null, error: null, loading: false });
       return () => abort.abort();
     }
     setState((old) => ({ data: fresh ? null : old.data, error: old.error, loading: true }));
     asked.then(
-      (data) => abort.signal.aborted || setState({ data, error: null, loading: false }),
+      (data) => {
+        if (abort.signal.aborted) return;
+        setState({ data, error: null, loading: false });
+        settled();
+      },
       (error: unknown) => {
         if (abort.signal.aborted) return;
         setState((old) => ({ data: old.data, error: asError(error), loading: false }));
+        settled();
       },
     );
     return () => abort.abort();
   }, [keyText, round]);
 
-  const reload = useCallback(() => setRound((n) => n + 1), []);
+  const reload = useCallback(() => {
+    if (busy.current) again.current = true;
+    else setRound((n) => n + 1);
+  }, []);
   return { ...state, reload };
 }
 

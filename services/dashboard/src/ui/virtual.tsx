@@ -13,6 +13,8 @@ export function VirtualRows<T>(props: {
   /** Role of the container, such as `rowgroup`. */
   role?: string;
   row: (item: T, at: number) => ComponentChildren;
+  /** What tells a row from others, so that focus and messages stay with it when others come before it. */
+  keyOf?: (item: T) => string;
   /** Is told which rows are shown, also beyond the last one that is there. */
   seen?: (first: number, last: number) => void;
   /** The box in which they scroll, if it is not the window. */
@@ -59,7 +61,7 @@ export function VirtualRows<T>(props: {
     >
       {Array.from({ length: Math.max(0, Math.min(last, count) - first) }, (_, at) => (
         <div
-          key={first + at}
+          key={props.keyOf?.((props.items as readonly T[])[first + at]!) ?? first + at}
           role="presentation"
           style={{
             position: "absolute",
@@ -90,6 +92,7 @@ export function VirtualTable<T>(props: {
   height: number;
   seen: (first: number, last: number) => void;
   row: (item: T) => ComponentChildren;
+  keyOf: (item: T) => string;
 }) {
   return (
     <div class="scroll-x list-box" tabIndex={0} role="region" aria-label={props.region}>
@@ -105,6 +108,7 @@ export function VirtualTable<T>(props: {
           height={props.height}
           seen={props.seen}
           row={props.row}
+          keyOf={props.keyOf}
         />
       </div>
     </div>

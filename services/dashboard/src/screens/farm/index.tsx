@@ -3,7 +3,7 @@
 import { computed } from "@preact/signals";
 import { useEffect, useMemo, useState } from "preact/hooks";
 import type { NodeState } from "../../api/types";
-import { farm, farmError } from "../../state/farm";
+import { farm, farmError, refresh } from "../../state/farm";
 import { href, param, setQuery } from "../../state/route";
 import { mayOperate, seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
@@ -29,7 +29,8 @@ const versions = computed(() => farm.value?.versions);
 
 export function FarmScreen() {
   useEffect(() => titled("Farm"), []);
-  if (total.value === null && farmError.value) return <Trouble error={farmError.value} />;
+  if (total.value === null && farmError.value)
+    return <Trouble error={farmError.value} retry={() => void refresh()} />;
   return <Nodes />;
 }
 

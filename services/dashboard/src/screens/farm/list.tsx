@@ -78,6 +78,7 @@ export function NodeList(props: { state: NodeState | ""; search: string; open: (
         height={36}
         seen={listed.see}
         row={(node) => <Row node={node} open={props.open} changed={changed} />}
+        keyOf={(node) => node.id}
       />
       <p class="note">
         {counted(listed.items.length, "node")} shown{listed.complete ? "" : ", more below"}.{" "}

@@ -8,7 +8,7 @@ import { onEvents } from "../../state/live";
 import { isNews } from "../../state/news";
 import { mayOperate } from "../../state/session";
 import { Dialog } from "../../ui/dialog";
-import { bytes, clean, money, parseMoney, significant, timeZone, told } from "../../ui/format";
+import { bytes, clean, money, moneyField, parseMoney, significant, timeZone, told } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { Field, Time, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
@@ -200,7 +200,7 @@ function Orders(props: { node: Node; order: Order; busy: boolean }) {
 
 function Terms(props: { node: Node; order: Order; busy: boolean }) {
   const { node, order, busy } = props;
-  const [price, setPrice] = useState(money(node.price_per_hour));
+  const [price, setPrice] = useState(moneyField(node.price_per_hour));
   const [editing, setEditing] = useState(false);
   const micros = parseMoney(price);
   return (

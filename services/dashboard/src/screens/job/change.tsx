@@ -5,7 +5,7 @@ import { cancelJob, changeJob } from "../../actions/jobs";
 import { get } from "../../api/client";
 import type { AnswersDoc, Confidence, Job } from "../../api/types";
 import { Confirm } from "../../ui/dialog";
-import { clean, money, parseMoney, timeZone } from "../../ui/format";
+import { clean, moneyField, parseMoney, timeZone } from "../../ui/format";
 import { Choice, Field, Prose, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { Outlook } from "./price";
@@ -26,7 +26,7 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
   const { job } = props;
   const before = {
     deadline: job.deadline ? localText(Date.parse(job.deadline)) : "",
-    budget: job.budget == null ? "" : money(job.budget),
+    budget: job.budget == null ? "" : moneyField(job.budget),
   };
   const [deadline, setDeadline] = useState(before.deadline);
   const [budget, setBudget] = useState(before.budget);

@@ -84,6 +84,7 @@ export function Audit() {
           height={32}
           seen={entries.see}
           row={(entry) => <Row entry={entry} />}
+          keyOf={(entry) => String(entry.id)}
         />
       )}
       <p class="note">Entries never change. Point at what was done to see what was asked for.</p>

@@ -63,6 +63,7 @@ export function Tokens() {
           height={40}
           seen={tokens.see}
           row={(token) => <Row token={token} act={(act) => setActing({ token, act })} />}
+          keyOf={(token) => token.id}
         />
       )}
       {making && <Make close={() => setMaking(false)} made={made} />}

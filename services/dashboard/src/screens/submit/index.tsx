@@ -1,8 +1,8 @@
 // Submit: a bundle, what is wanted, and a quote before anything is booked.
 
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { cancelJob } from "../../actions/jobs";
-import { newKey, post, Refused } from "../../api/client";
+import { get, newKey, post, Refused } from "../../api/client";
 import type { Bundle, Job } from "../../api/types";
 import { go, param } from "../../state/route";
 import { maySubmit, session } from "../../state/session";
@@ -163,6 +163,12 @@ function Pickers(props: { take: (files: FileList) => void }) {
   );
 }
 
+/** Cancels a job that is still a quote. Somebody else may have booked it meanwhile. */
+async function cancelQuote(id: string): Promise<void> {
+  const { state } = await get("/v1/jobs/{id}", { path: { id } });
+  if (["previewing", "profiling", "quoted"].includes(state)) await cancelJob(id);
+}
+
 function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted) => void }) {
   const { wanted } = props;
   const { draft, scene } = wanted;
@@ -171,6 +177,8 @@ function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted
     error: Error | null;
     wrong: Wrong;
   }>({ busy: false, error: null, wrong: {} });
+  // Who presses again after a lost answer gets the same job, and not a second one.
+  const attempt = useRef({ content: "", key: "" });
   const submit = async (event: Event) => {
     event.preventDefault();
     const { request, wrong } = requestOf(draft, wanted.bundle, wanted.own ? scene : null);
@@ -180,8 +188,10 @@ function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted
     }
     setState({ busy: true, error: null, wrong: {} });
     try {
-      const job = await post("/v1/jobs", { body: request, key: newKey() });
-      if (wanted.instead) await cancelJob(wanted.instead);
+      const content = JSON.stringify([request, wanted.instead]);
+      if (attempt.current.content !== content) attempt.current = { content, key: newKey() };
+      const job = await post("/v1/jobs", { body: request, key: attempt.current.key });
+      if (wanted.instead) await cancelQuote(wanted.instead);
       go(["submit"], { job: job.id, replaces: param("replaces") });
     } catch (failure) {
       const field = failure instanceof Refused ? fieldOf(failure.pointer) : null;

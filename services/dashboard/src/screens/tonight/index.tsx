@@ -2,7 +2,7 @@
 
 import { useEffect, useMemo } from "preact/hooks";
 import type { Farm, DashboardJob } from "../../api/types";
-import { atRisk, farm, farmError, now } from "../../state/farm";
+import { atRisk, farm, farmError, now, refresh } from "../../state/farm";
 import { param, setQuery } from "../../state/route";
 import { seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
@@ -22,7 +22,7 @@ export function Tonight() {
   const doc = farm.value;
   if (!doc) {
     return farmError.value ? (
-      <Trouble error={farmError.value} />
+      <Trouble error={farmError.value} retry={() => void refresh()} />
     ) : (
       <Waiting>Asking the service how the farm stands…</Waiting>
     );

@@ -66,6 +66,7 @@ export function JobTable(props: {
         items={props.jobs}
         height={narrow ? 108 : 48}
         row={(job) => <JobRow job={job} axis={axis} />}
+        keyOf={(job) => job.id}
         seen={props.seen}
       />
     </div>

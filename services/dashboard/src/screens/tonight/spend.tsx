@@ -40,7 +40,10 @@ export function Spend(props: { version: number }) {
   return (
     <Section title="Spend" class="spend">
       {forecast.data ? (
-        <Nights forecast={forecast.data} />
+        <>
+          {forecast.error && <Trouble error={forecast.error} retry={forecast.reload} />}
+          <Nights forecast={forecast.data} />
+        </>
       ) : forecast.error ? (
         <Trouble error={forecast.error} retry={forecast.reload} />
       ) : (
