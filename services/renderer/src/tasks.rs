@@ -20,12 +20,10 @@ use forelight_protocol::{
     RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, SampleRange, SampleShare,
     SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
 };
-use forelight_scene::open_regular;
+use forelight_scene::{open_no_link, open_regular};
 use image::{DynamicImage, ImageFormat, ImageReader, Rgb, RgbImage};
-use rustix::fs::OFlags;
-use std::fs::{self, File};
-use std::io::{self, BufReader, Read as _};
-use std::os::unix::fs::OpenOptionsExt as _;
+use std::fs;
+use std::io::{BufReader, Read as _};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -282,24 +280,18 @@ impl Task<'_> {
     }
 }
 
+/// Reads a file that a renderer has written. A scene could make a link to one that only the worker may read.
 fn read(path: &Path) -> Result<Vec<u8>, RendererError> {
     let mut bytes = Vec::new();
-    let read = open_written(path).and_then(|mut file| file.read_to_end(&mut bytes));
+    let read = open_no_link(path).and_then(|mut file| file.read_to_end(&mut bytes));
     read.map_err(RendererError::io(path))?;
     Ok(bytes)
-}
-
-/// Opens a file that a renderer has written, and no link: a scene could make one to a file that only the worker may
-/// read.
-fn open_written(path: &Path) -> io::Result<File> {
-    let no_link = i32::try_from(OFlags::NOFOLLOW.bits()).map_err(io::Error::other)?;
-    File::options().read(true).custom_flags(no_link).open(path)
 }
 
 /// The picture in an image file of a common format.
 fn picture_of(path: &Path) -> Result<RgbImage, RendererError> {
     let unreadable = |reason: String| RendererError::Answer(format!("{}: {reason}", path.display()));
-    let file = open_written(path).map_err(|error| unreadable(error.to_string()))?;
+    let file = open_no_link(path).map_err(|error| unreadable(error.to_string()))?;
     let mut reader = ImageReader::new(BufReader::new(file));
     if let Ok(format) = ImageFormat::from_path(path) {
         reader.set_format(format);

@@ -36,6 +36,6 @@ pub use error::{Place, SceneError};
 pub use frame::{Environment, Frame, Geometry, PointLight, Strata, Sun};
 pub use limits::Limits;
 pub use material::{AlphaMask, Color, MOST_NESTED, Material, MaterialClass, Surface};
-pub use regular_file::open_regular;
+pub use regular_file::{open_no_link, open_regular};
 pub use scene::Scene;
 pub use texture::{Texels, Texture, TextureId};

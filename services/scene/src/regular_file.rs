@@ -17,8 +17,20 @@ use rustix::fs::OFlags;
 pub fn open_regular(path: &Path) -> io::Result<File> {
     // Opening a device may do something to it, so it is looked at first.
     check(path.metadata()?.file_type())?;
-    let file =
-        OpenOptions::new().read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path)?;
+    open(path, OFlags::NONBLOCK)
+}
+
+/// The same, of the file itself.
+///
+/// # Errors
+/// As [`open_regular`], and if it is a link.
+pub fn open_no_link(path: &Path) -> io::Result<File> {
+    check(path.symlink_metadata()?.file_type())?;
+    open(path, OFlags::NONBLOCK | OFlags::NOFOLLOW)
+}
+
+fn open(path: &Path, flags: OFlags) -> io::Result<File> {
+    let file = OpenOptions::new().read(true).custom_flags(flags.bits().cast_signed()).open(path)?;
     // Another file may have taken its place meanwhile.
     check(file.metadata()?.file_type())?;
     Ok(file)
@@ -29,6 +41,8 @@ fn check(kind: FileType) -> io::Result<()> {
         return Ok(());
     } else if kind.is_dir() {
         "a folder"
+    } else if kind.is_symlink() {
+        "a link"
     } else if kind.is_fifo() {
         "a pipe"
     } else if kind.is_socket() {
@@ -65,6 +79,12 @@ mod tests {
         ] {
             let error = open_regular(&found).unwrap_err().to_string();
             assert_eq!(error, format!("it is {what}, not a regular file"), "{}", found.display());
+        }
+        std::os::unix::fs::symlink(path("file"), path("link to the file")).unwrap();
+        assert!(open_regular(&path("link to the file")).is_ok() && open_no_link(&path("file")).is_ok());
+        for (name, what) in [("link to the file", "a link"), ("pipe", "a pipe")] {
+            let error = open_no_link(&path(name)).unwrap_err().to_string();
+            assert_eq!(error, format!("it is {what}, not a regular file"));
         }
     }
 }

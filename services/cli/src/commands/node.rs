@@ -168,6 +168,11 @@ impl Order {
     }
 }
 pub async fn run(args: Args) -> Result<()> {
+    if args.cancel_task && args.order != Some(Order::Remove) {
+        return Err(BadInput::new("--cancel-task is for the order `remove`")
+            .hint("`stop` drops the task, and the node takes no more")
+            .into());
+    }
     let client = connect(&args.connection)?;
     let nodes = client.nodes().await.context("cannot list the nodes")?;
     let shown = match &args.name {
@@ -178,11 +183,6 @@ pub async fn run(args: Args) -> Result<()> {
                     .hint("`forelight node` without a name lists all nodes")
                     .into());
             };
-            if args.cancel_task && args.order != Some(Order::Remove) {
-                return Err(BadInput::new("--cancel-task is for the order `remove`")
-                    .hint("`stop` drops the task, and the node takes no more")
-                    .into());
-            }
             if args.order == Some(Order::Remove) {
                 if args.change(node)? != NodeChange::default() {
                     return Err(BadInput::new("`remove` takes no changes of the node").into());
