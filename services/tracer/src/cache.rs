@@ -102,7 +102,7 @@ pub struct Level {
     /// Whether it is the first level. The gathers that read deeper levels average their errors, so that only here
     /// bright spots get more rays, and values are interpolated.
     is_first: bool,
-    /// Mean radiance of the first plan's rays, mean over the channels.
+    /// Mean radiance of the plan's rays at some points of the first plan's image, mean over the channels.
     brightness: f32,
     /// Chosen with the first plan.
     secondary: SecondaryLights,

@@ -24,6 +24,7 @@ use crate::cost::{Cost, Counters, Rays, add_rays, clocked};
 use crate::geometry::Basis;
 use crate::random::{Sampler, hash};
 use crate::tracer::Tracer;
+use forelight_scene::Camera;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
@@ -46,6 +47,9 @@ const COARSEST: u32 = 32;
 
 /// Approximate number of pixels from which the bounds of the radii are computed.
 const PILOTS: u32 = 1024;
+
+/// Most of their sites whose light is looked at.
+const LIT_PILOTS: usize = 256;
 
 /// Spacing of the densest records, in pixels of the planning view.
 const SPACING: f32 = 1.5;
@@ -174,7 +178,8 @@ impl Planning<'_> {
         let accuracy = settings.accuracy as f32 * 1e-3;
         let seen = accuracy.min(COARSEST_SEEN);
         let spacing = SPACING * (accuracy / FINE).max(1.0);
-        let (smallest, largest) = self.bounds(spacing, seen).into_inner();
+        let pilots = self.pilots();
+        let (smallest, largest) = bounds(&pilots, &self.tracer.frame.camera, spacing, seen).into_inner();
         let level = |depth: u32| {
             let deeper = DEEPER.powi(depth as i32);
             Level {
@@ -186,12 +191,29 @@ impl Planning<'_> {
                 ..Level::default()
             }
         };
-        (0..self.tracer.settings.ambient_bounces).map(level).collect()
+        let mut levels: Vec<Level> = (0..self.tracer.settings.ambient_bounces).map(level).collect();
+        if let Some(first) = levels.first_mut() {
+            first.brightness = self.brightness(pilots, first);
+        }
+        levels
     }
 
-    /// Bounds of the radii in metres: world-space lengths, valid for any view. At the smallest radius and the
-    /// allowed error `accuracy`, records are `spacing` pixels apart at the median distance of the view.
-    fn bounds(&mut self, spacing: f32, accuracy: f32) -> RangeInclusive<f32> {
+    /// Mean radiance of the plan's rays at some of the pilots' sites.
+    fn brightness(&mut self, mut pilots: Vec<Keyed>, level: &Level) -> f32 {
+        pilots.sort_unstable_by_key(|(key, _)| *key);
+        pilots.truncate(LIT_PILOTS);
+        let tracer = self.tracer;
+        let planned = pilots.par_iter().map(|&place| clocked(|| plan_record(tracer, place, level)));
+        let planned: Vec<((Planned, Counters), u64)> = planned.collect();
+        let planned = planned.into_iter().map(|((planned, counters), nanos)| {
+            self.plan.charge(&counters, nanos);
+            planned
+        });
+        mean_radiance(&planned.collect::<Vec<_>>())
+    }
+
+    /// The first diffuse hits of pixels at regular distances.
+    fn pilots(&mut self) -> Vec<Keyed> {
         let camera = &self.tracer.frame.camera;
         let stride = (camera.pixels() as u32 / PILOTS).isqrt().max(1);
         let pilots: Vec<u32> = (stride / 2..camera.height)
@@ -201,21 +223,9 @@ impl Planning<'_> {
                 columns.map(move |x| y * camera.width + x)
             })
             .collect();
-        let Found { places: sites, cost } = sites_of_pixels(self.tracer, &pilots);
+        let Found { places, cost } = sites_of_pixels(self.tracer, &pilots);
         self.plan.add(&cost);
-        let mut distances: Vec<f32> = sites.iter().map(|s| s.1.position.distance(camera.origin)).collect();
-        distances.sort_unstable_by(f32::total_cmp);
-        let Some(&median) = distances.get(distances.len() / 2) else { return 0.0..=0.0 };
-        let extent = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| {
-            let mut along: Vec<f32> = sites.iter().map(|s| s.1.position.dot(axis)).collect();
-            along.sort_unstable_by(f32::total_cmp);
-            let cut = along.len() / 50;
-            along[along.len() - 1 - cut] - along[cut]
-        });
-        let pixel = 2.0 * camera.tan_half_x / camera.width as f32;
-        let smallest = spacing * pixel * median / accuracy;
-        let largest = (LARGEST * smallest).min(LARGEST_OF_VIEW * Vec3::from(extent).length()).max(smallest);
-        smallest..=largest
+        places
     }
 
     /// Plans the missing records of a level.
@@ -225,15 +235,9 @@ impl Planning<'_> {
             None => self.cover_pixels(&mut coverage),
             Some(before) => self.cover_gathers(before, depth, &mut coverage),
         }
-        // The first plan decides, so that records of later frames do not change it. Filled records leave out what
-        // was chosen then.
-        if level.is_first && level.brightness == 0.0 {
-            let (brightness, nanos) = clocked(|| mean_radiance(&level.planned));
-            self.plan.cost.cpu_nanos += nanos;
-            level.brightness = brightness;
-            if level.explored == 0 {
-                level.secondary = self.secondary_lights(level);
-            }
+        // The first plan decides. Filled records leave out what was chosen then.
+        if level.is_first && level.explored == 0 {
+            level.secondary = self.secondary_lights(level);
         }
         let ((), indexing) = clocked(|| {
             level.leave_out_secondary_lights(&self.tracer.frame.geometry);
@@ -360,6 +364,25 @@ impl Planning<'_> {
     }
 }
 
+/// Bounds of the radii in metres: world-space lengths, valid for any view. At the smallest radius and the allowed
+/// error `accuracy`, records are `spacing` pixels apart at the median distance of the pilots' sites.
+fn bounds(pilots: &[Keyed], camera: &Camera, spacing: f32, accuracy: f32) -> RangeInclusive<f32> {
+    let mut distances: Vec<f32> =
+        pilots.iter().map(|(_, site)| site.position.distance(camera.origin)).collect();
+    distances.sort_unstable_by(f32::total_cmp);
+    let Some(&median) = distances.get(distances.len() / 2) else { return 0.0..=0.0 };
+    let extent = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| {
+        let mut along: Vec<f32> = pilots.iter().map(|(_, site)| site.position.dot(axis)).collect();
+        along.sort_unstable_by(f32::total_cmp);
+        let cut = along.len() / 50;
+        along[along.len() - 1 - cut] - along[cut]
+    });
+    let pixel = 2.0 * camera.tan_half_x / camera.width as f32;
+    let smallest = spacing * pixel * median / accuracy;
+    let largest = (LARGEST * smallest).min(LARGEST_OF_VIEW * Vec3::from(extent).length()).max(smallest);
+    smallest..=largest
+}
+
 /// Plans a record at a site: traces the plan's rays and computes the radius.
 fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, Counters) {
     let basis = Basis::new(site.normal);
@@ -382,6 +405,15 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
         }
     }
     let harmonic = if inverse > 0.0 { (PLAN_RAYS as f64 / inverse) as f32 } else { f32::INFINITY };
-    let radius = harmonic.clamp(level.smallest, level.largest);
+    let radius = (harmonic.min(level.largest) * closer(&lit, level.brightness)).max(level.smallest);
     (Planned { key, site, radius, corral, hits: Box::new(hits), lit: Box::new(lit) }, counters)
+}
+
+/// Factor of a radius where the mean radiance is above the `usual` one: errors there are a larger share of the image.
+/// If an error is E · r, and there are 1 / r² records, then the sum of the squared errors for a number of records is
+/// least with r ~ E^−½. (128 × 128 pixels, default settings: in veach-ajar the error falls from 6.5 to 4.6 % for 1.27
+/// times the work. In six plainer scenes both change by less than 5 %.)
+fn closer(lit: &[f32; PLAN_RAYS], usual: f32) -> f32 {
+    let mean = lit.iter().sum::<f32>() / PLAN_RAYS as f32;
+    if mean > usual && usual > 0.0 { (usual / mean).sqrt() } else { 1.0 }
 }
