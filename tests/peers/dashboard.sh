@@ -4,7 +4,7 @@
 # farm, a working one, and after the service was killed or the network was away; rules of accessibility (axe)
 # in light and dark, of every screen and question; and what the first view loads.
 #
-#   FORELIGHT_DASHBOARD_BIN   the program, built with `--features dashboard` (default: it is built)
+#   FORELIGHT_DASHBOARD_BIN   the program, built with `--features dashboard` (default: page and program are built)
 #
 # Screenshots are written to target/dashboard-screenshots. Needs Node.js 18 or newer, npm with network access,
 # and Chromium. Without them it is reported as not run, and in CI it fails.
@@ -29,7 +29,9 @@ install() {
 install services/dashboard
 install tests/peers/dashboard
 
+# Another test may run the given program. With a new page, the next `cargo` would replace it.
 if [ -z "${FORELIGHT_DASHBOARD_BIN:-}" ]; then
+  services/dashboard/build.sh
   cargo build --quiet -p forelight-cli --features dashboard
   FORELIGHT_DASHBOARD_BIN=$PWD/target/debug/forelight
 fi
@@ -39,9 +41,7 @@ export NO_PROXY=127.0.0.1 no_proxy=127.0.0.1
 rm -rf target/dashboard-screenshots
 mkdir -p target/dashboard-screenshots
 
-# A debug build reads the page while it runs.
-(cd services/dashboard && npx vite build --logLevel warn)
-# Meanwhile: types of the API are those of openapi.yaml, and the page is checked and formatted.
+# While the tests run: types of the API are those of openapi.yaml, and the page is checked and formatted.
 {
   cd services/dashboard
   npx openapi-typescript ../../openapi.yaml --output ../../target/dashboard-schema.d.ts >/dev/null 2>&1
