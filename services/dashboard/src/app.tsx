@@ -1,6 +1,6 @@
 // The frame around the screens: head, navigation, connection, and who may see it.
 
-import { useEffect, useErrorBoundary, useRef } from "preact/hooks";
+import { useEffect, useErrorBoundary, useRef, useState } from "preact/hooks";
 import { atRisk, farm, now, unwatch, watch } from "./state/farm";
 import { lastHeard, link } from "./state/live";
 import { href, route } from "./state/route";
@@ -131,6 +131,11 @@ function Screen() {
 function Head() {
   const here = route.value.path[0];
   const risks = atRisk.value;
+  const [failed, setFailed] = useState<Error | null>(null);
+  const leave = () => {
+    setFailed(null);
+    signOut().catch((error: unknown) => setFailed(asError(error)));
+  };
   return (
     <header class="head">
       <a class="brand" href={href(["tonight"])} aria-label="forelight, to tonight">
@@ -158,9 +163,10 @@ function Head() {
           <span class="role-name" title={session.value?.name}>
             {session.value?.role}{" "}
           </span>
-          <button type="button" class="plain" onClick={() => void signOut()}>
+          <button type="button" class="plain" onClick={leave}>
             Sign out
           </button>
+          {failed && <Trouble error={failed} />}
         </span>
       </div>
     </header>

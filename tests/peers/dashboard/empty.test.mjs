@@ -36,6 +36,9 @@ test("an empty farm", { timeout: 480_000 }, async (t) => {
     await show(page, farm.address, screens(null).tonight);
     await farm.kill();
     await page.locator(".connection.lost").waitFor();
+    await page.getByRole("button", { name: "Sign out" }).click();
+    await page.locator(".head .trouble").waitFor();
+    assert.equal(await page.locator(".tonight").count(), 1, "who cannot sign out is signed in");
     await farm.start("farm", ...WORKERS);
     await page.locator(".connection.live").waitFor();
     await page.getByText("done: 2").waitFor();

@@ -12,11 +12,12 @@ export interface Resource<T> {
 
 /**
  * Calls `load` when `keys` change, and again on `reload`. An answer that arrives after the keys changed is
- * dropped. `load` may return `null` for "nothing to ask".
+ * dropped. When `version` changes, the same is asked again. `load` may return `null` for "nothing to ask".
  */
 export function useResource<T>(
   load: (signal: AbortSignal) => Promise<T> | null,
   keys: unknown[],
+  version?: string | number,
 ): Resource<T> {
   const [state, setState] = useState<{ data: T | null; error: Error | null; loading: boolean }>({
     data: null,
@@ -67,6 +68,12 @@ export function useResource<T>(
     if (busy.current) again.current = true;
     else setRound((n) => n + 1);
   }, []);
+  const asked = useRef({ keyText, version });
+  useEffect(() => {
+    const old = asked.current;
+    asked.current = { keyText, version };
+    if (old.keyText === keyText && old.version !== version) reload();
+  }, [keyText, version]);
   return { ...state, reload };
 }
 

@@ -6,7 +6,7 @@ import type { PlanDifference } from "../../api/types";
 import { now } from "../../state/farm";
 import { param, setQuery } from "../../state/route";
 import { clockTime, counted, sentence, told } from "../../ui/format";
-import { Trouble } from "../../ui/parts";
+import { Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { lessMotion } from "../../ui/theme";
 import type { Move } from "./paint";
@@ -95,7 +95,8 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
   // A link may name a plan that is newer than the list.
   const plans = useResource(
     (signal) => get("/v1/plans", { query: { page_size: 30 }, signal }),
-    [version, chosen],
+    [chosen],
+    version,
   );
   const difference = useResource<PlanDifference>(
     (signal) => (chosen ? get("/v1/plans/{id}/difference", { path: { id: chosen }, signal }) : null),
@@ -120,7 +121,9 @@ export function Plans(props: { rows: readonly Row[]; play: (playing: Playing) =>
           ))}
         </select>
       </label>
+      {plans.loading && !plans.data && <Waiting>Asking for the plans…</Waiting>}
       {plans.error && <Trouble error={plans.error} retry={plans.reload} />}
+      {chosen && difference.loading && !difference.data && <Waiting>Asking what the plan changed…</Waiting>}
       {chosen && difference.error && <Trouble error={difference.error} retry={difference.reload} />}
       {difference.data && (
         <>

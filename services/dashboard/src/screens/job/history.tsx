@@ -12,7 +12,8 @@ import { colour } from "../../ui/theme";
 export function History(props: { job: Job; version: string }) {
   const answer = useResource<ForecastHistory>(
     (signal) => get("/v1/jobs/{id}/forecast/history", { path: { id: props.job.id }, signal }),
-    [props.job.id, props.version],
+    [props.job.id],
+    props.version,
   );
   const doc = answer.data;
   if (!doc)

@@ -111,7 +111,8 @@ function Tabs(props: { job: Job; strip: FrameStrip | null; changed: () => void }
   const asks = (tab === "price" || tab === "ladders") && ANSWERED.includes(job.state);
   const answers = useResource<AnswersDoc>(
     (signal) => (asks ? get("/v1/jobs/{id}/answers", { path: { id: job.id }, signal }) : null),
-    [job.id, asks, version],
+    [job.id, asks],
+    version,
   );
   const query = Object.fromEntries(route.value.query);
   return (

@@ -25,7 +25,8 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
   const { job, answers } = props;
   const ladders = useResource<AccuracyDoc>(
     (signal) => get("/v1/jobs/{id}/accuracy", { path: { id: job.id }, signal }),
-    [job.id, props.version],
+    [job.id],
+    props.version,
   );
   const [chosen, setChosen] = useState<AccuracyRung | null>(null);
   const doc = ladders.data;

@@ -12,7 +12,8 @@ export function OneFrame(props: { job: Job; frame: number; version: string }) {
   const row = useResource<FrameRow>(
     (signal) =>
       get("/v1/jobs/{id}/frames/{frame}", { path: { id: props.job.id, frame: props.frame }, signal }),
-    [props.job.id, props.frame, props.version],
+    [props.job.id, props.frame],
+    props.version,
   );
   const frame = row.data;
   if (!frame)

@@ -16,7 +16,8 @@ export function Why(props: { job: Job; version: string }) {
         query: frame === null ? {} : { frame: Number(frame) },
         signal,
       }),
-    [props.job.id, frame, props.version],
+    [props.job.id, frame],
+    props.version,
   );
   const doc = answer.data;
   // Other renderers count no operations: their work is CPU time in microseconds.

@@ -27,7 +27,8 @@ export function Spend(props: { version: number }) {
       // From last night on: the service keeps the forecast that it makes for the first night, and the forecast
       // of tonight, with which the record compares, must stay what it was in the evening.
       forecastNights(1, 5, signal),
-    [props.version],
+    [],
+    props.version,
   );
   useEffect(
     () =>
