@@ -96,8 +96,10 @@ pub enum AgentError {
 /// How a process ended that was started for one task.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Errand {
-    /// It executed the task, and the service knows the outcome.
+    /// It executed the task, and the service knows the outcome: a result or an error.
     Ended,
+    /// It lost the lease, or the service refused the outcome. What it did is dropped.
+    Dropped,
     /// The task was over before this process could lease it, or this node cannot do it: says which.
     Needless(String),
     /// It was told to stop. If it held the task, it gave the lease back.
@@ -164,7 +166,9 @@ impl Agent {
                 claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
             };
             match claimed {
-                Ok(Claimed::Lease(lease)) => self.work(*lease, &stop).await,
+                Ok(Claimed::Lease(lease)) => {
+                    self.work(*lease, &stop).await;
+                }
                 Ok(Claimed::Nothing) => {}
                 Ok(Claimed::Asleep(time)) => {
                     self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
@@ -204,8 +208,7 @@ impl Agent {
             };
             match claimed {
                 Ok(Claimed::Lease(lease)) => {
-                    self.work(*lease, &stop).await;
-                    return Ok(if stop.is_cancelled() { Errand::Stopped } else { Errand::Ended });
+                    return Ok(self.work(*lease, &stop).await);
                 }
                 // A task that was placed on this node runs whatever its calendar says.
                 Ok(Claimed::Nothing | Claimed::Asleep(_)) => tracing::info!(%task, "task already leased"),
@@ -290,7 +293,7 @@ impl Agent {
     }
 
     /// Executes one leased task.
-    async fn work(&self, lease: Lease, stop: &CancellationToken) {
+    async fn work(&self, lease: Lease, stop: &CancellationToken) -> Errand {
         let kind = lease.spec.kind();
         tracing::info!(task = %lease.task_id, %kind, frame = lease.spec.frame(), fence = lease.fence, "leased");
         let control = Arc::new(Control::with_checkpoints(self.checkpoints));
@@ -326,18 +329,22 @@ impl Agent {
         match ending {
             Ending::Finished(done) => {
                 tokio::select! {
-                    () = self.report(&lease, *done, &control) => {}
+                    ended = self.report(&lease, *done, &control) => return ended,
                     () = self.hold(&lease, &control) => {
                         tracing::info!(task = %lease.task_id, "the lease was lost; the result is dropped");
+                        return Errand::Dropped;
                     }
-                    () = stop.cancelled() => self.give_back(&lease).await,
+                    () = stop.cancelled() => {}
                 }
             }
             Ending::Lost | Ending::Beyond(_) => {
-                tracing::info!(task = %lease.task_id, %kind, "the lease was lost; the work is dropped")
+                tracing::info!(task = %lease.task_id, %kind, "the lease was lost; the work is dropped");
+                return Errand::Dropped;
             }
-            Ending::Stopped => self.give_back(&lease).await,
+            Ending::Stopped => {}
         }
+        self.give_back(&lease).await;
+        Errand::Stopped
     }
 
     /// Fetches the inputs of the task, unless it is cancelled, and executes it on this worker's threads.

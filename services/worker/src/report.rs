@@ -1,6 +1,6 @@
 //! The end of a task: its result, an error, or giving the lease back.
 
-use crate::agent::Agent;
+use crate::agent::{Agent, Errand};
 use crate::errors::{describe, is_lost};
 use forelight_client::{Backoff, Client, ClientError};
 use forelight_protocol::{
@@ -11,12 +11,17 @@ use std::time::Duration;
 
 impl Agent {
     /// Uploads the artefacts and reports the end of the task. Retries until the service answers.
-    pub(super) async fn report(&self, lease: &Lease, done: Result<Outcome, ExecuteError>, control: &Control) {
+    pub(super) async fn report(
+        &self,
+        lease: &Lease,
+        done: Result<Outcome, ExecuteError>,
+        control: &Control,
+    ) -> Errand {
         let client = self.client.with_backoff(Backoff::FOREVER);
         let failed = |message, kind| TaskError { message, kind, ..TaskError::default() };
         let ended = match done {
             Ok(outcome) => match self.deliver(&client, lease, outcome, control).await {
-                Ok(()) => return,
+                Ok(()) => return Errand::Ended,
                 Err(error) if is_lost(&error) => Err(error),
                 // The service has ended the lease, and the task is done elsewhere.
                 Err(error) if error.is(ProblemKind::ImplausibleResult) => Err(error),
@@ -27,7 +32,7 @@ impl Agent {
                     self.report_error(&client, lease, failed(message, FailureKind::Unknown), control).await
                 }
             },
-            Err(ExecuteError::Cancelled) => return,
+            Err(ExecuteError::Cancelled) => return Errand::Dropped,
             Err(ExecuteError::Permanent(message)) => {
                 let error = TaskError { permanent: true, ..failed(message, FailureKind::Task) };
                 self.report_error(&client, lease, error, control).await
@@ -44,12 +49,13 @@ impl Agent {
             }
         };
         match ended {
-            Ok(()) => {}
+            Ok(()) => return Errand::Ended,
             Err(error) if is_lost(&error) => {
                 tracing::info!(task = %lease.task_id, "the lease was lost; the result is dropped");
             }
             Err(error) => tracing::error!(task = %lease.task_id, %error, "task outcome not accepted"),
         }
+        Errand::Dropped
     }
 
     async fn deliver(

@@ -526,7 +526,14 @@ async fn a_process_for_one_task_waits_for_it_does_it_and_ends_and_ends_at_once_w
     }
     let errand = agent.run_task(task, CancellationToken::new()).await.unwrap();
     assert!(matches!(&errand, Errand::Needless(_)), "{errand:?}");
-    farm.lock().over = false;
+    {
+        let mut farm = farm.lock();
+        farm.over = false;
+        farm.ready.push(Lease { task_id: task, ..lease(3) });
+        farm.refuse_reports.push(ProblemKind::LeaseLost);
+        farm.reports.clear();
+    }
+    assert_eq!(agent.run_task(task, CancellationToken::new()).await.unwrap(), Errand::Dropped);
     let stop = CancellationToken::new();
     let stopping = stop.clone();
     tokio::spawn(async move {

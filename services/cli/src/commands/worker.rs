@@ -129,7 +129,8 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     };
     output::line(format!("task {task} on {name} with {cores} threads for {address}"))?;
     match agent.run_task(task, interrupt.token()).await? {
-        Errand::Ended => output::line("the task ended; its result is with the service"),
+        Errand::Ended => output::line("the task ended; the service has its result, or its error"),
+        Errand::Dropped => output::line("the service no longer wants this task's result; it was dropped"),
         Errand::Needless(why) => output::line(format!("nothing to do: {why}")),
         Errand::Stopped => Err(Interrupted.into()),
     }
