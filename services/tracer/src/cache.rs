@@ -5,8 +5,8 @@
 //! cache has three phases instead:
 //!
 //! 1. **Plan** (`plan`): the insertion rule runs over the first diffuse hits of all pixels, also behind
-//!    mirrors and glass, in a fixed coarse-to-fine order. A record's radius comes from 48 stratified rays
-//!    that only measure distances.
+//!    mirrors and glass, in a fixed coarse-to-fine order. A record's radius comes from 48 stratified rays:
+//!    from the distances to their hits, and from how much light they bring.
 //! 2. **Fill** (`gather`): the hemisphere above every planned record is gathered, on any thread or machine
 //!    and in any order. The plan's rays are strata of the gather. They also tell where bright light comes
 //!    from, and neighbours send more rays there (`guide`). Records that agree are then averaged (`smooth`).

@@ -1,8 +1,9 @@
 //! Plan: chooses the records' positions and radii.
 //!
-//! A radius is the harmonic mean distance to the hits of a few rays (split-sphere model). Radii from the
-//! occlusion Hessian (Schwarzhaupt et al. 2012) would need a complete gather at every candidate. Measured
-//! RMSE against the uncached image, at equal numbers of records (192 × 192 pixels, 768 rays per record):
+//! A radius is the harmonic mean distance to the hits of a few rays (split-sphere model), and smaller where they
+//! bring more light than usual. Radii from the occlusion Hessian (Schwarzhaupt et al. 2012) would need a complete
+//! gather at every candidate. RMSE against the uncached image was measured, at equal numbers of records (192 × 192
+//! pixels, 768 rays per record):
 //!
 //! | scene | split sphere | Hessian |
 //! | --- | --- | --- |
