@@ -14,8 +14,7 @@ need_forelight
 
 work=$(mktemp -d)
 farm=
-stop() { [ -z "$farm" ] || { kill -INT "$farm" && wait "$farm"; } 2>/dev/null || true; rm -rf "$work"; }
-trap stop EXIT
+trap stop_farm EXIT
 fail() { echo "failed: $*"; exit 1; }
 
 command -v systemd-analyze >/dev/null || deploy/packages.sh systemd || true

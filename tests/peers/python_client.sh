@@ -17,8 +17,7 @@ rm -rf deploy/python/src/forelight/rest
 
 work=$(mktemp -d)
 farm=
-stop() { [ -z "$farm" ] || { kill -INT "$farm" && wait "$farm"; } 2>/dev/null || true; rm -rf "$work"; }
-trap stop EXIT
+trap stop_farm EXIT
 : >"$work/farm"
 "$FORELIGHT_BIN" farm --data "$work/data" --workers 1 --preview cpu --listen 127.0.0.1:0 >"$work/farm" 2>&1 &
 farm=$!

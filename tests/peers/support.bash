@@ -68,6 +68,15 @@ need_forelight() {
   fi
 }
 
+# At the end of a test: stops `$farm`, which logs to $work/farm, and removes $work. If the test failed, shows the
+# end of the log.
+stop_farm() {
+  local status=$?
+  [ -z "$farm" ] || { kill -INT "$farm" && wait "$farm"; } 2>/dev/null || true
+  [ "$status" = 0 ] || tail -n 30 "$work/farm" 2>/dev/null || true
+  rm -rf "$work"
+}
+
 # test_scenes OWN SHARED…: sets `scenes` to one of the project's own scenes and the shared ones. Reports
 # missing shared scenes.
 test_scenes() {
