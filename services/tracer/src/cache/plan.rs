@@ -135,6 +135,15 @@ impl PlanCost {
         add_rays(&mut self.rays, &counters.rays);
     }
 
+    /// Charges for results that come with their counters and CPU times, in order.
+    fn charged<T>(&mut self, results: Vec<((T, Counters), u64)>) -> Vec<T> {
+        let charged = |((result, counters), nanos): ((T, Counters), u64)| {
+            self.charge(&counters, nanos);
+            result
+        };
+        results.into_iter().map(charged).collect()
+    }
+
     fn add(&mut self, other: &Self) {
         self.cost += other.cost;
         add_rays(&mut self.rays, &other.rays);
@@ -151,13 +160,9 @@ struct Found {
 impl Found {
     /// Concatenates the results of all parts, on the current thread pool. Each part comes with its CPU time.
     fn of(parts: impl IndexedParallelIterator<Item = ((Vec<Keyed>, Counters), u64)>) -> Self {
-        let parts: Vec<_> = parts.collect();
-        let mut all = Self::default();
-        for ((places, counters), nanos) in parts {
-            all.places.extend(places);
-            all.cost.charge(&counters, nanos);
-        }
-        all
+        let mut cost = PlanCost::default();
+        let places = cost.charged(parts.collect()).concat();
+        Self { places, cost }
     }
 }
 
@@ -203,14 +208,14 @@ impl Planning<'_> {
     fn brightness(&mut self, mut pilots: Vec<Keyed>, level: &Level) -> f32 {
         pilots.sort_unstable_by_key(|(key, _)| *key);
         pilots.truncate(LIT_PILOTS);
-        let tracer = self.tracer;
-        let planned = pilots.par_iter().map(|&place| clocked(|| plan_record(tracer, place, level)));
-        let planned: Vec<((Planned, Counters), u64)> = planned.collect();
-        let planned = planned.into_iter().map(|((planned, counters), nanos)| {
-            self.plan.charge(&counters, nanos);
-            planned
-        });
-        mean_radiance(&planned.collect::<Vec<_>>())
+        mean_radiance(&self.planned(&pilots, level))
+    }
+
+    /// Plans records at sites, whether they are covered or not.
+    fn planned(&mut self, places: &[Keyed], level: &Level) -> Vec<Planned> {
+        let planned = |&place: &Keyed| clocked(|| plan_record(self.tracer, place, level));
+        let planned = places.par_iter().map(planned).collect();
+        self.plan.charged(planned)
     }
 
     /// The first diffuse hits of pixels at regular distances.
@@ -261,11 +266,7 @@ impl Planning<'_> {
             };
             let (traced, nanos) = clocked(|| wanted.par_iter().map(rays).collect::<Vec<_>>());
             tracing += nanos;
-            let charged = traced.into_iter().map(|((rays, counters), nanos)| {
-                self.plan.charge(&counters, nanos);
-                rays
-            });
-            charged.collect()
+            self.plan.charged(traced)
         };
         let (lights, nanos) = clocked(|| {
             let survey = Survey::of(&level.planned, level.brightness, geometry);
@@ -349,12 +350,9 @@ impl Planning<'_> {
                     }
                 }
             });
-            let (tracer, level) = (self.tracer, coverage.level());
-            let planned = batch.par_iter().map(|&place| clocked(|| plan_record(tracer, place, level)));
-            let planned: Vec<((Planned, Counters), u64)> = planned.collect();
+            let planned = self.planned(&batch, coverage.level());
             let ((), entering) = clocked(|| {
-                for ((planned, counters), nanos) in planned {
-                    self.plan.charge(&counters, nanos);
+                for planned in planned {
                     if !coverage.covers(&planned.site) {
                         coverage.insert(planned);
                     }
@@ -410,10 +408,10 @@ fn plan_record(tracer: &Tracer, (key, site): Keyed, level: &Level) -> (Planned, 
     (Planned { key, site, radius, corral, hits: Box::new(hits), lit: Box::new(lit) }, counters)
 }
 
-/// Factor of a radius where the mean radiance is above the `usual` one: errors there are a larger share of the image.
-/// If an error is E · r, and there are 1 / r² records, then the sum of the squared errors for a number of records is
-/// least with r ~ E^−½. (128 × 128 pixels, default settings: in veach-ajar the error falls from 6.5 to 4.6 % for 1.27
-/// times the work. In six plainer scenes both change by less than 5 %.)
+/// Factor of a radius where the mean radiance is above the `usual` one: errors there are a larger share of the
+/// image. If an error is E · r, and there are 1 / r² records, then the sum of the squared errors for a number of
+/// records is least with r ~ E^−½. (128 × 128 pixels, default settings: in veach-ajar the error falls from 6.5 to
+/// 4.6 % for 1.27 times the work. In six plainer scenes both change by less than 5 %.)
 fn closer(lit: &[f32; PLAN_RAYS], usual: f32) -> f32 {
     let mean = lit.iter().sum::<f32>() / PLAN_RAYS as f32;
     if mean > usual && usual > 0.0 { (usual / mean).sqrt() } else { 1.0 }
