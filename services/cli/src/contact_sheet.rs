@@ -2,6 +2,7 @@
 
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
+use std::borrow::Cow;
 
 /// A frame's pictures. A missing one leaves its cell dark.
 #[derive(Debug, Default)]
@@ -70,11 +71,11 @@ pub fn contact_sheet(cells: &[Cell]) -> RgbImage {
         for (picture, (x, y)) in [&cell.image, &cell.cost_map].into_iter().zip(corners) {
             let (width, height) = layout.thumbnail;
             let thumbnail = match picture {
-                Some(picture) if picture.dimensions() == layout.thumbnail => picture.clone(),
-                Some(picture) => imageops::resize(picture, width, height, FilterType::Triangle),
-                None => RgbImage::from_pixel(width, height, EMPTY),
+                Some(picture) if picture.dimensions() == layout.thumbnail => Cow::Borrowed(picture),
+                Some(picture) => Cow::Owned(imageops::resize(picture, width, height, FilterType::Triangle)),
+                None => Cow::Owned(RgbImage::from_pixel(width, height, EMPTY)),
             };
-            imageops::replace(&mut sheet, &thumbnail, i64::from(x), i64::from(y));
+            imageops::replace(&mut sheet, &*thumbnail, i64::from(x), i64::from(y));
         }
         let (x, y) = corners[0];
         label(&mut sheet, x + 3, y + 3, cell.frame);

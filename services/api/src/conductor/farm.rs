@@ -288,8 +288,8 @@ fn planner_node(
         speeds,
         ..planner::Node::default()
     };
-    // Tasks that might outlast the window are not handed out, so the plan ends the window earlier: by what the work takes
-    // that is slowest here.
+    // Tasks that might outlast the window are not handed out, so the plan ends the window earlier: by what the work
+    // takes that is slowest here.
     let classes = std::iter::once(0).chain(found.speeds.keys().copied());
     let spare = classes.filter_map(|class| found.duration(spare, class)).max().unwrap_or(0);
     found.calendar = free_time_of(node, now, horizon)

@@ -57,7 +57,7 @@ export function canTake(change: PlanChange): boolean {
   return !("more_nodes" in change) && !("node_gone" in change);
 }
 
-/** Deadlines that are being moved, by what moves them: who tries again after a lost answer does not move one twice. */
+/** Deadlines that are being moved, by what moves them. Who tries again after a lost answer moves none twice. */
 const moving = new Map<string, string>();
 
 async function moveDeadline(id: string, byMs: number): Promise<void> {

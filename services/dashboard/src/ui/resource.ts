@@ -40,27 +40,21 @@ export function useResource<T>(
     shown.current = keyText;
     const asked = latest.current(abort.signal);
     busy.current = asked !== null;
-    const settled = () => {
-      busy.current = false;
-      if (again.current) setRound((n) => n + 1);
-    };
     if (!asked) {
       setState({ data: null, error: null, loading: false });
       return () => abort.abort();
     }
     setState((old) => ({ data: fresh ? null : old.data, error: old.error, loading: true }));
-    asked.then(
-      (data) => {
-        if (abort.signal.aborted) return;
-        setState({ data, error: null, loading: false });
-        settled();
-      },
-      (error: unknown) => {
-        if (abort.signal.aborted) return;
-        setState((old) => ({ data: old.data, error: asError(error), loading: false }));
-        settled();
-      },
+    const answered = asked.then(
+      (data) => ({ data, error: null }),
+      (error: unknown) => ({ error: asError(error) }),
     );
+    void answered.then((answer) => {
+      if (abort.signal.aborted) return;
+      setState((old) => ({ data: old.data, ...answer, loading: false }));
+      busy.current = false;
+      if (again.current) setRound((n) => n + 1);
+    });
     return () => abort.abort();
   }, [keyText, round]);
 
@@ -68,10 +62,10 @@ export function useResource<T>(
     if (busy.current) again.current = true;
     else setRound((n) => n + 1);
   }, []);
-  const asked = useRef({ keyText, version });
+  const before = useRef({ keyText, version });
   useEffect(() => {
-    const old = asked.current;
-    asked.current = { keyText, version };
+    const old = before.current;
+    before.current = { keyText, version };
     if (old.keyText === keyText && old.version !== version) reload();
   }, [keyText, version]);
   return { ...state, reload };

@@ -194,7 +194,8 @@ pub async fn run(args: Args) -> Result<()> {
     }
 }
 
-/// Writes a secret to the file, or prints it: once. If it cannot be written, it is printed, for there is no other copy.
+/// Writes a secret to the file, or prints it: once. If it cannot be written, it is printed, for there is no other
+/// copy.
 fn hand_over(secret: &str, out: Option<&std::path::Path>) -> Result<()> {
     let Some(path) = out else { return output::line(secret) };
     atomic_file::write_secret(path, secret.as_bytes()).or_else(|error| {

@@ -25,8 +25,8 @@ export function Logs(props: { job: Job }) {
   const wanted = ordered.filter((task) => frame === null || task.frame === Number(frame));
   const listed = wanted.length ? wanted : ordered;
   const task = listed.find((one) => one.id === chosen) ?? listed[0] ?? null;
-  // A link shows this one, and no task that fails meanwhile takes its place. Tasks come in portions: the one that a
-  // link names may come later.
+  // A link shows this one, and no task that fails meanwhile takes its place. Tasks come in portions: the one that
+  // a link names may come later.
   useEffect(() => {
     if (task && chosen === null) setQuery({ task: task.id });
   }, [task?.id, chosen]);

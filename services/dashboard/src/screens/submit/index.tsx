@@ -13,7 +13,7 @@ import { asError } from "../../ui/resource";
 import { droppedFiles, pack, pickedFiles, upload } from "./bundle";
 import { type Draft, draftFor, draftOf, fieldOf, requestOf, type Wrong } from "./draft";
 import { Fields } from "./form";
-import { Quote } from "./quote";
+import { isQuote, Quote } from "./quote";
 import "../../styles/job.css";
 import "../../styles/submit.css";
 
@@ -166,7 +166,7 @@ function Pickers(props: { take: (files: FileList) => void }) {
 /** Cancels a job that is still a quote. Somebody else may have booked it meanwhile. */
 async function cancelQuote(id: string): Promise<void> {
   const { state } = await get("/v1/jobs/{id}", { path: { id } });
-  if (["previewing", "profiling", "quoted"].includes(state)) await cancelJob(id);
+  if (isQuote(state)) await cancelJob(id);
 }
 
 function Form(props: { wanted: Wanted; back: () => void; change: (wanted: Wanted) => void }) {

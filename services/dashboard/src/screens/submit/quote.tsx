@@ -68,6 +68,10 @@ function settingsWords(job: Job): string {
 }
 
 const STEPS = ["previewing", "profiling", "quoted"] as const;
+
+/** Whether a job is a quote, or on its way to one. */
+export const isQuote = (state: Job["state"]) => STEPS.some((step) => step === state);
+
 const STEP_WORDS: Record<(typeof STEPS)[number], [name: string, does: string]> = {
   previewing: ["Preview", "which object and material every pixel of every frame shows"],
   profiling: ["Profile", "a few pixels of a few frames are traced and measured"],
