@@ -6,14 +6,16 @@
 //! each slot, all jobs' hours must fit into the class's free time. Work that does not fit is *unserved*, at a
 //! penalty that outweighs any price and grows with the job's priority and weight.
 //!
-//! Slots are cut at deadlines, releases and calendars. If there are too many, only some are kept, and a job
-//! may use all of a slot that it touches. That can only lower the optimum, which therefore remains a bound.
+//! Slots are cut at deadlines, releases and calendars. If there are too many, only some are kept, and the
+//! programme is solved twice. A job may use all of a slot that it touches: that can only lower the optimum,
+//! which therefore remains a bound. For the plan, it may use all of a slot of which it covers a quarter:
+//! otherwise the jobs that end just after a slot begins would count on time after their deadlines.
 
 use crate::calendar::Window;
 use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
 use crate::problem::{Problem, Work};
 use crate::proof::{Counted, value};
-use crate::transport::{Demand, Programme, Solution, Way};
+use crate::transport::{Demand, Programme, Solution, Solutions, Way};
 
 /// The most rows of classes and slots: as many as can be solved in half a second for hundreds of jobs. With
 /// two thirds of them, the bound of a studio's week is 0.5 % lower, and prices are too coarse for good
@@ -21,6 +23,9 @@ use crate::transport::{Demand, Programme, Solution, Way};
 pub(crate) const MOST_ROWS: usize = 660;
 /// More slots gain little.
 const MOST_SLOTS: usize = 96;
+/// A plan counts on a slot for a job that covers one part in this many of it. On nearly full farms, a half
+/// leaves more to rent, and less than a sixth lets jobs count on time that they do not have.
+const COVERED: i64 = 4;
 const MICROSECONDS_PER_HOUR: f64 = 3.6e9;
 /// Resolution of prices of time, as parts of the most expensive node's price.
 const PARTS: i64 = 1 << 20;
@@ -115,17 +120,17 @@ pub(crate) fn admit(problem: &Problem, most_rows: usize) -> Admission {
     let capacity = capacity(problem, &slots);
     let setting = Setting { problem, slots: &slots, capacity: &capacity };
     let first = Model::new(&setting, &admitted, true);
-    let solution = first.programme.solve(&problem.looks);
-    let unserved = first.unserved(&solution);
+    let solutions = first.programme.solve(&problem.looks);
+    let unserved = first.unserved(&solutions.wide);
     if unserved.is_empty() {
-        return first.admission(&solution, admitted, None);
+        return first.admission(&solutions, admitted, None);
     }
     // Not all fit. Prices of time alone prove that. Then the rest is planned without the unserved jobs.
     let infeasible = Model::new(&setting, &admitted, false).infeasible();
     unserved.into_iter().for_each(|job| admitted[job] = false);
     let rest = Model::new(&setting, &admitted, true);
-    let solution = rest.programme.solve(&problem.looks);
-    rest.admission(&solution, admitted, infeasible)
+    let solutions = rest.programme.solve(&problem.looks);
+    rest.admission(&solutions, admitted, infeasible)
 }
 
 fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
@@ -151,11 +156,15 @@ fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
     all.dedup();
     if all.len() > most {
         // Deadlines and releases matter most: calendars only say where time lies within a slot. Slots are
-        // short where there are many of them, and nowhere long.
-        all = spread(&of_jobs, most, (start, horizon));
+        // short where there are many of them, and nowhere long. The first are shorter: elsewhere, what was
+        // released earlier fills a slot until its own jobs are released.
+        all = spread(&of_jobs, most - 2, (start, horizon));
+        let first = all.first().map_or(0, |&end| end.saturating_sub(start));
+        all.splice(0..0, [start + first / 4, start + first / 2]);
     }
     all.insert(0, start);
     all.push(horizon);
+    all.dedup();
     all
 }
 
@@ -301,7 +310,21 @@ impl<'s, 'a> Model<'s, 'a> {
             let (first, of_class) = &self.rows[class];
             let before = of_class.partition_point(|&slot| slots[slot + 1] <= release);
             let until = of_class.partition_point(|&slot| slots[slot] < deadline).max(before);
-            Way { cost: price(class), served: needed / hours(class), rows: first + before..first + until }
+            let rows = first + before..first + until;
+            let covered = |slot: &usize| {
+                let (start, end) = (slots[*slot], slots[*slot + 1]);
+                let length = end.saturating_sub(start);
+                deadline.min(end).saturating_sub(release.max(start)) >= length / COVERED
+            };
+            // Only the first and the last may be covered in part.
+            let touched = &of_class[before..until];
+            let skipped = touched.iter().take_while(|slot| !covered(slot)).count();
+            let left_out = touched.iter().rev().take_while(|slot| !covered(slot)).count();
+            let narrow = match rows.start + skipped..rows.end.saturating_sub(left_out) {
+                none if none.is_empty() => rows.clone(),
+                some => some,
+            };
+            Way { cost: price(class), served: needed / hours(class), rows, narrow }
         };
         let ways = classes.iter().map(way).collect();
         self.programme.demands.push(Demand { needed, penalty, ways });
@@ -349,15 +372,15 @@ impl<'s, 'a> Model<'s, 'a> {
 
     fn admission(
         &self,
-        solution: &Solution,
+        solutions: &Solutions,
         admitted: Vec<bool>,
         infeasible: Option<Infeasible>,
     ) -> Admission {
         let part = |worth: f64| (worth * PARTS as f64).clamp(0.0, 1e12).round() as i64;
         Admission {
-            allotments: self.allotments(solution),
-            proof: self.proof(solution),
-            worths: self.by_slot(solution, part),
+            allotments: self.allotments(&solutions.narrow),
+            proof: self.proof(&solutions.wide),
+            worths: self.by_slot(&solutions.narrow, part),
             dearest: dearest(self.setting.problem),
             admitted,
             infeasible,
@@ -380,7 +403,7 @@ impl<'s, 'a> Model<'s, 'a> {
     /// Proof that not everything can be served, if one exists in integers.
     fn infeasible(&self) -> Option<Infeasible> {
         let problem = self.setting.problem;
-        let proof = self.proof(&self.programme.solve(&problem.looks));
+        let proof = self.proof(&self.programme.solve(&problem.looks).wide);
         let by = |job: &crate::model::Job| job.deadline.map_or(Counted::Not, Counted::By);
         if value(problem.input, &proof, false, by) <= 0 {
             return None;
@@ -432,4 +455,55 @@ fn ranks(problem: &Problem) -> Vec<f64> {
     };
     let worth = |work: &Work| 1.0 + f64::from(work.job.worth()).log2().min(2.0);
     problem.jobs.iter().map(|work| rank(work.job.priority) * worth(work)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{COVERED, admit};
+    use crate::chance::between;
+    use crate::model::{Confidence, Frame, Input, Interval, Job, Node, WorkTotal};
+    use crate::problem::Problem;
+
+    #[test]
+    fn a_plan_counts_on_a_slot_only_for_jobs_that_cover_a_quarter_of_it() {
+        let node = |id: u64| Node {
+            id,
+            speed: 1 + id,
+            price_per_hour: 1_000_000 * (1 + id as i64),
+            calendar: vec![Interval { start: 0, end: None }],
+            ..Node::default()
+        };
+        let job = |id: u64| {
+            let release = between(1, &[id], 0, 1_000_000_000);
+            Job {
+                id,
+                release,
+                deadline: Some(release + between(2, &[id], 200_000_000, 400_000_000)),
+                confidence: Confidence::P50,
+                total: WorkTotal { p50: 10, p80: 10, p95: 10 },
+                frames: vec![Frame { number: 0, work: 10, ..Frame::default() }],
+                ..Job::default()
+            }
+        };
+        let input = Input {
+            nodes: (0..2).map(node).collect(),
+            jobs: (0..200).map(job).collect(),
+            ..Input::default()
+        };
+        let problem = Problem::new(&input);
+        let admission = admit(&problem, 40);
+        let slots = &admission.proof.slots;
+        assert_eq!(slots.len(), 21, "as many slots as there may be");
+        assert!(slots.is_sorted_by(|one, next| one < next), "{slots:?}");
+        let mut pieces = 0;
+        for (job, work) in problem.jobs.iter().enumerate() {
+            for piece in &admission.allotments[job] {
+                let covered =
+                    work.job.deadline.unwrap_or(i64::MAX).min(piece.end) - work.job.release.max(piece.start);
+                assert!(covered >= (piece.end - piece.start) / COVERED, "job {job}: {covered} of {piece:?}");
+                pieces += 1;
+            }
+        }
+        assert!(pieces >= 200 && admission.admitted.iter().all(|&admitted| admitted), "{pieces}");
+    }
 }

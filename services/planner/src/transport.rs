@@ -39,6 +39,17 @@ pub(crate) struct Way {
     /// Units served by a unit of capacity.
     pub served: f64,
     pub rows: Range<usize>,
+    /// Those of `rows` that the narrow solution may use.
+    pub narrow: Range<usize>,
+}
+
+/// Solutions of a programme.
+#[derive(Clone, Debug)]
+pub(crate) struct Solutions {
+    /// With the narrow rows of each way.
+    pub narrow: Solution,
+    /// With all rows.
+    pub wide: Solution,
 }
 
 #[derive(Clone, Debug)]
@@ -69,17 +80,14 @@ struct Variable {
 }
 
 impl Programme {
-    /// Solves the programme. Typically the steps are three times the demands and rows. Many more would mean
-    /// that the method cycles, so they are limited.
-    pub fn solve(&self, looks: &Looks) -> Solution {
+    /// Solves the programme with the narrow rows, and from there with all rows.
+    pub fn solve(&self, looks: &Looks) -> Solutions {
         let mut basis = Basis::new(self, looks);
-        let most_steps = 40 * (self.capacities.len() + self.demands.len()) + 1000;
-        for _ in 0..most_steps {
-            if !basis.entering().is_some_and(|(entering, reduced)| basis.step(entering, reduced)) {
-                break;
-            }
-        }
-        basis.solution()
+        basis.optimise();
+        let narrow = basis.solution();
+        basis.is_wide = true;
+        basis.optimise();
+        Solutions { narrow, wide: basis.solution() }
     }
 }
 
@@ -98,6 +106,8 @@ struct Basis<'a> {
     prices: Vec<f64>,
     /// The demand at which the next search for an entering variable begins. Slacks come after the last.
     cursor: usize,
+    /// Whether all rows of a way may enter, and not only the narrow ones.
+    is_wide: bool,
     looks: &'a Looks,
 }
 
@@ -133,8 +143,20 @@ impl<'a> Basis<'a> {
             inverse: (0..rows).map(identity).collect(),
             prices: vec![0.0; rows],
             cursor: 0,
+            is_wide: false,
             looks,
             programme,
+        }
+    }
+
+    /// Goes on to the optimum. Typically the steps are three times the demands and rows. Many more would mean
+    /// that the method cycles, so they are limited.
+    fn optimise(&mut self) {
+        let most_steps = 40 * (self.programme.capacities.len() + self.programme.demands.len()) + 1000;
+        for _ in 0..most_steps {
+            if !self.entering().is_some_and(|(entering, reduced)| self.step(entering, reduced)) {
+                break;
+            }
         }
     }
 
@@ -192,7 +214,8 @@ impl<'a> Basis<'a> {
             return self.prices.len();
         };
         let worth = self.worth(demand);
-        for (way, &Way { cost, served, ref rows }) in asked.ways.iter().enumerate() {
+        for (way, &Way { cost, served, ref rows, ref narrow }) in asked.ways.iter().enumerate() {
+            let rows = if self.is_wide { rows } else { narrow };
             let own = cost - worth * served;
             for (row, price) in rows.clone().zip(&self.prices[rows.clone()]) {
                 consider(Variable { demand: Some(demand), way, row: Some(row), cost, served }, own - price);
@@ -334,7 +357,7 @@ impl<'a> Basis<'a> {
     }
 
     /// The solution for the right sides without their perturbation.
-    fn solution(self) -> Solution {
+    fn solution(&self) -> Solution {
         let mut right = self.programme.capacities.clone();
         for (&(key, _), demand) in self.keys.iter().zip(&self.programme.demands) {
             if let Some(row) = key.row {
@@ -367,7 +390,9 @@ impl<'a> Basis<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Demand, Programme, Way};
+    use std::ops::Range;
+
+    use super::{Demand, Programme, Solution, Way};
     use crate::looks::Looks;
 
     #[test]
@@ -377,11 +402,11 @@ mod tests {
         let ways: Vec<Way> = [1.0, 3.0]
             .iter()
             .zip([0..1, 1..2])
-            .map(|(&cost, rows)| Way { cost, served: 1.0, rows })
+            .map(|(&cost, rows)| Way { cost, served: 1.0, narrow: rows.clone(), rows })
             .collect();
         let demand = |needed: f64| Demand { needed, penalty: 100.0, ways: ways.clone() };
         let programme = Programme { capacities: vec![5.0, 9.0], demands: vec![demand(4.0), demand(3.0)] };
-        let found = programme.solve(&Looks::default());
+        let found = programme.solve(&Looks::default()).wide;
         let cost: f64 = found.given.iter().map(|&(_, way, _, time)| time * ways[way].cost).sum();
         assert!((cost - 11.0).abs() < 1e-9, "5 hours at 1, 2 at 3: {cost}");
         assert!((found.worths[0] - 2.0).abs() < 1e-9 && found.worths[1].abs() < 1e-9, "{:?}", found.worths);
@@ -390,9 +415,9 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_left_at_its_own_cost() {
-        let ways = vec![Way { cost: 2.0, served: 0.5, rows: 0..1 }];
+        let ways = vec![Way { cost: 2.0, served: 0.5, rows: 0..1, narrow: 0..1 }];
         let demands = vec![Demand { needed: 4.0, penalty: 50.0, ways }];
-        let found = Programme { capacities: vec![1.0], demands }.solve(&Looks::default());
+        let found = Programme { capacities: vec![1.0], demands }.solve(&Looks::default()).wide;
         assert!((found.unserved[0] - 3.5).abs() < 1e-9);
         assert!((found.worths[0] - (25.0 - 2.0)).abs() < 1e-6);
     }
@@ -407,45 +432,55 @@ mod tests {
                 (0..(classes * slots) as u64).map(|row| 4.0 * draw(&[2, row])).collect();
             let demands: Vec<Demand> = (0..between(seed, &[3], 1, 40) as u64)
                 .map(|job| {
-                    let first = between(seed, &[4, job], 0, slots as i64 - 1) as usize;
-                    let last = between(seed, &[5, job], first as i64, slots as i64 - 1) as usize;
+                    let between = |n: u64, low: usize, high: usize| {
+                        between(seed, &[n, job], low as i64, high as i64) as usize
+                    };
+                    let first = between(4, 0, slots - 1);
+                    let last = between(5, first, slots - 1);
+                    let narrow = between(9, first, last);
                     let way = |class: usize| Way {
                         cost: draw(&[6, class as u64]),
                         served: draw(&[7, class as u64, job % 3]),
                         rows: class * slots + first..class * slots + last + 1,
+                        narrow: class * slots + narrow..class * slots + last + 1,
                     };
                     Demand { needed: draw(&[8, job]), penalty: 200.0, ways: (0..classes).map(way).collect() }
                 })
                 .collect();
             let programme = Programme { capacities, demands };
             let found = programme.solve(&Looks::default());
-            let (mut used, mut served) = (vec![0.0; programme.capacities.len()], found.unserved.clone());
-            let mut cost = 0.0;
-            for &(demand, way, row, time) in &found.given {
-                let of = &programme.demands[demand].ways[way];
-                assert!(of.rows.contains(&row) && time > 0.0);
-                used[row] += time;
-                served[demand] += time * of.served;
-                cost += time * of.cost;
-            }
-            let mut dual = 0.0;
-            for ((used, &capacity), worth) in used.iter().zip(&programme.capacities).zip(&found.worths) {
-                assert!(
-                    *used <= capacity + 1e-6 && *worth >= -1e-6,
-                    "seed {seed}: {used} of {capacity}, {worth}"
-                );
-                dual -= worth * capacity;
-            }
-            for ((served, demand), unserved) in served.iter().zip(&programme.demands).zip(&found.unserved) {
-                assert!((served - demand.needed).abs() < 1e-6, "seed {seed}: {served} of {}", demand.needed);
-                cost += unserved * demand.penalty;
-                let ways = demand
-                    .ways
-                    .iter()
-                    .flat_map(|way| way.rows.clone().map(|row| (way.cost + found.worths[row]) / way.served));
-                dual += demand.needed * ways.fold(demand.penalty, f64::min);
-            }
-            assert!((cost - dual).abs() < 1e-6 * (1.0 + cost), "seed {seed}: costs {cost}, proven {dual}");
+            let wide = proven(&programme, &found.wide, |way| way.rows.clone());
+            let narrow = proven(&programme, &found.narrow, |way| way.narrow.clone());
+            assert!(wide <= narrow + 1e-6 * (1.0 + narrow), "seed {seed}: {wide} with all rows, {narrow}");
         }
+    }
+
+    /// The cost of a solution. Its prices must prove that none with these rows costs less.
+    fn proven(programme: &Programme, found: &Solution, rows: fn(&Way) -> Range<usize>) -> f64 {
+        let (mut used, mut served) = (vec![0.0; programme.capacities.len()], found.unserved.clone());
+        let mut cost = 0.0;
+        for &(demand, way, row, time) in &found.given {
+            let of = &programme.demands[demand].ways[way];
+            assert!(rows(of).contains(&row) && time > 0.0);
+            used[row] += time;
+            served[demand] += time * of.served;
+            cost += time * of.cost;
+        }
+        let mut dual = 0.0;
+        for ((used, &capacity), worth) in used.iter().zip(&programme.capacities).zip(&found.worths) {
+            assert!(*used <= capacity + 1e-6 && *worth >= -1e-6, "{used} of {capacity}, {worth}");
+            dual -= worth * capacity;
+        }
+        for ((served, demand), unserved) in served.iter().zip(&programme.demands).zip(&found.unserved) {
+            assert!((served - demand.needed).abs() < 1e-6, "{served} of {}", demand.needed);
+            cost += unserved * demand.penalty;
+            let ways = demand
+                .ways
+                .iter()
+                .flat_map(|way| rows(way).map(|row| (way.cost + found.worths[row]) / way.served));
+            dual += demand.needed * ways.fold(demand.penalty, f64::min);
+        }
+        assert!((cost - dual).abs() < 1e-6 * (1.0 + cost), "costs {cost}, proven {dual}");
+        cost
     }
 }
