@@ -11,18 +11,16 @@
 //! which therefore remains a bound. For the plan, it may use all of a slot of which it covers a quarter:
 //! otherwise the jobs that end just after a slot begins would count on time after their deadlines.
 
-use crate::calendar::Window;
 use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
 use crate::problem::{Problem, Work};
 use crate::proof::{Counted, value};
+use crate::slots::{capacity, slots};
 use crate::transport::{Demand, Programme, Solution, Solutions, Way};
 
 /// The most rows of classes and slots: as many as can be solved in half a second for hundreds of jobs. With
 /// two thirds of them, the bound of a studio's week is 0.5 % lower, and prices are too coarse for good
 /// plans.
 pub(crate) const MOST_ROWS: usize = 660;
-/// More slots gain little.
-const MOST_SLOTS: usize = 96;
 /// A plan counts on a slot for a job that covers one part in this many of it. On nearly full farms, a half
 /// leaves more to rent, and less than a sixth lets jobs count on time that they do not have.
 const COVERED: i64 = 4;
@@ -131,85 +129,6 @@ pub(crate) fn admit(problem: &Problem, most_rows: usize) -> Admission {
     let rest = Model::new(&setting, &admitted, true);
     let solutions = rest.programme.solve(&problem.looks);
     rest.admission(&solutions, admitted, infeasible)
-}
-
-fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
-    let now = problem.input.now;
-    let with_deadline = || problem.jobs.iter().filter_map(|work| Some((work, work.job.deadline?)));
-    let Some(horizon) = with_deadline().map(|(_, deadline)| deadline).max() else { return Vec::new() };
-    let start = with_deadline().map(|(work, _)| work.release(now)).min().unwrap_or(now).max(now);
-    if horizon <= start {
-        return Vec::new();
-    }
-    let most = (most_rows / problem.classes.len().max(1)).clamp(8, MOST_SLOTS);
-
-    let mut of_jobs: Vec<i64> =
-        with_deadline().flat_map(|(work, deadline)| [work.release(now), deadline]).collect();
-    let mut of_nodes: Vec<i64> = problem.windows.iter().flatten().flat_map(|w| [w.start, w.end]).collect();
-    for instants in [&mut of_jobs, &mut of_nodes] {
-        instants.retain(|&instant| instant > start && instant < horizon);
-        instants.sort_unstable();
-    }
-    let mut all = of_jobs.clone();
-    all.extend_from_slice(&of_nodes);
-    all.sort_unstable();
-    all.dedup();
-    if all.len() > most {
-        // Deadlines and releases matter most: calendars only say where time lies within a slot. Slots are
-        // short where there are many of them, and nowhere long. The first are shorter: elsewhere, what was
-        // released earlier fills a slot until its own jobs are released.
-        all = spread(&of_jobs, most - 2, (start, horizon));
-        let first = all.first().map_or(0, |&end| end.saturating_sub(start));
-        all.splice(0..0, [start + first / 4, start + first / 2]);
-    }
-    all.insert(0, start);
-    all.push(horizon);
-    all.dedup();
-    all
-}
-
-/// Up to `most` of these sorted instants: half as if every n-th were taken, duplicates included, and half
-/// as if they were taken at equal distances in time.
-fn spread(instants: &[i64], most: usize, (start, horizon): (i64, i64)) -> Vec<i64> {
-    let (count, length) = (instants.len().max(1) as i128, (i128::from(horizon) - i128::from(start)).max(1));
-    let mut found = Vec::new();
-    let mut taken = 0;
-    for (rank, &instant) in instants.iter().enumerate() {
-        // From 0 to 2, in parts of the product of count and length.
-        let passed = rank as i128 * length + (i128::from(instant) - i128::from(start)) * count;
-        let step = passed * most as i128 / (2 * count * length);
-        if step > taken {
-            taken = step;
-            found.push(instant);
-        }
-    }
-    found.dedup();
-    found
-}
-
-/// Free time of each class in each slot, microseconds.
-fn capacity(problem: &Problem, slots: &[i64]) -> Vec<Vec<u128>> {
-    let count = slots.len().saturating_sub(1);
-    problem
-        .classes
-        .iter()
-        .map(|members| {
-            let mut free = vec![0u128; count];
-            for &Window { start, end, .. } in members.iter().flat_map(|&node| &problem.windows[node]) {
-                let first = slots.partition_point(|&slot| slot <= start).saturating_sub(1);
-                for (slot, free) in free.iter_mut().enumerate().skip(first) {
-                    let (from, until) = (start.max(slots[slot]), end.min(slots[slot + 1]));
-                    if slots[slot] >= end {
-                        break;
-                    }
-                    if from < until {
-                        *free += u128::from(until.abs_diff(from));
-                    }
-                }
-            }
-            free
-        })
-        .collect()
 }
 
 /// Hourly price of the most expensive node, at least one micro-unit.
@@ -469,7 +388,7 @@ mod tests {
         let node = |id: u64| Node {
             id,
             speed: 1 + id,
-            price_per_hour: 1_000_000 * (1 + id as i64),
+            price_per_hour: 1_000_000 + 4_000_000 * id as i64,
             calendar: vec![Interval { start: 0, end: None }],
             ..Node::default()
         };
@@ -480,8 +399,8 @@ mod tests {
                 release,
                 deadline: Some(release + between(2, &[id], 200_000_000, 400_000_000)),
                 confidence: Confidence::P50,
-                total: WorkTotal { p50: 10, p80: 10, p95: 10 },
-                frames: vec![Frame { number: 0, work: 10, ..Frame::default() }],
+                total: WorkTotal { p50: 13, p80: 13, p95: 13 },
+                frames: vec![Frame { number: 0, work: 13, ..Frame::default() }],
                 ..Job::default()
             }
         };

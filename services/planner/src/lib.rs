@@ -63,6 +63,7 @@ mod rescue;
 mod schedule;
 mod score;
 mod simulate;
+mod slots;
 mod state;
 mod supply;
 mod transport;
