@@ -21,18 +21,14 @@ pub(crate) fn plan(
         bookings.extend(placed.iter().map(|placed| state.booking(job, placed)));
     }
     bookings.sort_unstable();
-    let mut rentals: Vec<Rental> = Vec::new();
-    for (lane, node) in state.lanes.iter().zip(&problem.nodes) {
-        rentals.extend(lane.rentals(node));
-    }
-    let costs = costs(&rentals, &bookings);
+    let (rentals, costs) = rentals(state);
     let jobs: Vec<JobPlan> = problem
         .jobs
         .iter()
         .zip(bounds)
         .enumerate()
         .map(|(index, (work, bound))| {
-            let cost = costs.get(&work.job.id).copied().unwrap_or(0);
+            let cost = costs[index];
             JobPlan {
                 job: work.job.id,
                 verdict: verdict(state, index, bound),
@@ -48,25 +44,29 @@ pub(crate) fn plan(
     Plan { parent, bookings, rentals, jobs, cost, bound, cost_bound, proof, infeasible }
 }
 
-/// Each job's part of the rentals' cost, in proportion to its time in them.
-pub(crate) fn costs(rentals: &[Rental], bookings: &[Booking]) -> BTreeMap<u64, i64> {
-    let mut by_node: BTreeMap<u64, Vec<&Booking>> = BTreeMap::new();
-    for booking in bookings {
-        by_node.entry(booking.node).or_default().push(booking);
+/// All rentals, and by job its part of their cost, in proportion to its time in them.
+fn rentals(state: &State) -> (Vec<Rental>, Vec<i64>) {
+    // By node: start, end and job of each booking.
+    let mut by_node: Vec<Vec<(i64, i64, usize)>> = vec![Vec::new(); state.lanes.len()];
+    for (job, placed) in state.placed.iter().enumerate() {
+        placed.iter().for_each(|placed| by_node[placed.node].push((placed.start, placed.end, job)));
     }
-    let mut costs: BTreeMap<u64, i64> = BTreeMap::new();
-    for rental in rentals {
-        let Some(of_node) = by_node.get(&rental.node) else { continue };
-        let first = of_node.partition_point(|booking| booking.start < rental.start);
-        let beyond = of_node.partition_point(|booking| booking.start < rental.end);
-        let within = &of_node[first..beyond.max(first)];
-        let times = within.iter().map(|booking| booking.end.saturating_sub(booking.start));
-        for (booking, part) in within.iter().zip(shares(rental.cost, times)) {
-            let cost = costs.entry(booking.job).or_default();
-            *cost = cost.saturating_add(part);
+    let mut all = Vec::new();
+    let mut costs = vec![0i64; state.placed.len()];
+    for ((lane, node), mut of_node) in state.lanes.iter().zip(&state.problem.nodes).zip(by_node) {
+        of_node.sort_unstable();
+        for rental in lane.rentals(node) {
+            let first = of_node.partition_point(|&(start, ..)| start < rental.start);
+            let beyond = of_node.partition_point(|&(start, ..)| start < rental.end);
+            let within = &of_node[first..beyond.max(first)];
+            let times = within.iter().map(|(start, end, _)| end.saturating_sub(*start));
+            for (&(.., job), part) in within.iter().zip(shares(rental.cost, times)) {
+                costs[job] = costs[job].saturating_add(part);
+            }
+            all.push(rental);
         }
     }
-    costs
+    (all, costs)
 }
 
 fn verdict(state: &State, index: usize, bound: Bound) -> Verdict {

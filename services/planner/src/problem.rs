@@ -7,9 +7,23 @@ use crate::looks::Looks;
 use crate::model::{Division, FixedBooking, Frame, Input, Job, Node, Task};
 use crate::supply::Supply;
 
+/// Sorted ids, and where each of them is.
+struct Ids(Vec<u64>);
+
+impl Ids {
+    fn place(&self, id: u64) -> Option<usize> {
+        // They mostly follow each other.
+        let ahead = usize::try_from(id.checked_sub(*self.0.first()?)?).ok()?;
+        let is_there = self.0.get(ahead) == Some(&id);
+        if is_there { Some(ahead) } else { self.0.binary_search(&id).ok() }
+    }
+}
+
 /// An input, sorted by id.
 pub(crate) struct Problem<'a> {
     pub input: &'a Input,
+    node_ids: Ids,
+    job_ids: Ids,
     /// By id.
     pub nodes: Vec<&'a Node>,
     pub windows: Vec<Vec<Window>>,
@@ -66,10 +80,12 @@ impl<'a> Problem<'a> {
         }
         let mut jobs: Vec<&Job> = input.jobs.iter().collect();
         jobs.sort_unstable_by_key(|job| job.id);
+        let job_ids = Ids(jobs.iter().map(|job| job.id).collect());
+        let node_ids = Ids(nodes.iter().map(|node| node.id).collect());
         let jobs = jobs.into_iter().map(|job| Work::new(job, &nodes, &classes)).collect();
         let looks = Looks::default();
         let supply = Supply::new(&nodes, &windows, &classes, &looks);
-        Problem { input, nodes, windows, classes, class_of, jobs, supply, looks }
+        Problem { input, node_ids, job_ids, nodes, windows, classes, class_of, jobs, supply, looks }
     }
 
     /// A node of the class. All its nodes have the same speeds.
@@ -78,11 +94,11 @@ impl<'a> Problem<'a> {
     }
 
     pub fn node(&self, id: u64) -> Option<usize> {
-        self.nodes.binary_search_by_key(&id, |node| node.id).ok()
+        self.node_ids.place(id)
     }
 
     pub fn job(&self, id: u64) -> Option<usize> {
-        self.jobs.binary_search_by_key(&id, |work| work.job.id).ok()
+        self.job_ids.place(id)
     }
 }
 
@@ -115,18 +131,30 @@ impl<'a> Work<'a> {
 
     /// Microseconds that the node needs for a task of this job. `None` if it cannot do it.
     pub fn duration(&self, node: &Node, task: Task) -> Option<i64> {
-        match task {
-            Task::SharedCache | Task::SharedCachePart { .. } => {
-                node.duration(self.job.shared_cache_work(task)?, self.job.shared_cache?.class)
-            }
-            Task::Frame(_) | Task::Part { .. } => node.duration(self.work_of(task)?, self.job.class),
+        self.duration_at(self.place_of(task)?, node, task)
+    }
+
+    /// The same, for a task whose place is known. See [`Work::place_of`].
+    pub fn duration_at(&self, place: usize, node: &Node, task: Task) -> Option<i64> {
+        match self.frames.get(place) {
+            Some(frame) => node.duration(self.work_in(frame, task)?, self.job.class),
+            None => node.duration(self.job.shared_cache_work(task)?, self.job.shared_cache?.class),
         }
+    }
+
+    /// Where a task's frame is in `frames`. Tasks of the shared cache come behind the last.
+    pub fn place_of(&self, task: Task) -> Option<usize> {
+        task.frame().map_or(Some(self.frames.len()), |number| self.place(number))
     }
 
     /// Work of a frame or a part of one. `None` if the job has no such task, or the frame may not be divided
     /// like this.
     pub fn work_of(&self, task: Task) -> Option<u64> {
-        let frame = self.frame(task.frame()?)?;
+        self.work_in(self.frame(task.frame()?)?, task)
+    }
+
+    /// Work of a task of this frame. `None` if the frame may not be divided like this.
+    fn work_in(&self, frame: &FrameWork, task: Task) -> Option<u64> {
         match task {
             Task::Part { part, parts, .. } => (part < parts && parts > 1 && frame.division.allows(parts))
                 .then(|| self.job.part_work(frame.work, parts)),

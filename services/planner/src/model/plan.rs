@@ -53,12 +53,17 @@ impl Plan {
                 Task::Frame(frame) => (1, frame, 0, 1),
                 Task::Part { frame, part, parts } => (2, frame, part, parts),
             };
-            bytes.extend(booking.start.to_le_bytes());
-            bytes.extend(booking.end.to_le_bytes());
-            bytes.extend(booking.node.to_le_bytes());
-            bytes.extend(booking.job.to_le_bytes());
-            bytes.extend(frame.to_le_bytes());
-            [kind, part, parts].iter().for_each(|number| bytes.extend(number.to_le_bytes()));
+            let mut record = [0; BYTES_OF_BOOKING];
+            let (long, short) = record.split_at_mut(5 * 8);
+            let numbers =
+                [booking.start, booking.end, booking.node.cast_signed(), booking.job.cast_signed(), frame];
+            for (at, number) in long.chunks_exact_mut(8).zip(numbers) {
+                at.copy_from_slice(&number.to_le_bytes());
+            }
+            for (at, number) in short.chunks_exact_mut(4).zip([kind, part, parts]) {
+                at.copy_from_slice(&number.to_le_bytes());
+            }
+            bytes.extend_from_slice(&record);
         }
         let mut first = [0; 8];
         first.copy_from_slice(&blake3::hash(&bytes).as_bytes()[..8]);
