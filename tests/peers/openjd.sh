@@ -79,6 +79,17 @@ for parts in 1 3; do
   for frame in 0 1; do same_bits "$work/$frame.exr" "$work/cached-$parts/$frame.exr"; done
 done
 
+echo 'a shot whose cache is chosen for an error'
+quietly "$FORELIGHT_BIN" export "$scene" --frames 0-1 "${small[@]}" --ambient-bounces 1 --cache-error 5 --cache-parts 2 \
+  --out "$work/chosen.json"
+rays=$(sed -n 's/.*--cache-rays \([0-9]*\).*/\1/p' "$log")
+check "$work/chosen.json"
+python3 - "$work/chosen.json" "$rays" <<'PYTHON'
+import json, sys
+defaults = {one["name"]: one.get("default") for one in json.load(open(sys.argv[1]))["parameterDefinitions"]}
+assert defaults["CacheRays"] == int(sys.argv[2]) > 0, defaults
+PYTHON
+
 echo 'a job that others wrote, as a renderer'
 other=$work/other
 mkdir "$other"

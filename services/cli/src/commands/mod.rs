@@ -231,7 +231,6 @@ mod tests {
             ("forelight cache fill b --cache-file c --part 5/4 --out d", "--part"),
             ("forelight forecast b --samples 0", "--samples"),
             ("forelight export b --format yaml", "--format"),
-            ("forelight export b --cache-parts 4", "--cache"),
             ("forelight export b --timeout soon", "--timeout"),
             ("forelight token --role boss", "--role"),
             ("forelight token --one-time --role worker", "--role"),

@@ -107,7 +107,7 @@ fn check_own(args: &Args, settings: &RenderSettings) -> Result<()> {
         return Err(BadInput::new(format!("--cache: {NO_USE_FOR_A_CACHE}")).into());
     }
     if settings.cache == CacheMode::Off && args.cache_parts > 1 {
-        return Err(BadInput::new("--cache-parts: there is no cache; add --cache on").into());
+        return Err(BadInput::new("--cache-parts: there is no cache; add --cache on or --cache-error").into());
     }
     if settings.seed > GREATEST_INTEGER {
         let why = format!(

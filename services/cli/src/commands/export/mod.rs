@@ -4,6 +4,7 @@ mod checked;
 mod openjd;
 mod template;
 
+use super::cache_error::{Asker, CacheErrorOption};
 use anyhow::Result;
 use checked::{FrameStats, exported};
 use clap::ValueEnum;
@@ -41,9 +42,9 @@ not point elsewhere. Otherwise set it at submission.
 Scenes of other renderers are rendered by `forelight render` too, which machines need beside the renderer. Only the \
 file that is named is an input of the job: what it refers to must be inside it, or on storage that the machines share.
 
-With --cache on, steps before the renders make the irradiance cache of the shot, in a folder that all machines must \
-share. --threads sets the cores that a machine must have, and --stats its memory. With --forecast, a task is stopped \
-after four times its forecast CPU time (P95, on one core), and not before 10 minutes.
+With --cache on or --cache-error, steps before the renders make the irradiance cache of the shot, in a folder that all \
+machines must share. --threads sets the cores that a machine must have, and --stats its memory. With --forecast, a \
+task is stopped after four times its forecast CPU time (P95, on one core), and not before 10 minutes.
 
 With --chunk, a task renders as many frames as take about that long with --threads, but at most 150, and reads the \
 scene once, unless the renderer is a program that is started for each frame. The farm must know the extension \
@@ -65,8 +66,8 @@ pub struct Args {
     /// Name of the job [default: the scene's name]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// Number of tasks that fill each level of the cache. Needs --cache on
-    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256), requires = "cache")]
+    /// Number of tasks that fill each level of the cache. Needs --cache on or --cache-error
+    #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     cache_parts: u32,
     /// Threads of a task, and cores that a machine must have [default: all cores, and no requirement]
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -89,6 +90,8 @@ pub struct Args {
     own: Vec<OwnSetting>,
     #[command(flatten)]
     quality: QualityOptions,
+    #[command(flatten)]
+    cache_error: CacheErrorOption,
 }
 
 /// What is exported, whichever renderer renders it.
@@ -106,15 +109,19 @@ struct Source {
 }
 
 impl Source {
-    fn of_own(args: &Args, machine: &MachineOptions, bars: &Bars) -> Result<Self> {
+    fn of_own(args: &Args, machine: &MachineOptions, bars: &Bars, interrupt: &Interrupt) -> Result<Self> {
         refuse_own_settings(&args.own)?;
         let local = Local::open(&args.bundle, machine, bars)?;
+        let mut settings = local.settings(&args.cache_error.quality(&args.quality)?)?;
+        let middle = local.middle_frame(args.frames.as_ref())?;
+        let here = Asker { local: &local, bundle: &args.bundle, bars, interrupt };
+        args.cache_error.choose(&mut settings, middle, &here)?;
         let scene = &local.shot.info().summary;
         Ok(Self {
             name: scene.name.clone(),
             digest: scene.digest,
             renderer: None,
-            settings: local.settings(&args.quality)?.into(),
+            settings: settings.into(),
             set: BTreeMap::new(),
             formats: ["exr", "png"].map(str::to_owned).to_vec(),
             frames: local.frames(args.frames.as_ref())?,
@@ -122,7 +129,7 @@ impl Source {
     }
 
     fn of_other(args: &Args, machine: &MachineOptions, bars: &Bars, interrupt: &Interrupt) -> Result<Self> {
-        refuse(&[("--cache-parts", args.cache_parts > 1)])?;
+        refuse(&[("--cache-parts", args.cache_parts > 1), ("--cache-error", args.cache_error.is_given())])?;
         let foreign = Foreign::open(&args.bundle, machine, bars, interrupt)?;
         let settings = foreign.settings(&args.quality, &args.own)?;
         let (name, digest) = foreign.scene(&args.bundle)?;
@@ -159,12 +166,13 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let forecast: Option<ForecastDoc> = args.forecast.as_deref().map(quote).transpose()?;
     let stats = |path| json_file::read_written_by("forelight render --stats", path);
     let stats: Option<FrameStats> = args.stats.as_deref().map(stats).transpose()?;
-    // Nothing is traced here.
-    let machine = MachineOptions { threads: Some(1), preview: PreviewBackend::Cpu, keep: Keep::Off };
+    // Light is traced only to choose a cache.
+    let threads = if args.cache_error.is_given() { None } else { Some(1) };
+    let machine = MachineOptions { threads, preview: PreviewBackend::Cpu, keep: Keep::Off };
     let bars = Bars::new(args.out.is_none());
     let source = match is_foreign(&args.bundle) {
         true => Source::of_other(args, &machine, &bars, interrupt)?,
-        false => Source::of_own(args, &machine, &bars)?,
+        false => Source::of_own(args, &machine, &bars, interrupt)?,
     };
     let Format::Openjd = args.format;
     let shot = exported(args, source, forecast.as_ref(), stats.as_ref())?;
