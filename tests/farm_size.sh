@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Measures the service and the dashboard page together on a farm of 5,000 nodes, 2,000 open jobs, one of them
-# of 10,000 frames: heartbeats of all workers, alone and beside 200 open pages, and the page in Chromium while
-# the workers go on. Prints times and sizes, and asserts nothing: the sizes of documents are asserted by
-# `cargo test -p forelight-api --test farm_size`, which also fills this farm's database.
+# of 10,000 frames: heartbeats of all workers, alone and beside 200 open pages, and, while the workers go on,
+# new plans and the page in Chromium. Prints times and sizes, and asserts nothing: the sizes of documents are
+# asserted by `cargo test -p forelight-api --test farm_size`, which also fills this farm's database.
 #
 #   tests/farm_size.sh          prints the figures
 #   tests/farm_size.sh --write  also writes them into docs/benchmarks.md
@@ -49,7 +49,7 @@ measure() {
     farm
     "$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time "${each}s" --pages 200 | sed 1d
   done
-  printf '\n== The page in Chromium, beside the workers\n'
+  printf '\n== New plans and the page in Chromium, beside the workers\n'
   farm
   "$FORELIGHT_DASHBOARD_BIN" bench workers --data "$work/farm" --time 600s >"$work/bench" 2>&1 &
   bench=$!
@@ -58,6 +58,7 @@ measure() {
     sleep 0.1
   done
   address=$(sed -n 's/^listening on //p' "$work/farm.out" | head -1)
+  node tests/peers/dashboard/plans.mjs "$address" "$work/farm"
   node tests/peers/dashboard/size.mjs "$address" "$work/farm"
   kill "$bench"
   printf '\nload of the machine: %s\n' "$(cut -d' ' -f1-3 /proc/loadavg)"

@@ -9,7 +9,8 @@
 //! Slots are cut at deadlines, releases and calendars. If there are too many, only some are kept, and the
 //! programme is solved twice. A job may use all of a slot that it touches: that can only lower the optimum,
 //! which therefore remains a bound. For the plan, it may use all of a slot of which it covers a quarter:
-//! otherwise the jobs that end just after a slot begins would count on time after their deadlines.
+//! otherwise the jobs that end just after a slot begins would count on time after their deadlines. Jobs that
+//! do not fit into such slots may use all that they touch.
 
 use crate::model::{Infeasible, Prices, Proof, Reserved, in_millionths};
 use crate::problem::{Problem, Work};
@@ -38,7 +39,7 @@ pub(crate) struct Admission {
     pub admitted: Vec<bool>,
     /// Prices that prove the cost bound of the admitted jobs.
     pub proof: Proof,
-    /// The same prices by class and slot, as parts of the most expensive node's price. They do not depend on
+    /// Prices of the narrow solution by class and slot, as parts of the most expensive node's price. They do not depend on
     /// the unit of money, so rounding does not separate equally good places.
     worths: Vec<Vec<i64>>,
     dearest: i64,
@@ -239,10 +240,8 @@ impl<'s, 'a> Model<'s, 'a> {
             let touched = &of_class[before..until];
             let skipped = touched.iter().take_while(|slot| !covered(slot)).count();
             let left_out = touched.iter().rev().take_while(|slot| !covered(slot)).count();
-            let narrow = match rows.start + skipped..rows.end.saturating_sub(left_out) {
-                none if none.is_empty() => rows.clone(),
-                some => some,
-            };
+            let start = rows.start + skipped;
+            let narrow = start..rows.end.saturating_sub(left_out).max(start);
             Way { cost: price(class), served: needed / hours(class), rows, narrow }
         };
         let ways = classes.iter().map(way).collect();
@@ -251,9 +250,8 @@ impl<'s, 'a> Model<'s, 'a> {
     }
 
     fn unserved(&self, solution: &Solution) -> Vec<usize> {
-        let all = self.demands.iter().zip(&self.programme.demands).zip(&solution.unserved);
-        let missing = all.filter(|((_, demand), unserved)| **unserved > 1e-6 * demand.needed);
-        let mut jobs: Vec<usize> = missing.map(|(((job, _), _), _)| *job).collect();
+        let missing = (0..self.demands.len()).filter(|&demand| self.programme.misses(solution, demand));
+        let mut jobs: Vec<usize> = missing.map(|demand| self.demands[demand].0).collect();
         jobs.dedup();
         jobs
     }

@@ -21,7 +21,7 @@ pub(crate) fn plan(
         bookings.extend(placed.iter().map(|placed| state.booking(job, placed)));
     }
     bookings.sort_unstable();
-    let (rentals, costs) = rentals(state);
+    let (rentals, costs) = rentals_and_costs(state);
     let jobs: Vec<JobPlan> = problem
         .jobs
         .iter()
@@ -45,7 +45,7 @@ pub(crate) fn plan(
 }
 
 /// All rentals, and by job its part of their cost, in proportion to its time in them.
-fn rentals(state: &State) -> (Vec<Rental>, Vec<i64>) {
+fn rentals_and_costs(state: &State) -> (Vec<Rental>, Vec<i64>) {
     // By node: start, end and job of each booking.
     let mut by_node: Vec<Vec<(i64, i64, usize)>> = vec![Vec::new(); state.lanes.len()];
     for (job, placed) in state.placed.iter().enumerate() {

@@ -7,23 +7,28 @@ use crate::looks::Looks;
 use crate::model::{Division, FixedBooking, Frame, Input, Job, Node, Task};
 use crate::supply::Supply;
 
-/// Sorted ids, and where each of them is.
-struct Ids(Vec<u64>);
+/// Sorted numbers, and where each of them is.
+struct Numbers(Vec<u64>);
 
-impl Ids {
-    fn place(&self, id: u64) -> Option<usize> {
+impl Numbers {
+    fn place(&self, number: u64) -> Option<usize> {
         // They mostly follow each other.
-        let ahead = usize::try_from(id.checked_sub(*self.0.first()?)?).ok()?;
-        let is_there = self.0.get(ahead) == Some(&id);
-        if is_there { Some(ahead) } else { self.0.binary_search(&id).ok() }
+        let ahead = number.checked_sub(*self.0.first()?)?;
+        let guess = usize::try_from(ahead).ok().filter(|&guess| self.0.get(guess) == Some(&number));
+        guess.or_else(|| self.0.binary_search(&number).ok())
     }
+}
+
+/// The number of a frame, in the same order from zero on.
+fn from_zero(frame: i64) -> u64 {
+    frame.cast_unsigned() ^ (1 << 63)
 }
 
 /// An input, sorted by id.
 pub(crate) struct Problem<'a> {
     pub input: &'a Input,
-    node_ids: Ids,
-    job_ids: Ids,
+    node_ids: Numbers,
+    job_ids: Numbers,
     /// By id.
     pub nodes: Vec<&'a Node>,
     pub windows: Vec<Vec<Window>>,
@@ -41,8 +46,9 @@ pub(crate) struct Work<'a> {
     pub shared_cache: Option<u64>,
     /// Frames by P80, longest first, then by number.
     pub frames: Vec<FrameWork>,
-    /// Numbers of its frames, sorted, and their places in `frames`.
-    by_number: Vec<(i64, usize)>,
+    /// Numbers of its frames ([`from_zero`]), and their places in `frames`.
+    numbers: Numbers,
+    places: Vec<usize>,
     /// Classes of nodes that can render its frames.
     pub classes: Vec<usize>,
     pub shared_cache_classes: Vec<usize>,
@@ -80,8 +86,8 @@ impl<'a> Problem<'a> {
         }
         let mut jobs: Vec<&Job> = input.jobs.iter().collect();
         jobs.sort_unstable_by_key(|job| job.id);
-        let job_ids = Ids(jobs.iter().map(|job| job.id).collect());
-        let node_ids = Ids(nodes.iter().map(|node| node.id).collect());
+        let job_ids = Numbers(jobs.iter().map(|job| job.id).collect());
+        let node_ids = Numbers(nodes.iter().map(|node| node.id).collect());
         let jobs = jobs.into_iter().map(|job| Work::new(job, &nodes, &classes)).collect();
         let looks = Looks::default();
         let supply = Supply::new(&nodes, &windows, &classes, &looks);
@@ -113,12 +119,14 @@ impl<'a> Work<'a> {
             let can = |members: &[usize]| nodes[members[0]].speed_of(class) > 0;
             (0..classes.len()).filter(|&index| can(&classes[index])).collect()
         };
-        let mut by_number: Vec<(i64, usize)> =
-            frames.iter().enumerate().map(|(place, (frame, _))| (frame.number, place)).collect();
+        let mut by_number: Vec<(u64, usize)> =
+            frames.iter().enumerate().map(|(place, (frame, _))| (from_zero(frame.number), place)).collect();
         by_number.sort_unstable();
+        let (numbers, places) = by_number.into_iter().unzip();
         Work {
             job,
-            by_number,
+            numbers: Numbers(numbers),
+            places,
             shared_cache: job.bought_shared_cache(),
             frames: frames
                 .iter()
@@ -168,13 +176,7 @@ impl<'a> Work<'a> {
 
     /// Where a frame is in `frames`.
     pub fn place(&self, number: i64) -> Option<usize> {
-        // Numbers mostly follow each other.
-        let ahead = usize::try_from(number.checked_sub(self.by_number.first()?.0)?).ok()?;
-        if let Some(&(_, place)) = self.by_number.get(ahead).filter(|found| found.0 == number) {
-            return Some(place);
-        }
-        let found = self.by_number.binary_search_by_key(&number, |&(number, _)| number).ok()?;
-        Some(self.by_number[found].1)
+        Some(self.places[self.numbers.place(from_zero(number))?])
     }
 
     /// Work of each part of the shared cache, or of all of it if it is not split.
@@ -196,5 +198,21 @@ impl<'a> Work<'a> {
 
     pub fn release(&self, now: i64) -> i64 {
         self.job.release.max(now)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Numbers, from_zero};
+
+    #[test]
+    fn numbers_are_found_whether_they_follow_each_other_or_not() {
+        let all = [i64::MIN, -3, -2, -1, 0, 1, 5, i64::MAX];
+        let numbers = Numbers(all.map(from_zero).to_vec());
+        for (place, number) in all.into_iter().enumerate() {
+            assert_eq!(numbers.place(from_zero(number)), Some(place), "{number}");
+        }
+        assert_eq!([2, 6, i64::MAX - 1].map(|number| numbers.place(from_zero(number))), [None; 3]);
+        assert_eq!(Numbers(Vec::new()).place(0), None);
     }
 }

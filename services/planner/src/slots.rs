@@ -6,8 +6,9 @@ use crate::problem::Problem;
 /// More slots gain little.
 const MOST_SLOTS: usize = 96;
 
-/// Where slots begin, and where the last one ends: at deadlines, releases and calendars, or at some of the
-/// deadlines and releases if these are too many. Empty without a deadline.
+/// Where slots begin, and where the last one ends: at deadlines, releases and calendars. If these are too many,
+/// at some of the deadlines and releases, and at a quarter and a half of the first slot. Empty without a
+/// deadline.
 pub(crate) fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
     let now = problem.input.now;
     let with_deadline = || problem.jobs.iter().filter_map(|work| Some((work, work.job.deadline?)));
@@ -31,8 +32,8 @@ pub(crate) fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
     all.dedup();
     if all.len() > most {
         // Deadlines and releases matter most: calendars only say where time lies within a slot. Slots are
-        // short where there are many of them, and nowhere long. The first are shorter: elsewhere, what was
-        // released earlier fills a slot until its own jobs are released.
+        // short where there are many of them, and nowhere long. Before the jobs of a later slot are released,
+        // earlier jobs use its time. The first slot has no earlier jobs, so it is cut in three.
         all = spread(&of_jobs, most - 2, (start, horizon));
         let first = all.first().map_or(0, |&end| end.saturating_sub(start));
         all.splice(0..0, [start + first / 4, start + first / 2]);
