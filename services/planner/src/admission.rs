@@ -39,8 +39,8 @@ pub(crate) struct Admission {
     pub admitted: Vec<bool>,
     /// Prices that prove the cost bound of the admitted jobs.
     pub proof: Proof,
-    /// Prices of the narrow solution by class and slot, as parts of the most expensive node's price. They do not depend on
-    /// the unit of money, so rounding does not separate equally good places.
+    /// Prices of the narrow solution by class and slot, as parts of the most expensive node's price. They do
+    /// not depend on the unit of money, so rounding does not separate equally good places.
     worths: Vec<Vec<i64>>,
     dearest: i64,
     pub infeasible: Option<Infeasible>,

@@ -6,9 +6,9 @@ use crate::problem::Problem;
 /// More slots gain little.
 const MOST_SLOTS: usize = 96;
 
-/// Where slots begin, and where the last one ends: at deadlines, releases and calendars. If these are too many,
-/// at some of the deadlines and releases, and at a quarter and a half of the first slot. Empty without a
-/// deadline.
+/// Where slots begin, and where the last one ends: at deadlines, releases and calendars. If these are too
+/// many, at some of the deadlines and releases, and at a quarter and a half of the first slot. Empty without
+/// a deadline.
 pub(crate) fn slots(problem: &Problem, most_rows: usize) -> Vec<i64> {
     let now = problem.input.now;
     let with_deadline = || problem.jobs.iter().filter_map(|work| Some((work, work.job.deadline?)));

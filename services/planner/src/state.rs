@@ -59,8 +59,8 @@ impl<'p, 'a> State<'p, 'a> {
             return;
         }
         let problem = self.problem;
-        // Job by job, then node by node: what is looked at then lies close together in memory, which on a large
-        // farm is several times as fast.
+        // Job by job, then node by node: what is looked at then lies close together in memory, which is several
+        // times as fast on a large farm.
         let mut by_job: Vec<Vec<Placed>> = vec![Vec::new(); problem.jobs.len()];
         for &Booking { start, node, job, task, end } in bookings {
             if let Some((job, node)) = problem.job(job).zip(problem.node(node)) {

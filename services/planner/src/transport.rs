@@ -39,7 +39,7 @@ pub(crate) struct Way {
     /// Units served by a unit of capacity.
     pub served: f64,
     pub rows: Range<usize>,
-    /// Those of `rows` that the narrow solution may use, unless the demand cannot be served without the others.
+    /// Those of `rows` that the narrow solution may use. If they cannot serve the demand, it may use all.
     pub narrow: Range<usize>,
 }
 

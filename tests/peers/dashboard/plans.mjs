@@ -1,5 +1,5 @@
-// How long a job of a large farm waits for its new plan: `tests/farm_size.sh` runs it. Everything is printed, and
-// nothing is asserted.
+// How long a job of a large farm waits for its new plan: `tests/farm_size.sh` runs it. Everything is printed,
+// and nothing is asserted.
 //
 //   node plans.mjs ADDRESS DATA
 
