@@ -85,9 +85,9 @@ impl Programme {
         let mut basis = Basis::new(self, looks);
         basis.optimise();
         let mut narrow = basis.solution();
-        let is_served = |demand: usize| !self.misses(&narrow, demand);
-        if !(0..self.demands.len()).all(is_served) {
-            basis.is_wide = (0..self.demands.len()).map(|demand| !is_served(demand)).collect();
+        let missed: Vec<bool> = (0..self.demands.len()).map(|demand| self.misses(&narrow, demand)).collect();
+        if missed.contains(&true) {
+            basis.is_wide = missed;
             basis.optimise();
             narrow = basis.solution();
         }
@@ -484,10 +484,11 @@ mod tests {
         let reserved: f64 =
             programme.capacities.iter().zip(&found.worths).map(|(time, worth)| time * worth).sum();
         let served = programme.demands.iter().map(|demand| {
-            let rows = |way: &Way| way.rows.clone().zip([(way.cost, way.served)].into_iter().cycle());
-            let ways = demand.ways.iter().flat_map(rows);
-            let prices = ways.map(|(row, (cost, served))| (cost + found.worths[row]) / served);
-            demand.needed * prices.fold(demand.penalty, f64::min)
+            let ways = demand
+                .ways
+                .iter()
+                .flat_map(|way| way.rows.clone().map(|row| (way.cost + found.worths[row]) / way.served));
+            demand.needed * ways.fold(demand.penalty, f64::min)
         });
         let dual = served.sum::<f64>() - reserved;
         assert!((cost - dual).abs() < 1e-6 * (1.0 + cost), "costs {cost}, proven {dual}");

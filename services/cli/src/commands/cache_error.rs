@@ -48,6 +48,19 @@ impl CacheErrorOption {
         Ok(if self.is_given() { quality.cached()? } else { quality.clone() })
     }
 
+    /// The settings of these flags. The cache is chosen on the middle one of these frames, all if `None`.
+    pub fn settings(
+        &self,
+        quality: &QualityOptions,
+        frames: Option<&FrameSet>,
+        asker: &Asker<'_>,
+    ) -> Result<RenderSettings> {
+        let mut settings = asker.local.settings(&self.quality(quality)?)?;
+        let middle = asker.local.middle_frame(frames)?;
+        self.choose(&mut settings, middle, asker)?;
+        Ok(settings)
+    }
+
     /// Chooses the cache of these settings on a frame, if it is asked for, and tells the user.
     pub fn choose(
         &self,
@@ -129,9 +142,8 @@ impl Choice {
     fn make(self) -> Result<QualityOptions> {
         let Self { option, quality, frames, bundle, machine, bars, interrupt } = &self;
         let local = Local::open(bundle, machine, bars)?;
-        let frame = local.middle_frame(frames.as_ref())?;
-        let mut settings = local.settings(quality)?;
-        option.choose(&mut settings, frame, &Asker { local: &local, bundle, bars, interrupt })?;
+        let here = Asker { local: &local, bundle, bars, interrupt };
+        let settings = option.settings(quality, frames.as_ref(), &here)?;
         Ok(QualityOptions {
             cache_accuracy: Some(settings.cache_accuracy),
             cache_rays: Some(settings.cache_rays),

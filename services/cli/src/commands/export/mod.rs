@@ -112,10 +112,8 @@ impl Source {
     fn of_own(args: &Args, machine: &MachineOptions, bars: &Bars, interrupt: &Interrupt) -> Result<Self> {
         refuse_own_settings(&args.own)?;
         let local = Local::open(&args.bundle, machine, bars)?;
-        let mut settings = local.settings(&args.cache_error.quality(&args.quality)?)?;
-        let middle = local.middle_frame(args.frames.as_ref())?;
         let here = Asker { local: &local, bundle: &args.bundle, bars, interrupt };
-        args.cache_error.choose(&mut settings, middle, &here)?;
+        let settings = args.cache_error.settings(&args.quality, args.frames.as_ref(), &here)?;
         let scene = &local.shot.info().summary;
         Ok(Self {
             name: scene.name.clone(),

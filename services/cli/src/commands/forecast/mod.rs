@@ -138,10 +138,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let other = args.for_node.as_deref().map(calibrate::read).transpose()?;
     let local = Local::open(&args.bundle, &args.machine, &bars)?;
     let frames = local.frames(args.frames.as_ref())?;
-    let mut settings = local.settings(&args.cache_error.quality(&args.quality)?)?;
-    let middle = local.middle_frame(args.frames.as_ref())?;
     let here = Asker { local: &local, bundle: &args.bundle, bars: &bars, interrupt };
-    args.cache_error.choose(&mut settings, middle, &here)?;
+    let settings = args.cache_error.settings(&args.quality, args.frames.as_ref(), &here)?;
     let options = QuoteOptions {
         samples: args.samples,
         profile_frames: args.profile_frames.map(|frames| frames as usize),
