@@ -1,5 +1,5 @@
 //! The effects that a frame needs, from its materials, lights, camera and settings. The kernel is composed
-//! from them (see `kernel`). Other effects cost nothing: no code, no rays, no memory.
+//! from them (see `kernel`). Other effects take no rays and no memory.
 
 use crate::Settings;
 use crate::environment::Sky;

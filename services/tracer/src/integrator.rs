@@ -11,6 +11,7 @@
 //! | `table` | the functions of a kernel, which the integrators call |
 //! | `secondary` | indirect light by way of small bright places |
 //! | `occlusion` | shadow rays: what is between a point and a light |
+//! | `queries` | what rays meet in the BVH |
 
 mod ambient;
 mod cached;
@@ -19,13 +20,14 @@ mod features;
 mod interface;
 mod occlusion;
 mod path;
+mod queries;
 mod secondary;
 mod segment;
 mod table;
 
 pub use interface::Interface;
 pub use segment::Segment;
-pub use table::{Ambient, Kernel, Light, has};
+pub use table::{Ambient, Kernel, Light};
 
 use crate::cache::Site;
 use crate::cost::{Category, Counters};
@@ -37,7 +39,6 @@ use crate::tracer::Tracer;
 use forelight_bvh::{Hit, Ray, offset_origin, size_of};
 use forelight_scene::{Color, Sun};
 use glam::{Vec2, Vec3};
-use std::cell::Cell;
 
 /// A point on a surface, seen from where the ray came from.
 pub struct Point {
@@ -68,6 +69,11 @@ pub struct Passed {
 }
 
 impl Passed {
+    /// The ray from here on. Hits at the same distance must be held against [`Self::is_before`].
+    fn rest(self, ray: &Ray) -> Ray {
+        Ray { t_min: self.t.next_down(), ..*ray }
+    }
+
     fn is_before(self, hit: &Hit) -> bool {
         hit.t > self.t || hit.t == self.t && hit.primitive > self.primitive
     }
@@ -91,10 +97,10 @@ impl Point {
     }
 }
 
-/// Traces one pixel with a kernel with const parameter `K` (see `kernel::has`).
-pub struct Pixels<'a, const K: u32> {
+/// Traces one pixel with a kernel.
+pub struct Pixels<'a> {
     tracer: &'a Tracer,
-    kernel: &'a Kernel<K>,
+    kernel: &'a Kernel,
     sampler: Sampler,
     /// The solids that contain the origin of the current ray.
     media: Media,
@@ -105,8 +111,8 @@ pub struct Pixels<'a, const K: u32> {
     pub sites: Vec<Site>,
 }
 
-impl<'a, const K: u32> Pixels<'a, K> {
-    pub fn new(tracer: &'a Tracer, kernel: &'a Kernel<K>, sampler: Sampler) -> Self {
+impl<'a> Pixels<'a> {
+    pub fn new(tracer: &'a Tracer, kernel: &'a Kernel, sampler: Sampler) -> Self {
         Self {
             tracer,
             kernel,
@@ -171,27 +177,7 @@ impl<'a, const K: u32> Pixels<'a, K> {
 
     /// The first hit of a ray, behind what it has already passed.
     fn closest(&mut self, ray: &Ray, passed: Option<Passed>) -> Option<Hit> {
-        match passed {
-            Some(passed) if K & (has::PASSING | has::SPECULAR) != 0 => {
-                let rest = Ray { t_min: passed.t.next_down(), ..*ray };
-                self.first(&rest, |hit| passed.is_before(hit))
-            }
-            _ => self.first(ray, |_| true),
-        }
-    }
-
-    /// The closest hit that `counts` accepts and that is not cut out.
-    #[inline(always)]
-    fn first(&mut self, ray: &Ray, counts: impl Fn(&Hit) -> bool) -> Option<Hit> {
-        let steps = &mut self.counters.traversal;
-        if K & has::CUT_OUTS == 0 {
-            return self.tracer.bvh.closest(ray, counts, steps);
-        }
-        let texels = Cell::new(0);
-        let met = |hit: &Hit| counts(hit) && self.tracer.present(hit, &texels);
-        let hit = self.tracer.bvh.closest(ray, met, steps);
-        self.counters.texels += texels.get();
-        hit
+        (self.kernel.closest)(self.tracer, ray, passed, &mut self.counters)
     }
 
     fn point(&self, ray: &Ray, hit: &Hit) -> Point {
@@ -228,11 +214,11 @@ impl<'a, const K: u32> Pixels<'a, K> {
 
     fn color(&mut self, color: &Color, uv: Vec2) -> Vec3 {
         match color.texture {
-            Some(texture) if K & has::TEXTURES != 0 => {
+            Some(texture) => {
                 self.counters.texels += 1;
                 color.factor * self.tracer.frame.textures[texture.0 as usize].color(uv)
             }
-            _ => color.factor,
+            None => color.factor,
         }
     }
 }

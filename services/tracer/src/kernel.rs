@@ -1,23 +1,85 @@
 //! Kernels: the code that traces a frame, composed once from the effects that the frame needs.
 //!
-//! Decisions in the innermost loops (ray intersection, lobes, texture lookups) are a const parameter with 32
-//! values, each compiled separately. Functions called at most once per path vertex are function pointers. A
-//! kernel with more effects than needed computes the same bits.
+//! A kernel is a table of functions, which the integrators call. Traversals that test surfaces (cut-outs,
+//! panes) are functions of their own, so they cost nothing where no surface needs a test. A kernel with more
+//! effects than needed computes the same bits.
 
 use crate::cache::{Irradiance, Keyed, PLAN_RAYS, Planned, Site, Strata};
 use crate::cost::{Counters, add_rays};
 use crate::effects::Effects;
-use crate::integrator::{Ambient, Kernel, Light, Pixels, has};
+use crate::integrator::{Ambient, Kernel, Light, Pixels};
 use crate::lights::Looks;
 use crate::pixel::{Feature, Pixel, Underway};
 use crate::random::{Sampler, hash};
-use crate::tracer::{Trace, Tracer};
+use crate::tracer::Tracer;
 use forelight_bvh::Hit;
 use forelight_protocol::Integrator;
 use glam::Vec3;
 use std::time::Instant;
 
-impl<const K: u32> Kernel<K> {
+/// Surfaces that let a part of the light pass a shadow ray.
+const ATTENUATING: u32 =
+    Effects::CUT_OUTS | Effects::OPACITY | Effects::THIN_GLASS | Effects::TRANSPARENT_SHADOWS;
+
+/// Surfaces with more than the diffuse lobe.
+const LOBES: u32 = Effects::GLOSSY | Effects::MIRROR | Effects::REFRACTION | Effects::THIN_GLASS;
+
+impl Kernel {
+    /// The kernel for a set of effects.
+    pub fn new(effects: Effects, integrator: Integrator, looks: Looks) -> Self {
+        let any = |bits| effects.bits() & bits != 0;
+        let sky: Option<Light> = match effects.has(Effects::ENVIRONMENT) {
+            true => Some(|pixels, p, response, vertex| pixels.sky(p, response, vertex)),
+            false => None,
+        };
+        let cached = effects.has(Effects::CACHE);
+        let ambient: Option<Ambient> = match effects.has(Effects::AMBIENT) {
+            true if cached => Some(|pixels, s, p, response| pixels.interpolate(s, p, response)),
+            true => Some(|pixels, s, p, response| pixels.gather(s, p, response)),
+            false => None,
+        };
+        let kernel = Self {
+            camera: match effects.has(Effects::DEPTH_OF_FIELD) {
+                true => |pixels, x, y| pixels.through_lens(x, y),
+                false => |pixels, x, y| pixels.through_pinhole(x, y),
+            },
+            lights: lights(effects, 0, looks),
+            gathered_lights: lights(effects, 1, looks),
+            sky,
+            ambient,
+            interface: match effects.has(Effects::NESTED_MEDIA) {
+                true => |pixels, ray, hit, p| pixels.nested_interface(ray, hit, p),
+                false => |pixels, ray, hit, p| pixels.plain_interface(ray, hit, p),
+            },
+            integrate: match integrator {
+                Integrator::Ambient => |pixels, ray| pixels.ambient(ray),
+                Integrator::Path => |pixels, ray| pixels.path(ray),
+            },
+            closest: match effects.has(Effects::CUT_OUTS) {
+                true => Tracer::closest_present,
+                false => Tracer::closest,
+            },
+            shadow: match any(ATTENUATING) {
+                true => Tracer::shadow,
+                false => Tracer::opaque_shadow,
+            },
+            several_lobes: any(LOBES),
+            probe: None,
+        };
+        let probe = cached.then(|| Box::new(kernel.probe()));
+        Self { probe, ..kernel }
+    }
+
+    fn probe(&self) -> Self {
+        Self {
+            lights: Vec::new(),
+            gathered_lights: Vec::new(),
+            sky: None,
+            ambient: Some(|pixels, _, p, response| pixels.note(p, response)),
+            ..self.clone()
+        }
+    }
+
     /// Adds camera samples to a pixel until it has `samples` of them. `seed` is that of its random numbers.
     fn trace<'a>(
         &'a self,
@@ -26,7 +88,7 @@ impl<const K: u32> Kernel<K> {
         underway: &mut Underway,
         samples: u32,
         each: &mut dyn FnMut([f32; 3]),
-    ) -> Pixels<'a, K> {
+    ) -> Pixels<'a> {
         let start = Instant::now();
         let settings = &tracer.settings;
         let (x, y) = (index % settings.width, index / settings.width);
@@ -54,86 +116,22 @@ impl<const K: u32> Kernel<K> {
         pixels
     }
 
-    fn new(effects: Effects, integrator: Integrator, looks: Looks) -> Self {
-        let sky: Option<Light<K>> = match effects.has(Effects::ENVIRONMENT) {
-            true => Some(|pixels, p, response, vertex| pixels.sky(p, response, vertex)),
-            false => None,
-        };
-        let cached = effects.has(Effects::CACHE);
-        let ambient: Option<Ambient<K>> = match effects.has(Effects::AMBIENT) {
-            true if cached => Some(|pixels, s, p, response| pixels.interpolate(s, p, response)),
-            true => Some(|pixels, s, p, response| pixels.gather(s, p, response)),
-            false => None,
-        };
-        let kernel = Self {
-            camera: match effects.has(Effects::DEPTH_OF_FIELD) {
-                true => |pixels, x, y| pixels.through_lens(x, y),
-                false => |pixels, x, y| pixels.through_pinhole(x, y),
-            },
-            lights: lights(effects, 0, looks),
-            gathered_lights: lights(effects, 1, looks),
-            sky,
-            ambient,
-            interface: match effects.has(Effects::NESTED_MEDIA) {
-                true => |pixels, ray, hit, p| pixels.nested_interface(ray, hit, p),
-                false => |pixels, ray, hit, p| pixels.plain_interface(ray, hit, p),
-            },
-            integrate: match integrator {
-                Integrator::Ambient => |pixels, ray| pixels.ambient(ray),
-                Integrator::Path => |pixels, ray| pixels.path(ray),
-            },
-            probe: None,
-        };
-        let probe = cached.then(|| Box::new(kernel.probe()));
-        Self { probe, ..kernel }
-    }
-
-    fn probe(&self) -> Self {
-        Self {
-            lights: Vec::new(),
-            gathered_lights: Vec::new(),
-            sky: None,
-            ambient: Some(|pixels, _, p, response| pixels.note(p, response)),
-            ..self.clone()
-        }
-    }
-}
-
-/// The functions that sample lights at a point after `level` diffuse bounces.
-fn lights<const K: u32>(effects: Effects, level: u32, looks: Looks) -> Vec<Light<K>> {
-    let mut lights: Vec<Light<K>> = Vec::new();
-    match (looks.at(level), level) {
-        (None, _) => {
-            if effects.has(Effects::AREA_LIGHTS) {
-                lights.push(|pixels, p, response, vertex| pixels.all_area_lights(p, response, vertex));
-            }
-            if effects.has(Effects::POINT_LIGHTS) {
-                lights.push(|pixels, p, response, _| pixels.all_point_lights(p, response));
-            }
-        }
-        (Some(_), 0) => lights.push(|pixels, p, response, vertex| pixels.some_lights(p, response, 0, vertex)),
-        (Some(_), _) => lights.push(|pixels, p, response, vertex| pixels.some_lights(p, response, 1, vertex)),
-    }
-    if effects.has(Effects::SUN) {
-        lights.push(|pixels, p, response, vertex| pixels.suns(p, response, vertex));
-    }
-    lights
-}
-
-impl<const K: u32> Trace for Kernel<K> {
-    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel {
+    /// Traces one pixel by row-major index. `each` receives the radiance of every camera sample in order.
+    pub fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel {
         let mut underway = Underway::default();
         self.trace(tracer, (tracer.settings.seed, index), &mut underway, tracer.samples_of(index), each);
         underway.finished()
     }
 
-    fn again(&self, tracer: &Tracer, index: u32, seed: u64, samples: u32) -> Pixel {
+    /// Traces one pixel by other random numbers than the image's.
+    pub fn again(&self, tracer: &Tracer, index: u32, seed: u64, samples: u32) -> Pixel {
         let mut underway = Underway::default();
         self.trace(tracer, (seed, index), &mut underway, samples, &mut |_| ());
         underway.finished()
     }
 
-    fn feature(&self, tracer: &Tracer, index: u32, samples: u32) -> Feature {
+    /// What the first `samples` camera samples of a pixel show, on average.
+    pub fn feature(&self, tracer: &Tracer, index: u32, samples: u32) -> Feature {
         let settings = &tracer.settings;
         let sampler = Sampler::new(settings.seed, tracer.frame.number, index);
         let mut pixels = Pixels::new(tracer, self, sampler);
@@ -147,7 +145,8 @@ impl<const K: u32> Trace for Kernel<K> {
         Feature { albedo: sum.albedo / count, normal: sum.normal / count }
     }
 
-    fn go_on(
+    /// Adds camera samples to a pixel until it has `samples`. `each` receives the radiance of each new one.
+    pub fn go_on(
         &self,
         tracer: &Tracer,
         index: u32,
@@ -159,7 +158,8 @@ impl<const K: u32> Trace for Kernel<K> {
             .note_drawn(&mut underway.drawn);
     }
 
-    fn sites(
+    /// Sites at which the first `samples` camera samples of a pixel read the first level of the cache.
+    pub fn sites(
         &self,
         tracer: &Tracer,
         pixel: u32,
@@ -179,7 +179,8 @@ impl<const K: u32> Trace for Kernel<K> {
         std::mem::swap(&mut pixels.counters, counters);
     }
 
-    fn sites_beyond(
+    /// Finds the sites of level `level` that the plan rays of a record on the level before meet.
+    pub fn sites_beyond(
         &self,
         tracer: &Tracer,
         strata: &Strata,
@@ -194,7 +195,9 @@ impl<const K: u32> Trace for Kernel<K> {
         (sites.collect(), pixels.counters)
     }
 
-    fn plan_rays(
+    /// Traces rays from a site. Returns each hit, and the direct light that it brings (radiance, mean over
+    /// the channels). `key` is the random key of that light. Without `with_light`, it is 0.
+    pub fn plan_rays(
         &self,
         tracer: &Tracer,
         site: &Site,
@@ -207,7 +210,9 @@ impl<const K: u32> Trace for Kernel<K> {
         (traced, pixels.counters)
     }
 
-    fn gather(
+    /// Gathers the irradiance at a planned record of a level. `counts` is the number of rays of each
+    /// stratum, 1 if absent.
+    pub fn gather(
         &self,
         tracer: &Tracer,
         strata: &Strata,
@@ -221,26 +226,23 @@ impl<const K: u32> Trace for Kernel<K> {
     }
 }
 
-/// The kernel for a set of effects.
-pub fn kernel(effects: Effects, integrator: Integrator, looks: Looks) -> Box<dyn Trace> {
-    let parameters = [
-        (has::GLOSSY, Effects::GLOSSY),
-        (has::SPECULAR, Effects::MIRROR),
-        (has::SPECULAR, Effects::REFRACTION),
-        (has::SPECULAR | has::PASSING, Effects::THIN_GLASS),
-        (has::PASSING, Effects::OPACITY),
-        (has::PASSING, Effects::TRANSPARENT_SHADOWS),
-        (has::CUT_OUTS, Effects::CUT_OUTS),
-        (has::TEXTURES, Effects::TEXTURES),
-    ];
-    let wanted = parameters.iter().filter(|p| effects.has(p.1)).fold(0, |set, p| set | p.0);
-    macro_rules! compiled {
-        ($($k:literal)*) => {
-            match wanted {
-                $($k => Box::new(Kernel::<$k>::new(effects, integrator, looks)) as Box<dyn Trace>,)*
-                _ => Box::new(Kernel::<31>::new(effects, integrator, looks)),
+/// The functions that sample lights at a point after `level` diffuse bounces.
+fn lights(effects: Effects, level: u32, looks: Looks) -> Vec<Light> {
+    let mut lights: Vec<Light> = Vec::new();
+    match (looks.at(level), level) {
+        (None, _) => {
+            if effects.has(Effects::AREA_LIGHTS) {
+                lights.push(|pixels, p, response, vertex| pixels.all_area_lights(p, response, vertex));
             }
-        };
+            if effects.has(Effects::POINT_LIGHTS) {
+                lights.push(|pixels, p, response, _| pixels.all_point_lights(p, response));
+            }
+        }
+        (Some(_), 0) => lights.push(|pixels, p, response, vertex| pixels.some_lights(p, response, 0, vertex)),
+        (Some(_), _) => lights.push(|pixels, p, response, vertex| pixels.some_lights(p, response, 1, vertex)),
     }
-    compiled!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29 30)
+    if effects.has(Effects::SUN) {
+        lights.push(|pixels, p, response, vertex| pixels.suns(p, response, vertex));
+    }
+    lights
 }

@@ -4,18 +4,17 @@
 mod beside;
 mod prepare;
 
-use crate::cache::{
-    Cache, CacheError, Irradiance, Keyed, PLAN_RAYS, Planned, RecordCost, SecondaryLights, Site, Strata,
-};
-use crate::cost::{Cost, Counters, Tally, WorkByClass, clocked, share_cpu_time};
+use crate::cache::{Cache, CacheError, RecordCost, SecondaryLights};
+use crate::cost::{Cost, Tally, WorkByClass, clocked, share_cpu_time};
 use crate::effects::Effects;
 use crate::environment::Sky;
 use crate::fingerprint::{fingerprint, light_fingerprint, of_content};
 use crate::image::Image;
+use crate::integrator::Kernel;
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::origin::Origin;
-use crate::pixel::{Feature, Pixel, PixelsFinished, Underway};
+use crate::pixel::{Pixel, PixelsFinished, Underway};
 use crate::profile::Profile;
 use crate::reach::{LeftOut, Reach};
 use crate::tiling::{TILE, Tiling};
@@ -23,7 +22,6 @@ use crate::tree::{Tree, TreeCost};
 use crate::{SampleCounts, SampleCountsError, Settings};
 use forelight_bvh::Hit;
 use forelight_scene::{Frame, Material};
-use glam::Vec3;
 use parking_lot::Mutex;
 use rayon::prelude::*;
 use std::cell::Cell;
@@ -34,69 +32,6 @@ pub use prepare::Trees;
 
 /// Pixels per batch of [`Tracer::first_samples`]: thread clocks are read rarely, and every thread has work.
 const TOGETHER: usize = 64;
-
-/// The kernel of a frame: traces its pixels, and the rays that plan and fill its irradiance cache.
-pub trait Trace: Send + Sync {
-    /// Traces one pixel by row-major index. `each` receives the radiance of every camera sample in order.
-    fn pixel(&self, tracer: &Tracer, index: u32, each: &mut dyn FnMut([f32; 3])) -> Pixel;
-
-    /// Traces one pixel by other random numbers than the image's.
-    fn again(&self, tracer: &Tracer, index: u32, seed: u64, samples: u32) -> Pixel;
-
-    /// What the first `samples` camera samples of a pixel show, on average.
-    fn feature(&self, tracer: &Tracer, index: u32, samples: u32) -> Feature;
-
-    /// Adds camera samples to a pixel until it has `samples`. `each` receives the radiance of each new one.
-    fn go_on(
-        &self,
-        tracer: &Tracer,
-        index: u32,
-        underway: &mut Underway,
-        samples: u32,
-        each: &mut dyn FnMut([f32; 3]),
-    );
-
-    /// Sites at which the first `samples` camera samples of a pixel read the first level of the cache.
-    fn sites(
-        &self,
-        tracer: &Tracer,
-        pixel: u32,
-        samples: u32,
-        found: &mut Vec<Keyed>,
-        counters: &mut Counters,
-    );
-
-    /// Finds the sites of level `level` that the plan rays of a record on the level before meet.
-    fn sites_beyond(
-        &self,
-        tracer: &Tracer,
-        strata: &Strata,
-        level: u32,
-        planned: &Planned,
-    ) -> (Vec<Keyed>, Counters);
-
-    /// Traces rays from a site. Returns each hit, and the direct light that it brings (radiance, mean over
-    /// the channels). `key` is the random key of that light. Without `with_light`, it is 0.
-    fn plan_rays(
-        &self,
-        tracer: &Tracer,
-        site: &Site,
-        key: u64,
-        directions: &[Vec3; PLAN_RAYS],
-        with_light: bool,
-    ) -> ([(Option<Hit>, f32); PLAN_RAYS], Counters);
-
-    /// Gathers the irradiance at a planned record of a level. `counts` is the number of rays of each
-    /// stratum, 1 if absent.
-    fn gather(
-        &self,
-        tracer: &Tracer,
-        strata: &Strata,
-        counts: Option<&[u16]>,
-        level: u32,
-        planned: &Planned,
-    ) -> (Irradiance, Counters);
-}
 
 /// Everything needed to trace a frame. Threads can share it.
 pub struct Tracer {
@@ -127,7 +62,7 @@ pub struct Tracer {
     /// A cache from which planning starts.
     given: Mutex<Option<Cache>>,
     effects: Effects,
-    pub(crate) kernel: Box<dyn Trace>,
+    pub(crate) kernel: Kernel,
     tree: TreeCost,
     /// Work of all pixels traced so far, and of all gathers.
     pub(crate) pixel_work: Tally,

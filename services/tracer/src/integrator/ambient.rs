@@ -11,7 +11,7 @@
 //! Caustics are left out, as in Radiance: a gathered hemisphere would find them by rare, very bright rays.
 
 use super::segment::{Arrival, Segment};
-use super::{Interface, Passed, Pixels, Point, cap_height, fluence, has, leaving};
+use super::{Interface, Passed, Pixels, Point, cap_height, fluence, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::fresnel;
@@ -30,7 +30,7 @@ const FAINT: f32 = 0.02;
 /// After a diffuse bounce, glossy lobes with a smaller alpha do not see the lights (caustics).
 const CAUSTIC_ALPHA: f32 = 0.2;
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// Radiance along a camera ray.
     pub fn ambient(&mut self, ray: Ray) -> Vec3 {
         let arrival = Arrival::Everything;
@@ -53,10 +53,7 @@ impl<const K: u32> Pixels<'_, K> {
             self.met = Some(p.stratum);
         }
         let material = &self.tracer.materials[p.material];
-        if K & has::PASSING != 0
-            && material.opacity < 1.0
-            && self.sampler.next(Purpose::Opacity, s.vertex).x >= material.opacity
-        {
+        if material.opacity < 1.0 && self.sampler.next(Purpose::Opacity, s.vertex).x >= material.opacity {
             return self.going_straight(&s, p.passed());
         }
         self.counters.shadings += 1;
@@ -64,29 +61,25 @@ impl<const K: u32> Pixels<'_, K> {
         emitted + self.scattered(&s, &p, &hit)
     }
 
-    /// Radiance that the surface scatters towards the viewer, for the materials of this kernel.
+    /// Radiance that the surface scatters towards the viewer.
     fn scattered(&mut self, s: &Segment, p: &Point, hit: &Hit) -> Vec3 {
         match self.tracer.materials[p.material].surface {
             Surface::Lambert { albedo } => {
                 let diffuse = self.color(&albedo, p.uv);
                 self.reflecting(s, p, Response { diffuse, coat: None, glossy: None })
             }
-            Surface::Plastic { albedo, ior, alpha } if K & (has::GLOSSY | has::SPECULAR) != 0 => {
-                self.plastic(s, p, &albedo, ior, alpha)
-            }
-            Surface::Metal { f0, alpha } if K & has::SPECULAR != 0 && alpha < ggx::SMOOTH => {
+            Surface::Plastic { albedo, ior, alpha } => self.plastic(s, p, &albedo, ior, alpha),
+            Surface::Metal { f0, alpha } if alpha < ggx::SMOOTH => {
                 let f0 = self.color(&f0, p.uv);
                 self.mirror(s, p, fresnel::conductor(p.wi.z, f0))
             }
-            Surface::Metal { f0, alpha } if K & has::GLOSSY != 0 => {
+            Surface::Metal { f0, alpha } => {
                 let fresnel = Tint::Conductor(self.color(&f0, p.uv));
                 let glossy = Some(Glossy { alpha, fresnel });
                 self.reflecting(s, p, Response { diffuse: Vec3::ZERO, coat: None, glossy })
             }
-            Surface::ThinGlass { ior, transmittance } if K & has::SPECULAR != 0 => {
-                self.pane(s, p, ior, &transmittance)
-            }
-            Surface::Glass { .. } if K & has::SPECULAR != 0 => {
+            Surface::ThinGlass { ior, transmittance } => self.pane(s, p, ior, &transmittance),
+            Surface::Glass { .. } => {
                 let outer = self.media;
                 let interface = (self.kernel.interface)(self, &s.ray, hit, p);
                 self.media = interface.before;
@@ -94,7 +87,6 @@ impl<const K: u32> Pixels<'_, K> {
                 self.media = outer;
                 radiance
             }
-            surface => unreachable!("a kernel without code for {surface:?}"),
         }
     }
 
@@ -173,8 +165,7 @@ impl<const K: u32> Pixels<'_, K> {
         if let Some(ambient) = ambient {
             total += self.caused_by(Category::Ambient, |this| ambient(this, s, p, &response));
         }
-        if K & has::GLOSSY != 0
-            && let Some(glossy) = lobe
+        if let Some(glossy) = lobe
             && let Some((wo, share, density)) =
                 glossy.sample(p.wi, self.sampler.next(Purpose::Glossy, s.vertex))
         {

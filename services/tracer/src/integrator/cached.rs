@@ -14,7 +14,7 @@ use std::f32::consts::FRAC_1_PI;
 /// one before. Where no record covers a point, one ray gathers, which costs less.
 const FOLLOWED: usize = 4;
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// Indirect diffuse light: interpolated, or gathered where no record covers the point.
     pub fn interpolate(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         if self.tracer.planned().is_followed(s.level as usize) {

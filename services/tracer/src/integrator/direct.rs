@@ -1,7 +1,7 @@
 //! Direct light: samples lights from a surface point. Lights near a diffuse surface are sampled by points and
 //! by directions, combined by multiple importance sampling.
 
-use super::{Passed, Pixels, Point, cap_height, fluence, has, leaving};
+use super::{Passed, Pixels, Point, cap_height, fluence, leaving};
 use crate::cost::Category;
 use crate::environment::Sky;
 use crate::geometry::{self, Basis};
@@ -13,7 +13,7 @@ use forelight_scene::{Material, PointLight};
 use glam::{Vec2, Vec3};
 use std::cell::Cell;
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// Direct light, without the environment, at a point after `level` diffuse bounces.
     pub(super) fn direct(&mut self, p: &Point, response: &Response, level: u32, vertex: u32) -> Vec3 {
         let kernel = self.kernel;
@@ -164,13 +164,11 @@ impl<const K: u32> Pixels<'_, K> {
 
     /// Radiance emitted at a point of an emitting triangle. Accounts for opacity and cut-outs.
     pub(super) fn emitted_at(&mut self, light: &LightPoint) -> Vec3 {
-        if K & has::CUT_OUTS != 0 {
-            let texels = Cell::new(0);
-            let present = self.tracer.present(&light.hit, &texels);
-            self.counters.texels += texels.get();
-            if !present {
-                return Vec3::ZERO;
-            }
+        let texels = Cell::new(0);
+        let present = self.tracer.present(&light.hit, &texels);
+        self.counters.texels += texels.get();
+        if !present {
+            return Vec3::ZERO;
         }
         let (emission, opacity) = (self.emitter(light).emission, self.emitter(light).opacity);
         let Hit { primitive, u, v, .. } = light.hit;

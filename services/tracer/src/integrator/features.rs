@@ -1,6 +1,6 @@
 //! What camera rays show first, for denoisers: the colour and the normal of surfaces.
 
-use super::{Pixels, Point, has, leaving};
+use super::{Pixels, Point, leaving};
 use crate::fresnel;
 use crate::microfacet as ggx;
 use crate::pixel::Feature;
@@ -11,7 +11,7 @@ use glam::Vec3;
 /// Mirrors and panes after which a ray is not followed any further.
 const MOST_FOLLOWED: u32 = 8;
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// What one camera sample of the pixel at column `x` and row `y` shows: behind mirrors and panes, as far
     /// as they tint it. The camera rays are those of the image's samples.
     pub fn feature(&mut self, x: u32, y: u32) -> Feature {
@@ -24,10 +24,7 @@ impl<const K: u32> Pixels<'_, K> {
             };
             let p = self.point(&ray, &hit);
             let material = &self.tracer.materials[p.material];
-            if K & has::PASSING != 0
-                && material.opacity < 1.0
-                && self.sampler.next(Purpose::Opacity, vertex).x >= material.opacity
-            {
+            if material.opacity < 1.0 && self.sampler.next(Purpose::Opacity, vertex).x >= material.opacity {
                 passed = Some(p.passed());
                 continue;
             }

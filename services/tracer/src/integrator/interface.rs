@@ -38,7 +38,7 @@ pub struct Interface {
     pub passed: Passed,
 }
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// An interface of a single solid. Its relative index is that of the inside over that of the outside.
     pub fn plain_interface(&mut self, _: &Ray, _: &Hit, p: &Point) -> Interface {
         let Surface::Glass { ior, transmittance, alpha, .. } = self.tracer.materials[p.material].surface
@@ -87,21 +87,7 @@ impl<const K: u32> Pixels<'_, K> {
         let step = (off_surface(p.position, p.geometric, p.size, ray.direction) - p.position).length();
         let cos = p.geometric.dot(ray.direction).abs();
         let piece = Ray { t_max: hit.t + step / cos.max(GRAZING), ..*ray };
-        let texels = Cell::new(0);
-        let met = Cell::new([0u32; 2]);
-        let note = |other: &Hit| {
-            if other.t >= hit.t
-                && let Some((rank, leaves)) = self.tracer.face(other, ray.direction, &texels)
-            {
-                let mut faces = met.get();
-                faces[usize::from(leaves)] |= 1 << rank;
-                met.set(faces);
-            }
-            false
-        };
-        self.tracer.bvh.any(&piece, note, &mut self.counters.traversal);
-        self.counters.texels += texels.get();
-        (met.get(), piece.t_max)
+        (self.tracer.faces_from(hit.t, &piece, &mut self.counters), piece.t_max)
     }
 }
 
@@ -132,7 +118,7 @@ impl Tracer {
     }
 
     /// Rank of the solid that was hit, and whether the ray leaves it. `None` without a priority.
-    fn face(&self, hit: &Hit, direction: Vec3, texels: &Cell<u64>) -> Option<(u8, bool)> {
+    pub(super) fn face(&self, hit: &Hit, direction: Vec3, texels: &Cell<u64>) -> Option<(u8, bool)> {
         let geometry = &self.frame.geometry;
         let rank = self.ranks.of(geometry.material(hit.primitive) as usize)?;
         let leaves = geometry.geometric_normal(hit.primitive).dot(direction) > 0.0;

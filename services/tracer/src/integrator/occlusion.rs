@@ -1,14 +1,14 @@
 //! Shadow rays: how much light passes between a point and a light. Panes and partial opacity attenuate it.
 
-use super::{Passed, Pixels, Point, has, leaving};
+use super::queries::Shadow;
+use super::{Passed, Pixels, Point, leaving};
 use crate::cost::Category;
 use crate::fresnel;
 use forelight_bvh::{Hit, Ray};
 use forelight_scene::Surface;
 use glam::Vec3;
-use std::cell::Cell;
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// Fraction of light that reaches the point from `target`, or from infinity along `direction`.
     pub(super) fn shadow(&mut self, p: &Point, direction: Vec3, target: Option<Vec3>) -> Vec3 {
         self.counters.ray(Category::Shadow);
@@ -17,29 +17,10 @@ impl<const K: u32> Pixels<'_, K> {
             ray.direction = target - ray.origin;
             ray.t_max = 1.0;
         }
-        let tracer = self.tracer;
-        let steps = &mut self.counters.traversal;
-        if K & (has::CUT_OUTS | has::PASSING) == 0 {
-            return if tracer.bvh.any(&ray, |_| true, steps) { Vec3::ZERO } else { Vec3::ONE };
-        }
-        // First look for an opaque blocker, and note whether anything on the way attenuates the light.
-        let coloured = Cell::new(false);
-        let texels = Cell::new(0);
-        let blocks = |hit: &Hit| {
-            let material = &tracer.materials[tracer.frame.geometry.material(hit.primitive) as usize];
-            if !tracer.present(hit, &texels) {
-                return false;
-            }
-            let passes = material.opacity < 1.0 || matches!(material.surface, Surface::ThinGlass { .. });
-            coloured.set(coloured.get() | passes);
-            !passes
-        };
-        let blocked = tracer.bvh.any(&ray, blocks, steps);
-        self.counters.texels += texels.get();
-        match (blocked, coloured.get()) {
-            (true, _) => Vec3::ZERO,
-            (false, false) => Vec3::ONE,
-            (false, true) => self.transmission(ray),
+        match (self.kernel.shadow)(self.tracer, &ray, &mut self.counters) {
+            Shadow::Blocked => Vec3::ZERO,
+            Shadow::Clear => Vec3::ONE,
+            Shadow::Attenuated => self.transmission(ray),
         }
     }
 

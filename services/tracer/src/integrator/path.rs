@@ -16,7 +16,7 @@
 //! functions would have to hand to each other.
 
 use super::direct::{LAST_BIT, falloff, fine};
-use super::{Interface, Pixels, Point, cap_height, fluence, has, leaving};
+use super::{Interface, Pixels, Point, cap_height, fluence, leaving};
 use crate::bsdf::{Bsdf, Coat, Lobe, Scattering};
 use crate::cost::Category;
 use crate::environment::Sky;
@@ -57,7 +57,7 @@ struct Candidate {
     density: Option<f32>,
 }
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// Radiance along a camera ray, estimated by one path. It is one long loop, because each step reads and
     /// changes most of the path's state.
     pub fn path(&mut self, mut ray: Ray) -> Vec3 {
@@ -78,10 +78,7 @@ impl<const K: u32> Pixels<'_, K> {
                 self.met = Some(p.stratum);
             }
             let material = &self.tracer.materials[p.material];
-            if K & has::PASSING != 0
-                && material.opacity < 1.0
-                && self.sampler.next(Purpose::Opacity, vertex).x >= material.opacity
-            {
+            if material.opacity < 1.0 && self.sampler.next(Purpose::Opacity, vertex).x >= material.opacity {
                 self.goes_on(Category::Transparent);
                 passed = Some(p.passed());
                 continue;
@@ -91,7 +88,7 @@ impl<const K: u32> Pixels<'_, K> {
                 total += throughput * self.emitted(&origin, &p);
             }
             let (bsdf, beyond) = match material.surface {
-                Surface::Glass { .. } if K & has::SPECULAR != 0 => {
+                Surface::Glass { .. } => {
                     let Interface { eta, transmittance, alpha, before, beyond, passed: through } =
                         (self.kernel.interface)(self, &ray, &hit, &p);
                     let Some(eta) = eta else {
@@ -170,22 +167,18 @@ impl<const K: u32> Pixels<'_, K> {
         self.counters.ray(category);
     }
 
-    /// The BSDF of any surface except a solid dielectric's, for the materials of this kernel.
+    /// The BSDF of any surface except a solid dielectric's.
     #[inline]
     fn bsdf(&mut self, p: &Point, surface: Surface) -> Bsdf {
         match surface {
             Surface::Lambert { albedo } => Bsdf::lambert(self.color(&albedo, p.uv)),
-            Surface::Plastic { albedo, ior, alpha } if K & (has::GLOSSY | has::SPECULAR) != 0 => {
+            Surface::Plastic { albedo, ior, alpha } => {
                 let coat = Coat { ior, internal: self.tracer.internal[p.material] };
                 Bsdf::coated(self.color(&albedo, p.uv), coat, alpha)
             }
-            Surface::Metal { f0, alpha } if K & (has::GLOSSY | has::SPECULAR) != 0 => {
-                Bsdf::metal(self.color(&f0, p.uv), alpha)
-            }
-            Surface::ThinGlass { ior, transmittance } if K & has::SPECULAR != 0 => {
-                Bsdf::pane(ior, self.color(&transmittance, p.uv))
-            }
-            surface => unreachable!("a kernel without code for {surface:?}"),
+            Surface::Metal { f0, alpha } => Bsdf::metal(self.color(&f0, p.uv), alpha),
+            Surface::ThinGlass { ior, transmittance } => Bsdf::pane(ior, self.color(&transmittance, p.uv)),
+            Surface::Glass { .. } => unreachable!("a solid dielectric's face is an interface"),
         }
     }
 
@@ -193,8 +186,7 @@ impl<const K: u32> Pixels<'_, K> {
     #[inline]
     fn chosen(&mut self, p: &Point, bsdf: &Bsdf, vertex: u32) -> Option<Scattering> {
         let u = self.sampler.next(Purpose::Gather, vertex);
-        let several = K & (has::GLOSSY | has::SPECULAR) != 0;
-        let choice = if several { self.sampler.next(Purpose::Lobe, vertex).x } else { 0.0 };
+        let choice = if self.kernel.several_lobes { self.sampler.next(Purpose::Lobe, vertex).x } else { 0.0 };
         bsdf.sample(p.wi, u, choice)
     }
 

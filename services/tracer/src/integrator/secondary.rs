@@ -14,7 +14,7 @@ use std::f32::consts::FRAC_1_PI;
 /// Rays to secondary lights from a point that contributes fully to its pixel; proportionally fewer with less.
 const RAYS: f32 = 4.0;
 
-impl<const K: u32> Pixels<'_, K> {
+impl Pixels<'_> {
     /// Diffuse light from the secondary lights, at a first diffuse hit.
     pub(super) fn secondary_lights(&mut self, s: &Segment, p: &Point, response: &Response) -> Vec3 {
         let tracer = self.tracer;

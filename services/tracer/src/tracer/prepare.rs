@@ -6,7 +6,7 @@ use crate::cost::{Tally, clocked};
 use crate::effects::{CalledFor, Effects};
 use crate::environment::Sky;
 use crate::fresnel;
-use crate::kernel::kernel;
+use crate::integrator::Kernel;
 use crate::lights::{Lights, Looks, Luminaires};
 use crate::media::{Media, Ranks};
 use crate::reach::{Reach, reachable};
@@ -105,7 +105,7 @@ impl Tracer {
             sky,
             effects,
             looks,
-            kernel: kernel(effects, settings.integrator, looks),
+            kernel: Kernel::new(effects, settings.integrator, looks),
             materials,
             settings: settings.clone(),
             bvh,
@@ -124,7 +124,10 @@ impl Tracer {
 
     /// Uses a kernel with additional effects, for comparison; images and counters have the same bits.
     pub fn with_kernel_for(self, effects: Effects) -> Self {
-        Self { kernel: kernel(self.effects | effects.bits(), self.settings.integrator, self.looks), ..self }
+        Self {
+            kernel: Kernel::new(self.effects | effects.bits(), self.settings.integrator, self.looks),
+            ..self
+        }
     }
 }
 
