@@ -4,7 +4,7 @@
 #
 #   FORELIGHT_BPY_VERSION   version of Blender (default: 5.0.1). 4.2.23 and 4.5.15 pass too.
 #
-# Needs Python 3.11 with venv, and the network for pip. Where they are missing it is reported as not run; in CI
+# Needs Python 3.11 with venv, and the network. Where they are missing it is reported as not run; in CI
 # it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

@@ -6,7 +6,7 @@
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Needs Python 3.11 with venv, and network access for pip. Without them it is reported as not run, and in CI
+# Needs Python 3.11 with venv, and network access. Without them it is reported as not run, and in CI
 # it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

@@ -4,7 +4,7 @@
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Needs Python with venv, and network access for pip. Without them it is reported as not run, and in CI it
+# Needs Python with venv, and network access. Without them it is reported as not run, and in CI it
 # fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

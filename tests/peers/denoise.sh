@@ -4,13 +4,13 @@
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Needs Python with venv, and network access for pip. Without them it is reported as not run, and in CI it
+# Needs Python with venv, and network access. Without them it is reported as not run, and in CI it
 # fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 source tests/peers/support.bash
 
-PIP_NO_CACHE_DIR=1 python_with oidn pyoidn==2.5.1 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
+python_with oidn pyoidn==2.5.1 'numpy>=2,<3' 'OpenEXR>=3.3,<4'
 need_forelight
 FORELIGHT_OIDN=$("$environment/bin/python" -c 'import pathlib, pyoidn; print(pathlib.Path(pyoidn.__file__).parent / "oidn/bin/oidnDenoise")')
 export FORELIGHT_OIDN

@@ -6,7 +6,7 @@
 #
 #   FORELIGHT_BIN   the program (default: target/debug/forelight, which is built)
 #
-# Needs Python with venv, and the network for pip and npm. Where they are missing it is reported as not run;
+# Needs Python with venv, and the network. Where they are missing it is reported as not run;
 # in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

@@ -9,7 +9,7 @@
 #                      target/release/forelight)
 #   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
 #
-# Needs Python with venv, and the network for pip. Where they are missing it is reported as not run; in CI it
+# Needs Python with venv, and the network. Where they are missing it is reported as not run; in CI it
 # fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

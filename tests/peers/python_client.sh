@@ -10,7 +10,7 @@ need_forelight
 
 python_with python-client mypy==1.19.0 types-python-dateutil
 rm -rf deploy/python/src/forelight/rest
-"$environment/bin/pip" install --quiet --disable-pip-version-check ./deploy/python || skip 'no network?'
+python_packages ./deploy/python
 # mypy finds the package where it is installed.
 (cd "$environment" && bin/mypy --strict --python-executable bin/python -p forelight \
   && bin/mypy --strict --python-executable bin/python "$OLDPWD/deploy/python/example.py" "$here/python_client_peer.py")

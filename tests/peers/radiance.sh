@@ -10,7 +10,7 @@
 #                      target/release/forelight)
 #   FORELIGHT_SHARED   folder with test scenes (default: ../shared)
 #
-# Needs Python with venv, and network access for pip. Without them it is reported as not run, and in CI it
+# Needs Python with venv, and network access. Without them it is reported as not run, and in CI it
 # fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

@@ -8,7 +8,7 @@
 #   FORELIGHT_SCHEMATHESIS_EXAMPLES   requests per operation in the random part (default: 15; 200 takes a while)
 #   FORELIGHT_SCHEMATHESIS_SEED       seed of the random part (default: 1)
 #
-# Further arguments go to schemathesis. Needs Python with venv, and network access for pip. Without them it is
+# Further arguments go to schemathesis. Needs Python with venv, and network access. Without them it is
 # reported as not run, and in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

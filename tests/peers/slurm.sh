@@ -8,7 +8,7 @@
 #   FORELIGHT_BIN      the program (default: target/debug/forelight, which is built)
 #   FORELIGHT_KEEP     if set, keeps the folder with all logs and prints its path
 #
-# Needs Slurm (Debian: slurm-wlm), Python with venv, and network access for pip. Without them it is reported
+# Needs Slurm (Debian: slurm-wlm), Python with venv, and network access. Without them it is reported
 # as not run, and in CI it fails.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
