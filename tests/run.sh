@@ -78,14 +78,13 @@ elif [ -n "${CI:-}" ]; then
   exit 1
 fi
 
-step 'Format and lints'
+step 'Format'
 cargo fmt --all --check
-cargo clippy --workspace --all-targets "${features[@]}" --quiet -- -D warnings
-services/store/prepare.sh --check "${features[@]}"
-RUSTDOCFLAGS='-D warnings' cargo doc --workspace "${features[@]}" --no-deps --quiet
 
-step 'Build'
-cargo build --workspace "${features[@]}" --quiet # the processes that tests start
+step 'Build and lints'
+export RUSTC_WORKSPACE_WRAPPER=$PWD/tests/lints/rustc.sh
+# The processes that tests start.
+services/store/prepare.sh --check cargo build --workspace "${features[@]}" --quiet
 cargo test --workspace "${features[@]}" --quiet --no-run
 
 FORELIGHT_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/debug/forelight
@@ -100,7 +99,7 @@ else
 fi
 step 'Tests, two programs at a time'
 # Where one fails, the others still run.
-printf '%s\n' tests/rust.sh "${peers[@]}" | awk '!seen[$0]++' | xargs -P 2 -I{} bash -c 'run_logged {}'
+printf '%s\n' tests/rust.sh "${peers[@]}" tests/docs.sh | awk '!seen[$0]++' | xargs -P 2 -I{} bash -c 'run_logged {}'
 
 if [ "${1:-}" != --quick ]; then
   step 'The main job'

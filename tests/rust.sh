@@ -9,7 +9,7 @@ read -ra features <<<"${FORELIGHT_FEATURES:-}"
 
 only=()
 [ -z "${FORELIGHT_QUICK:-}" ] || only=(--exclude forelight-tests --exclude forelight-program-tests)
-cargo test --workspace "${only[@]}" "${features[@]}" --quiet --no-fail-fast
+cargo test --workspace --tests "${only[@]}" "${features[@]}" --quiet --no-fail-fast
 cargo test -p forelight-dashboard --quiet # what a program without the page shows
 [ -z "${FORELIGHT_QUICK:-}" ] || exit 0
 echo 'Property tests with a fresh seed'

@@ -2,20 +2,20 @@
 # Writes .sqlx: what SQLite says of each statement that is checked at compile time. Builds read these files and
 # so need no database. Run this after a change to a statement or a migration, and commit the files.
 #
-#   services/store/prepare.sh          writes .sqlx
-#   services/store/prepare.sh --check  fails if .sqlx is out of date
-#
-# Further arguments go to cargo.
+#   services/store/prepare.sh [OPTION…]          writes .sqlx; options, such as features, go to cargo
+#   services/store/prepare.sh --check COMMAND…   runs the command, a build of the workspace, and fails if
+#                                                .sqlx is out of date
 set -euo pipefail
-cd "$(dirname "$0")"
-check=false features=("$@")
-[[ ${1:-} != --check ]] || check=true features=("${@:2}")
+cd "$(dirname "$0")/../.."
+store=services/store answers=${CARGO_TARGET_DIR:-target}/sqlx
+# The whole workspace, because cargo would check the dependencies of a single package again, with fewer features.
+check=false build=(cargo check --quiet --workspace "$@")
+[[ ${1:-} != --check ]] || check=true build=("${@:2}")
 made=$(mktemp -d)
 trap 'rm -rf "$made"' EXIT
-mkdir "$made/.sqlx"
 
 # A database with the schema that all migrations together make.
-python3 - ../../migrations "$made/schema.sqlite" <<'PYTHON'
+python3 - migrations "$made/schema.sqlite" <<'PYTHON'
 import pathlib, sqlite3, sys
 migrations, database = sys.argv[1:]
 if sqlite3.sqlite_version_info < (3, 38):
@@ -26,19 +26,24 @@ for migration in sorted(pathlib.Path(migrations).glob("*.sql")):
 connection.close()
 PYTHON
 
-# The macros ask this database about each statement, and write its answers to the folder. The whole workspace is
-# checked, because cargo would check the dependencies of a single package again, with fewer features.
-touch src/lib.rs
-FORELIGHT_SCHEMA="sqlite:$made/schema.sqlite" SQLX_OFFLINE=false SQLX_OFFLINE_DIR="$made/.sqlx" \
-    cargo check --quiet --workspace "${features[@]}"
+# The macros ask this database about each statement, and write its answers to a folder. Those of an earlier build
+# hold until a source is changed.
+if ! $check || [ ! -e "$answers/complete" ] ||
+    [ -n "$(find $store migrations -name .sqlx -prune -o -newer "$answers/complete" -print -quit)" ]; then
+    rm -rf "$answers"
+    mkdir -p "$answers/.sqlx"
+    touch $store/src/lib.rs "$made/begun"
+fi
+FORELIGHT_SCHEMA="sqlite:$made/schema.sqlite" SQLX_OFFLINE=false SQLX_OFFLINE_DIR=$(realpath "$answers/.sqlx") "${build[@]}"
+[ ! -e "$made/begun" ] || mv "$made/begun" "$answers/complete"
 
 if $check; then
-    if ! diff -rq .sqlx "$made/.sqlx"; then
+    if ! diff -rq $store/.sqlx "$answers/.sqlx"; then
         echo 'services/store/.sqlx is out of date: run services/store/prepare.sh and commit .sqlx' >&2
         exit 1
     fi
 else
-    rm -rf .sqlx
-    cp -r "$made/.sqlx" .sqlx
-    touch src/lib.rs
+    rm -rf $store/.sqlx
+    cp -r "$answers/.sqlx" $store
+    touch $store/src/lib.rs
 fi
