@@ -27,17 +27,17 @@ mod qualities;
 mod replan;
 mod risks;
 pub(crate) mod settle;
+mod watched;
 pub(crate) mod what_if;
 
 use parking_lot::Mutex;
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use forelight_forecast::Experience;
 use forelight_forecast::Strategy;
 use forelight_protocol::{
-    AccuracyRung, Job, JobId, JobSettings, JobState, Money, Node, NodeId, PreviewResult, RenderSettings,
-    Timestamp, Within,
+    AccuracyRung, Job, JobId, JobSettings, JobState, Money, Node, PreviewResult, RenderSettings, Timestamp,
+    Within,
 };
 use forelight_quote::{
     Limit, Measured, MeasuredProfile, Most, Quote, QuoteBasis, QuoteError, QuoteKind, SharedCacheToBuild,
@@ -46,6 +46,7 @@ use forelight_quote::{
 use forelight_store::{PlannedCache, ShotProfiles, Store, StoreError};
 
 use self::job_profile::{JobProfile, of_pixels};
+use self::watched::Watched;
 use crate::clock::Clock;
 use crate::metrics::Metrics;
 use crate::shared::Changes;
@@ -59,7 +60,7 @@ pub(crate) struct Conductor {
     metrics: Arc<Metrics>,
     changes: Changes,
     started: Timestamp,
-    seen: Mutex<Option<BTreeSet<NodeId>>>,
+    watched: Mutex<Watched>,
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -81,7 +82,7 @@ impl From<QuoteError> for AdvanceError {
 impl Conductor {
     pub fn new(store: Store, clock: Arc<dyn Clock>, metrics: Arc<Metrics>, changes: Changes) -> Self {
         let started = clock.now();
-        Self { store, clock, metrics, changes, started, seen: Mutex::new(None) }
+        Self { store, clock, metrics, changes, started, watched: Mutex::default() }
     }
 
     /// After a plan was stored.

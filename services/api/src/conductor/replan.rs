@@ -2,14 +2,15 @@
 //! and are watched for here: a node that falls silent or returns, and a job that will miss its promise
 //! although its frames are on forecast.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{NodeId, PlanReason};
-use forelight_store::{NewPlan, StoreError, project};
+use forelight_store::{NewPlan, Projected, StoreError, project};
 
 use super::bookable::bookable;
 use super::farm::{Farm, MOST_NODES, Snapshot};
 use super::settle::{Settled, settle};
+use super::watched::Waiting;
 use super::{ATTEMPTS, AdvanceError, Conductor, compute};
 
 impl Conductor {
@@ -73,32 +74,34 @@ impl Conductor {
         let all = self.store.nodes(None, MOST_NODES).await?;
         let nodes: BTreeSet<NodeId> =
             bookable(all.clone(), now, self.started).iter().map(|node| node.id).collect();
-        let before = {
-            let mut seen = self.seen.lock();
-            seen.replace(nodes.clone())
-        };
-        let name = |node: &NodeId| all.iter().find(|other| other.id == *node).map_or("", |node| &node.name);
-        for node in before.iter().flat_map(|before| nodes.difference(before)) {
-            self.store.want_plan(&format!("node {} is back", name(node))).await?;
-        }
         let projected =
             project(&self.store.open_bookings().await?, &self.store.open_cache_parts().await?, now);
-        let mut lost: BTreeSet<NodeId> = projected
+        let stranded: BTreeSet<Waiting> = projected
             .frames
             .iter()
-            .filter(|frame| !frame.under_way)
-            .map(|frame| frame.booking.node_id)
+            .filter(|frame| !frame.under_way && !nodes.contains(&frame.booking.node_id))
+            .map(|Projected { booking, .. }| (booking.node_id, booking.job_id, booking.frame_part()))
             .collect();
-        lost.retain(|node| !nodes.contains(node));
-        for node in &lost {
-            self.store.want_plan(&format!("node {} is not responding", name(node))).await?;
-        }
         let ends = projected.ends();
+        let mut names = BTreeMap::new();
+        let mut late = BTreeMap::new();
         for (job, name, deadline) in self.store.kept_promises().await? {
-            if ends.finish_of(job).is_some_and(|finish| finish > deadline) {
-                self.store.want_plan(&format!("job {name} will miss its promise")).await?;
+            if let Some(finish) = ends.finish_of(job).filter(|&finish| finish > deadline) {
+                names.insert(job, name);
+                late.insert(job, finish);
             }
         }
+        let mut watched = self.watched.lock().clone();
+        let (returned, lost, late) = (watched.returned(nodes), watched.lost(stranded), watched.later(&late));
+        let name = |node: &NodeId| all.iter().find(|other| other.id == *node).map_or("", |node| &node.name);
+        let returned = returned.iter().map(|node| format!("node {} is back", name(node)));
+        let lost = lost.iter().map(|node| format!("node {} is not responding", name(node)));
+        let late = late.iter().map(|job| format!("job {} will miss its promise", names[job]));
+        for cause in returned.chain(lost).chain(late) {
+            self.store.want_plan(&cause).await?;
+        }
+        // Not before, so that nothing is forgotten if the store fails.
+        *self.watched.lock() = watched;
         Ok(())
     }
 }
