@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # The tests in Rust: of all crates, and of the whole program. They start the debug build of the program.
+# tests/docs.sh runs the examples of documents.
 #
 #   FORELIGHT_FEATURES   features to build with, as cargo takes them (default: none)
 #   FORELIGHT_QUICK      if set, the tests of the crates alone, with the fixed seed alone

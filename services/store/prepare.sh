@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Writes .sqlx: what SQLite says of each statement that is checked at compile time. Builds read these files and
-# so need no database. Run this after a change to a statement or a migration, and commit the files.
+# Writes .sqlx: what SQLite says of each statement that is checked at compile time. Builds read these files
+# and so need no database. Run this after a change to a statement or a migration, and commit the files.
 #
 #   services/store/prepare.sh [OPTION…]          writes .sqlx; options, such as features, go to cargo
 #   services/store/prepare.sh --check COMMAND…   runs the command, a build of the workspace, and fails if
@@ -8,9 +8,11 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 store=services/store answers=${CARGO_TARGET_DIR:-target}/sqlx
-# The whole workspace, because cargo would check the dependencies of a single package again, with fewer features.
+# The whole workspace, because cargo would check the dependencies of a single package again, with fewer
+# features.
 check=false build=(cargo check --quiet --workspace "$@")
 [[ ${1:-} != --check ]] || check=true build=("${@:2}")
+[ ${#build[@]} -gt 0 ] || { echo 'error: say what to build, such as --check cargo build --workspace' >&2; exit 2; }
 made=$(mktemp -d)
 trap 'rm -rf "$made"' EXIT
 
@@ -26,19 +28,21 @@ for migration in sorted(pathlib.Path(migrations).glob("*.sql")):
 connection.close()
 PYTHON
 
-# The macros ask this database about each statement, and write its answers to a folder. Those of an earlier build
-# hold until a source is changed.
+# The macros ask this database about each statement, and write its answers to a folder. Those of an earlier
+# build hold until something is changed.
 if ! $check || [ ! -e "$answers/complete" ] ||
-    [ -n "$(find $store migrations -name .sqlx -prune -o -newer "$answers/complete" -print -quit)" ]; then
+    [ -n "$(find Cargo.lock $store migrations -name .sqlx -prune -o -newer "$answers/complete" -print -quit)" ]; then
     rm -rf "$answers"
     mkdir -p "$answers/.sqlx"
     touch $store/src/lib.rs "$made/begun"
 fi
-FORELIGHT_SCHEMA="sqlite:$made/schema.sqlite" SQLX_OFFLINE=false SQLX_OFFLINE_DIR=$(realpath "$answers/.sqlx") "${build[@]}"
+FORELIGHT_SCHEMA="sqlite:$made/schema.sqlite" SQLX_OFFLINE=false SQLX_OFFLINE_DIR=$(realpath "$answers/.sqlx") \
+    "${build[@]}"
 [ ! -e "$made/begun" ] || mv "$made/begun" "$answers/complete"
 
 if $check; then
     if ! diff -rq $store/.sqlx "$answers/.sqlx"; then
+        rm "$answers/complete" # the next run asks again
         echo 'services/store/.sqlx is out of date: run services/store/prepare.sh and commit .sqlx' >&2
         exit 1
     fi

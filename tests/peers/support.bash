@@ -37,7 +37,8 @@ installer() {
   # Where pip is told to look, if it is.
   [ -z "${PIP_INDEX_URL:-}" ] || export UV_DEFAULT_INDEX=$PIP_INDEX_URL
   [ -z "${PIP_FIND_LINKS:-}" ] || export UV_FIND_LINKS=$PIP_FIND_LINKS
-  "$home/bin/uv" --quiet "$@"
+  # A package that is compiled in Rust here has lints of its own.
+  env -u RUSTC_WORKSPACE_WRAPPER "$home/bin/uv" --quiet "$@"
 }
 
 # python_with NAME PACKAGE==VERSION [PACKAGE…]: creates a virtual environment with the packages unless it

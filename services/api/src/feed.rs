@@ -59,8 +59,8 @@ impl From<&Event> for Told {
     }
 }
 
-/// An event in the form of server-sent events (https://html.spec.whatwg.org/#server-sent-events). JSON has no
-/// line breaks.
+/// An event in the form of server-sent events (<https://html.spec.whatwg.org/#server-sent-events>). JSON has
+/// no line breaks.
 fn lines(event: &Event) -> String {
     let json = serde_json::to_string(event).unwrap_or_default();
     format!("id: {}\nevent: {}\ndata: {json}\n\n", event.id, event.kind.name())

@@ -179,7 +179,7 @@ pub(crate) fn router(app: App, allowed_origins: &[String]) -> axum::Router {
     }
 }
 
-/// What pages of other sites may do (https://fetch.spec.whatwg.org/#http-cors-protocol). They need a token:
+/// What pages of other sites may do (<https://fetch.spec.whatwg.org/#http-cors-protocol>). They need a token:
 /// cookies of sessions are for the service's own page.
 fn other_sites(allowed: &[String]) -> CorsLayer {
     let origins = allowed.iter().filter_map(|origin| HeaderValue::from_str(origin).ok());

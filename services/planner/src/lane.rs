@@ -49,7 +49,7 @@ pub(crate) struct Fit {
     pub added_cost: i64,
     /// For scarce time: what is left of the gap behind it.
     pub left: i64,
-    /// What others would pay for this time; see [`Market::worth`].
+    /// What others would pay for this time; see [`worth`](crate::admission::Admission::worth).
     pub worth: i128,
 }
 

@@ -1,8 +1,8 @@
 //! Searches for the best place of a task, class by class.
 //!
-//! Nodes of a class differ in their free time alone. So a search asks each class's [`Gaps`] for the first
-//! place from a few instants on, and does not look at single nodes. Only where nodes are billed in steps
-//! does it also try those that have been paid for time that nobody uses.
+//! Nodes of a class differ in their free time alone. So a search asks each class's
+//! [`Gaps`](crate::gaps::Gaps) for the first place from a few instants on, and does not look at single nodes.
+//! Only where nodes are billed in steps does it also try those that have been paid for time that nobody uses.
 
 use crate::admission::{Admission, Allotted, IN_A_MICRO_UNIT};
 use crate::gaps::Gap;

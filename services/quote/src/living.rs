@@ -2,7 +2,7 @@
 //!
 //! The quote never changes and is what calibration judges. [`forelight_forecast::live`] learns from finished
 //! frames about the others. This module decides when a new estimate is due ([`is_due`]), compares it with the
-//! bookings ([`Baseline`]), and reports when it exceeds them or is back within them ([`news`]).
+//! bookings ([`Baseline`]), and reports when it exceeds them or is back within them ([`news()`]).
 //!
 //! An estimate takes three steps, because the end depends on the farm:
 //!

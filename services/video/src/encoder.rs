@@ -14,7 +14,7 @@ const VARIABLE: &str = "FORELIGHT_FFMPEG";
 const CODEC: &str = "libx264";
 
 /// Constant rate factor of the encoder: 18 can hardly be told from the pictures
-/// (https://trac.ffmpeg.org/wiki/Encode/H.264).
+/// (<https://trac.ffmpeg.org/wiki/Encode/H.264>).
 const QUALITY: &str = "18";
 
 /// Speed of the encoder. Of 48 noisy frames of 1920 × 1080, one core encoded 1.9 in a second as `medium` and

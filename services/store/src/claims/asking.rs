@@ -47,7 +47,7 @@ pub(crate) struct Asking<'a> {
     pub now: Timestamp,
     /// When the service started: no node could be heard of before.
     pub up_since: Timestamp,
-    /// How much of each booked job the node does until its window ends, see [`at_most`].
+    /// How much of each booked job the node does until its window ends, see [`at_most`](super::at_most).
     pub at_most: Option<String>,
 }
 

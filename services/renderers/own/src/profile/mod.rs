@@ -1,7 +1,7 @@
 //! From a shot to its quote: preview all frames, choose some, profile these, estimate all.
 //!
 //! On a farm, a preview task is [`count_frames`] and a profile task [`profile_frame`]; the service chooses
-//! and estimates. Offline, [`crate::quote`] does all of it.
+//! and estimates. Offline, [`crate::quote()`] does all of it.
 
 pub(crate) mod noise;
 pub(crate) mod strata;
