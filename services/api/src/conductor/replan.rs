@@ -92,7 +92,8 @@ impl Conductor {
             }
         }
         let mut watched = self.watched.lock().clone();
-        let (returned, lost, late) = (watched.returned(nodes), watched.lost(stranded), watched.later(&late));
+        let (returned, lost, late) =
+            (watched.returned(nodes), watched.lost(stranded), watched.later(&late, now));
         let name = |node: &NodeId| all.iter().find(|other| other.id == *node).map_or("", |node| &node.name);
         let returned = returned.iter().map(|node| format!("node {} is back", name(node)));
         let lost = lost.iter().map(|node| format!("node {} is not responding", name(node)));

@@ -1,12 +1,15 @@
-//! What the watch of the farm found when it last looked: it asks for a new plan when something is new, and not at
-//! every look. Planning may have found nothing better, and would find nothing better again.
+//! What the watch of the farm found when it last looked. It asks for a new plan when something is new, and
+//! not at every look: planning may have found nothing better.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{FramePart, JobId, NodeId, Timestamp};
 
-/// A job that is to miss its promise is planned again when it is later by this, in microseconds.
-const LATER: i64 = 5 * 60 * 1_000_000;
+const MINUTE: i64 = 60_000_000;
+
+/// A job that will miss its promise is planned again when it is later than before by a tenth of the time that
+/// is left, within these limits, in microseconds.
+const LATER: (i64, i64) = (MINUTE, 5 * MINUTE);
 
 /// A frame of a job, or a part of it, that waits on a node.
 pub(super) type Waiting = (NodeId, JobId, FramePart);
@@ -18,7 +21,7 @@ pub(super) struct Watched {
     bookable: Option<BTreeSet<NodeId>>,
     /// What waited on nodes that were lost.
     stranded: BTreeSet<Waiting>,
-    /// When jobs were to end that were to miss their promises, as of the last plan that was asked for.
+    /// The earliest end that was expected of each late job since a plan was last asked for because of it.
     late: BTreeMap<JobId, Timestamp>,
 }
 
@@ -37,13 +40,17 @@ impl Watched {
     }
 
     /// The jobs that are late or later than before, of those that will miss their promises, with their ends.
-    pub fn later(&mut self, late: &BTreeMap<JobId, Timestamp>) -> Vec<JobId> {
+    pub fn later(&mut self, late: &BTreeMap<JobId, Timestamp>, now: Timestamp) -> Vec<JobId> {
         self.late.retain(|job, _| late.contains_key(job));
         let mut later = Vec::new();
         for (&job, &end) in late {
-            if self.late.get(&job).is_none_or(|before| end.micros_since(*before) >= LATER) {
-                self.late.insert(job, end);
-                later.push(job);
+            let step = (end.micros_since(now) / 10).clamp(LATER.0, LATER.1);
+            match self.late.get_mut(&job) {
+                Some(before) if end.micros_since(*before) < step => *before = end.min(*before),
+                _ => {
+                    self.late.insert(job, end);
+                    later.push(job);
+                }
             }
         }
         later
@@ -80,15 +87,23 @@ mod tests {
 
     #[test]
     fn a_late_job_is_told_again_only_when_it_is_later_by_minutes() {
-        let mut watched = Watched::default();
+        let at = |minutes: i64| Timestamp::from_micros(minutes * MINUTE);
         let job = JobId::new();
-        let at = |minutes: i64| BTreeMap::from([(job, Timestamp::from_micros(minutes * 60_000_000))]);
-        let told: Vec<_> = [100, 100, 104, 104, 105, 109, 110, 90]
-            .into_iter()
-            .filter(|&end| watched.later(&at(end)) == [job])
-            .collect();
-        assert_eq!(told, [100, 105, 110]);
-        assert_eq!(watched.later(&BTreeMap::new()), []);
-        assert_eq!(watched.later(&at(90)), [job], "it was in time for a while");
+        let told = |ends: &[i64], now: i64| -> Vec<i64> {
+            let mut watched = Watched::default();
+            let is_told = |end: &i64| watched.later(&BTreeMap::from([(job, at(*end))]), at(now)) == [job];
+            ends.iter().copied().filter(is_told).collect()
+        };
+        assert_eq!(told(&[100, 100, 104, 104, 105, 109, 110, 90, 94, 95], 0), [100, 105, 110, 95]);
+        assert_eq!(told(&[100, 100, 101, 101, 102], 95), [100, 101, 102], "its end is near");
+        let mut watched = Watched::default();
+        for late in [BTreeMap::from([(job, at(100))]), BTreeMap::new()] {
+            assert_eq!(watched.later(&late, at(0)).len(), late.len(), "{late:?}");
+        }
+        assert_eq!(
+            watched.later(&BTreeMap::from([(job, at(90))]), at(0)),
+            [job],
+            "it was in time for a while"
+        );
     }
 }

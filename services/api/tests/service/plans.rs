@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::support::{Answer, Farm, eventually};
+use crate::support::{Answer, Farm, eventually, until};
 use forelight_api::Clock as _;
 use forelight_protocol::{
     AnswersDoc, Dashboard, Event, EventKind, Job, JobState, Lease, Node, Plan, PlanChange, PlanDifference,
@@ -91,6 +91,32 @@ async fn a_drained_nodes_frames_move_to_another_node_and_no_others() {
     let next = format!("/v1/plans?page_size=1&page_token={}", page.next_page_token.unwrap().0);
     let next: PlanPage = farm.viewer.get(&next).await.parsed(StatusCode::OK).await;
     assert_eq!(next.items[0].id, before.id);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_falls_silent_is_planned_for_once_and_so_is_its_return() {
+    let (farm, clock) = Farm::with_short_leases().await;
+    let only = farm.node("only").await;
+    let job = farm.submit("0-3").await;
+    let job = farm.until_booked(&only, &job).await;
+    let wanted = async || farm.service.store().wanted_plan().await.unwrap();
+    let planned = async |what: &str| {
+        eventually(what, async || Some(wanted().await).filter(|wanted| !wanted.due)).await.count
+    };
+    let before = planned("what came before is planned for").await;
+    clock.advance_micros(HOUR);
+    until("the silence is noticed", async || wanted().await.count > before).await;
+    assert_eq!(planned("the silence is planned for").await, before + 1);
+    let silent = farm.plan(&farm.job(&job).await).await;
+    assert_eq!((silent.causes, silent.bookings.len()), (vec!["node only is not responding".to_owned()], 0));
+    // The service looks every second.
+    tokio::time::sleep(Duration::from_millis(2500)).await;
+    assert_eq!(wanted().await.count, before + 1, "asked again, though nothing is new");
+    farm.node("only").await;
+    let back = farm.until(&job, "the frames are booked again", |now| now.plan_id != Some(silent.id)).await;
+    let back = farm.plan(&back).await;
+    assert!(back.causes.contains(&"node only came back".to_owned()), "{:?}", back.causes);
+    assert_eq!(back.bookings.len(), 4);
 }
 
 #[tokio::test(flavor = "multi_thread")]
