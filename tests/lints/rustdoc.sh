@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Stands in for rustdoc in `cargo test --doc`: runs the examples and makes the documents, whose warnings, such as
-# broken links, are errors. So they are made from what the tests are built with, where `cargo doc` would read
-# all dependencies once more. tests/docs.sh names the folder of the documents.
+# Stands in for rustdoc in `cargo test --doc`: runs the examples and makes the documents, whose warnings, such
+# as broken links, are errors. So they are made from what the tests are built with, where `cargo doc` would
+# read all dependencies once more. tests/docs.sh names the folder of the documents.
 set -euo pipefail
 status=0
 rustdoc "$@" || status=$?
