@@ -151,10 +151,16 @@ impl Reader {
         // Names may be in any encoding.
         let text = String::from_utf8_lossy(&line[depth..]);
         let mut words = text.split('\t');
-        let mut number = || words.next()?.parse::<f64>().ok().filter(|number| number.is_finite());
+        let mut number = || words.next()?.parse::<f64>().ok();
         let mut triple = || Some([number()?, number()?, number()?]);
         let (direction, normal) = (triple()?, triple()?);
-        let node = Node { direction, normal, weight: number()? };
+        let weight = number()?;
+        if !direction.iter().chain([&weight]).all(|number| number.is_finite()) {
+            return None;
+        }
+        // A ray that ends at a light at infinity has no normal: rtrace prints what its memory holds.
+        let normal = normal.map(|number| if number.is_finite() { number } else { 0.0 });
+        let node = Node { direction, normal, weight };
         if self.waiting.len() < depth + 2 {
             self.waiting.resize_with(depth + 2, Vec::new);
         }
@@ -267,6 +273,13 @@ mod tests {
         let rough = || line(1, [0.6, 0.1, 0.79], 0.0);
         let lines = [rough(), rough(), line(0, DOWN, 1.0), "~\t\n".to_owned()];
         assert_eq!(count(CACHED, &lines), [[1, 0, 0, 0, 0, 0, 2]]);
+    }
+
+    #[test]
+    fn a_ray_that_ends_at_a_light_at_infinity_has_no_normal() {
+        let sky = "\t0\t6e-1\t8e-1\t-6.9e-310\tnan\tinf\t5e-1\tsky\t\n".to_owned();
+        let lines = [sky, line(0, DOWN, 1.0), "~\t\n".to_owned()];
+        assert_eq!(count(CACHED, &lines), [[1, 0, 0, 0, 0, 1, 0]]);
     }
 
     #[test]
