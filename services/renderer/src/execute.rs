@@ -1,5 +1,6 @@
 //! The interface between the agent and task execution: a task in, a result and its files out.
 
+use crate::door::Pause;
 use bytes::Bytes;
 use forelight_protocol::{
     FinishedPixels, LOG_LINES, LogLevel, LogLine, Spent, TaskLimit, TaskLimits, TaskResult, TaskSpec,
@@ -200,14 +201,7 @@ impl Control {
     pub fn set_progress(&self, fraction: f64) {
         let fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
         self.progress.store(fraction.to_bits(), Ordering::Relaxed);
-        let mut pause = self.pause.lock();
-        if *pause && !self.is_cancelled() {
-            self.standing.fetch_add(1, Ordering::Relaxed);
-            while *pause && !self.is_cancelled() {
-                self.resumed.wait(&mut pause);
-            }
-            self.standing.fetch_sub(1, Ordering::Relaxed);
-        }
+        self.wait();
     }
 
     /// Progress, 0 to 1.
@@ -271,6 +265,23 @@ impl Control {
     pub fn sent(&self, lines: &[LogLine]) {
         let Some(last) = lines.last() else { return };
         self.log.lock().unsent.retain(|line| line.number > last.number);
+    }
+}
+
+impl Pause for Control {
+    fn is_wanted(&self) -> bool {
+        *self.pause.lock()
+    }
+
+    fn wait(&self) {
+        let mut pause = self.pause.lock();
+        if *pause && !self.is_cancelled() {
+            self.standing.fetch_add(1, Ordering::Relaxed);
+            while *pause && !self.is_cancelled() {
+                self.resumed.wait(&mut pause);
+            }
+            self.standing.fetch_sub(1, Ordering::Relaxed);
+        }
     }
 }
 

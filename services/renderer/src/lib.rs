@@ -31,4 +31,4 @@ pub use quoting::{
     proportional_sites, quote_shot, sites,
 };
 pub use summary::summary;
-pub use tasks::{Renderers, failure, scene_digest, scene_name, with_run};
+pub use tasks::{Renderers, failure, read_written, scene_digest, scene_name, with_run};

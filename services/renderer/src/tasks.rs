@@ -152,7 +152,7 @@ impl Task<'_> {
         let Measurement { mut result, artefacts, ids, .. } = measured;
         let mut files = Files::default();
         for (share, artefact) in result.shares.iter_mut().zip(&artefacts) {
-            share.hash = Some(files.add(read(&artefact.path)?));
+            share.hash = Some(files.add(read_written(&artefact.path)?));
         }
         result.preview_png = add_picture(&mut files, ids.as_ref())?;
         Ok(Outcome { result: TaskResult::Measured(result), artifacts: files.contents })
@@ -166,7 +166,7 @@ impl Task<'_> {
         let profiled = profile_pixels(self.renderer, shot, frame, &self.settings, choice, &self.run)?;
         let PixelProfile { mut result, artefact, ids, .. } = profiled;
         let mut files = Files::default();
-        result.artifacts.profile = files.add(read(&artefact.path)?);
+        result.artifacts.profile = files.add(read_written(&artefact.path)?);
         result.artifacts.preview_png = add_picture(&mut files, ids.as_ref())?;
         Ok(Outcome { result: TaskResult::Profile(result), artifacts: files.contents })
     }
@@ -189,7 +189,7 @@ impl Task<'_> {
             return unsupported("at its settings, a render cannot take over samples");
         };
         let mut files = Files::default();
-        let share = SampleShare { offset, count, cpu_nanos, hash: files.add(read(&artefact.path)?) };
+        let share = SampleShare { offset, count, cpu_nanos, hash: files.add(read_written(&artefact.path)?) };
         let result = RenderPartResult {
             finished: FinishedPart::Samples(share),
             rest: None,
@@ -208,7 +208,7 @@ impl Task<'_> {
             files.first().ok_or_else(|| RendererError::Answer("the render has no file".to_owned()))?;
         let mut kept = Files::default();
         let artifacts = RenderArtifacts {
-            image_exr: kept.add(read(image)?),
+            image_exr: kept.add(read_written(image)?),
             image_png: kept.add(png(&picture.map_or_else(|| picture_of(image), Ok)?)?),
             cost_map_png: kept.add(png(&self.cost_map(blocks.as_ref()))?),
             preview_png: add_picture(&mut kept, ids.as_ref())?,
@@ -281,7 +281,10 @@ impl Task<'_> {
 }
 
 /// Reads a file that a renderer has written. A scene could make a link to one that only the worker may read.
-fn read(path: &Path) -> Result<Vec<u8>, RendererError> {
+///
+/// # Errors
+/// If the file cannot be read, or is a link.
+pub fn read_written(path: &Path) -> Result<Vec<u8>, RendererError> {
     let mut bytes = Vec::new();
     let read = open_no_link(path).and_then(|mut file| file.read_to_end(&mut bytes));
     read.map_err(RendererError::io(path))?;
@@ -355,6 +358,7 @@ pub fn with_run<T>(
     };
     work(&Run {
         cancelled: control.cancelled(),
+        pause: Some(control),
         progress: &progress,
         log: &log,
         scratch: scratch.path(),

@@ -1,6 +1,6 @@
 //! Real programs, held to limits: none of them outlives its run.
 
-use forelight_renderer::door::{Ending, Limits, RendererError, Run};
+use forelight_renderer::door::{Ending, Limits, Pause, RendererError, Run};
 use forelight_renderer::process::{Finished, Line, Program, Session, run};
 use parking_lot::Mutex;
 use std::path::Path;
@@ -109,6 +109,60 @@ fn known_messages_of_a_failure_are_understood() {
     assert!(matches!(error("terminate: std::bad_alloc"), RendererError::OutOfMemory(_)));
     assert!(matches!(error("CUDA error: out of memory"), RendererError::Gpu(_)));
     assert!(matches!(error("License error: none left"), RendererError::Licence(_)));
+    // What a killed program said before is not why it ended. That memory ran out may be.
+    let killed = |text: &str| outside.shell(&format!("echo '{text}' >&2; kill -KILL $$"), Limits::default());
+    let error = killed("libasound.so: No such file or directory").unwrap_err();
+    assert!(matches!(error, RendererError::Ended { ending: Ending::Signal(9), .. }), "{error}");
+    assert!(matches!(killed("std::bad_alloc"), Err(RendererError::OutOfMemory(_))));
+}
+
+/// Pauses a program once it has written its number into a file, for longer than it may run.
+struct Interruption<'a> {
+    outside: &'a Outside,
+    had_stopped: AtomicBool,
+    is_over: AtomicBool,
+}
+
+impl Interruption<'_> {
+    const LONG: Duration = Duration::from_millis(2500);
+
+    /// The state of the process, as proc_pid_stat(5) names it. `None` before it has written its number.
+    fn state(&self) -> Option<char> {
+        let stat =
+            std::fs::read_to_string(format!("/proc/{}/stat", self.outside.pids("pid").first()?)).ok()?;
+        stat.rsplit_once(") ")?.1.chars().next()
+    }
+}
+
+impl Pause for Interruption<'_> {
+    fn is_wanted(&self) -> bool {
+        !self.is_over.load(Ordering::Relaxed) && self.state().is_some()
+    }
+
+    fn wait(&self) {
+        let since = Instant::now();
+        while since.elapsed() < Self::LONG {
+            self.had_stopped.fetch_or(self.state() == Some('T'), Ordering::Relaxed);
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        self.is_over.store(true, Ordering::Relaxed);
+        std::fs::write(self.outside.folder.path().join("go"), "").unwrap();
+    }
+}
+
+#[test]
+fn a_paused_program_stands_still_and_the_pause_does_not_count() {
+    let outside = Outside::new();
+    let not = || AtomicBool::new(false);
+    let interruption = Interruption { outside: &outside, had_stopped: not(), is_over: not() };
+    let script = "echo $$ >new; mv new pid; until [ -e go ]; do sleep 0.02; done; echo done";
+    let program = Program::new("/bin/sh", outside.folder.path()).arg("-c").arg(script);
+    let limits = Limits { time: Some(Interruption::LONG - Duration::from_millis(500)), ..Limits::default() };
+    let finished = outside.with(limits, |silent| {
+        run(&program, &[], &Run { pause: Some(&interruption), ..*silent }, &mut |_| {})
+    });
+    assert_eq!(finished.unwrap().last_lines, ["done"]);
+    assert!(interruption.had_stopped.into_inner(), "the system did not stop it");
 }
 
 #[test]
@@ -217,9 +271,13 @@ fn a_session_answers_lines_until_it_is_closed() {
         assert!(!lives(outside.pids("pid")[0]));
 
         let mut session = Session::start(&program, &[], o).unwrap();
+        session.send("one").unwrap();
+        session.next(Instant::now(), o).unwrap().unwrap();
         session.send("die").unwrap();
         while session.next(Instant::now(), o).unwrap().is_some() {}
-        assert!(matches!(session.failure(), RendererError::Ended { ending: Ending::Signal(9), .. }));
+        let RendererError::Ended { ending, last_lines, .. } = session.failure() else { panic!() };
+        // Answers to earlier questions do not explain the end.
+        assert_eq!((ending, last_lines), (Ending::Signal(9), vec!["got die".to_owned()]));
 
         let session = Session::start(&program, &[], o).unwrap();
         std::thread::sleep(Duration::from_millis(100));

@@ -151,7 +151,10 @@ pub struct RendererOptions {
 
 /// What no renderer needs of a farm's data folder.
 pub fn secrets(data: &Path) -> Vec<PathBuf> {
-    ["tokens", "artifacts", DATABASE].iter().map(|name| data.join(name)).collect()
+    // SQLite keeps what was written last beside the database.
+    let of_database = ["", "-wal", "-shm"].map(|end| format!("{DATABASE}{end}"));
+    let others = ["tokens", "artifacts", "checkpoints"].map(str::to_owned);
+    others.into_iter().chain(of_database).map(|name| data.join(name)).collect()
 }
 
 /// The bundle folder, the renderers, and this machine's capabilities. In a sandbox, renderers do not read what is

@@ -33,7 +33,7 @@ pub use error::{Ending, RendererError};
 pub use forelight_protocol::{PreviewBackend, RendererId};
 pub use part::{Part, Region};
 pub use pixels::{PixelCost, PixelProfiler, ProfiledPixels, Shown};
-pub use run::{Limits, Run};
+pub use run::{Limits, Pause, Run};
 pub use settings::{Common, Settings, SettingsError};
 
 use serde::{Deserialize, Serialize};

@@ -25,11 +25,22 @@ impl Default for Limits {
     }
 }
 
+/// Orders to stand still for a while.
+pub trait Pause: Sync {
+    /// Whether the work should stand still.
+    fn is_wanted(&self) -> bool;
+
+    /// Waits until the work may go on, or is told to stop.
+    fn wait(&self);
+}
+
 /// One question to a renderer, as the renderer sees the outside.
 #[derive(Clone, Copy)]
 pub struct Run<'a> {
     /// Set to stop the run.
     pub cancelled: &'a AtomicBool,
+    /// Has foreign programs stand still. `None`: nobody does.
+    pub pause: Option<&'a dyn Pause>,
     /// Is told progress, 0 to 1.
     pub progress: &'a (dyn Fn(f64) + Sync),
     /// Is told every line that the renderer prints, as it comes.
@@ -45,7 +56,7 @@ pub struct Run<'a> {
 impl<'a> Run<'a> {
     /// A run that reports to nobody, without a sandbox.
     pub fn silent(cancelled: &'a AtomicBool, scratch: &'a Path, limits: Limits) -> Self {
-        Self { cancelled, progress: &|_| {}, log: &|_| {}, scratch, limits, sandbox: None }
+        Self { cancelled, pause: None, progress: &|_| {}, log: &|_| {}, scratch, limits, sandbox: None }
     }
 
     /// Whether the run was told to stop.

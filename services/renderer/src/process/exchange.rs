@@ -62,6 +62,7 @@ impl Exchange {
         if self.to.write_all(question).is_err() {
             return Err(self.session.failure());
         }
+        self.session.begin();
         let mut buffer = [0; 1 << 16];
         loop {
             self.session.look(since, run)?;

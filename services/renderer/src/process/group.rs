@@ -33,6 +33,14 @@ pub(super) fn members(group: Pid) -> Vec<Member> {
     inside.into_iter().filter_map(Process::measured).collect()
 }
 
+/// Sends a signal to the living processes of the group, and to their descendants in other groups.
+pub(super) fn signal_all(group: Pid, signal: Signal) {
+    for member in members(group) {
+        // It may have ended by itself.
+        let _ = kill_process(member.pid, signal);
+    }
+}
+
 /// Of the members of a group that is a sandbox, the program. The first process is the sandbox itself.
 pub(super) fn program_inside(sandbox: Pid, members: &[Member]) -> Option<Pid> {
     members.iter().find(|member| member.parent == Some(sandbox)).map(|member| member.pid)

@@ -16,6 +16,20 @@ const BWRAP: &str = "bwrap";
 /// Devices of graphics cards, by the beginnings of their names in `/dev`.
 const GRAPHICS: [&str; 3] = ["dri", "kfd", "nvidia"];
 
+/// Where other services of the machine listen: a read-only folder does not keep programs from asking them.
+const SERVICES: [&str; 7] = [
+    "/run/user",
+    "/run/dbus",
+    "/run/docker.sock",
+    "/run/containerd",
+    "/run/podman",
+    "/run/libvirt",
+    "/run/systemd/private",
+];
+
+/// The variable with the socket that signs with the user's keys.
+const KEYS: &str = "SSH_AUTH_SOCK";
+
 /// What the programs of a worker may write and may not read.
 #[derive(Debug)]
 pub struct Sandbox {
@@ -67,8 +81,10 @@ impl Sandbox {
         for device in graphics() {
             bwrap.arg("--dev-bind").args([&device, &device]);
         }
+        let keys = std::env::var_os(KEYS).map(PathBuf::from);
+        let hidden = SERVICES.iter().map(PathBuf::from).chain(keys).chain(self.hidden.iter().cloned());
         // Those that do not exist yet are hidden from the programs that start later.
-        for hidden in self.hidden.iter().filter_map(|hidden| hidden.canonicalize().ok()) {
+        for hidden in hidden.filter_map(|hidden| hidden.canonicalize().ok()) {
             match hidden.is_dir() {
                 true => bwrap.arg("--tmpfs").arg(hidden),
                 false => bwrap.args(["--ro-bind", "/dev/null"]).arg(hidden),

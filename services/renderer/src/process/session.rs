@@ -13,6 +13,7 @@ use std::io::Write;
 use std::os::unix::process::ExitStatusExt;
 use std::process::ChildStdin;
 use std::sync::OnceLock;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -49,7 +50,10 @@ pub struct Session {
     program: OnceLock<Pid>,
     stdin: Option<ChildStdin>,
     lines: Receiver<Line>,
+    /// What it printed last, since the question began.
     last_lines: VecDeque<String>,
+    /// How long it stood still since the question began.
+    paused: Duration,
     orders: Orders,
     supervisor: Option<JoinHandle<std::io::Result<Ended>>>,
     known: &'static [Message],
@@ -93,6 +97,7 @@ impl Session {
             stdin,
             lines,
             last_lines: VecDeque::new(),
+            paused: Duration::ZERO,
             orders,
             supervisor,
             known,
@@ -120,7 +125,13 @@ impl Session {
         self.orders.limit(run);
     }
 
-    /// Sends a line.
+    /// A question begins: lines and pauses of earlier ones say nothing about it.
+    pub(super) fn begin(&mut self) {
+        self.last_lines.clear();
+        self.paused = Duration::ZERO;
+    }
+
+    /// Sends a line, with which a question begins.
     ///
     /// # Errors
     /// If the program has ended: says how.
@@ -128,7 +139,11 @@ impl Session {
         let sent = self.stdin.as_mut().is_some_and(|to| {
             to.write_all(line.as_bytes()).and_then(|()| to.write_all(b"\n")).and_then(|()| to.flush()).is_ok()
         });
-        if sent { Ok(()) } else { Err(self.failure()) }
+        if !sent {
+            return Err(self.failure());
+        }
+        self.begin();
+        Ok(())
     }
 
     /// The next line of output. `None` after the last one: the program has ended.
@@ -165,12 +180,20 @@ impl Session {
         self.obey(since, run)
     }
 
-    /// Ends the program if the run is cancelled or not over in time.
+    /// Ends the program if the run is cancelled or not over in time, and pauses it if that is wanted. Time in
+    /// which it stands still does not count.
     fn obey(&mut self, since: Instant, run: &Run<'_>) -> Result<(), RendererError> {
+        if let Some(pause) = run.pause.filter(|pause| pause.is_wanted()) {
+            let begin = Instant::now();
+            self.orders.pause.store(true, Ordering::Relaxed);
+            pause.wait();
+            self.orders.pause.store(false, Ordering::Relaxed);
+            self.paused += begin.elapsed();
+        }
         if run.is_cancelled() {
             return Err(self.stop(Stop::Cancelled));
         }
-        match run.limits.time.filter(|&limit| since.elapsed() > limit) {
+        match run.limits.time.filter(|&limit| since.elapsed().saturating_sub(self.paused) > limit) {
             Some(limit) => Err(self.stop(Stop::TimeLimit(limit))),
             None => Ok(()),
         }
@@ -263,17 +286,19 @@ impl Session {
         if ended.status.success() {
             return Ok(());
         }
-        let lines: Vec<String> = self.last_lines.iter().cloned().collect();
-        if let Some(error) = meaning(&lines, self.known) {
-            return Err(error);
-        }
         let ending = match (ended.status.code(), ended.status.signal()) {
             // A sandbox ends with the code that a shell would.
             (Some(code), _) if self.is_inside && code > SIGNALS => Ending::Signal(code - SIGNALS),
             (Some(code), _) => Ending::Code(code),
             (None, signal) => Ending::Signal(signal.unwrap_or(0)),
         };
-        Err(self.ended(ending))
+        let lines: Vec<String> = self.last_lines.iter().cloned().collect();
+        // A program that crashes or is killed did not end because it misses a file, whatever it said before.
+        let was_killed = matches!(ending, Ending::Signal(_));
+        match meaning(&lines, self.known).filter(|error| !(was_killed && error.is_permanent())) {
+            Some(error) => Err(error),
+            None => Err(self.ended(ending)),
+        }
     }
 
     fn ended(&self, ending: Ending) -> RendererError {

@@ -7,14 +7,14 @@ use parking_lot::Mutex;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{
     Pid, PidfdFlags, Resource, Rlimit, Signal, kill_process_group, pidfd_open,
-    set_parent_process_death_signal, setrlimit,
+    set_parent_process_death_signal, setrlimit, setsid,
 };
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -98,6 +98,8 @@ pub(super) struct Orders {
     pub stop: Arc<Mutex<Option<Stop>>>,
     /// Limit on its resident memory, bytes. It may change while the program runs. 0: none.
     pub memory_bytes: Arc<AtomicU64>,
+    /// Whether it should stand still.
+    pub pause: Arc<AtomicBool>,
 }
 
 impl Orders {
@@ -201,9 +203,10 @@ fn spawn(mut command: Command, ends: Ends, mark: &str) -> io::Result<(Child, Own
         .env(MARK, mark)
         .stdin(stdin)
         .stdout(ends.output.map_or_else(Stdio::piped, Stdio::from))
-        .stderr(Stdio::piped())
-        .process_group(0);
+        .stderr(Stdio::piped());
     let in_child = move || {
+        // A group of its own, and no terminal: a program could write commands into that of this process.
+        setsid()?;
         setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
         set_parent_process_death_signal(Some(Signal::KILL))?;
         // The parent may have died before the line above.
@@ -212,7 +215,7 @@ fn spawn(mut command: Command, ends: Ends, mark: &str) -> io::Result<(Child, Own
         }
         Ok(())
     };
-    // SAFETY: between fork and exec only async-signal-safe functions may be called. The closure makes three
+    // SAFETY: between fork and exec only async-signal-safe functions may be called. The closure makes four
     // system calls and allocates nothing: an error is a number.
     unsafe { command.pre_exec(in_child) };
     let child = command.spawn()?;
@@ -241,6 +244,7 @@ impl Watch {
         let mut peak = 0;
         let mut program = (!is_inside).then_some(group);
         let mut asked: Option<Instant> = None;
+        let mut stands_still = false;
         for look in 0u32.. {
             let mut ready = [PollFd::new(pidfd, PollFlags::IN)];
             if poll(&mut ready, Some(&LOOK)).is_ok_and(|count| count > 0) {
@@ -259,6 +263,12 @@ impl Watch {
             let mut stop = orders.stop.lock();
             if limit > 0 && memory > limit && stop.is_none() {
                 *stop = Some(Stop::Memory(memory));
+            }
+            // A program that stands still would not hear that it is asked to end.
+            let pause = orders.pause.load(Ordering::Relaxed) && stop.is_none();
+            if pause != stands_still {
+                group::signal_all(group, if pause { Signal::STOP } else { Signal::CONT });
+                stands_still = pause;
             }
             let Some(reason) = *stop else { continue };
             // A program that uses too much memory is not asked: it might use more meanwhile.

@@ -4,6 +4,7 @@
 //! each other's values: Radiance locks it.
 
 use forelight_renderer::door::RendererError;
+use forelight_renderer::read_written;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -38,9 +39,8 @@ impl Ambient {
         ["-af".to_owned(), self.path().display().to_string()]
     }
 
-    /// The values in it.
+    /// The values in it. Commands of a scene could put a link in its place.
     pub fn read(&self) -> Result<Vec<u8>, RendererError> {
-        let path = self.path();
-        fs::read(&path).map_err(RendererError::io(&path))
+        read_written(&self.path())
     }
 }
