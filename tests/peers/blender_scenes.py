@@ -12,6 +12,10 @@ Beside each NAME.blend, NAME.json says what is in it, as a renderer should descr
 | `clipped.blend` | something is too near to the camera to be seen |
 | `leaf.blend` | a material is transparent |
 | `layers.blend` | it has a second view layer, which is rendered too |
+| `composited.blend` | its compositor writes a file, in a group |
+| `caches.blend` | it refers to a mesh cache and a light profile that do not exist, and to an empty folder of a simulation |
+| `catcher.blend` | an object catches shadows |
+| `stereo.blend` | it is rendered for two eyes |
 | `markers.blend` | markers choose the camera; the size is 70 % of one that is no multiple of ten |
 | `points.blend` | geometry nodes make points, and scatter a hidden object |
 
@@ -277,6 +281,49 @@ def layers():
     bpy.context.scene.view_layers.new("Again")
 
 
+def composited(out):
+    """The image goes through a group, which also writes it to a file."""
+    scene = bpy.context.scene
+    group = bpy.data.node_groups.new("writer", "CompositorNodeTree")
+    group.interface.new_socket(name="Image", in_out="INPUT", socket_type="NodeSocketColor")
+    writer = group.nodes.new("CompositorNodeOutputFile")
+    if bpy.app.version < (5, 0):
+        scene.use_nodes = True
+        tree = scene.node_tree
+        writer.base_path = str(out)
+    else:
+        tree = scene.compositing_node_group = bpy.data.node_groups.new("compositor", "CompositorNodeTree")
+        tree.interface.new_socket(name="Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        writer.directory = str(out)
+        writer.file_output_items.new("RGBA", "Image")
+    group.links.new(group.nodes.new("NodeGroupInput").outputs["Image"], writer.inputs[0])
+    layers = next((n for n in tree.nodes if n.type == "R_LAYERS"), None) or tree.nodes.new("CompositorNodeRLayers")
+    node = tree.nodes.new("CompositorNodeGroup")
+    node.node_tree = group
+    tree.links.new(layers.outputs["Image"], node.inputs["Image"])
+    if bpy.app.version >= (5, 0):
+        tree.links.new(layers.outputs["Image"], tree.nodes.new("NodeGroupOutput").inputs["Image"])
+
+
+def caches(folder):
+    folder.mkdir()
+    cube = bpy.data.objects["Cube"]
+    cube.modifiers.new("animation", "MESH_CACHE").filepath = "//cube.pc2"
+    smoke = cube.modifiers.new("smoke", "FLUID")
+    smoke.fluid_type = "DOMAIN"
+    smoke.domain_settings.cache_directory = str(folder)
+    profile = nodes_of(bpy.context.scene.world).nodes.new("ShaderNodeTexIES")
+    profile.mode, profile.filepath = "EXTERNAL", "//lamp.ies"
+
+
+def catcher():
+    bpy.data.objects["Cube"].is_shadow_catcher = True
+
+
+def stereo():
+    bpy.context.scene.render.use_multiview = True
+
+
 def markers():
     """Two cameras, of which one looks away, and a text without a mesh: its nodes make nothing."""
     scene = bpy.context.scene
@@ -328,6 +375,10 @@ def main():
     small(out, "linked", lambda: linked(out / "script.blend"))
     small(out, "sequence", lambda: sequence(out / "sea-0001.png"))
     small(out, "changing", changing)
+    small(out, "composited", lambda: composited(out / "written"))
+    small(out, "caches", lambda: caches(out / "smoke"))
+    small(out, "catcher", catcher)
+    small(out, "stereo", stereo)
     small(out, "clipped", clipped)
     small(out, "leaf", leaf)
     small(out, "layers", layers)

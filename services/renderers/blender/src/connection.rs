@@ -11,9 +11,10 @@ use std::time::Instant;
 use tempfile::TempDir;
 
 /// The scripts that run inside Blender. The first one is started.
-const SCRIPTS: [(&str, &str); 5] = [
+const SCRIPTS: [(&str, &str); 6] = [
     ("driver.py", include_str!("driver/driver.py")),
     ("forelight_describe.py", include_str!("driver/forelight_describe.py")),
+    ("forelight_errors.py", include_str!("driver/forelight_errors.py")),
     ("forelight_pack.py", include_str!("driver/forelight_pack.py")),
     ("forelight_render.py", include_str!("driver/forelight_render.py")),
     ("forelight_triangles.py", include_str!("driver/forelight_triangles.py")),

@@ -1,7 +1,7 @@
 //! Multi-layer EXR files of Cycles: ids and times of pixels, and merging shares of the samples.
 
 use exr::prelude::{
-    AnyChannel, AnyChannels, FlatImage, FlatSamples, Layer, ReadChannels as _, ReadLayers as _,
+    AnyChannel, AnyChannels, FlatImage, FlatSamples, Layer, ReadChannels as _, ReadLayers as _, Text,
     WritableImage as _, read,
 };
 use forelight_pictures::{id_color, tone_map};
@@ -174,59 +174,145 @@ impl Image {
     }
 }
 
-/// Merges shares of the samples, in their order, into the image of all samples.
+/// Merges shares of the samples, in their order, into the image of all `samples`. One share at a time is in memory.
 ///
 /// A pass is the mean of its samples, so its shares are weighted by their numbers of samples. Times add up.
 /// What only the first sample writes is the first share's. Cryptomatte ranks are merged by id.
-pub(crate) fn merge(shares: Vec<Share>) -> Result<Image, RendererError> {
-    let all: f64 = shares.iter().map(|share| f64::from(share.samples)).sum();
-    let weights: Vec<f64> = shares.iter().map(|share| f64::from(share.samples) / all).collect();
-    let mut shares = shares.into_iter().map(|share| share.image.exr);
-    let differ = || RendererError::Answer("shares of a frame have different passes".to_owned());
-    let mut merged = shares.next().ok_or_else(differ)?;
-    let others: Vec<FlatImage> = shares.collect();
-    for index in 0..merged.layer_data.len() {
-        let layer = &mut merged.layer_data[index];
-        let others: Option<Vec<_>> = others
-            .iter()
-            .map(|other| other.layer_data.get(index).filter(|other| same_channels(layer, other)))
-            .collect();
-        let others = others.ok_or_else(differ)?;
-        let ranks = cryptomatte_ranks(layer).concat();
-        for (channel, own) in
-            layer.channel_data.list.iter_mut().enumerate().filter(|(c, _)| !ranks.contains(c))
-        {
-            let theirs: Option<Vec<&[f32]>> =
-                others.iter().map(|other| floats(&other.channel_data.list[channel])).collect();
-            merge_channel(own, &theirs.ok_or_else(differ)?, &weights);
-        }
+pub(crate) fn merge(
+    samples: u32,
+    mut shares: impl Iterator<Item = Result<Share, RendererError>>,
+) -> Result<Image, RendererError> {
+    let mut merging = Merging::begin(shares.next().ok_or_else(differ)??, samples)?;
+    for share in shares {
+        merging.add(share?)?;
     }
-    merge_cryptomattes(&mut merged, &others, &weights)?;
-    Ok(Image { exr: merged })
+    Ok(merging.end())
 }
 
-fn same_channels(one: &Layer<AnyChannels<FlatSamples>>, other: &Layer<AnyChannels<FlatSamples>>) -> bool {
-    let names = |layer: &Layer<AnyChannels<FlatSamples>>| {
-        layer.channel_data.list.iter().map(|c| (c.name.clone(), c.sample_data.len())).collect::<Vec<_>>()
+/// Shares that are being merged.
+struct Merging {
+    samples: f64,
+    /// The first share. Channels that are added up hold nothing until the end.
+    image: FlatImage,
+    /// Names and lengths of the channels of each layer.
+    channels: Vec<Vec<(Text, usize)>>,
+    sums: Sums,
+}
+
+/// What is known of the merged image so far.
+struct Sums {
+    /// Layer of a channel, number in it, and sums of its values.
+    channels: Vec<(usize, usize, Vec<f64>)>,
+    cryptomattes: Vec<Cryptomatte>,
+}
+
+/// A Cryptomatte that is being merged.
+struct Cryptomatte {
+    /// Layer and (id, weight) channels of each rank.
+    ranks: Vec<(usize, [usize; 2])>,
+    /// Bits of the ids in each pixel, with their weights so far.
+    pixels: Vec<Vec<(u32, f64)>>,
+}
+
+impl Merging {
+    fn begin(first: Share, samples: u32) -> Result<Self, RendererError> {
+        let mut image = first.image.exr;
+        let (samples, channels) = (f64::from(samples), channels(&image));
+        let mut sums = Sums::of(&image)?;
+        sums.add(&image, f64::from(first.samples) / samples)?;
+        for &(layer, channel, _) in &sums.channels {
+            image.layer_data[layer].channel_data.list[channel].sample_data = FlatSamples::F32(Vec::new());
+        }
+        Ok(Self { samples, image, channels, sums })
+    }
+
+    fn add(&mut self, Share { image, samples }: Share) -> Result<(), RendererError> {
+        if channels(&image.exr) != self.channels {
+            return Err(differ());
+        }
+        self.sums.add(&image.exr, f64::from(samples) / self.samples)
+    }
+
+    fn end(mut self) -> Image {
+        let mut set = |layer: usize, channel: usize, values: Vec<f32>| {
+            self.image.layer_data[layer].channel_data.list[channel].sample_data = FlatSamples::F32(values);
+        };
+        for (layer, channel, sums) in self.sums.channels {
+            set(layer, channel, sums.into_iter().map(|sum| sum as f32).collect());
+        }
+        for Cryptomatte { ranks, mut pixels } in self.sums.cryptomattes {
+            // The heaviest ids are kept.
+            pixels.iter_mut().for_each(|ids| ids.sort_by(|a, b| b.1.total_cmp(&a.1)));
+            for (rank, (layer, [id, weight])) in ranks.into_iter().enumerate() {
+                let at = |ids: &Vec<(u32, f64)>| ids.get(rank).copied().unwrap_or((0, 0.0));
+                set(layer, id, pixels.iter().map(|ids| f32::from_bits(at(ids).0)).collect());
+                set(layer, weight, pixels.iter().map(|ids| at(ids).1 as f32).collect());
+            }
+        }
+        Image { exr: self.image }
+    }
+}
+
+impl Sums {
+    /// Nothing, of the channels of this image.
+    fn of(image: &FlatImage) -> Result<Self, RendererError> {
+        let ranks = cryptomattes(image);
+        let is_rank = |at: usize, channel: usize| {
+            ranks.iter().flatten().any(|&(layer, pair)| layer == at && pair.contains(&channel))
+        };
+        let mut channels = Vec::new();
+        for (at, layer) in image.layer_data.iter().enumerate() {
+            for (number, channel) in layer.channel_data.list.iter().enumerate() {
+                if !OF_FIRST_SAMPLE.contains(&pass_of(channel)) && !is_rank(at, number) {
+                    channels.push((at, number, vec![0.0; channel.sample_data.len()]));
+                }
+            }
+        }
+        let cryptomatte = |ranks: Vec<(usize, [usize; 2])>| {
+            let (layer, [id, _]) = ranks[0];
+            let pixels = image.layer_data[layer].channel_data.list[id].sample_data.len();
+            Cryptomatte { ranks, pixels: vec![Vec::new(); pixels] }
+        };
+        Ok(Self { channels, cryptomattes: ranks.into_iter().map(cryptomatte).collect() })
+    }
+
+    /// Adds a share that has this part of all samples, and the same channels.
+    fn add(&mut self, share: &FlatImage, weight: f64) -> Result<(), RendererError> {
+        let channel = |layer: usize, channel: usize| &share.layer_data[layer].channel_data.list[channel];
+        for (layer, number, sums) in &mut self.channels {
+            let channel = channel(*layer, *number);
+            let weight = if TIME.contains(&pass_of(channel)) { 1.0 } else { weight };
+            let values = floats(channel).ok_or_else(differ)?;
+            sums.iter_mut().zip(values).for_each(|(sum, &value)| *sum += f64::from(value) * weight);
+        }
+        for Cryptomatte { ranks, pixels } in &mut self.cryptomattes {
+            for &(layer, pair) in &*ranks {
+                let [ids, weights] = pair.map(|number| floats(channel(layer, number)));
+                let (ids, weights) = (ids.ok_or_else(differ)?, weights.ok_or_else(differ)?);
+                for ((known, id), &of_share) in pixels.iter_mut().zip(ids).zip(weights) {
+                    let (id, weight) = (id.to_bits(), f64::from(of_share) * weight);
+                    match known.iter_mut().find(|known| known.0 == id) {
+                        Some(known) => known.1 += weight,
+                        None if weight > 0.0 => known.push((id, weight)),
+                        None => {}
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn differ() -> RendererError {
+    RendererError::Answer("shares of a frame have different passes".to_owned())
+}
+
+/// Names and lengths of the channels of each layer.
+fn channels(image: &FlatImage) -> Vec<Vec<(Text, usize)>> {
+    let of_layer = |layer: &Layer<AnyChannels<FlatSamples>>| {
+        layer.channel_data.list.iter().map(|c| (c.name.clone(), c.sample_data.len())).collect()
     };
-    names(one) == names(other)
-}
-
-fn merge_channel(own: &mut AnyChannel<FlatSamples>, others: &[&[f32]], weights: &[f64]) {
-    let pass = pass_of(own).to_owned();
-    if OF_FIRST_SAMPLE.contains(&pass.as_str()) {
-        return;
-    }
-    let add_up = TIME.contains(&pass.as_str());
-    let FlatSamples::F32(values) = &mut own.sample_data else { return };
-    for (pixel, value) in values.iter_mut().enumerate() {
-        let weight = |share: usize| if add_up { 1.0 } else { weights[share] };
-        let mut sum = f64::from(*value) * weight(0);
-        for (share, other) in others.iter().enumerate() {
-            sum += f64::from(other[pixel]) * weight(share + 1);
-        }
-        *value = sum as f32;
-    }
+    image.layer_data.iter().map(of_layer).collect()
 }
 
 /// Indices of the (id, weight) channels of a layer that belong to a Cryptomatte.
@@ -244,15 +330,11 @@ fn cryptomatte_ranks(layer: &Layer<AnyChannels<FlatSamples>>) -> Vec<[usize; 2]>
     pairs.flatten().collect()
 }
 
-/// Merges the ranks of every Cryptomatte: weights of the same id are averaged, and the heaviest ids are kept.
-fn merge_cryptomattes(
-    merged: &mut FlatImage,
-    others: &[FlatImage],
-    weights: &[f64],
-) -> Result<(), RendererError> {
+/// Layer and (id, weight) channels of the ranks of each Cryptomatte.
+fn cryptomattes(image: &FlatImage) -> Vec<Vec<(usize, [usize; 2])>> {
     // Ranks of one Cryptomatte may be in several parts of the file: CryptoObject00, CryptoObject01, …
     let mut groups: BTreeMap<String, Vec<(usize, [usize; 2])>> = BTreeMap::new();
-    for (index, layer) in merged.layer_data.iter().enumerate() {
+    for (index, layer) in image.layer_data.iter().enumerate() {
         for pair in cryptomatte_ranks(layer) {
             let name = layer.channel_data.list[pair[0]].name.to_string();
             let group = name.rsplit_once('.').map_or(name.as_str(), |(pass, _)| pass);
@@ -262,45 +344,7 @@ fn merge_cryptomattes(
                 .push((index, pair));
         }
     }
-    for ranks in groups.into_values() {
-        let take = |image: &FlatImage| -> Option<Vec<[Vec<f32>; 2]>> {
-            let channel = |layer: usize, c: usize| {
-                Some(floats(&image.layer_data[layer].channel_data.list[c])?.to_vec())
-            };
-            ranks
-                .iter()
-                .map(|&(layer, [id, weight])| Some([channel(layer, id)?, channel(layer, weight)?]))
-                .collect()
-        };
-        let images: Option<Vec<_>> = std::iter::once(&*merged).chain(others).map(take).collect();
-        let images =
-            images.ok_or_else(|| RendererError::Answer("a Cryptomatte is not of floats".to_owned()))?;
-        let mut result = images[0].clone();
-        for pixel in 0..result.first().map_or(0, |rank| rank[0].len()) {
-            let mut ids: Vec<(u32, f64)> = Vec::new();
-            for (image, share) in images.iter().zip(weights) {
-                for [id, weight] in image {
-                    let (id, weight) = (id[pixel].to_bits(), f64::from(weight[pixel]) * share);
-                    match ids.iter_mut().find(|known| known.0 == id) {
-                        Some(known) => known.1 += weight,
-                        None => ids.push((id, weight)),
-                    }
-                }
-            }
-            ids.retain(|&(_, weight)| weight > 0.0);
-            ids.sort_by(|a, b| b.1.total_cmp(&a.1));
-            for (rank, [id, weight]) in result.iter_mut().enumerate() {
-                let (bits, share) = ids.get(rank).copied().unwrap_or((0, 0.0));
-                (id[pixel], weight[pixel]) = (f32::from_bits(bits), share as f32);
-            }
-        }
-        for ((layer, channels), values) in ranks.into_iter().zip(result) {
-            for (channel, values) in channels.into_iter().zip(values) {
-                merged.layer_data[layer].channel_data.list[channel].sample_data = FlatSamples::F32(values);
-            }
-        }
-    }
-    Ok(())
+    groups.into_values().collect()
 }
 
 /// `Object Index` of `ViewLayer.Object Index.X`.

@@ -9,6 +9,9 @@ use std::sync::Arc;
 /// Variable with the path of a Python that has the module `bpy`.
 const PYTHON: &str = "FORELIGHT_BPY_PYTHON";
 
+/// The variable that names folders of libraries. Those of X and GL may be there.
+const LIBRARIES: &str = "LD_LIBRARY_PATH";
+
 /// Oldest version, and the first major version that is too new.
 const OLDEST: (u32, u32) = (4, 2);
 const TOO_NEW: u32 = 6;
@@ -85,7 +88,7 @@ impl Cycles {
             ),
             How::Module(path) => (path, &["-I", "-B"]),
         };
-        let program = Program::new(path, folder).pass_on("LD_LIBRARY_PATH");
+        let program = Program::new(path, folder).pass_on(LIBRARIES);
         let program = match &self.how {
             How::Program(_) => program.arg("--threads").arg(threads.to_string()),
             How::Module(_) => program,
@@ -100,6 +103,7 @@ impl How {
             Self::Program(path) => Program::new(path, folder).args(["--background", "--version"]),
             Self::Module(path) => Program::new(path, folder).args(["-I", "-B", "-c", FIND_MODULE]),
         };
+        let program = |folder: &Path| program(folder).pass_on(LIBRARIES);
         let mut version = None;
         ask(program, MESSAGES, &mut |line| {
             if let Some(rest) = line.text.strip_prefix("Blender ") {

@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `installation` | finds Blender, and starts it |
 //! | `connection` | questions to the driver and its answers |
+//! | `idle` | processes that wait for a question |
 //! | `settings` | Cycles' own settings |
 //! | `renderer` | the door: what Cycles can, and how it opens a scene |
 //! | `shot` | the four questions of the door |
@@ -33,6 +34,7 @@
 //! whole image.
 
 mod connection;
+mod idle;
 mod image;
 mod installation;
 mod preview;

@@ -1,6 +1,7 @@
 //! The four questions of the door, to one Blender file.
 
 use crate::connection::Connection;
+use crate::idle::Idle;
 use crate::image::{Image, Share, merge};
 use crate::installation::Cycles;
 use crate::preview::Previewing;
@@ -10,7 +11,6 @@ use forelight_renderer::door::{
     Artefact, Asset, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
     PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, SettingsError, Shot, TakenOver,
 };
-use parking_lot::Mutex;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -21,8 +21,18 @@ pub(crate) struct BlenderShot {
     cycles: Cycles,
     scene: PathBuf,
     description: Description,
-    /// Processes that wait for a question. A question starts one if none waits.
-    idle: Mutex<Vec<Connection>>,
+    /// Why shares of the samples never add up to one render, whatever the settings are.
+    indivisible: Option<String>,
+    /// A question starts a process if none waits.
+    idle: Idle,
+}
+
+/// Answer of the driver to the opening of a file.
+#[derive(Deserialize)]
+struct Opened {
+    #[serde(flatten)]
+    description: Description,
+    indivisible: Option<String>,
 }
 
 /// Answer of the driver to a render.
@@ -43,8 +53,9 @@ struct Packed {
 
 impl BlenderShot {
     pub fn open(cycles: Cycles, scene: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
-        let (connection, description) = Connection::open(&cycles, scene, run)?;
-        Ok(Self { cycles, scene: scene.to_owned(), description, idle: Mutex::new(vec![connection]) })
+        let (connection, opened) = Connection::open(&cycles, scene, run)?;
+        let Opened { description, indivisible } = opened;
+        Ok(Self { cycles, scene: scene.to_owned(), description, indivisible, idle: Idle::new(connection) })
     }
 
     pub(crate) fn previewer(&self) -> &SharedPreviewer {
@@ -56,26 +67,24 @@ impl BlenderShot {
         question: &Value,
         run: &Run<'_>,
     ) -> Result<T, RendererError> {
-        let idle = {
-            let mut idle = self.idle.lock();
-            // The system may have ended one meanwhile, for its memory.
-            idle.retain(|connection| !connection.has_ended());
-            idle.pop()
-        };
-        let mut connection = match idle {
+        let mut connection = match self.idle.take() {
             Some(connection) => connection,
             None => Connection::open::<Value>(&self.cycles, &self.scene, run)?.0,
         };
         let answer = connection.ask(question, run);
         // After any other error the process is gone, or nobody knows what it does.
         if matches!(answer, Ok(_) | Err(RendererError::Failed(_))) {
-            self.idle.lock().push(connection);
+            self.idle.put(connection);
         }
         answer
     }
 
     fn check(&self, settings: &Settings) -> Result<(), RendererError> {
         settings.check(&SCHEMA)?;
+        if settings.common.seed > MOST_SEED {
+            let reason = format!("Blender's seeds go up to {MOST_SEED}");
+            return Err(SettingsError { path: "/seed".to_owned(), reason }.into());
+        }
         let cameras = || self.description.cameras.iter().map(|camera| camera.name.as_str());
         if let Some(name) = settings.own.get("camera").and_then(Value::as_str)
             && !name.is_empty()
@@ -89,9 +98,9 @@ impl BlenderShot {
     }
 
     /// Why shares of the samples do not add up to one render. `None` if they do.
-    fn why_indivisible(&self, settings: &Settings) -> Option<&'static str> {
+    fn why_indivisible(&self, settings: &Settings) -> Option<&str> {
         if self.cycles.capabilities().contains(&Capability::TakeOverSamples) {
-            why_indivisible(settings)
+            why_indivisible(settings).or(self.indivisible.as_deref())
         } else {
             Some("Blender renders shares of the samples since version 4.4")
         }
@@ -161,14 +170,14 @@ impl BlenderShot {
         Ok(Measured { cost, fixed, pieces, strata: Vec::new(), blocks: None, ids: None, artefact: None })
     }
 
-    /// Shares of the samples in order, without gaps from the first sample on, and the number of samples in
-    /// them.
+    /// Shares of the samples in order, without gaps from the first sample on: their files, and how many samples
+    /// each has.
     fn shares(
         &self,
         frame: i32,
         settings: &Settings,
         from: &[Artefact],
-    ) -> Result<(Vec<Share>, u32), RendererError> {
+    ) -> Result<Vec<(PathBuf, u32)>, RendererError> {
         let mut parts = Vec::new();
         for artefact in from {
             artefact.check(self.cycles.id(), frame, settings)?;
@@ -188,15 +197,18 @@ impl BlenderShot {
                     .unusable(format!("it begins at sample {offset}, and {end} were expected before it")));
             }
             end += count;
-            shares.push(Share { image: Image::read(&artefact.path)?, samples: count });
+            shares.push((artefact.path.clone(), count));
         }
-        Ok((shares, end))
+        Ok(shares)
     }
 }
 
 pub(crate) fn question(name: &str, frame: i32, settings: &Settings, out: &Path, run: &Run<'_>) -> Value {
     json!({"do": name, "frame": frame, "settings": settings, "threads": run.limits.threads, "out": out})
 }
+
+/// Largest seed of Blender.
+const MOST_SEED: u32 = i32::MAX.unsigned_abs();
 
 /// What the first sample of a pixel takes longer than a later one, as a multiple of a later one. Cycles traces
 /// the samples of a pixel one after the other, and the first finds less of the scene in the processor's caches.
@@ -285,7 +297,8 @@ impl Shot for BlenderShot {
         run: &Run<'_>,
     ) -> Result<Rendered, RendererError> {
         self.check(settings)?;
-        let (mut shares, first) = self.shares(frame, settings, taken_over)?;
+        let mut shares = self.shares(frame, settings, taken_over)?;
+        let first = shares.iter().map(|(_, samples)| samples).sum();
         let rest = settings.common.samples.saturating_sub(first);
         let path = run.scratch.join(format!("frame-{frame:04}.exr"));
         let (mut cost, mut fixed) = (Cost::default(), FixedCosts::default());
@@ -293,13 +306,18 @@ impl Shot for BlenderShot {
             Costs { cost, fixed, .. } = self.samples(frame, settings, None, &path, run)?;
             Image::read(&path)?
         } else {
+            let part = run.scratch.join(format!("frame-{frame:04}-rest.exr"));
             if rest > 0 {
-                let part = run.scratch.join(format!("frame-{frame:04}-rest.exr"));
                 Costs { cost, fixed, .. } = self.samples(frame, settings, Some((first, rest)), &part, run)?;
-                shares.push(Share { image: Image::read(&part)?, samples: rest });
+                shares.push((part.clone(), rest));
+            }
+            // One after the other: all of them might not fit into memory.
+            let read =
+                |(path, samples): &(PathBuf, u32)| Ok(Share { image: Image::read(path)?, samples: *samples });
+            let image = merge(first + rest, shares.iter().map(read))?;
+            if rest > 0 {
                 std::fs::remove_file(&part).map_err(RendererError::io(&part))?;
             }
-            let image = merge(shares)?;
             image.write(&path)?;
             image
         };

@@ -375,6 +375,56 @@ fn what_cannot_be_inside_a_file_is_named() {
 
 #[test]
 #[ignore = "tests/peers/blender.sh makes its files"]
+fn caches_and_light_profiles_that_are_missing_are_named() {
+    ask("caches", |shot, run| {
+        let assets = &shot.description().assets;
+        let found: Vec<_> = assets.iter().map(|a| (a.kind.as_str(), a.name.as_str(), a.state)).collect();
+        let expected = [
+            ("cache", "Cube", AssetState::Missing),
+            ("cache", "Cube", AssetState::Present),
+            ("light profile", "Shader Nodetree", AssetState::Missing),
+        ];
+        assert_eq!(found, expected);
+        let error = shot.render(0, &shot.description().settings, &[], run).unwrap_err().to_string();
+        assert!(error.contains("cube.pc2") && error.contains("lamp.ies"), "{error}");
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
+fn measuring_writes_no_files_of_the_compositor() {
+    ask("composited", |shot, run| {
+        let written = || std::fs::read_dir(blends().join("written")).map_or(0, Iterator::count);
+        let mut settings = shot.description().settings.clone();
+        assert_eq!(settings.own["compositing"], true);
+        (settings.common.width, settings.common.height, settings.common.samples) = (32, 32, 2);
+        let region = Region { x: 0, y: 0, width: 8, height: 8 };
+        for part in [Part::Samples { offset: 0, count: 1 }, Part::Regions(vec![region])] {
+            shot.measure(0, &settings, &part, run).unwrap();
+            assert_eq!(written(), 0, "{part:?}");
+        }
+        shot.render(0, &settings, &[], run).unwrap();
+        assert_eq!(written(), 1, "a render writes what the file says");
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
+fn shadow_catchers_are_rendered_in_one_piece() {
+    ask("catcher", |shot, run| {
+        let mut settings = shot.description().settings.clone();
+        settings.own.insert("adaptive_sampling".to_owned(), false.into());
+        assert!(!shot.capabilities(&settings).contains(&Capability::TakeOverSamples));
+        let part = Part::Samples { offset: 0, count: 1 };
+        assert_eq!(shot.measure(0, &settings, &part, run).unwrap().artefact, None);
+        settings.common.seed = u32::MAX;
+        let error = shot.measure(0, &settings, &part, run).unwrap_err();
+        assert!(matches!(&error, RendererError::Settings(error) if error.path == "/seed"), "{error}");
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
 fn scripts_of_a_file_are_not_run_and_said() {
     ask("script", |shot, run| {
         assert!(
@@ -434,6 +484,8 @@ fn files_that_are_none_are_refused() {
         let error = CYCLES.open(&text, run).err().unwrap();
         assert!(matches!(error, RendererError::Scene { .. }), "{error}");
         assert!(error.to_string().contains("text.blend"), "{error}");
+        let error = CYCLES.open(&blends().join("stereo.blend"), run).err().unwrap();
+        assert!(error.is_permanent() && error.to_string().contains("Stereoscopy"), "{error}");
     });
 }
 

@@ -21,6 +21,8 @@ with open(os.devnull) as nothing:
     os.dup2(nothing.fileno(), 0)
 FOLDER = os.path.dirname(os.path.abspath(__file__))
 sys.path.insert(0, FOLDER)
+from forelight_errors import Refused  # noqa: E402: the line above finds it
+
 # Longest message of an error, in characters.
 LONGEST_MESSAGE = 2000
 
@@ -44,14 +46,6 @@ def reply(what):
 
 def fail(kind, message):
     say({"error": {"kind": kind, "message": message.strip()[:LONGEST_MESSAGE]}})
-
-
-class Refused(Exception):
-    """A question that cannot be answered, with the kind of error that the other side knows."""
-
-    def __init__(self, kind, message):
-        super().__init__(message)
-        self.kind = kind
 
 
 def load_blender(threads):
@@ -84,6 +78,8 @@ def open_scene(scene, threads):
     engine = bpy.context.scene.render.engine
     if engine != "CYCLES":
         raise Refused("scene", f"its render engine is {engine}; only CYCLES can be forecast")
+    if bpy.context.scene.render.use_multiview:
+        raise Refused("scene", "it renders several views; switch off Stereoscopy in its output properties")
     answer = forelight_describe.describe(bpy.context.scene)
     answer["opening"] = {
         "cpu_nanos": time.process_time_ns(),

@@ -11,6 +11,8 @@ import bpy
 GEOMETRY = {
     "MESH", "CURVE", "CURVES", "SURFACE", "FONT", "META", "POINTCLOUD", "VOLUME", "GREASEPENCIL", "GPENCIL",
 }
+# Most objects, and most materials, that pixels can be told apart by.
+MOST_INDICES = 32767
 # Kinds among them that are not made of triangles.
 NO_TRIANGLES = {"CURVES", "POINTCLOUD", "VOLUME", "GREASEPENCIL", "GPENCIL"}
 
@@ -48,10 +50,19 @@ def describe(scene):
         "settings": settings(scene),
         "assets": list(assets()),
         "notes": list(notes(known)),
+        "indivisible": why_indivisible(known),
     }
     if not scene.camera:
         answer["notes"].append("no camera is active: name one by the setting `camera`")
     return answer
+
+
+def why_indivisible(known):
+    """Why shares of the samples do not add up to one render. None if they may do."""
+    for thing in filter(may_be_rendered, known):
+        if thing.is_shadow_catcher:
+            return f"object {thing.name} catches shadows, and a shadow is a quotient of two images"
+    return None
 
 
 def triangles(thing):
@@ -168,6 +179,9 @@ def notes(known):
             yield f"script {text.name} of the file is not run"
     if reason := why_no_triangles():
         yield f"Cycles renders the previews, because triangles do not show all: {reason}"
+    for kind, things in (("objects", known), ("materials", materials())):
+        if len(things) > MOST_INDICES:
+            yield f"only {MOST_INDICES} of {len(things)} {kind} are told apart; the others have no name"
     if any(o.particle_systems for o in known):
         yield "particle systems are rendered as they are cached"
 
@@ -191,6 +205,43 @@ def assets():
     for clip in bpy.data.movieclips:
         if clip.users:
             yield asset("movie clip", clip, clip.filepath, None)
+    for thing in filter(may_be_rendered, bpy.data.objects):
+        for path, must_exist in caches_of(thing):
+            found = asset("cache", thing, path, None)
+            if must_exist or found["state"] == "present":
+                yield found
+    for tree in trees():
+        for node in tree.nodes:
+            if node.type == "TEX_IES" and node.mode == "EXTERNAL" and node.filepath:
+                yield asset("light profile", tree, node.filepath, None)
+
+
+def caches_of(thing):
+    """Files and folders with simulations and animations of an object, and whether they must exist. A simulation that
+    is not baked may have none."""
+    for modifier in thing.modifiers:
+        if modifier.type == "MESH_CACHE" and modifier.filepath:
+            yield modifier.filepath, True
+        elif modifier.type == "OCEAN" and modifier.is_cached:
+            yield modifier.filepath, True
+        elif modifier.type == "FLUID" and modifier.fluid_type == "DOMAIN":
+            domain = modifier.domain_settings
+            yield domain.cache_directory, domain.has_cache_baked_any
+        elif modifier.type == "NODES" and modifier.bake_directory:
+            yield modifier.bake_directory, False
+    systems = [*thing.particle_systems, *(m for m in thing.modifiers if m.type in {"CLOTH", "SOFT_BODY"})]
+    for cache in (system.point_cache for system in systems):
+        if cache.use_external and cache.filepath:
+            yield cache.filepath, True
+        elif cache.use_disk_cache:
+            name, _ = os.path.splitext(os.path.basename(bpy.data.filepath))
+            yield f"//blendcache_{name}", cache.is_baked
+
+
+def trees():
+    """Trees of nodes of what gives light or reflects it, and of groups."""
+    blocks = [*bpy.data.materials, *bpy.data.lights, *bpy.data.worlds]
+    return [block.node_tree for block in blocks if block.users and block.node_tree] + list(bpy.data.node_groups)
 
 
 def asset(kind, block, path, packed):

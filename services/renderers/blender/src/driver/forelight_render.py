@@ -13,6 +13,7 @@ import time
 
 import bpy
 import forelight_describe
+from forelight_errors import Refused
 
 
 # What Cycles prepares, by how a field of the state begins that it tells. Names of objects and files are fields of
@@ -156,9 +157,11 @@ def prepare(frame, settings, threads, engine="CYCLES", keep=False):
     if own.get("camera"):
         scene.camera = scene.objects[own["camera"]]
     if scene.camera is None:
-        raise ValueError("the scene has no camera")
+        raise Refused("scene", "it has no camera; name one by --set camera=NAME, or make one active")
     for known in (forelight_describe.objects(), forelight_describe.materials()):
-        for index, thing in enumerate(known, 1):
+        for number, thing in enumerate(known, 1):
+            # Cycles would give all others the largest index.
+            index = number if number <= forelight_describe.MOST_INDICES else 0
             if thing.pass_index != index:
                 thing.pass_index = index
     for layer in scene.view_layers:
@@ -197,7 +200,9 @@ def samples(frame, settings, threads, out, progress, offset=None, count=None):
     """
     with Clock(progress) as clock:
         scene = prepare(frame, settings, threads)
-        if count is not None:
+        if count is None:
+            write(scene, out)
+        else:
             cycles = scene.cycles
             cycles.sample_offset = offset
             if has_subsets(cycles):
@@ -205,7 +210,8 @@ def samples(frame, settings, threads, out, progress, offset=None, count=None):
             else:
                 # Other samples than those of one render, for the same cost.
                 cycles.samples = count
-        write(scene, out)
+            with no_other_files(scene):
+                write(scene, out)
     return clock.cost()
 
 
@@ -220,6 +226,31 @@ def changed(block, **values):
     finally:
         for name, value in before.items():
             setattr(block, name, value)
+
+
+@contextlib.contextmanager
+def no_other_files(scene):
+    """The compositor writes no files of its own for a while: those of finished frames may be there."""
+    tree = getattr(scene, "compositing_node_group", None) or getattr(scene, "node_tree", None)
+    writers = [node for node in nodes_of(tree, set()) if node.type == "OUTPUT_FILE" and not node.mute]
+    try:
+        for node in writers:
+            node.mute = True
+        yield
+    finally:
+        for node in writers:
+            node.mute = False
+
+
+def nodes_of(tree, seen):
+    """The nodes of a tree and of its groups."""
+    if tree is None or tree in seen:
+        return
+    seen.add(tree)
+    for node in tree.nodes:
+        yield node
+        if node.type == "GROUP":
+            yield from nodes_of(node.node_tree, seen)
 
 
 def one_sample(cycles):
@@ -292,7 +323,7 @@ def finishing(scene, out, settings, denoise, composite):
             write(scene, out)
         return clock.end - clock.cpu, clock.cost()["fixed"].get("write", 0)
 
-    with one_sample(scene.cycles):
+    with one_sample(scene.cycles), no_other_files(scene):
         plain, written = cost()
         found = {"write": written}
         if denoise or composite:

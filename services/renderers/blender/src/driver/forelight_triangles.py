@@ -16,7 +16,7 @@ import numpy
 MOST_TRIANGLES = 5_000_000
 
 
-class Refused(Exception):
+class NotDrawn(Exception):
     """Why the frame cannot be previewed by its triangles."""
 
 
@@ -36,8 +36,8 @@ def triangles(frame, settings, threads, out, progress, after):
             render.use_compositing = render.use_motion_blur = False
             bpy.ops.render.render(write_still=False)
             answer = EXPORT.answer()
-        except Refused as refused:
-            answer = {"refused": str(refused)}
+        except NotDrawn as why:
+            answer = {"refused": str(why)}
         except Exception as error:  # noqa: BLE001: Cycles may show what this cannot
             answer = {"refused": f"{type(error).__name__}: {error}"}
     progress(1.0)
@@ -47,19 +47,17 @@ def triangles(frame, settings, threads, out, progress, after):
 def check(scene):
     camera, render = scene.camera.data, scene.render
     if scene.camera.type != "CAMERA":
-        raise Refused(f"the camera is the object {scene.camera.name} of kind {scene.camera.type}")
+        raise NotDrawn(f"the camera is the object {scene.camera.name} of kind {scene.camera.type}")
     if camera.type != "PERSP":
-        raise Refused(f"camera {scene.camera.name} is of type {camera.type}")
+        raise NotDrawn(f"camera {scene.camera.name} is of type {camera.type}")
     if camera.shift_x or camera.shift_y:
-        raise Refused(f"the lens of camera {scene.camera.name} is shifted")
+        raise NotDrawn(f"the lens of camera {scene.camera.name} is shifted")
     if render.pixel_aspect_x != render.pixel_aspect_y:
-        raise Refused("pixels are not square")
-    if render.use_multiview:
-        raise Refused("the scene is rendered for several eyes")
+        raise NotDrawn("pixels are not square")
     if any(layer.material_override for layer in scene.view_layers):
-        raise Refused("a view layer overrides materials")
+        raise NotDrawn("a view layer overrides materials")
     if reason := forelight_describe.why_no_triangles():
-        raise Refused(reason)
+        raise NotDrawn(reason)
 
 
 class Export:
@@ -102,7 +100,7 @@ class Export:
                 if not instance.show_self or thing.type not in forelight_describe.GEOMETRY or is_unseen(instance):
                     continue
                 if thing.type in forelight_describe.NO_TRIANGLES:
-                    raise Refused(f"instances of {thing.name} are of kind {thing.type}")
+                    raise NotDrawn(f"instances of {thing.name} are of kind {thing.type}")
                 owner = thing.original.as_pointer()
                 key = (owner, instance.parent.original.as_pointer(), *instance.persistent_id) if instance.is_instance else owner
                 place = tuple(value for row in instance.matrix_world for value in row)
@@ -139,12 +137,12 @@ def is_unseen(instance):
     """Whether the camera does not see the instance. Holdouts are left to Cycles."""
     things = [instance.object, instance.parent] if instance.is_instance else [instance.object]
     if any(thing.is_holdout for thing in things):
-        raise Refused(f"object {instance.object.name} is a holdout")
+        raise NotDrawn(f"object {instance.object.name} is a holdout")
     return not all(thing.visible_camera for thing in things)
 
 
 def too_many():
-    return Refused(f"it has over {MOST_TRIANGLES // 1_000_000} million triangles")
+    return NotDrawn(f"it has over {MOST_TRIANGLES // 1_000_000} million triangles")
 
 
 class Engine(bpy.types.RenderEngine):
