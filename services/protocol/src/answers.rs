@@ -164,6 +164,12 @@ pub struct Waits {
 }
 
 impl Waits {
+    /// The budget of the job's project holds it back, until somebody changes the budget.
+    pub fn for_budget(project: &str) -> Self {
+        let because = format!("waits because the budget of project {project} is used up");
+        Self { kind: WaitKind::Budget, because, until: None, behind: Vec::new(), share: None }
+    }
+
     /// Whether the job waits for a budget. The wait then ends when somebody changes the budget.
     pub fn is_for_money(&self) -> bool {
         self.kind == WaitKind::Budget

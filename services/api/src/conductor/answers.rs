@@ -23,7 +23,8 @@ use super::settle::end;
 
 const POINTS: u32 = 13;
 
-const HOUR: i64 = 3_600_000_000;
+const SECOND: i64 = 1_000_000;
+const HOUR: i64 = 3600 * SECOND;
 
 /// Number of node kinds for which "one more" is tried.
 const KINDS: usize = 3;
@@ -137,9 +138,9 @@ impl<'a> Asking<'a> {
             }
             reached
         };
+        let mut limited = farm.clone();
+        limited.input.jobs[job].budget = budget.map(Money::micro_units);
         if reach("ways_out") && !self.kept {
-            let mut limited = farm.clone();
-            limited.input.jobs[job].budget = budget.map(Money::micro_units);
             document.ways_out = limited.ways_out(job, &farm.standing, self.affordable)?;
         }
         if reach("for_budget")
@@ -156,7 +157,7 @@ impl<'a> Asking<'a> {
         let mut offers = Vec::new();
         let mut is_cut_short = false;
         if reach("qualities") {
-            let mut best_first = qualities(farm, job, &farm.standing, &question.rungs);
+            let mut best_first = qualities(&limited, job, &farm.standing, &question.rungs);
             is_cut_short = loop {
                 if !there_is_time() {
                     break true;
@@ -234,18 +235,19 @@ fn why_not(
             ));
             match entry.and_then(|entry| asked.finish(entry.bound.earliest_finish())) {
                 Some(bound) if bound > deadline => reasons.push(format!(
-                    "with all free time of {} nodes it ends at {} at the earliest",
-                    farm.nodes.len(),
+                    "with all free time of {} it ends at {} at the earliest",
+                    nodes(farm.nodes.len()),
                     Timestamp::from_micros(bound)
                 )),
                 _ => {}
             }
-            for short in plan.infeasible.iter().flat_map(|infeasible| &infeasible.short) {
+            let short = plan.infeasible.iter().flat_map(|infeasible| &infeasible.short);
+            for short in short.filter(|short| short.end - short.start >= SECOND) {
                 reasons.push(format!(
-                    "from {} to {} all of {} nodes would be needed",
+                    "from {} to {} all of {} would be needed",
                     Timestamp::from_micros(short.start),
                     Timestamp::from_micros(short.end),
-                    short.nodes.len()
+                    nodes(short.nodes.len())
                 ));
             }
             let mut holders: Vec<u64> = around
@@ -263,7 +265,9 @@ fn why_not(
                 .map(|other| other.job.name.as_str())
                 .collect();
             if !names.is_empty() {
-                reasons.push(format!("{} jobs are booked before then: {}", holders.len(), names.join(", ")));
+                let jobs =
+                    if holders.len() == 1 { "1 job is" } else { &format!("{} jobs are", holders.len()) };
+                reasons.push(format!("{jobs} booked before then: {}", names.join(", ")));
             }
         }
         _ => {}
@@ -276,6 +280,10 @@ fn why_not(
             .push(format!("the cheapest plan found costs {} more than the budget has left", amount(above)));
     }
     reasons
+}
+
+fn nodes(count: usize) -> String {
+    if count == 1 { "1 node".to_owned() } else { format!("{count} nodes") }
 }
 
 fn amount(micro_units: i64) -> String {

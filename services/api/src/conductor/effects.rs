@@ -38,6 +38,7 @@ impl Farm {
         let mut found: Vec<PlanEffect> = planner::ways_out(&asked, job as u64)?
             .iter()
             .filter_map(|effect| self.effect(effect, job))
+            .filter(|way| way.in_time)
             .collect();
         if !within_budget {
             found.extend(self.cheaper(job, standing)?);
@@ -88,8 +89,15 @@ impl Farm {
 
     pub fn effect(&self, effect: &Effect, job: usize) -> Option<PlanEffect> {
         let own = job as u64;
-        let finish = self.jobs[job].finish(effect.end(own));
-        let in_time = !effect.broken.contains(&own);
+        let asked = &self.jobs[job];
+        // The planner does not see the frames under way.
+        let finish = asked.finish(effect.end(own));
+        let later = match effect.change {
+            Change::Later { job: id, by } if id == own => by,
+            _ => 0,
+        };
+        let in_time =
+            !effect.broken.contains(&own) && asked.is_kept(finish.map(|finish| finish.saturating_sub(later)));
         self.told(&effect.change, effect.added_cost, finish, in_time, &self.moved(effect, own), job)
     }
 

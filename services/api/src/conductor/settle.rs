@@ -390,9 +390,7 @@ fn waits(
         let waits =
             |kind, because: String, behind| Waits { kind, because, until, behind, share: share.clone() };
         if asked.held {
-            let because = format!("waits because the budget of project {} is used up", asked.job.project);
-            // It begins when the budget changes.
-            found.insert(job, Waits { until: None, ..waits(WaitKind::Budget, because, Vec::new()) });
+            found.insert(job, Waits { share: share.clone(), ..Waits::for_budget(&asked.job.project) });
         } else if let Some(reason) = explained.get(&(job as u64)) {
             let (kind, behind) = match reason {
                 Reason::NoNode => (WaitKind::Node, Vec::new()),

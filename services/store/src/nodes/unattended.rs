@@ -1,4 +1,4 @@
-//! Quotes that wait because no node takes tasks.
+//! Quotes that wait because no node takes tasks, or because the budget of their project is used up.
 //!
 //! Plans say why a booked job waits, but a job has no plan before it is quoted. Without this, a user who
 //! forgot to start a worker would wait without an explanation.
@@ -36,7 +36,7 @@ impl Unattended {
 }
 
 impl Store {
-    /// The quotes that wait because no node takes tasks. A node is silent after three lease times.
+    /// The quotes that nothing is done for, and why. A node is silent after three lease times.
     pub async fn unattended(&self, ttl: Duration, now: Timestamp) -> Result<Unattended> {
         unattended(&mut *self.read().await?, ttl, now).await
     }
@@ -48,14 +48,18 @@ pub(crate) async fn unattended(
     now: Timestamp,
 ) -> Result<Unattended> {
     let jobs = sqlx::query!(
-        "SELECT j.id, j.renderer, j.rendered_by FROM jobs j WHERE j.state IN ('previewing', 'profiling') \
-         AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"
+        r#"SELECT j.id, j.project, j.renderer, j.rendered_by,
+                  EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.held = 1) AS "is_held!: bool"
+           FROM jobs j WHERE j.state IN ('previewing', 'profiling')
+           AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"#
     )
     .fetch_all(&mut *connection)
     .await?;
+    let (held, jobs): (Vec<_>, Vec<_>) = jobs.into_iter().partition(|job| job.is_held);
+    let held = held.into_iter().map(|job| (JobId::from(job.id), Waits::for_budget(&job.project)));
     let needs_own = jobs.iter().all(|job| job.renderer.is_none());
     if jobs.is_empty() || needs_own && somebody_is_there(connection, ttl, now).await? {
-        return Ok(Unattended::default());
+        return Ok(Unattended { jobs: held.collect() });
     }
     let nodes = nodes::list(connection, None, u32::MAX).await?;
     let nodes: Vec<Node> = nodes.into_iter().map(|node| as_it_is(node, ttl, now)).collect();
@@ -65,7 +69,7 @@ pub(crate) async fn unattended(
         let renderer = job.renderer.map(|it| it.0).or_else(own);
         Some((JobId::from(job.id), why(&renderer)?))
     });
-    Ok(Unattended { jobs: jobs.collect() })
+    Ok(Unattended { jobs: held.chain(jobs).collect() })
 }
 
 /// Whether some node certainly takes tasks. Ignores nodes with calendars; this is enough on most farms.

@@ -52,3 +52,17 @@ async fn a_quote_waits_for_the_first_node_that_wakes() {
     assert_eq!(waits(&farm, job, at(100)).await, Some((WaitKind::Calendar, asleep, Some(at(300)))));
     assert_eq!(waits(&farm, job, at(301)).await, None);
 }
+
+#[tokio::test]
+async fn a_quote_of_a_project_whose_budget_is_used_up_waits_for_the_budget() {
+    let farm = Farm::new().await;
+    farm.node("a").await;
+    let job = farm.submit(request("0")).await.id;
+    assert_eq!(waits(&farm, job, at(0)).await, None);
+    let mut write = farm.store.write().await.unwrap();
+    sqlx::query("UPDATE tasks SET held = 1").execute(write.connection().await.unwrap()).await.unwrap();
+    farm.store.commit(write).await.unwrap();
+    let project = farm.store.job(job).await.unwrap().project;
+    let because = format!("waits because the budget of project {project} is used up");
+    assert_eq!(waits(&farm, job, at(0)).await, Some((WaitKind::Budget, because, None)));
+}
