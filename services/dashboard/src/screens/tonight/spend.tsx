@@ -126,18 +126,17 @@ function Budgets(props: { forecast: BudgetForecast }) {
               {money(budget.cost.p50)} of {money(budget.amount)}
             </span>
             <span class="right">
-              {budget.threatened ? (
-                <Mark of="risk" word={`exceeded with ${percent(budget.probability_over)}`} />
-              ) : (
-                <Mark of="kept" word={`exceeded with ${percent(budget.probability_over)}`} />
-              )}
+              <Mark
+                of={budget.threatened ? "risk" : "kept"}
+                word={`risk of exceeding it ${percent(budget.probability_over)}`}
+              />
             </span>
           </li>
         ))}
       </ul>
       <TableBehind
         label="Budgets, as a table"
-        head={["Project", "Per", "From", "Spent", "P50", "P80", "P95", "Budget", "Exceeded with"]}
+        head={["Project", "Per", "From", "Spent", "P50", "P80", "P95", "Budget", "Risk of exceeding it"]}
         rows={() =>
           budgets.map((budget) => [
             clean(budget.project),
