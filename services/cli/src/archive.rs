@@ -1,4 +1,4 @@
-//! Packs a bundle folder into one zip file. The bytes depend only on the names and contents of the files.
+//! Packs a bundle into one zip file. The bytes depend only on the names and contents of the files.
 //!
 //! Entries are in byte order of their paths, with fixed times and permissions. So the same folder has the
 //! same hash on every machine, and the service stores it once.
@@ -22,6 +22,11 @@ pub fn pack<W: Write + Seek>(folder: &Path, target: W) -> Result<W> {
     if files.is_empty() {
         return Err(BadInput::new(format!("{}: the folder holds no files", folder.display())).into());
     }
+    pack_files(files, target)
+}
+
+/// Writes files, by their names in the archive, as a zip to `target`.
+pub fn pack_files<W: Write + Seek>(mut files: Vec<(String, PathBuf)>, target: W) -> Result<W> {
     files.sort();
     let mut zip = ZipWriter::new(target);
     for (name, path) in files {

@@ -3,7 +3,11 @@
 //! Time is integer microseconds UTC, and money integer micro-units. No amount passes through a float before a
 //! comparison.
 
-use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, Unit};
+use jiff::civil::Time;
+use jiff::tz::TimeZone;
+use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, ToSpan as _, Unit};
+use regex::Regex;
+use std::sync::LazyLock;
 
 /// Micro-units in one unit of the farm's currency.
 pub const MICRO_UNITS: i64 = 1_000_000;
@@ -15,6 +19,10 @@ pub enum Deadline {
     In(SignedDuration),
     /// At this instant.
     At(Timestamp),
+    /// When clocks here show this time next.
+    Next(Time),
+    /// When clocks here show this time tomorrow.
+    Tomorrow(Time),
 }
 
 impl Deadline {
@@ -22,6 +30,13 @@ impl Deadline {
     pub fn instant(self, now: Timestamp) -> Result<Timestamp, String> {
         match self {
             Self::At(instant) => Ok(instant),
+            Self::Next(time) => on_the_clock(time, now, 0)
+                .filter(|&instant| instant > now)
+                .or_else(|| on_the_clock(time, now, 1))
+                .ok_or_else(|| "the deadline is beyond the calendar".into()),
+            Self::Tomorrow(time) => {
+                on_the_clock(time, now, 1).ok_or_else(|| "the deadline is beyond the calendar".into())
+            }
             Self::In(duration) => {
                 now.checked_add(duration).map_err(|_| "the deadline is beyond the calendar".into())
             }
@@ -29,15 +44,31 @@ impl Deadline {
     }
 }
 
-/// Reads `2h`, `45m`, `1h30m`, `2d`, or an RFC 3339 instant such as `2026-03-01T06:00:00Z`.
+/// The instant at which clocks here show a time, so many days after today.
+fn on_the_clock(time: Time, now: Timestamp, days: i64) -> Option<Timestamp> {
+    let day = now.to_zoned(TimeZone::system()).checked_add(days.days()).ok()?;
+    day.with().time(time).build().ok().map(|zoned| zoned.timestamp())
+}
+
+/// Reads `2h`, `45m`, `1h30m`, `2d`, a time of day such as `06:00` or `tomorrow 06:00`, or an RFC 3339 instant such
+/// as `2030-03-01T06:00:00Z`.
 pub fn parse_deadline(text: &str) -> Result<Deadline, String> {
     if let Ok(instant) = text.parse::<Timestamp>() {
         return Ok(Deadline::At(instant));
     }
+    let time = |text: &str| text.contains(':').then(|| text.trim().parse().ok()).flatten();
+    if let Some(time) = time(text) {
+        return Ok(Deadline::Next(time));
+    }
+    if let Some(time) = text.trim().strip_prefix("tomorrow").and_then(time) {
+        return Ok(Deadline::Tomorrow(time));
+    }
     match parse_duration(text) {
         Ok(duration) => Ok(Deadline::In(duration)),
+        Err(_) if text.starts_with('-') => Err("it must be in the future, such as 45m, 2h or 06:00".into()),
         Err(_) => {
-            Err("expected a duration such as 2h, 45m or 1h30m, or an instant such as 2026-03-01T06:00:00Z"
+            Err("expected a duration such as 2h, 45m or 1h30m, a time such as 06:00 or `tomorrow 06:00`, or \
+            an instant such as 2030-03-01T06:00:00Z"
                 .into())
         }
     }
@@ -166,6 +197,18 @@ pub fn clock(at: forelight_protocol::Timestamp, now: forelight_protocol::Timesta
     }
 }
 
+/// Text of the service with its instants as clocks here show them.
+pub fn with_local_times(text: &str, now: forelight_protocol::Timestamp) -> String {
+    static INSTANT: LazyLock<Regex> = LazyLock::new(|| {
+        let pattern = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z";
+        Regex::new(pattern).expect("it is a regular expression")
+    });
+    let local = |found: &regex::Captures<'_>| {
+        found[0].parse().map_or_else(|_| found[0].to_owned(), |instant| clock(instant, now))
+    };
+    INSTANT.replace_all(text, local).into_owned()
+}
+
 /// A probability, rounded. One that is not certain is never 0 or 100 %.
 pub fn probability_in_words(probability: f64) -> String {
     match (probability * 100.0).round() as u32 {
@@ -183,6 +226,36 @@ pub fn percent(fraction: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_time_of_day_is_its_next_one_and_tomorrow_is_the_day_after() {
+        let zone = TimeZone::system();
+        let noon =
+            jiff::civil::date(2026, 11, 29).at(12, 0, 0, 0).to_zoned(zone.clone()).unwrap().timestamp();
+        let at = |text: &str| {
+            let instant = parse_deadline(text).unwrap().instant(noon).unwrap();
+            instant.to_zoned(zone.clone()).strftime("%d %H:%M:%S").to_string()
+        };
+        assert_eq!(at("18:00"), "29 18:00:00");
+        assert_eq!(at("06:00"), "30 06:00:00");
+        assert_eq!(at("12:00"), "30 12:00:00", "that is now");
+        assert_eq!(at("tomorrow 18:30:15"), "30 18:30:15");
+        assert!(parse_deadline("-2h").unwrap_err().contains("in the future"));
+    }
+
+    #[test]
+    fn instants_in_a_text_are_shown_as_local_times() {
+        let now: forelight_protocol::Timestamp = "2026-11-29T12:00:00Z".parse().unwrap();
+        let shown = |at: &str| clock(at.parse().unwrap(), now);
+        let text =
+            "expected at 2026-11-29T17:01:38.381347Z, booked is 2026-12-01T17:01:41Z; 2026-11-29 stays";
+        let expected = format!(
+            "expected at {}, booked is {}; 2026-11-29 stays",
+            shown("2026-11-29T17:01:38.381347Z"),
+            shown("2026-12-01T17:01:41Z")
+        );
+        assert_eq!(with_local_times(text, now), expected);
+    }
 
     #[test]
     fn sizes_have_units_and_are_neither_nothing_nor_beyond_measure() {
@@ -217,7 +290,7 @@ mod tests {
 
     #[test]
     fn a_deadline_that_is_neither_is_refused_with_an_example() {
-        for text in ["", "soon", "12", "-2h", "0s", "2026-03-01"] {
+        for text in ["", "soon", "12", "-2h", "0s", "2026-03-01", "25:00", "tomorrow", "yesterday 06:00"] {
             let message = parse_deadline(text).unwrap_err();
             assert!(message.contains("45m"), "{text}: {message}");
         }

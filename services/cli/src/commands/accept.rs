@@ -20,11 +20,11 @@ ready; `forelight cancel` drops it.")]
 pub struct Args {
     /// Id of the job. A name works if only one open job has it
     job: String,
-    /// Time by which all frames must be ready: 2h, 45m, or 2026-03-01T06:00:00Z
-    #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
+    /// Time by which all frames must be ready: 2h, 06:00, 'tomorrow 06:00', or 2030-03-01T06:00:00Z
+    #[arg(long, value_name = "WHEN", value_parser = parse_deadline, allow_hyphen_values = true)]
     deadline: Option<Deadline>,
     /// Largest cost of the job, such as 12.50
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
     budget: Option<i64>,
     /// Quantile of the forecast that the booking uses
     #[arg(long, value_name = "LEVEL")]

@@ -6,13 +6,13 @@ use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{
     AnswersDoc, CacheMode, Integrator, Job, JobId, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
-    QualityOffer, RenderSettings, Timestamp,
+    RenderSettings, Timestamp,
 };
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
 use forelight_terminal::quantities::{
-    Deadline, clock, money, parse_deadline, parse_money, probability_in_words,
+    Deadline, clock, money, parse_deadline, parse_money, probability_in_words, with_local_times,
 };
 use forelight_terminal::table::{Align, Table};
 use std::path::PathBuf;
@@ -37,11 +37,11 @@ Asking changes nothing. Costs are those of the frames that are not done.")]
 pub struct Args {
     /// Id or name of the job. Of several jobs with the same name, the newest booked one is used
     job: String,
-    /// Deadline to ask about, such as 2h, 45m or 2026-03-01T06:00:00Z [default: the job's deadline]
-    #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
+    /// Deadline to ask about: 2h, 06:00, 'tomorrow 06:00', or 2030-03-01T06:00:00Z [default: the job's deadline]
+    #[arg(long, value_name = "WHEN", value_parser = parse_deadline, allow_hyphen_values = true)]
     deadline: Option<Deadline>,
     /// Budget for the rest of the job, in the farm's currency, such as 12.50 [default: the job's budget]
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
     budget: Option<i64>,
     /// Draw the job's price against its deadline into this SVG file
     #[arg(long, value_name = "FILE")]
@@ -85,15 +85,21 @@ fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
     let mut text = heading(job, found, at);
     text += &outlook(&found.outlook, at);
     text += &offers(found, at);
-    text += &listed("Ways to keep the deadline, cheapest first", &found.ways_out, at);
+    let ways = if is_late(found) { "Ways to keep the deadline" } else { "Ways out" };
+    text += &listed(&format!("{ways}, cheapest first"), &found.ways_out, at);
     text += &curve(&found.curve, at);
-    text += &qualities(&found.qualities, at);
+    text += &qualities(found, at);
     text += &listed("What if", &found.what_if, at);
     text += &pushed_back(&found.pushes_back);
     if !found.left_out.is_empty() {
         text += &format!("\nnot answered within the time limit: {}\n", found.left_out.join(", "));
     }
-    text
+    with_local_times(&text, now)
+}
+
+/// Whether it is the deadline that cannot be kept: there is a plan that keeps it if there is a cheapest one.
+fn is_late(found: &AnswersDoc) -> bool {
+    found.deadline.is_some() && found.cheapest.is_none()
 }
 
 /// The deadline, the reason for waiting, and the risk.
@@ -152,14 +158,16 @@ fn offers(found: &AnswersDoc, at: impl Fn(Timestamp) -> String) -> String {
         };
     }
     if !found.why_not.is_empty() {
-        text += "\nThe deadline cannot be kept\n";
+        text +=
+            if is_late(found) { "\nThe deadline cannot be kept\n" } else { "\nIt cannot be done as asked\n" };
         text.extend(found.why_not.iter().map(|reason| format!("  {reason}\n")));
     }
     text
 }
 
 /// Error, completion and cost of other qualities.
-fn qualities(offers: &[QualityOffer], at: impl Fn(Timestamp) -> String) -> String {
+fn qualities(found: &AnswersDoc, at: impl Fn(Timestamp) -> String) -> String {
+    let offers = &found.qualities;
     if offers.is_empty() {
         return String::new();
     }
@@ -186,7 +194,8 @@ fn qualities(offers: &[QualityOffer], at: impl Fn(Timestamp) -> String) -> Strin
             money(offer.cost.micro_units()),
             match (offer.asked_for, offer.fits) {
                 (true, true) => "as asked for",
-                (true, false) => "as asked for, too late",
+                (true, false) if is_late(found) => "as asked for, too late",
+                (true, false) => "as asked for, too dear",
                 (false, true) => "fits",
                 (false, false) => "",
             }

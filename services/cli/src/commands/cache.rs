@@ -52,7 +52,7 @@ enum Step {
 /// Plan where the frames of a shot need records
 #[derive(Debug, clap::Args)]
 struct Plan {
-    /// Scene bundle: a folder or a zip file
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12. The first one holds the records' positions [default: the whole shot]
     #[arg(long, value_name = "LIST")]
@@ -70,7 +70,7 @@ struct Plan {
 /// Gather the light of a planned cache, or of one part of it
 #[derive(Debug, clap::Args)]
 struct Fill {
-    /// Scene bundle: a folder or a zip file
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file
     bundle: PathBuf,
     /// Cache to fill, from `plan`, `fill` or `merge`
     #[arg(long, value_name = "FILE")]

@@ -11,6 +11,7 @@ mod cache;
 mod cache_error;
 mod calibrate;
 mod cancel;
+mod change;
 mod dashboard;
 mod explain;
 mod export;
@@ -31,6 +32,7 @@ mod quota;
 mod render;
 mod renderers;
 mod retention;
+mod retry;
 mod scrub;
 mod serve;
 mod sign_in;
@@ -77,9 +79,11 @@ enum Command {
     Worker(worker::Args),
     Submit(submit::Args),
     Accept(accept::Args),
+    Change(change::Args),
     Status(status::Args),
     Jobs(jobs::Args),
     Cancel(cancel::Args),
+    Retry(retry::Args),
     Video(video::Args),
     LeaveOut(leave_out::Args),
     Dashboard(dashboard::Args),
@@ -132,7 +136,9 @@ impl Cli {
             Command::Status(args) => status::run(args, interrupt).await,
             Command::Jobs(args) => jobs::run(args).await,
             Command::Accept(args) => accept::run(args).await,
+            Command::Change(args) => change::run(args).await,
             Command::Cancel(args) => cancel::run(args).await,
+            Command::Retry(args) => retry::run(args).await,
             Command::Video(args) => video::run(args, interrupt).await,
             Command::LeaveOut(args) => leave_out::run(args).await,
             Command::Dashboard(args) => dashboard::run(args).await,
@@ -241,6 +247,11 @@ mod tests {
             ("forelight jobs --state sleeping", "--state"),
             ("forelight leave-out kitchen", "--reason"),
             ("forelight accept j --confidence p99", "--confidence"),
+            ("forelight accept j --deadline -2h", "--deadline"),
+            ("forelight change j", "--deadline"),
+            ("forelight change j --budget -5", "--budget"),
+            ("forelight change j --budget 5 --no-budget", "--no-budget"),
+            ("forelight retry j --frames 3-", "--frames"),
             ("forelight jobs --most 0", "--most"),
             ("forelight simulate --nodes 3", "--nodes"),
             ("forelight simulate --confidence 90", "--confidence"),

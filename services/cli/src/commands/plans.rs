@@ -5,7 +5,7 @@ use crate::connection::connect;
 use anyhow::{Context, Result};
 use forelight_protocol::{PlanId, PlanReason, PlanSummary, Timestamp};
 use forelight_terminal::output;
-use forelight_terminal::quantities::clock;
+use forelight_terminal::quantities::{clock, with_local_times};
 use forelight_terminal::table::{Align, Table};
 
 /// List the farm's newest plans, or show what one plan changed
@@ -42,7 +42,7 @@ pub async fn run(args: Args) -> Result<()> {
         return output::json(&found);
     }
     let words: String = found.words.iter().map(|line| format!("{line}\n")).collect();
-    output::print(&words)
+    output::print(&with_local_times(&words, Timestamp::now()))
 }
 
 fn report(plans: &[PlanSummary], now: Timestamp) -> String {

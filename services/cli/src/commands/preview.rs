@@ -20,7 +20,7 @@ Examples:
   forelight preview kitchen/ --frame 12 --out ids.png
   forelight preview kitchen/ --width 256 --height 256 --json > ids.json")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file
     bundle: PathBuf,
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]

@@ -9,7 +9,7 @@ use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::duration;
 use forelight_terminal::output;
-use forelight_terminal::quantities::{clock, probability_in_words, seconds};
+use forelight_terminal::quantities::{clock, probability_in_words, seconds, with_local_times};
 use std::io::IsTerminal;
 use std::time::Duration;
 
@@ -162,7 +162,9 @@ fn report(job: &Job, now: Timestamp) -> String {
             "promise",
             format!("{word}, with a probability of {}{rescue}", probability_in_words(promise.probability)),
         );
-    } else if let Some(verdict) = job.verdict.as_ref().filter(|said| said.verdict != Verdict::OnTime) {
+    } else if let Some(verdict) = job.verdict.as_ref().filter(|said| said.verdict != Verdict::OnTime)
+        && !job.state.is_final()
+    {
         verdict.reasons.iter().for_each(|reason| line("", reason.clone()));
     }
     let cost = cost(job);
@@ -172,7 +174,7 @@ fn report(job: &Job, now: Timestamp) -> String {
     if let Some(error) = &job.error {
         line("error", error.clone());
     }
-    text
+    with_local_times(&text, now)
 }
 
 /// When the job was or will be ready, and by how much that keeps or misses its deadline.
@@ -203,7 +205,8 @@ fn ready(job: &Job, now: Timestamp) -> String {
 }
 
 fn cost(job: &Job) -> String {
-    let mut parts: Vec<String> = job.spent.iter().map(|spent| format!("{spent} so far")).collect();
+    let so_far = if job.state.is_final() { "" } else { " so far" };
+    let mut parts: Vec<String> = job.spent.iter().map(|spent| format!("{spent}{so_far}")).collect();
     if let Some(whole) = job.live.as_ref().and_then(|live| live.cost).filter(|_| !job.state.is_final()) {
         parts.push(format!("{} (P50), {} (P80) expected in all", whole.p50, whole.p80));
     }

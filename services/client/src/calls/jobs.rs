@@ -5,8 +5,9 @@ use crate::error::ClientError;
 use crate::transport::{Payload, Request, parameters};
 use bytes::Bytes;
 use forelight_protocol::{
-    AcceptRequest, AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, Job, JobCheck, JobId,
-    JobPage, JobRequest, LeaveOutRequest, LeftOutJob, Money, TaskPage, TaskRow, Timestamp, VideoRequest,
+    AcceptRequest, AccuracyDoc, AnswersDoc, Bundle, ForecastDoc, FramePage, FrameRow, FramesRequest, Job,
+    JobChange, JobCheck, JobId, JobPage, JobRequest, LeaveOutRequest, LeftOutJob, Money, TaskPage, TaskRow,
+    Timestamp, VideoRequest,
 };
 use reqwest::Method;
 use std::path::Path;
@@ -71,6 +72,18 @@ impl Client {
     pub async fn accept(&self, id: JobId, request: &AcceptRequest) -> Result<Job, ClientError> {
         let path = format!("/v1/jobs/{id}/accept");
         self.transport.json(&Request::json(Method::POST, path, request)).await
+    }
+
+    /// Changes deadline, budget or confidence of a job.
+    pub async fn change_job(&self, id: JobId, change: &JobChange) -> Result<Job, ClientError> {
+        self.transport.json(&Request::json(Method::PATCH, format!("/v1/jobs/{id}"), change)).await
+    }
+
+    /// Renders frames of a job again.
+    pub async fn retry_frames(&self, id: JobId, request: &FramesRequest) -> Result<Job, ClientError> {
+        self.transport
+            .json(&Request::json(Method::POST, format!("/v1/jobs/{id}/frames/retry"), request))
+            .await
     }
 
     /// Takes a job out of the track record.

@@ -39,6 +39,14 @@ impl Scene {
         Self::of(&bundle, &entry)
     }
 
+    /// The files of a bundle that its scene is made of, relative to its folder. The error is that of
+    /// [`load`](Self::load).
+    pub fn files(path: &Path, limits: &Limits) -> Result<Vec<String>, SceneError> {
+        let (bundle, entry) = Self::opened(path, limits)?;
+        Self::of(&bundle, &entry)?;
+        Ok(bundle.files_read())
+    }
+
     /// Opens a bundle, and says where its scene begins.
     pub(crate) fn opened(path: &Path, limits: &Limits) -> Result<(Bundle, Entry), SceneError> {
         let (root, single) = match single_file(path) {

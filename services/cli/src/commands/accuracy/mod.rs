@@ -4,11 +4,12 @@ mod plot;
 mod table;
 
 use super::blocking;
+use super::cancel::find_any;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
 use anyhow::{Context, Result};
 use forelight_denoise::Denoiser;
-use forelight_protocol::{AccuracyDoc, JobId, LadderKind};
+use forelight_protocol::{AccuracyDoc, LadderKind};
 use forelight_renderer_own::{AccuracyOptions, MeasureOptions, measure, predict};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
@@ -40,11 +41,11 @@ compares it with converged images. This takes far longer than the forecast.
 --job shows the quote of a job on the farm: the cost of all its frames at every rung. It has all ladders if the job \
 was submitted with --ladders.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file
     bundle: Option<PathBuf>,
-    /// Show the ladders in the quote of this job on the farm, instead of a bundle's
-    #[arg(long, value_name = "ID", conflicts_with_all = ["bundle", "frame", "samples", "phase_seed", "measure", "QualityOptions", "MachineOptions"])]
-    job: Option<JobId>,
+    /// Show the ladders in the quote of this job on the farm, by its id or name, instead of a bundle's
+    #[arg(long, value_name = "JOB", conflicts_with_all = ["bundle", "frame", "samples", "phase_seed", "measure", "QualityOptions", "MachineOptions"])]
+    job: Option<String>,
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
     frame: u32,
@@ -83,15 +84,16 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         return Err(BadInput::new(reason).into());
     }
     atomic_file::check([args.out.as_deref()])?;
-    match (args.job, args.bundle.clone()) {
-        (Some(job), _) => of_job(&args, job).await,
+    match (args.job.clone(), args.bundle.clone()) {
+        (Some(job), _) => of_job(&args, &job).await,
         (None, Some(bundle)) => blocking(move || of_bundle(&args, &bundle, &interrupt)).await,
         (None, None) => Err(BadInput::new("name a bundle, or a job by --job").into()),
     }
 }
 
-async fn of_job(args: &Args, id: JobId) -> Result<()> {
+async fn of_job(args: &Args, wanted: &str) -> Result<()> {
     let client = connect(&args.connection)?;
+    let id = find_any(&client, wanted).await?;
     let document =
         client.accuracy(id).await.with_context(|| format!("cannot read the ladders of job {id}"))?;
     let job = client.job(id).await.with_context(|| format!("cannot read job {id}"))?;

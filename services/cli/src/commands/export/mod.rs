@@ -51,8 +51,8 @@ scene once, unless the renderer is a program that is started for each frame. The
 TASK_CHUNKING, and adapts the number to what it measures. The time limit is that of the dearest task. It stays the \
 same where the parameters ChunkFrames and ChunkSeconds are changed.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file. Or a scene of another renderer: a .blend file, a .rif file, an
-    /// octree, or NAME.command.toml
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file. Or a scene of another
+    /// renderer: a .blend file, a .rif file, an octree, or NAME.command.toml
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]

@@ -57,8 +57,8 @@ reports which one costs less.
 
 Work is a count of operations, and is the same in every run. CPU time is that of this machine.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders, or a .rif file
-    /// or octree, which Radiance renders
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file. Or a .blend file, which
+    /// Blender Cycles renders, or a .rif file or octree, which Radiance renders
     bundle: PathBuf,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]

@@ -61,8 +61,8 @@ object and material ids, and the cost and rays of every pixel. A .png file is fo
 With --frames, the scene is read once. The last row of # in a file's name becomes the frame's number. Quote a name that \
 begins with #, which a shell would take for a comment. --json prints one line for each frame.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file; or a .blend file, which Blender Cycles renders, or a .rif file
-    /// or octree, which Radiance renders
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file. Or a .blend file, which
+    /// Blender Cycles renders, or a .rif file or octree, which Radiance renders
     bundle: PathBuf,
     /// Frame number [default: the first frame]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]

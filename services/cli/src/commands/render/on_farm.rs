@@ -1,13 +1,15 @@
 //! `forelight render --server`: renders one frame on the farm, and shows it as its parts come in.
 
 use super::{Args, EffectsSwitch, Format, format_of};
-use crate::commands::submit::{self, division, upload};
+use crate::commands::submit::upload::upload;
+use crate::commands::submit::{self, division};
 use crate::connection::{ConnectionOptions, Credentials, ServerOptions, connect};
 use anyhow::{Context, Result, bail};
 use forelight_client::{Client, FramePicture};
 use forelight_pictures::{png, tone_map};
 use forelight_protocol::{
     ArtifactHash, CACHE_BYTES, Division, FrameSet, Job, JobId, JobRequest, JobState, TaskKind, TaskRow,
+    Timestamp,
 };
 use forelight_renderer_own::colors_of_part;
 use forelight_terminal::atomic_file::{self, write_bytes};
@@ -17,6 +19,7 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
+use forelight_terminal::quantities::with_local_times;
 use image::{ImageFormat, Rgb, RgbImage};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -176,7 +179,7 @@ async fn watch(args: &Args, client: &Client, job: &Job, bars: &Bars) -> Result<J
         bar.set_position((now.progress * 100.0) as u64);
         let because = now.waits.as_ref().map(|waits| waits.because.clone());
         if because != waits {
-            because.iter().for_each(|because| bars.note(because));
+            because.iter().for_each(|because| bars.note(with_local_times(because, Timestamp::now())));
             waits = because;
         }
         let tasks = client.tasks_of_frame(job.id, frame).await.context("cannot list the parts")?;

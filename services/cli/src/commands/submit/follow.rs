@@ -3,11 +3,13 @@
 use anyhow::{Context, Result};
 use forelight_client::{Backoff, Client, EventStream};
 use forelight_forecast::FIRST_FRAMES;
-use forelight_protocol::{Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskId, TaskKind};
+use forelight_protocol::{
+    Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskId, TaskKind, Timestamp,
+};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::Bars;
-use forelight_terminal::quantities::seconds;
+use forelight_terminal::quantities::{seconds, with_local_times};
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -150,7 +152,7 @@ impl Stages {
         self.is_behind = false;
         let waits = job.waits.as_ref().map(|waits| waits.because.clone());
         if waits != self.waits {
-            self.bars.note(waits.as_deref().unwrap_or("goes on"));
+            self.note(waits.as_deref().unwrap_or("goes on"));
             self.waits = waits;
         }
         if let Some(shared) = &job.shared_cache {
@@ -161,6 +163,10 @@ impl Stages {
                 cache.finish();
             }
         }
+    }
+
+    fn note(&self, words: &str) {
+        self.bars.note(with_local_times(words, Timestamp::now()));
     }
 
     fn event(&mut self, event: &Event) {
@@ -196,7 +202,7 @@ impl Stages {
                 self.frames.set_position(self.frames_done);
             }
             (EventKind::JobOffForecast | EventKind::JobOnForecast, _, _) => {
-                event.message.iter().for_each(|message| self.bars.note(message));
+                event.message.iter().for_each(|message| self.note(message));
             }
             (EventKind::TaskFailed | EventKind::LeaseExpired, Some(kind), frame) => {
                 let frame = frame.map(|frame| format!(" of frame {frame}")).unwrap_or_default();
@@ -205,7 +211,7 @@ impl Stages {
                 self.bars.note(format!("{kind}{frame} {what}{why}"));
             }
             (EventKind::JobPromiseAtRisk | EventKind::JobPromiseSafe, _, _) => {
-                event.message.iter().for_each(|message| self.bars.note(message.clone()));
+                event.message.iter().for_each(|message| self.note(message));
             }
             _ => {}
         }

@@ -1,7 +1,8 @@
 //! Jobs of other renderers. The service does not open their scenes, so the renderer on this machine is asked, if
 //! there is one: for the frames of the shot, for missing files, and for a copy that holds all files.
 
-use super::{Args, on_shared_storage, upload, upload_key};
+use super::upload::upload;
+use super::{Args, on_shared_storage, upload_key};
 use crate::commands::blocking;
 use anyhow::{Context, Result};
 use forelight_client::Client;

@@ -4,18 +4,19 @@ mod follow;
 mod foreign;
 mod images;
 mod report;
+pub mod upload;
 
 use super::allot::error_target;
 use super::cache_error::CacheErrorOption;
+use super::cancel::find_any;
 use super::video;
 use super::worker::task_limits;
-use crate::archive;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
-    BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FrameRate, FrameSet, Job, JobId, JobRequest,
+    BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FrameRate, FrameSet, Job, JobRequest,
     JobState, Ladders, MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest,
     RendererRequest, SceneSummary, Timestamp, VideoRequest, Within,
 };
@@ -37,7 +38,7 @@ Examples:
   forelight submit kitchen/ --frames 0-47 --within 3h --confidence p95 --data farm-data
   forelight submit kitchen/ --frames 0-47 --error 2 --data farm-data
   forelight submit kitchen.zip --frames 0,12 --budget 12.50 --server http://farm:7878
-  forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 2026-03-01T06:00:00Z
+  forelight submit /mnt/shots/kitchen --shared --frames 0-47 --deadline 'tomorrow 06:00'
   forelight submit /mnt/shots/kitchen.blend --shared --frames 1-250 --spp 256 --set denoise=false
   forelight submit kitchen/ --frames 0-47 --deadline 2h --hold --follow --data farm-data
   forelight submit /mnt/shots/hall.rif --shared --frames 1-12 --set ambient_bounces=1
@@ -51,25 +52,25 @@ frames were delivered.
 With --hold, the job waits with its complete quote, and nothing is booked. `forelight accept` books it; `forelight \
 cancel` drops it.")]
 pub struct Args {
-    /// Scene bundle: a folder or a zip file. Or a .blend file, which nodes with Blender render, or a .rif
-    /// file or octree, which nodes with Radiance render
+    /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file. Or a .blend file, which nodes
+    /// with Blender render, or a .rif file or octree, which nodes with Radiance render
     #[arg(required_unless_present = "job")]
     bundle: Option<PathBuf>,
-    /// Follow this earlier job, instead of submitting a bundle
-    #[arg(long, value_name = "ID", conflicts_with_all = ["bundle", "frames", "deadline", "budget", "shared"])]
-    job: Option<JobId>,
+    /// Follow this earlier job, by its id or name, instead of submitting a bundle
+    #[arg(long, value_name = "JOB", conflicts_with_all = ["bundle", "frames", "deadline", "budget", "shared"])]
+    job: Option<String>,
     /// Pass the bundle's path instead of uploading it. The service and all workers must share the storage
     #[arg(long)]
     shared: bool,
     /// Frames, such as 0-47 or 0,5,9-12 [default: the whole shot]
     #[arg(long, value_name = "LIST")]
     frames: Option<FrameSet>,
-    /// Time by which all frames must be ready: 2h, 45m, or 2026-03-01T06:00:00Z
-    #[arg(long, value_name = "WHEN", value_parser = parse_deadline)]
+    /// Time by which all frames must be ready: 2h, 06:00, 'tomorrow 06:00', or 2030-03-01T06:00:00Z
+    #[arg(long, value_name = "WHEN", value_parser = parse_deadline, allow_hyphen_values = true)]
     deadline: Option<Deadline>,
     /// Largest cost of the job, such as 12.50. Plans keep to it if possible, but it stops nothing.
     /// `forelight budget` sets limits that do
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
     budget: Option<i64>,
     /// Take as many camera samples as fit into this CPU time, for all frames together, and put them where
     /// they help most. Seconds or such as 90m, on a node of speed 1. --spp then sets only the samples of the
@@ -188,8 +189,11 @@ fn renderer(text: &str) -> Result<RendererRequest, String> {
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let bars = Bars::new(args.json);
     let client = connect(&args.connection)?;
-    let job = match (args.job, &args.bundle) {
-        (Some(id), _) => client.job(id).await.with_context(|| format!("cannot follow job {id}"))?,
+    let job = match (&args.job, &args.bundle) {
+        (Some(wanted), _) => {
+            let id = find_any(&client, wanted).await?;
+            client.job(id).await.with_context(|| format!("cannot follow job {id}"))?
+        }
         (None, Some(bundle)) => submit(&args, bundle, &client, &bars, &interrupt).await?,
         (None, None) => return Err(BadInput::new("name a bundle, or a job by --job").into()),
     };
@@ -260,7 +264,7 @@ async fn submit(
     let (reference, scene) = if args.shared {
         shared(args, bundle, client).await?
     } else {
-        upload(bundle, client, upload_key(key), bars).await?
+        upload::upload(bundle, client, upload_key(key), bars).await?
     };
     let frames = args.frames.clone().unwrap_or_else(|| FrameSet::range(0, scene.frames.saturating_sub(1)));
     let settings = settings_request(&quality, (scene.width, scene.height));
@@ -358,36 +362,4 @@ async fn shared(args: &Args, bundle: &Path, client: &Client) -> Result<(BundleRe
     let question = JobRequest { cache: CacheSharing::Auto, ..question };
     let check = client.check(&question).await.context("the farm cannot use the bundle")?;
     Ok((reference, check.scene))
-}
-
-/// Uploads the bundle. A folder is packed first.
-pub(super) async fn upload(
-    bundle: &Path,
-    client: &Client,
-    key: Uuid,
-    bars: &Bars,
-) -> Result<(BundleRef, SceneSummary)> {
-    let about = std::fs::metadata(bundle)
-        .map_err(|error| BadInput::new(format!("bundle {}: {error}", bundle.display())))?;
-    let spinner = bars.spinner(format!("uploading {}", bundle.display()));
-    // The temporary file must exist until the upload ends.
-    let packed;
-    let zip = if about.is_dir() {
-        let folder = bundle.to_owned();
-        packed = tokio::task::spawn_blocking(move || {
-            let file = tempfile::NamedTempFile::new().context("cannot create a temporary file")?;
-            archive::pack(&folder, std::io::BufWriter::new(file.reopen()?))?
-                .into_inner()
-                .context("cannot pack the bundle")?;
-            Ok::<_, anyhow::Error>(file)
-        })
-        .await??;
-        packed.path()
-    } else {
-        bundle
-    };
-    let uploaded = client.upload_bundle(zip, key).await;
-    spinner.finish_and_clear();
-    let uploaded = uploaded.with_context(|| format!("cannot upload {}", bundle.display()))?;
-    Ok((BundleRef { id: Some(uploaded.id), path: None }, uploaded.scene))
 }

@@ -7,7 +7,7 @@ use forelight_protocol::{
     Timestamp, Verdict,
 };
 use forelight_terminal::output;
-use forelight_terminal::quantities::{clock, count, money, percent, seconds};
+use forelight_terminal::quantities::{clock, count, money, percent, seconds, with_local_times};
 use forelight_terminal::table::{Align, Table};
 use serde::Serialize;
 
@@ -146,10 +146,11 @@ pub fn quoted(job: &Job, forecast: &ForecastDoc, answers: &AnswersDoc, now: Time
     for way in &answers.ways_out {
         text += &format!("           {}\n", way.words);
     }
-    text + &format!(
-        "nothing is booked; `forelight accept {0}` books it, `forelight cancel {0}` drops it\n",
-        job.id
-    )
+    with_local_times(&text, now)
+        + &format!(
+            "nothing is booked; `forelight accept {0}` books it, `forelight cancel {0}` drops it\n",
+            job.id
+        )
 }
 
 fn quote(job: &Job, quote: &ForecastDoc) -> String {

@@ -1,0 +1,56 @@
+//! `forelight retry`: renders frames of a job again.
+
+use super::cancel::find_any;
+use crate::connection::{ConnectionOptions, connect};
+use anyhow::{Context, Result};
+use forelight_client::Client;
+use forelight_protocol::{FrameSet, FrameState, FramesRequest, JobId};
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::output;
+
+/// Render frames of a job again: those that failed, or those that you name
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight retry kitchen --data farm-data
+  forelight retry kitchen --frames 0-3,17 --server http://farm:7878 --token-file me.token
+
+A job that failed goes on with all frames that it had left. A job that is done goes on with the named frames, and \
+their images are replaced. `forelight status kitchen` says why the job failed.")]
+pub struct Args {
+    /// Id of the job. A name works if only one job has it
+    job: String,
+    /// Frames, such as 0-47 or 0,5,9-12; finished ones too [default: those that failed]
+    #[arg(long, value_name = "LIST")]
+    frames: Option<FrameSet>,
+    /// Print the job as JSON to standard output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    connection: ConnectionOptions,
+}
+
+pub async fn run(args: Args) -> Result<()> {
+    let client = connect(&args.connection)?;
+    let id = find_any(&client, &args.job).await?;
+    let frames = match args.frames {
+        Some(frames) => frames,
+        None => failed(&client, id).await?,
+    };
+    let request = FramesRequest { frames };
+    let job = client.retry_frames(id, &request).await.with_context(|| format!("cannot retry job {id}"))?;
+    if args.json {
+        return output::json(&job);
+    }
+    output::line(format!("{} ({id}): frames {} are rendered again", job.name, request.frames))
+}
+
+/// The frames of the job that failed.
+async fn failed(client: &Client, id: JobId) -> Result<FrameSet> {
+    let rows = client.frames(id).await.with_context(|| format!("cannot list the frames of job {id}"))?;
+    let failed = rows.iter().filter(|row| row.state == FrameState::Failed).map(|row| row.frame);
+    FrameSet::from_frames(failed).ok_or_else(|| {
+        let hint = "--frames names frames to render again, finished ones too";
+        BadInput::new(format!("no frame of job {id} failed")).hint(hint).into()
+    })
+}
