@@ -49,6 +49,9 @@ pub(crate) struct CommandFile {
     pub scene: PathBuf,
     pub output: Spanned<Template>,
     frames: Option<FramesTable>,
+    /// Frames that the template has unless a job says otherwise.
+    #[serde(skip)]
+    frames_of_template: Option<FramesTable>,
     #[serde(default = "frames_per_second")]
     pub frames_per_second: f64,
     pub defaults: Defaults,
@@ -259,16 +262,25 @@ impl CommandFile {
             self.environment.entry(name).or_insert(placed(value));
         }
         self.embedded = step.files;
-        let of_template = step.frames.map(|(first, last, step)| FramesTable { first, last, step });
-        self.frames = self.frames.or(of_template);
+        self.frames_of_template = step.frames.map(|(first, last, step)| FramesTable { first, last, step });
         self.limits.seconds = self.limits.seconds.or(step.seconds);
         Ok(())
     }
 
     /// Frames of the shot.
     pub fn frames(&self) -> Frames {
-        let FramesTable { first, last, step } = self.frames.unwrap_or_default();
-        Frames { first, last, step }
+        self.frames.or(self.frames_of_template).unwrap_or_default().frames()
+    }
+
+    /// Frames that its scene has, if the file itself says so.
+    pub fn stated_frames(&self) -> Option<Frames> {
+        self.frames.map(FramesTable::frames)
+    }
+
+    /// Whether a placeholder stands for any text that a job likes.
+    pub fn is_free(&self, name: &str) -> bool {
+        let parameter = self.parameters.get(name);
+        parameter.is_some_and(|it| matches!(it.kind, ParameterKind::String) && it.choices.is_none())
     }
 
     /// Settings that all renderers have.
@@ -311,7 +323,7 @@ impl CommandFile {
         if self.arguments.0.is_empty() {
             return error("arguments: give `arguments`, or a template in `openjd`".to_owned());
         }
-        match self.frames {
+        match self.frames.or(self.frames_of_template) {
             None if self.openjd.is_some() => {
                 let reason =
                     "frames: the frames of the template are no range such as 1-24: give `first` and `last`";
@@ -333,25 +345,6 @@ impl CommandFile {
         }
         self.check_placeholders()?;
         self.check_abilities()
-    }
-
-    /// Texts of a job do not become parts of scripts, which would run them.
-    fn check_scripts(&self) -> Result<(), (Option<usize>, String)> {
-        let is_free = |name: &&str| {
-            let parameter = self.parameters.get(*name);
-            parameter.is_some_and(|it| matches!(it.kind, ParameterKind::String) && it.choices.is_none())
-        };
-        for file in &self.embedded {
-            if let Some(name) = file.content.names().find(is_free) {
-                let reason = format!(
-                    "openjd: the embedded file {} contains `{{{name}}}`, any text of a job: pass it to the script as \
-                     an argument or a variable, or give the parameter `choices`",
-                    file.name
-                );
-                return Err((None, reason));
-            }
-        }
-        Ok(())
     }
 
     fn check_placeholders(&self) -> Result<(), (Option<usize>, String)> {
@@ -415,6 +408,13 @@ impl CommandFile {
             }
         }
         Ok(())
+    }
+}
+
+impl FramesTable {
+    fn frames(self) -> Frames {
+        let Self { first, last, step } = self;
+        Frames { first, last, step }
     }
 }
 

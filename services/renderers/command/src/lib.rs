@@ -79,13 +79,15 @@
 //! | `{crop}` | the region as one text |
 //! | `{NAME}` | the parameter `NAME` |
 //!
-//! `{{` and `}}` are braces.
+//! `{{` and `}}` are braces. Parameters that are strings without `choices` are not parts of scripts: neither of
+//! embedded files, nor of the argument after `-c` of a shell.
 //!
 //! | file | subject |
 //! | --- | --- |
 //! | `file` | the file's tables, and what is wrong with them |
 //! | `template` | texts with placeholders |
 //! | `openjd` | arguments from an Open Job Description template |
+//! | `scripts` | texts that a shell runs |
 //! | `installation` | finds the program and its version |
 //! | `renderer` | the door: what the program can, and how it opens a scene |
 //! | `shot` | the four questions of the door |
@@ -101,6 +103,7 @@ mod installation;
 mod openjd;
 mod output;
 mod renderer;
+mod scripts;
 mod shot;
 mod template;
 

@@ -30,11 +30,14 @@ impl Renderer for CommandRenderer {
     /// Opens a scene. The renderer's own file stands for the scene that it names.
     fn open(&self, scene: &Path, _run: &Run<'_>) -> Result<Box<dyn Shot>, RendererError> {
         let given = std::path::absolute(scene).map_err(RendererError::io(scene))?;
-        let scene = if given == self.path { self.folder().join(&self.file.scene) } else { given };
+        let own = self.folder().join(&self.file.scene);
+        let scene = if given == self.path { own.clone() } else { given };
         if !scene.exists() {
             return Err(RendererError::MissingFile(scene.display().to_string()));
         }
         let file = &self.file;
+        // Other scenes that a job names have other frames.
+        let frames = if is_same(&scene, &own) { file.stated_frames() } else { None };
         let description = Description {
             frames: file.frames(),
             frames_per_second: file.frames_per_second,
@@ -47,6 +50,11 @@ impl Renderer for CommandRenderer {
             notes: Vec::new(),
             opening: Cost::default(),
         };
-        Ok(Box::new(CommandShot::new(self.clone(), scene, description)))
+        Ok(Box::new(CommandShot::new(self.clone(), scene, frames, description)))
     }
+}
+
+/// Whether two paths lead to the same file.
+fn is_same(one: &Path, other: &Path) -> bool {
+    one == other || one.canonicalize().ok().zip(other.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }

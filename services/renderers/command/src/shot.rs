@@ -4,11 +4,12 @@ use crate::file::Can;
 use crate::installation::CommandRenderer;
 use crate::openjd::{EmbeddedFile, FILE, SESSION};
 use crate::output::Listener;
+use crate::scripts::{PLAIN, Script, is_plain};
 use crate::template::Values;
 use forelight_renderer::door::{
-    Artefact, Capabilities, Common, Cost, Description, FixedCosts, FrameCounts, Limits, Measured, Part,
-    PieceCost, PixelCount, PreviewBackend, Region, Rendered, Renderer as _, RendererError, Run, Settings,
-    SettingsError, Shot, TakenOver,
+    Artefact, Capabilities, Common, Cost, Description, FixedCosts, FrameCounts, Frames, Limits, Measured,
+    Part, PieceCost, PixelCount, PreviewBackend, Region, Rendered, Renderer as _, RendererError, Run,
+    Settings, SettingsError, Shot, TakenOver,
 };
 use forelight_renderer::process::{Program, run};
 use serde_json::Value;
@@ -22,6 +23,8 @@ use std::time::{Duration, Instant};
 pub(crate) struct CommandShot {
     renderer: CommandRenderer,
     scene: PathBuf,
+    /// The only frames of the scene, if they are known.
+    frames: Option<Frames>,
     description: Description,
 }
 
@@ -36,8 +39,13 @@ struct Piece<'a> {
 }
 
 impl CommandShot {
-    pub fn new(renderer: CommandRenderer, scene: PathBuf, description: Description) -> Self {
-        Self { renderer, scene, description }
+    pub fn new(
+        renderer: CommandRenderer,
+        scene: PathBuf,
+        frames: Option<Frames>,
+        description: Description,
+    ) -> Self {
+        Self { renderer, scene, frames, description }
     }
 
     fn can(&self, can: Can) -> bool {
@@ -59,6 +67,18 @@ impl CommandShot {
             }
         }
         Ok(())
+    }
+
+    /// Checks that the shot has a frame.
+    fn check_frame(&self, frame: i32) -> Result<(), RendererError> {
+        let Some(Frames { first, last, step }) = self.frames else { return Ok(()) };
+        if (first..=last).contains(&frame) && frame.abs_diff(first).is_multiple_of(step) {
+            return Ok(());
+        }
+        let steps = if step == 1 { String::new() } else { format!(" in steps of {step}") };
+        let reason =
+            format!("frame {frame} is outside of the shot, which has frames {first} to {last}{steps}");
+        Err(RendererError::Unsupported(reason))
     }
 
     /// Starts the program once. The image is written to `out`.
@@ -110,14 +130,12 @@ impl CommandShot {
             values.insert(format!("{FILE}{}", file.name), place(file).display().to_string());
         }
         // A script would run what it takes for more than a path.
-        let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+@".contains(c);
-        let scene = self.scene.to_string_lossy();
-        if let Some(file) = files.iter().find(|file| file.content.names().any(|name| name == "scene"))
-            && !scene.chars().all(is_plain)
+        let takes_scene = |script: &Script<'_>| script.text.names().any(|name| name == "scene");
+        if let Some(Script { name, .. }) = self.renderer.file.scripts().into_iter().find(takes_scene)
+            && !is_plain(&self.scene.to_string_lossy())
         {
             return self.unsupported(&format!(
-                "takes the path of the scene into its script {}: the path may have ASCII letters, digits and /._-+@ only",
-                file.name
+                "takes the path of the scene into {name}: the path may have ASCII letters, digits and {PLAIN} only"
             ));
         }
         for file in files {
@@ -196,17 +214,32 @@ impl CommandShot {
         Ok(costs)
     }
 
+    /// Path of the image. A setting of the job may be part of its name, and the name part of a script.
     fn output(&self, piece: &Piece<'_>, folder: &Path) -> Result<PathBuf, RendererError> {
-        let mut values: Values = [("frame".to_owned(), piece.frame.to_string())].into();
-        for (name, value) in self.description.settings.own.iter().chain(&piece.settings.own) {
-            values.insert(name.clone(), plain(value));
+        let (name, values) = self.name(piece);
+        let is_free = |name: &&str| self.renderer.file.is_free(name);
+        let output = self.renderer.file.output.get_ref();
+        let is_odd = |name: &&str| values.get(*name).is_none_or(|text| !is_plain(text));
+        if let Some(wrong) = output.names().filter(is_free).find(is_odd) {
+            let reason = format!(
+                "it is part of the image's name: it may have ASCII letters, digits and {PLAIN} only, unless the \
+                 renderer's file gives it `choices`"
+            );
+            return Err(SettingsError { path: format!("/own/{wrong}"), reason }.into());
         }
-        let name = self.renderer.file.output.get_ref().fill(&values);
-        // A setting of the job may be part of the name.
         if !Path::new(&name).components().all(|part| matches!(part, Component::Normal(_))) {
             return self.unsupported(&format!("writes {name:?}, which is not in its own folder"));
         }
         Ok(folder.join(name))
+    }
+
+    /// Name of the image, and the values in it.
+    fn name(&self, piece: &Piece<'_>) -> (String, Values) {
+        let mut values: Values = [("frame".to_owned(), piece.frame.to_string())].into();
+        for (name, value) in self.description.settings.own.iter().chain(&piece.settings.own) {
+            values.insert(name.clone(), plain(value));
+        }
+        (self.renderer.file.output.get_ref().fill(&values), values)
     }
 
     fn unsupported<T>(&self, reason: &str) -> Result<T, RendererError> {
@@ -245,8 +278,8 @@ impl Shot for CommandShot {
 
     fn image_extensions(&self, settings: &Settings) -> Vec<String> {
         let piece = Piece { frame: 0, settings, samples: settings.common.samples, region: None };
-        let name = self.output(&piece, Path::new("")).unwrap_or_default();
-        name.extension().map(|end| end.to_string_lossy().into_owned()).into_iter().collect()
+        let (name, _) = self.name(&piece);
+        Path::new(&name).extension().map(|end| end.to_string_lossy().into_owned()).into_iter().collect()
     }
 
     /// The command does not say what a pixel shows, so all of the image is of one unknown stratum.
@@ -257,6 +290,7 @@ impl Shot for CommandShot {
         _run: &Run<'_>,
     ) -> Result<Vec<FrameCounts>, RendererError> {
         self.check(settings)?;
+        frames.iter().try_for_each(|&frame| self.check_frame(frame))?;
         let whole = PixelCount { object: None, material: None, pixels: settings.pixels() };
         let counts = |&frame: &i32| FrameCounts {
             frame,
@@ -276,6 +310,7 @@ impl Shot for CommandShot {
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
         self.check(settings)?;
+        self.check_frame(frame)?;
         part.check(&settings.common)?;
         let all = settings.common.samples;
         let piece = |samples, region| Piece { frame, settings, samples, region };
@@ -315,6 +350,7 @@ impl Shot for CommandShot {
         run: &Run<'_>,
     ) -> Result<Rendered, RendererError> {
         self.check(settings)?;
+        self.check_frame(frame)?;
         if let Some(artefact) = taken_over.first() {
             return Err(artefact.unusable(format!("{} takes nothing over", self.renderer.id().name)));
         }

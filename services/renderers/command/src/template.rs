@@ -21,7 +21,7 @@ enum Piece {
 
 impl Template {
     /// Reads a text. The error says what is wrong with it.
-    fn parse(text: &str) -> Result<Self, String> {
+    pub fn parse(text: &str) -> Result<Self, String> {
         let (mut pieces, mut plain) = (Vec::new(), String::new());
         let mut rest = text;
         while let Some(at) = rest.find(['{', '}']) {
@@ -69,6 +69,11 @@ impl Template {
     /// Whether it begins with a text that is no absolute path.
     pub fn begins_relative(&self) -> bool {
         matches!(self.pieces.first(), Some(Piece::Text(text)) if !text.is_empty() && !text.starts_with('/'))
+    }
+
+    /// All of it, if it has no placeholder.
+    pub fn fixed(&self) -> Option<String> {
+        self.names().next().is_none().then(|| self.fill(&Values::new()))
     }
 
     /// Texts one after the other.

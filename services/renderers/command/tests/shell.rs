@@ -5,10 +5,13 @@ use forelight_renderer::door::{
 };
 use forelight_renderer_command::open_command;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
+
+#[path = "shell/scripts.rs"]
+mod scripts;
 
 const SCRIPT: &str = r#"
 echo "done 25 %"
@@ -159,6 +162,10 @@ impl World {
 
     fn file(&self) -> PathBuf {
         self.folder.path().join("shot.command.toml")
+    }
+
+    fn write_job(&self, job: &str) {
+        std::fs::write(self.folder.path().join("shot.job.yaml"), job).unwrap();
     }
 
     fn ask<T>(&self, question: impl FnOnce(&dyn Shot, &Run<'_>) -> T) -> T {
@@ -359,14 +366,50 @@ fn a_job_of_other_farms_is_a_renderer_with_the_same_arguments() {
 }
 
 #[test]
-fn a_script_gets_no_path_that_it_would_run() {
-    let world = World::new(&FILE_OF_JOB.replace("scene.txt", "scene $(touch x).txt"));
-    std::fs::write(world.folder.path().join("scene $(touch x).txt"), "a scene").unwrap();
-    let error = world.ask(|shot, run| {
+fn frames_that_the_file_does_not_have_are_refused() {
+    let world = World::new(FILE);
+    world.ask(|shot, run| {
         let settings = shot.description().settings.clone();
-        shot.render(3, &settings, &[], run).unwrap_err().to_string()
+        let whole = Part::Samples { offset: 0, count: 16 };
+        for frame in [1, 4, 11, -1, i32::MIN] {
+            for error in [
+                shot.preview(&[3, frame], &settings, run).err().unwrap(),
+                shot.measure(frame, &settings, &whole, run).err().unwrap(),
+                shot.render(frame, &settings, &[], run).err().unwrap(),
+            ] {
+                let said =
+                    format!("frame {frame} is outside of the shot, which has frames 3 to 9 in steps of 2");
+                assert_eq!(error.to_string(), said);
+                assert!(error.is_permanent());
+            }
+        }
+        assert!(shot.preview(&[3, 5, 7, 9], &settings, run).is_ok());
     });
-    assert!(error.contains("the path may have ASCII letters"), "{error}");
+    let every = World::new(&FILE.replace("first = 3\nlast = 9\nstep = 2", "first = 1\nlast = 24"));
+    every.ask(|shot, run| {
+        let error = shot.preview(&[30], &shot.description().settings, run).unwrap_err().to_string();
+        assert_eq!(error, "frame 30 is outside of the shot, which has frames 1 to 24");
+    });
+    // A farm replaces the frames that a template has by itself.
+    World::new(FILE_OF_JOB).ask(|shot, run| {
+        assert!(shot.preview(&[30], &shot.description().settings, run).is_ok());
+    });
+}
+
+#[test]
+fn another_scene_that_a_job_names_has_frames_of_its_own() {
+    let world = World::new(FILE);
+    let other = world.folder.path().join("other.txt");
+    std::fs::write(&other, "another scene").unwrap();
+    let cancelled = AtomicBool::new(false);
+    let run = Run::silent(&cancelled, world.folder.path(), Limits::default());
+    let renderer = open_command(&world.file()).unwrap();
+    let has_frame_30 = |scene: &Path| {
+        let shot = renderer.open(scene, &run).unwrap();
+        shot.preview(&[30], &shot.description().settings, &run).is_ok()
+    };
+    assert!(has_frame_30(&other));
+    assert!(!has_frame_30(&world.folder.path().join("scene.txt")));
 }
 
 #[test]
@@ -378,7 +421,7 @@ fn a_chunk_is_a_range_of_one_frame_and_a_set_path_is_from_the_files_folder_on() 
     let job = job
         .replace("default: script.sh", "default: \"\"")
         .replace("jobEnvironments", "extensions: [TASK_CHUNKING]\njobEnvironments");
-    std::fs::write(world.folder.path().join("shot.job.yaml"), job).unwrap();
+    world.write_job(&job);
     world.ask(|shot, run| {
         let Description { frames, settings, .. } = shot.description();
         assert_eq!((frames.first, frames.last), (-2, 4));
@@ -392,7 +435,7 @@ fn what_only_a_farm_can_do_is_refused_by_name() {
     let with = |from: &str, to: &str, file: &str| {
         let world = World::new(file);
         assert!(JOB.contains(from), "{from}");
-        std::fs::write(world.folder.path().join("shot.job.yaml"), JOB.replacen(from, to, 1)).unwrap();
+        world.write_job(&JOB.replacen(from, to, 1));
         open_command(&world.file()).unwrap_err().to_string()
     };
     for (from, to, reason) in [

@@ -10,6 +10,7 @@
 //! | `scene` | octrees and views of the frames, options and files |
 //! | `rif` | what a `.rif` file says |
 //! | `views` | views and view files |
+//! | `shapes` | sizes of images that fit the views |
 //! | `assets` | files that a scene refers to |
 //! | `settings` | Radiance's own settings, and the options that they stand for |
 //! | `rays` | rays of pixels |
@@ -53,6 +54,7 @@ mod renderer;
 mod rif;
 mod scene;
 mod settings;
+mod shapes;
 mod shot;
 mod tracer;
 mod tree;

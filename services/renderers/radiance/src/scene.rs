@@ -5,7 +5,7 @@ use crate::installation::{MESSAGES, Radiance};
 use crate::rif::Plan;
 use crate::settings::Arguments;
 use crate::views::{View, views_of};
-use forelight_renderer::door::{Asset, Cost, RendererError, Run};
+use forelight_renderer::door::{Asset, Cost, Frames, RendererError, Run};
 use forelight_renderer::process::{Program, run, run_on_files};
 use std::fs::{self, File};
 use std::io::{Read as _, Seek as _};
@@ -15,6 +15,9 @@ use tempfile::TempDir;
 
 /// Width and height of an image at most, where the scene does not say.
 const SIDE: u32 = 512;
+
+/// Missing octrees that an error names at most.
+const NAMED: usize = 3;
 
 /// A frame: the octree that holds its scene, and its view.
 #[derive(Debug, Clone)]
@@ -74,13 +77,18 @@ impl Scene {
     /// The frame of this number.
     pub fn frame(&self, number: i32) -> Result<&SceneFrame, RendererError> {
         self.frames.iter().find(|frame| frame.number == number).ok_or_else(|| {
-            let (first, last) = match self.frames.as_slice() {
-                [] => (0, 0),
-                [first, .., last] => (first.number, last.number),
-                [only] => (only.number, only.number),
-            };
-            RendererError::Unsupported(format!("there is no frame {number}; the scene has {first} to {last}"))
+            let Frames { first, last, step } = self.numbers();
+            let steps = if step == 1 { String::new() } else { format!(" in steps of {step}") };
+            let reason = format!("there is no frame {number}; the scene has {first} to {last}{steps}");
+            RendererError::Unsupported(reason)
         })
+    }
+
+    /// Numbers of the frames, which are evenly spaced.
+    pub fn numbers(&self) -> Frames {
+        let numbers = || self.frames.iter().map(|frame| frame.number);
+        let (first, last) = (numbers().next().unwrap_or(1), numbers().next_back().unwrap_or(0));
+        Frames { first, last, step: numbers().nth(1).map_or(1, |second| second.abs_diff(first)) }
     }
 }
 
@@ -145,7 +153,18 @@ impl Reader<'_> {
     }
 
     fn of_octree(self) -> Result<Scene, RendererError> {
-        let octrees = numbered(self.scene);
+        let mut octrees = numbered(self.scene);
+        let own = self.scene.with_extension("vf");
+        // The number of a lone octree, or of one with several views, is a part of its name.
+        if octrees.len() == 1 || own.is_file() && read_views(&own)?.len() > 1 {
+            octrees.clear();
+        }
+        if let Some(missing) = gaps(&octrees) {
+            return Err(self.wrong(format!(
+                "octrees are missing between its frames: {missing}; make them, or move the octrees that are no \
+                 frames of this shot to a folder of their own"
+            )));
+        }
         let views = self.views(&octrees)?;
         let frame = |number: i32, octree: &Path, view: &View| SceneFrame {
             number,
@@ -172,13 +191,9 @@ impl Reader<'_> {
 
     /// Views of octrees: of the files of the same names, or of one file for all of them.
     fn views(&self, octrees: &[(i32, PathBuf)]) -> Result<Vec<View>, RendererError> {
-        let read = |path: &Path| {
-            let scene = path.to_owned();
-            views_of(path).map_err(|reason| RendererError::Scene { scene, reason })
-        };
         let each: Vec<PathBuf> = octrees.iter().map(|(_, octree)| octree.with_extension("vf")).collect();
         if each.len() > 1 && each.iter().all(|path| path.is_file()) {
-            let last = |path: &PathBuf| read(path).map(|mut views| views.pop());
+            let last = |path: &PathBuf| read_views(path).map(|mut views| views.pop());
             return Ok(each.iter().map(last).collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect());
         }
         let own = self.scene.with_extension("vf");
@@ -186,7 +201,7 @@ impl Reader<'_> {
         let (prefix, _) = split_number(&name);
         let common = self.folder.join(format!("{}.vf", prefix.trim_end_matches(['.', '-', '_'])));
         match [&own, &common].into_iter().find(|path| path.is_file()) {
-            Some(path) => read(path),
+            Some(path) => read_views(path),
             None => Err(RendererError::MissingFile(format!("{}: the views of the octree", own.display()))),
         }
     }
@@ -243,6 +258,10 @@ impl Reader<'_> {
     }
 }
 
+fn read_views(path: &Path) -> Result<Vec<View>, RendererError> {
+    views_of(path).map_err(|reason| RendererError::Scene { scene: path.to_owned(), reason })
+}
+
 /// Whether one of the files has a line that is a command.
 fn runs_commands(files: &[String], folder: &Path) -> bool {
     files.iter().any(|file| {
@@ -265,7 +284,7 @@ fn split_number(stem: &str) -> (&str, &str) {
 fn numbered(octree: &Path) -> Vec<(i32, PathBuf)> {
     let own = stem(octree);
     let (prefix, number) = split_number(&own);
-    if number.is_empty() {
+    if number.parse::<i32>().is_err() {
         return Vec::new();
     }
     let entries = octree.parent().and_then(|folder| fs::read_dir(folder).ok());
@@ -287,6 +306,31 @@ fn numbered(octree: &Path) -> Vec<(i32, PathBuf)> {
     all
 }
 
+/// Names of the first octrees that are missing, and how many others are. `None` if the numbers, which ascend,
+/// are evenly spaced.
+fn gaps(octrees: &[(i32, PathBuf)]) -> Option<String> {
+    let ((first, path), (last, _)) = (octrees.first()?, octrees.last()?);
+    let steps = octrees.windows(2).map(|pair| pair[0].0.abs_diff(pair[1].0));
+    let step = steps.reduce(greatest_common_divisor)?;
+    let missing = (last.abs_diff(*first) / step) as usize + 1 - octrees.len();
+    let name = stem(path);
+    let (prefix, digits) = split_number(&name);
+    let end = path.extension().map_or_else(String::new, |end| format!(".{}", end.display()));
+    let names: Vec<String> = (*first..*last)
+        .step_by(step as usize)
+        .filter(|number| octrees.binary_search_by_key(number, |(number, _)| *number).is_err())
+        .take(NAMED)
+        .map(|number| format!("{prefix}{number:0width$}{end}", width = digits.len()))
+        .collect();
+    let others = missing - names.len();
+    let others = if others > 0 { format!(" and {others} more") } else { String::new() };
+    (missing > 0).then(|| names.join(", ") + &others)
+}
+
+fn greatest_common_divisor(a: u32, b: u32) -> u32 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -304,5 +348,23 @@ mod tests {
         assert_eq!(numbers("walk-010.oct"), [2, 9, 10]);
         assert_eq!(numbers("talk-003.oct"), [3]);
         assert!(numbers("walk.oct").is_empty());
+        assert!(numbers("walk-99999999999.oct").is_empty(), "it is too large for a number of a frame");
+    }
+
+    #[test]
+    fn octrees_that_are_missing_between_others_are_named() {
+        let gaps = |names: &[&str]| {
+            let number = |name: &&str| split_number(&stem(name.as_ref())).1.parse().unwrap();
+            gaps(&names.iter().map(|name| (number(name), PathBuf::from(name))).collect::<Vec<_>>())
+        };
+        assert_eq!(gaps(&["walk0002.oct", "walk0003.oct", "walk0004.oct"]), None);
+        assert_eq!(gaps(&["walk2.oct", "walk4.oct", "walk6.oct"]), None);
+        assert_eq!(gaps(&["walk2.oct", "walk9.oct"]), None);
+        assert_eq!(gaps(&[]), None);
+        let missing = gaps(&["walk0002.oct", "walk0009.oct", "walk0010.oct"]).unwrap();
+        assert_eq!(missing, "walk0003.oct, walk0004.oct, walk0005.oct and 3 more");
+        assert_eq!(gaps(&["walk2.oct", "walk4.oct", "walk8.oct"]).as_deref(), Some("walk6.oct"));
+        let far = gaps(&["day0.oct", "day1.oct", "day2147483647.oct"]).unwrap();
+        assert_eq!(far, "day2.oct, day3.oct, day4.oct and 2147483642 more");
     }
 }

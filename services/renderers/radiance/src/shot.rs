@@ -9,15 +9,15 @@ use crate::installation::Radiance;
 use crate::opened::Opened;
 use crate::pictures;
 use crate::profile::RadianceProfiler;
-use crate::scene::Scene;
+use crate::scene::{Scene, SceneFrame};
 use crate::settings::{ALLOW_MISSING, SCHEMA, allows_missing, shares_values};
+use crate::shapes::Shapes;
 use crate::tracer::Colour;
 use forelight_renderer::door::{
-    Artefact, BlockCosts, Camera, Capabilities, Capability, Common, Description, FrameCounts, Frames,
-    Measured, Part, PieceCost, PixelProfiler, PreviewBackend, Region, Rendered, Renderer as _, RendererError,
-    Run, Settings, Shot, Shown, TakenOver,
+    Artefact, BlockCosts, Camera, Capabilities, Capability, Common, Description, FrameCounts, Measured, Part,
+    PieceCost, PixelProfiler, PreviewBackend, Region, Rendered, Renderer as _, RendererError, Run, Settings,
+    Shot, Shown, TakenOver,
 };
-use forelight_renderer::process::run as run_program;
 use std::path::Path;
 
 /// Most pixels of a preview. Counts are scaled to the image.
@@ -29,19 +29,21 @@ const MOST_PIXELS: u64 = 1 << 28;
 /// A scene of Radiance.
 pub(crate) struct RadianceShot {
     opened: Opened,
+    shapes: Shapes,
     description: Description,
 }
 
 impl RadianceShot {
     pub fn open(radiance: Radiance, path: &Path, run: &Run<'_>) -> Result<Self, RendererError> {
         let scene = Scene::open(&radiance, path, run)?;
-        let (width, height) = size(&radiance, &scene, run)?;
+        let shapes = Shapes::of(&radiance, &scene, run)?;
+        let (width, height) = shapes.own;
         let common = Common { width, height, samples: scene.samples, seed: 0 };
         let mut own = radiance.defaults().clone();
         own.extend(scene.arguments.settings.clone());
         own.insert(ALLOW_MISSING.to_owned(), false.into());
         let description = Description {
-            frames: frames(&scene),
+            frames: scene.numbers(),
             frames_per_second: 24.0,
             cameras: cameras(&scene),
             layers: Vec::new(),
@@ -53,7 +55,7 @@ impl RadianceShot {
             notes: scene.notes.clone(),
             opening: scene.cost.clone(),
         };
-        Ok(Self { opened: Opened::new(radiance, scene), description })
+        Ok(Self { opened: Opened::new(radiance, scene), shapes, description })
     }
 
     /// The file of ambient values of a render: with those that were taken over, or else an empty one if
@@ -80,6 +82,14 @@ impl RadianceShot {
         if allows_missing(settings) { Ok(()) } else { self.description.require_assets() }
     }
 
+    /// A frame, if the size asked for does not distort it.
+    fn frame(&self, number: i32, settings: &Settings, run: &Run<'_>) -> Result<&SceneFrame, RendererError> {
+        let Opened { radiance, scene, .. } = &self.opened;
+        let frame = scene.frame(number)?;
+        self.shapes.check((radiance, scene), frame, &settings.common, run)?;
+        Ok(frame)
+    }
+
     /// Pixels and ambient values that artefacts hold.
     fn taken_over(
         &self,
@@ -104,46 +114,11 @@ impl RadianceShot {
     }
 }
 
-fn frames(scene: &Scene) -> Frames {
-    let numbers: Vec<i32> = scene.frames.iter().map(|frame| frame.number).collect();
-    let steps = numbers.windows(2).map(|pair| pair[1].abs_diff(pair[0]));
-    let step = steps.reduce(greatest_common_divisor).unwrap_or(1);
-    Frames {
-        first: numbers.first().copied().unwrap_or(1),
-        last: numbers.last().copied().unwrap_or(0),
-        step: step.max(1),
-    }
-}
-
-fn greatest_common_divisor(a: u32, b: u32) -> u32 {
-    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
-}
-
 fn cameras(scene: &Scene) -> Vec<Camera> {
     let named = scene.frames.iter().filter(|frame| !frame.view.name.is_empty());
     let mut names: Vec<&str> = named.map(|frame| frame.view.name.as_str()).collect();
     names.dedup();
     names.into_iter().map(|name| Camera { name: name.to_owned(), active: true }).collect()
-}
-
-/// Width and height of the image: within the scene's, and in the shape of the first view.
-fn size(radiance: &Radiance, scene: &Scene, run: &Run<'_>) -> Result<(u32, u32), RendererError> {
-    let (width, height) = scene.size;
-    let Some(first) = scene.frames.first() else { return Ok((width, height)) };
-    let program = radiance
-        .program("vwrays", &scene.folder, scene.home.path())
-        .args(["-d".to_owned(), "-x".to_owned(), width.to_string(), "-y".to_owned(), height.to_string()])
-        .args(first.view.arguments.iter().cloned());
-    let mut printed = String::new();
-    run_program(&program, crate::installation::MESSAGES, run, &mut |line| printed.push_str(&line.text))?;
-    let words: Vec<&str> = printed.split_whitespace().collect();
-    let number = |option: &str| {
-        let at = words.iter().position(|&word| word == option)?;
-        words.get(at + 1)?.parse::<u32>().ok().filter(|&size| size > 0)
-    };
-    number("-x")
-        .zip(number("-y"))
-        .ok_or_else(|| RendererError::Answer(format!("vwrays -d printed `{printed}`, which is no size")))
 }
 
 /// Pixels of the pieces that are timed.
@@ -193,10 +168,11 @@ impl Shot for RadianceShot {
         self.check(settings)?;
         let small = settings.common.smaller(PREVIEW_PIXELS, 1.0);
         let sampled_pixels = small.pixels();
+        let shown =
+            frames.iter().map(|&frame| self.frame(frame, settings, run)).collect::<Result<Vec<_>, _>>()?;
         let mut all = Vec::with_capacity(frames.len());
-        for (done, &number) in frames.iter().enumerate() {
+        for (done, (&number, frame)) in frames.iter().zip(shown).enumerate() {
             let progress = |share: f64| (run.progress)((done as f64 + share) / frames.len() as f64);
-            let frame = self.opened.scene.frame(number)?;
             let (seen, cost) =
                 self.opened.kept.see(&self.opened, frame, &small, &Run { progress: &progress, ..*run })?;
             let counts = ids::counts(&seen.shown, settings.pixels());
@@ -225,11 +201,11 @@ impl Shot for RadianceShot {
             Part::Samples { offset, count } => offset..offset + count,
             Part::Regions(_) | Part::Pixels(_) => 0..all,
         };
+        let shown = self.frame(frame, settings, run)?;
         let groups = groups(&settings.common, part);
         let ambient = self.ambient(settings, &[], run)?;
         let shared = (ambient.as_ref(), run);
-        let traced =
-            trace(&self.opened, self.opened.scene.frame(frame)?, settings, &groups, samples, shared)?;
+        let traced = trace(&self.opened, shown, settings, &groups, samples, shared)?;
         let fixed = traced.fixed();
         let region = |pixels: &Vec<u32>| Region {
             x: pixels[0] % settings.common.width,
@@ -260,7 +236,7 @@ impl Shot for RadianceShot {
         run: &'a Run<'a>,
     ) -> Result<Box<dyn PixelProfiler + 'a>, RendererError> {
         self.check(settings)?;
-        Ok(Box::new(RadianceProfiler::start(&self.opened, self.opened.scene.frame(frame)?, settings, run)?))
+        Ok(Box::new(RadianceProfiler::start(&self.opened, self.frame(frame, settings, run)?, settings, run)?))
     }
 
     fn render(
@@ -271,7 +247,7 @@ impl Shot for RadianceShot {
         run: &Run<'_>,
     ) -> Result<Rendered, RendererError> {
         self.check(settings)?;
-        let shown = self.opened.scene.frame(frame)?;
+        let shown = self.frame(frame, settings, run)?;
         let Content { pixels: mut finished, ambient } = self.taken_over(frame, settings, taken_over)?;
         let ambient = self.ambient(settings, &ambient, run)?;
         let over = TakenOver {

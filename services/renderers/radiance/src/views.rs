@@ -15,6 +15,9 @@ pub(crate) struct View {
 /// What begins a view in a file.
 const TAG: &str = "VIEW=";
 
+/// Beginnings of the options that shape the image of a view.
+const SHAPING: [&str; 4] = ["-vt", "-vh", "-vv", "-vf"];
+
 impl View {
     /// Reads the words of a `view=` line: a name, which may be left out, and options.
     pub fn read(words: &[String]) -> Result<Self, String> {
@@ -32,6 +35,23 @@ impl View {
             return Err("view: it has no options".to_owned());
         }
         Ok(Self { name, arguments: arguments.to_vec() })
+    }
+
+    /// The options that shape its image: kind and angles, and files that may state them. Of several options of
+    /// a kind, the last counts.
+    pub fn shape(&self) -> Vec<&[String]> {
+        let mut all: Vec<&[String]> = Vec::new();
+        let mut rest = self.arguments.as_slice();
+        while let Some(option) = rest.first() {
+            let count = 1 + view_values(option).unwrap_or(0);
+            let (own, after) = rest.split_at(count.min(rest.len()));
+            rest = after;
+            let Some(kind) = SHAPING.into_iter().find(|kind| option.starts_with(kind)) else { continue };
+            // A file may state any of the options, so each of them is kept.
+            all.retain(|other| kind == "-vf" || !other[0].starts_with(kind));
+            all.push(own);
+        }
+        all
     }
 }
 
@@ -75,6 +95,14 @@ mod tests {
             let error = View::read(&words(text)).unwrap_err();
             assert!(error.contains(reason), "{error}");
         }
+    }
+
+    #[test]
+    fn the_last_kind_and_angles_of_a_view_shape_its_image() {
+        let shape = |text: &str| View::read(&words(text)).unwrap().shape().concat().join(" ");
+        assert_eq!(shape("-vtv -vp 1 2 3 -vh 60 -vv 46 -vd 0 1 0"), "-vtv -vh 60 -vv 46");
+        assert_eq!(shape("-vtv -vh 60 -vv 46 -vp 1 0 1 -vth -vh 30"), "-vv 46 -vth -vh 30");
+        assert_eq!(shape("-vh 60 -vf a.vf -vh 30 -vf b.vf -vf a.vf"), "-vf a.vf -vh 30 -vf b.vf -vf a.vf");
     }
 
     #[test]

@@ -15,6 +15,9 @@ use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+#[path = "rtrace/frames.rs"]
+mod frames;
+
 static RADIANCE: LazyLock<Radiance> = LazyLock::new(|| Radiance::find().unwrap());
 
 const MATERIALS: &str = "void plastic white 0 0 5 .7 .7 .7 0 0
