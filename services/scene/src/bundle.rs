@@ -80,7 +80,7 @@ impl Bundle {
     /// Returns `true` if the bundle has a file at `path`.
     pub fn contains(&self, path: &str) -> bool {
         match &self.store {
-            Store::Folder(root) => is_inside(path) && root.join(path).is_file(),
+            Store::Folder(root) => check_inside(path).is_ok() && root.join(path).is_file(),
             Store::Archive { index, .. } => index.contains_key(path),
         }
     }
@@ -107,9 +107,7 @@ impl Bundle {
     /// Reads a whole file. Fails if the path leaves the bundle (also through a symbolic link), is not a file,
     /// or exceeds a limit.
     pub fn read(&self, path: &str) -> Result<Vec<u8>, SceneError> {
-        if !is_inside(path) {
-            return Err(SceneError::file(path, "the path is outside the bundle"));
-        }
+        check_inside(path).map_err(|reason| SceneError::file(path, format!("the path {reason}")))?;
         let bytes = match &self.store {
             Store::Folder(root) => self.read_from_folder(root, path)?,
             Store::Archive { archive, index, .. } => {
@@ -254,7 +252,7 @@ fn check_ratio(file: &str, expanded: u64, compressed: u64, limits: &Limits) -> R
 fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, SceneError> {
     let whole = file.try_clone().map_err(|source| SceneError::Io { file: shown.to_owned(), source })?;
     let mut archive = ZipArchive::new(BufReader::new(file))
-        .map_err(|e| SceneError::file(shown, format!("is neither a folder nor a readable .zip: {e}")))?;
+        .map_err(|e| SceneError::file(shown, no_archive(shown, &whole, &e.to_string())))?;
     if archive.len() > limits.entries {
         let (found, limit) = (archive.len() as u64, limits.entries as u64);
         return Err(SceneError::Limit { file: shown.to_owned(), what: "archive entries", found, limit });
@@ -276,9 +274,8 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
         if entry.is_symlink() {
             return Err(SceneError::file(file, "symbolic links are not allowed in an archive"));
         }
-        if !is_inside(path.strip_suffix('/').unwrap_or(path)) {
-            return Err(SceneError::file(file, "the archive entry is outside the bundle"));
-        }
+        check_inside(path.strip_suffix('/').unwrap_or(path))
+            .map_err(|reason| SceneError::file(&file, format!("the archive entry {reason}")))?;
         if entry.is_dir() {
             continue;
         }
@@ -302,6 +299,26 @@ fn open_archive(shown: &str, file: File, limits: &Limits) -> Result<Store, Scene
     Ok(Store::Archive { file: whole, archive: Mutex::new(archive), index: without_common_folder(index) })
 }
 
+/// Why a file is no bundle, and what to do. `error` says why it is no archive.
+fn no_archive(shown: &str, file: &File, error: &str) -> String {
+    const READ: &str =
+        "this program reads a .glb or .gltf file, a folder with a `scene.json`, or a .zip of one";
+    let mut start = [0; 64];
+    let length = file.read_at(&mut start, 0).unwrap_or(0);
+    let start = start[..length].trim_ascii_start();
+    let extension = Path::new(shown).extension().map(|e| e.to_string_lossy().to_lowercase());
+    match extension.as_deref() {
+        // What was uploaded has no extension of its own.
+        _ if start.starts_with(b"glTF") || start.starts_with(b"{") => {
+            "is a single glTF or JSON file; put it into a folder, with the files that it names".into()
+        }
+        Some("obj") => "is a single .obj file; put it into a folder with a `scene.json` that names it".into(),
+        Some("zip") => format!("is neither a folder nor a readable .zip: {error}"),
+        Some(extension) => format!("is a .{extension} file; {READ}"),
+        None => format!("is neither a folder nor a readable .zip; {READ}"),
+    }
+}
+
 /// Removes the folder around everything, if there is one, as zipping a folder often adds it.
 fn without_common_folder(index: BTreeMap<String, usize>) -> BTreeMap<String, usize> {
     let common =
@@ -314,9 +331,18 @@ fn without_common_folder(index: BTreeMap<String, usize>) -> BTreeMap<String, usi
     }
 }
 
-/// Returns `true` if a path is relative, uses only `/`, and has no empty, `.` or `..` component.
-fn is_inside(path: &str) -> bool {
-    !path.contains(['\\', ':', '\0']) && path.split('/').all(|part| !matches!(part, "" | "." | ".."))
+/// Checks that a path is relative, uses only `/`, and has no empty, `.` or `..` component. Returns the reason
+/// otherwise.
+fn check_inside(path: &str) -> Result<(), &'static str> {
+    if path.contains(['\\', ':', '\0']) {
+        return Err(
+            "has a character that names in a bundle may not have (`:`, `\\` or NUL); rename the file",
+        );
+    }
+    if path.split('/').any(|part| matches!(part, "" | "." | "..")) {
+        return Err("is outside the bundle");
+    }
+    Ok(())
 }
 
 /// Resolves `reference`, used in the file `from`, to a path in the bundle, relative to that file's folder.

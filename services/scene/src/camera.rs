@@ -54,6 +54,14 @@ impl Camera {
         self
     }
 
+    /// Like [`Self::resized`], but keeps the vertical field of view. An image of the same shape has the same
+    /// bits.
+    pub(crate) fn resized_by_height(mut self, width: u32, height: u32) -> Self {
+        let shape = |width: u32, height: u32| width as f32 / height as f32;
+        self.tan_half_x *= shape(width, height) / shape(self.width, self.height);
+        self.resized(width, height)
+    }
+
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize

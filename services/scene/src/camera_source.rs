@@ -23,6 +23,8 @@ pub(crate) struct LookAt {
     /// Full angle of view along `fov_axis`, degrees.
     pub(crate) fov_deg: Animated<f64>,
     pub(crate) fov_axis: FovAxis,
+    /// The angle of view along this axis stays as it is if the image gets another shape.
+    pub(crate) kept_axis: FovAxis,
     pub(crate) width: u32,
     pub(crate) height: u32,
     /// Lens radius, metres. 0 is a pinhole.
@@ -78,6 +80,8 @@ pub(crate) struct NodeCamera {
     pub(crate) node: usize,
     /// Full vertical angle of view, radians.
     pub(crate) yfov: f64,
+    /// As in [`LookAt`].
+    pub(crate) kept_axis: FovAxis,
     pub(crate) width: u32,
     pub(crate) height: u32,
 }
@@ -124,6 +128,8 @@ pub(crate) fn default_view(lowest: DVec3, highest: DVec3) -> LookAt {
         up: Animated::Constant(DVec3::Y),
         fov_deg: Animated::Constant(FOV_DEG),
         fov_axis: FovAxis::Y,
+        // A tall image shows the whole width, too.
+        kept_axis: FovAxis::X,
         width: 1280,
         height: DEFAULT_HEIGHT,
         aperture_radius: 0.0,
@@ -136,6 +142,20 @@ pub(crate) fn default_view(lowest: DVec3, highest: DVec3) -> LookAt {
 pub(crate) enum CameraSource {
     LookAt(Box<LookAt>),
     Node(NodeCamera),
+}
+
+impl CameraSource {
+    /// One of its cameras with another image size and square pixels.
+    pub(crate) fn resized(&self, camera: Camera, width: u32, height: u32) -> Camera {
+        let kept = match self {
+            Self::LookAt(look_at) => look_at.kept_axis,
+            Self::Node(node) => node.kept_axis,
+        };
+        match kept {
+            FovAxis::X => camera.resized(width, height),
+            FovAxis::Y => camera.resized_by_height(width, height),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -172,12 +192,33 @@ mod tests {
 
     #[test]
     fn a_node_camera_looks_along_minus_z_whatever_the_scale() {
-        let source = NodeCamera { node: 0, yfov: 1.0, width: 16, height: 9 };
+        let source = NodeCamera { node: 0, yfov: 1.0, kept_axis: FovAxis::X, width: 16, height: 9 };
         let world = DMat4::from_translation(DVec3::new(1.0, 2.0, 3.0)) * DMat4::from_scale(DVec3::splat(7.0));
         let camera = source.at(&world).unwrap();
         assert_eq!((camera.origin, camera.forward), (Vec3::new(1.0, 2.0, 3.0), -Vec3::Z));
         assert_eq!((camera.right, camera.up), (Vec3::X, Vec3::Y));
         assert!((camera.tan_half_x / camera.tan_half_y - 16.0 / 9.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_angle_along_the_kept_axis_is_kept() {
+        let mut view = look_at();
+        (view.width, view.height) = (200, 100);
+        let camera = view.at(0.0, DVec3::ZERO).unwrap();
+        for (kept_axis, width, height, x, y) in [
+            (FovAxis::X, 100, 100, 1.0, 2.0),
+            (FovAxis::Y, 100, 100, 0.5, 1.0),
+            (FovAxis::Y, 300, 50, 3.0, 1.0),
+        ] {
+            let source = CameraSource::LookAt(Box::new(LookAt { kept_axis, ..view.clone() }));
+            let resized = source.resized(camera, width, height);
+            assert_eq!((resized.width, resized.height), (width, height));
+            assert!((resized.tan_half_x / camera.tan_half_x - x).abs() < 1e-6);
+            assert!((resized.tan_half_y / camera.tan_half_y - y).abs() < 1e-6);
+            for (width, height) in [(200, 100), (14, 7)] {
+                assert_eq!(source.resized(camera, width, height), camera.resized(width, height));
+            }
+        }
     }
 
     #[test]

@@ -251,6 +251,7 @@ impl Checker<'_> {
             up: Animated::Constant(self.coordinates("/camera/up", raw.up)?),
             fov_deg: Animated::Constant(self.field_of_view("/camera/fov_deg", raw.fov_deg)?),
             fov_axis: raw.fov_axis,
+            kept_axis: raw.fov_axis,
             width: raw.width,
             height: raw.height,
             aperture_radius: raw.aperture_radius,

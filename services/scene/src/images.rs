@@ -3,7 +3,11 @@
 use crate::bundle::Bundle;
 use crate::error::SceneError;
 use crate::{Texels, Texture, TextureId};
+use exr::meta::MetaData;
+use exr::meta::header::Header;
+use glam::{DVec3, Vec3};
 use image::{ImageFormat, ImageReader};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 
@@ -15,6 +19,8 @@ pub(crate) struct TextureLibrary<'a> {
     /// For each texture, whether any texel has an alpha below 1.
     translucent: Vec<bool>,
     pixels: u64,
+    /// Texels of the images that only a mean was taken of.
+    averaged: u64,
     /// Textures that were decoded and are not loaded yet.
     ready: BTreeMap<String, (Head, Result<Texels, SceneError>)>,
 }
@@ -24,6 +30,8 @@ struct Head {
     format: ImageFormat,
     width: u32,
     height: u32,
+    /// Pixels that are decoded. Those outside of the image's window are lost then.
+    pixels: u64,
 }
 
 impl Head {
@@ -48,11 +56,9 @@ impl Head {
         if width == 0 || height == 0 {
             return Err(SceneError::file(name, "the image has no pixels"));
         }
-        Ok(Self { format, width, height })
-    }
-
-    fn pixels(&self) -> u64 {
-        u64::from(self.width) * u64::from(self.height)
+        let window = u64::from(width) * u64::from(height);
+        let pixels = if format == ImageFormat::OpenExr { window.max(data_pixels(bytes)) } else { window };
+        Ok(Self { format, width, height, pixels })
     }
 
     /// The texels. The image's size is allowed by now.
@@ -63,7 +69,7 @@ impl Head {
         let mut reader = ImageReader::with_format(Cursor::new(bytes), self.format);
         // 16 bytes per pixel, and 64 MiB for decoder and other data.
         let mut limits = image::Limits::default();
-        limits.max_alloc = Some(self.pixels() * 16 + (64 << 20));
+        limits.max_alloc = Some(self.pixels.saturating_mul(16).saturating_add(64 << 20));
         reader.limits(limits);
         let decoded = reader.decode().map_err(|e| unreadable(name, &e))?;
         match self.format {
@@ -87,6 +93,7 @@ impl<'a> TextureLibrary<'a> {
             by_name: BTreeMap::new(),
             translucent: Vec::new(),
             pixels: 0,
+            averaged: 0,
             ready: BTreeMap::new(),
         }
     }
@@ -100,7 +107,7 @@ impl<'a> TextureLibrary<'a> {
         for path in wanted {
             let Ok(bytes) = self.bundle.read(&path) else { break };
             let Ok(head) = Head::of(&path, &bytes) else { break };
-            pixels += head.pixels();
+            pixels = pixels.saturating_add(head.pixels);
             if pixels > self.bundle.limits().texture_pixels {
                 break;
             }
@@ -136,9 +143,28 @@ impl<'a> TextureLibrary<'a> {
         Ok(self.add(name, &head, texels))
     }
 
+    /// The mean of red, green and blue in each of several images of data, as stored, in the range 0 to 1.
+    /// `None` for images that cannot be read, and for those beyond the limit on texels. The images are not
+    /// kept.
+    pub(crate) fn means(&mut self, images: &[Option<Cow<'_, [u8]>>]) -> Vec<Option<[f32; 3]>> {
+        let limit = self.bundle.limits().texture_pixels;
+        let mut head = |bytes: &[u8]| {
+            let head = Head::of("", bytes).ok()?;
+            let averaged = self.averaged.checked_add(head.pixels).filter(|&pixels| pixels <= limit)?;
+            self.averaged = averaged;
+            Some(head)
+        };
+        let heads = images.iter().map(|bytes| bytes.as_deref().and_then(|bytes| Some((head(bytes)?, bytes))));
+        let heads: Vec<Option<(Head, &[u8])>> = heads.collect();
+        forelight_threads::map(&heads, 1, |image| {
+            let (head, bytes) = image.as_ref()?;
+            head.decode("", bytes).ok().map(|texels| mean(&texels))
+        })
+    }
+
     /// Counts the texels of an image that is about to be decoded.
     fn check_limit(&mut self, name: &str, head: &Head) -> Result<(), SceneError> {
-        self.pixels += head.pixels();
+        self.pixels = self.pixels.saturating_add(head.pixels);
         let limit = self.bundle.limits().texture_pixels;
         if self.pixels > limit {
             let (file, found) = (name.to_owned(), self.pixels);
@@ -184,6 +210,32 @@ impl<'a> TextureLibrary<'a> {
 
     pub(crate) fn into_textures(self) -> Vec<Texture> {
         self.textures
+    }
+}
+
+/// The pixels that decoding an OpenEXR file expands: its largest data window. Its image is the display
+/// window. 0 if the file is damaged.
+fn data_pixels(exr: &[u8]) -> u64 {
+    let headers = MetaData::read_from_buffered(exr, false).map_or_else(|_| Default::default(), |m| m.headers);
+    let pixels = |header: &Header| {
+        (header.layer_size.width() as u64).saturating_mul(header.layer_size.height() as u64)
+    };
+    headers.iter().map(pixels).max().unwrap_or(0)
+}
+
+/// The mean of red, green and blue. 8-bit images are taken as linear.
+fn mean(texels: &Texels) -> [f32; 3] {
+    match texels {
+        Texels::Srgb8(texels) => {
+            let sum = texels.iter().fold([0u64; 3], |sum, &[r, g, b, _]| {
+                [sum[0] + u64::from(r), sum[1] + u64::from(g), sum[2] + u64::from(b)]
+            });
+            sum.map(|sum| (sum as f64 / (255.0 * texels.len() as f64)) as f32)
+        }
+        Texels::Linear(texels) => {
+            let sum: DVec3 = texels.iter().map(|&texel| Vec3::from(texel).min(Vec3::ONE).as_dvec3()).sum();
+            (sum / texels.len() as f64).as_vec3().to_array()
+        }
     }
 }
 

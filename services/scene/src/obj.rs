@@ -6,9 +6,9 @@
 //! writes at the same time, on another thread.
 
 use crate::assembly::{Assembly, plain_material};
-use crate::bundle::resolve;
+use crate::bundle::{Bundle, resolve};
 use crate::error::{Place, SceneError};
-use crate::obj_text::{PipedText, piped_text, text, without_comment};
+use crate::obj_text::{PipedText, file_names, piped_text, text, without_comment};
 use crate::polygon;
 use crate::shot::{Mesh, Node, Part, Placement, unit_or_zero};
 use crate::{Color, Surface};
@@ -31,17 +31,23 @@ struct Checked {
     materials: BTreeMap<String, usize>,
     /// Unsupported keys, and the number of times that each occurs.
     ignored: BTreeMap<String, usize>,
+    /// Number of faces with fewer than 3 corners.
+    small_faces: usize,
 }
 
 /// Reads an OBJ file and its material libraries into the assembly.
 pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
     let bytes = assembly.bundle.read(path)?;
-    let limit = assembly.bundle.limits().triangles;
+    let bundle = assembly.bundle;
     let (canonical, reader) = piped_text();
     let (checked, parsed) =
-        forelight_threads::join(|| check(path, &bytes, limit, canonical), || parse(reader));
+        forelight_threads::join(|| check(bundle, path, &bytes, canonical), || parse(reader));
     let checked = checked?;
-    warn_ignored(assembly, path, &checked.ignored);
+    warn_counted(assembly, path, "these keys are ignored", &checked.ignored);
+    if checked.small_faces > 0 {
+        let count = checked.small_faces;
+        assembly.warn(format!("{path}: faces of fewer than 3 corners are left out ({count}×)"));
+    }
     let libraries = load_libraries(assembly, path, &checked.libraries)?;
     let mut sources: Vec<(String, tobj::Material)> = Vec::new();
     // Of materials with the same name, the last counts.
@@ -50,7 +56,9 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
         places.extend(index.iter().map(|(name, place)| (name.as_str(), sources.len() + place)));
         sources.extend(materials.iter().map(|material| (file.clone(), material.clone())));
     }
-    for (name, line) in &checked.materials {
+    // Without a library, `usemtl` is a leftover.
+    let named = if libraries.is_empty() { BTreeMap::new() } else { checked.materials };
+    for (name, line) in &named {
         if !places.contains_key(name.as_str()) {
             return Err(SceneError::line(
                 path,
@@ -74,7 +82,7 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
         assembly.add_material(material);
         assembly.check_priorities(file)?;
     }
-    // All materials in use are known by now.
+    // All materials in use are known by now, or none is.
     let used = used.iter().filter_map(|material| places.get(material.name.as_str()));
     let used: Vec<u32> = used.map(|place| (first_material + place) as u32).collect();
     place(assembly, path, models, &used)
@@ -109,9 +117,10 @@ fn load_libraries(
     let mut libraries: Vec<Library> = Vec::new();
     for (file, line) in named {
         let bytes = assembly.bundle.read(file).map_err(|e| e.within(path, Place::Line(*line), "`mtllib`"))?;
-        let (canonical, ignored) = crate::mtl::check(file, &bytes)?;
-        warn_ignored(assembly, file, &ignored);
-        let library = tobj::load_mtl_buf(&mut canonical.as_bytes())
+        let checked = crate::mtl::check(file, &bytes)?;
+        warn_counted(assembly, file, "these keys are ignored", &checked.ignored);
+        warn_counted(assembly, file, "not fully supported", &checked.simplified);
+        let library = tobj::load_mtl_buf(&mut checked.canonical.as_bytes())
             .map_err(|e| SceneError::file(file, e.to_string()))?;
         libraries.push((file.clone(), library));
     }
@@ -148,8 +157,8 @@ fn place(
                 (object, node)
             }
         };
-        let material = match mesh.material_id {
-            Some(id) => used[id],
+        let material = match mesh.material_id.and_then(|id| used.get(id)) {
+            Some(&material) => material,
             None => *grey.get_or_insert_with(|| {
                 assembly.warn(format!("{path}: faces of `{name}` have no material and are rendered grey"));
                 let albedo = Color::plain(Vec3::splat(0.5));
@@ -177,18 +186,21 @@ fn local_mesh(mesh: &tobj::Mesh) -> Mesh {
     Mesh { positions, normals, uvs, triangles }
 }
 
-/// Gives one warning for all ignored keys of a file.
-fn warn_ignored(assembly: &mut Assembly<'_>, file: &str, ignored: &BTreeMap<String, usize>) {
-    if !ignored.is_empty() {
-        let keys: Vec<String> = ignored.iter().map(|(key, count)| format!("`{key}` ({count}×)")).collect();
-        assembly.warn(format!("{file}: these keys are ignored: {}", keys.join(", ")));
+/// Gives one warning for all counted things of a file, if there are any.
+fn warn_counted(assembly: &mut Assembly<'_>, file: &str, what: &str, counted: &BTreeMap<String, usize>) {
+    if !counted.is_empty() {
+        let things: Vec<String> =
+            counted.iter().map(|(thing, count)| format!("`{thing}` ({count}×)")).collect();
+        assembly.warn(format!("{file}: {what}: {}", things.join(", ")));
     }
 }
 
 /// Checks an OBJ file, and writes the text that `tobj` reads.
-fn check(file: &str, bytes: &[u8], triangle_limit: u64, out: PipedText) -> Result<Checked, SceneError> {
+fn check(bundle: &Bundle, file: &str, bytes: &[u8], out: PipedText) -> Result<Checked, SceneError> {
     let text = text(file, bytes)?;
+    let triangle_limit = bundle.limits().triangles;
     let mut check = Check {
+        bundle,
         file,
         out,
         name: UNNAMED,
@@ -199,8 +211,10 @@ fn check(file: &str, bytes: &[u8], triangle_limit: u64, out: PipedText) -> Resul
         cutting: 0,
         libraries: Vec::new(),
         known_libraries: BTreeSet::new(),
+        misses_library: false,
         materials: BTreeMap::new(),
         ignored: BTreeMap::new(),
+        small_faces: 0,
     };
     for (i, line) in text.lines().enumerate() {
         check.line(line.trim(), i + 1).map_err(|reason| SceneError::line(file, i + 1, reason))?;
@@ -209,11 +223,12 @@ fn check(file: &str, bytes: &[u8], triangle_limit: u64, out: PipedText) -> Resul
             return Err(SceneError::Limit { file: file.to_owned(), what: "triangles", found, limit });
         }
     }
-    let Check { libraries, materials, ignored, .. } = check;
-    Ok(Checked { libraries, materials, ignored })
+    let Check { libraries, materials, ignored, small_faces, .. } = check;
+    Ok(Checked { libraries, materials, ignored, small_faces })
 }
 
 struct Check<'a> {
+    bundle: &'a Bundle,
     /// Path of the OBJ file.
     file: &'a str,
     out: PipedText,
@@ -230,8 +245,11 @@ struct Check<'a> {
     cutting: u64,
     libraries: Vec<(String, usize)>,
     known_libraries: BTreeSet<String>,
+    /// Whether the last of the libraries is no file of the bundle.
+    misses_library: bool,
     materials: BTreeMap<String, usize>,
     ignored: BTreeMap<String, usize>,
+    small_faces: usize,
 }
 
 impl<'a> Check<'a> {
@@ -268,15 +286,31 @@ impl<'a> Check<'a> {
                 }
                 self.write(&["usemtl ", rest]);
             }
-            "mtllib" => {
-                // `tobj` would read a library as often as it is named, and count its materials each time.
-                let library = resolve(self.file, rest).map_err(|reason| format!("`mtllib`: {reason}"))?;
-                if self.known_libraries.insert(library.clone()) {
-                    self.libraries.push((library, number));
-                }
-            }
+            "mtllib" => self.libraries(rest, number)?,
             _ if key.starts_with('#') => {}
             _ => *self.ignored.entry(key.to_owned()).or_insert(0) += 1,
+        }
+        Ok(())
+    }
+
+    /// Reads the names of material libraries.
+    fn libraries(&mut self, rest: &str, number: usize) -> Result<(), String> {
+        // The first one that is missing will be the error. A hostile file may name very many.
+        if self.misses_library {
+            return Ok(());
+        }
+        let is_known = |path: &String| self.known_libraries.contains(path) || self.bundle.contains(path);
+        let is_file = |name: &str| resolve(self.file, name).is_ok_and(|path| is_known(&path));
+        for name in file_names(rest, is_file) {
+            // `tobj` would read a library as often as it is named, and count its materials each time.
+            let library = resolve(self.file, name).map_err(|reason| format!("`mtllib`: {reason}"))?;
+            if self.known_libraries.insert(library.clone()) {
+                self.misses_library = !self.bundle.contains(&library);
+                self.libraries.push((library, number));
+            }
+            if self.misses_library {
+                break;
+            }
         }
         Ok(())
     }
@@ -324,7 +358,8 @@ impl<'a> Check<'a> {
             corners.push(position);
         }
         if corners.len() < 3 {
-            return Err(format!("`f`: a face has at least 3 corners, not {}", corners.len()));
+            self.small_faces += 1;
+            return Ok(());
         }
         if self.format.is_some() && self.format != format {
             self.write(&["o ", self.name]);

@@ -6,15 +6,24 @@ use std::borrow::Cow;
 use std::io::{self, BufRead, Read};
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-/// The text of a file, with continued lines joined. If it is not UTF-8, the error has the line.
+/// The text of a file, with continued lines joined. Text that is not UTF-8 is Latin-1. A file with a NUL byte
+/// is neither: the error has the line.
 pub(crate) fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<Cow<'a, str>, SceneError> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-    let text = std::str::from_utf8(bytes).map_err(|e| {
-        let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
-        SceneError::line(file, line, "is not UTF-8 text")
-    })?;
+    let mut text = match std::str::from_utf8(bytes) {
+        Ok(text) => Cow::Borrowed(text),
+        Err(e) if bytes.contains(&0) => {
+            let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
+            return Err(SceneError::line(file, line, "is not UTF-8 text; save the file as UTF-8"));
+        }
+        Err(_) => Cow::Owned(bytes.iter().copied().map(char::from).collect()),
+    };
+    // Lines of old Macs end in `\r` alone.
+    if text.contains('\r') && !text.contains('\n') {
+        text = Cow::Owned(text.replace('\r', "\n"));
+    }
     let goes_on = text.contains("\\\n") || text.contains("\\\r\n");
-    Ok(if goes_on { Cow::Owned(joined(text)) } else { Cow::Borrowed(text) })
+    Ok(if goes_on { Cow::Owned(joined(&text)) } else { text })
 }
 
 /// Joins each line that ends in `\` with the next one. Empty lines keep the numbers of later lines.
@@ -44,6 +53,26 @@ fn joined(text: &str) -> String {
 /// Removes a comment after numbers.
 pub(crate) fn without_comment(numbers: &str) -> &str {
     numbers.split_once('#').map_or(numbers, |(numbers, _)| numbers.trim_end())
+}
+
+/// The file names in the rest of a `mtllib` line: all of it if that is a file, else its words. There may be
+/// quotes around names, and a comment behind them.
+pub(crate) fn file_names(rest: &str, is_file: impl Fn(&str) -> bool) -> Vec<&str> {
+    if is_file(rest) {
+        return vec![rest];
+    }
+    let comment = rest.match_indices('#').find(|(at, _)| rest[..*at].ends_with(char::is_whitespace));
+    let names = comment.map_or(rest, |(at, _)| rest[..at].trim_end());
+    if is_file(names) {
+        return vec![names];
+    }
+    let mut words = Vec::new();
+    for (i, part) in names.split('"').enumerate() {
+        if i % 2 == 1 { words.push(part) } else { words.extend(part.split_whitespace()) }
+    }
+    // The name of a file that is missing may have spaces.
+    let several = names.contains('"') || words.first().is_some_and(|word| is_file(word));
+    if several { words } else { vec![names] }
 }
 
 /// Bytes that are sent together.

@@ -100,14 +100,21 @@ impl Scene {
         }
     }
 
+    /// The camera at a frame, with another image size (width, height), at least (1, 1). It keeps the horizontal
+    /// field of view, or the vertical one of a camera that was described by that alone. Errors as for
+    /// [`Scene::camera`].
+    pub fn camera_with(&self, frame: u32, (width, height): (u32, u32)) -> Result<Camera, SceneError> {
+        Ok(self.camera.resized(self.camera(frame)?, width, height))
+    }
+
     /// The world at a frame. Fails if the frame is outside the shot, the camera is not valid there, or
     /// something is too far from the origin.
     pub fn frame(&self, number: u32) -> Result<Frame, SceneError> {
         self.frame_with(number, None)
     }
 
-    /// The world at a frame, with another image size (width, height); see [`Camera::resized`]. Errors as for
-    /// [`Scene::frame`], and if the size is zero.
+    /// The world at a frame, with another image size (width, height); see [`Scene::camera_with`]. Errors as
+    /// for [`Scene::frame`], and if the size is zero.
     pub fn frame_with(&self, number: u32, size: Option<(u32, u32)>) -> Result<Frame, SceneError> {
         self.check_number(number)?;
         let time = self.time(number);
@@ -117,7 +124,7 @@ impl Scene {
             if width == 0 || height == 0 {
                 return Err(SceneError::file(&self.file, "an image must have at least one pixel"));
             }
-            camera = camera.resized(width, height);
+            camera = self.camera.resized(camera, width, height);
         }
         let (points, suns) = self.lights_at(time, &world)?;
         Ok(Frame {

@@ -8,7 +8,7 @@ use crate::tracks::Motion;
 use crate::{Geometry, Strata};
 use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -181,12 +181,20 @@ impl Shot {
         self.parts.push(part);
     }
 
-    /// Nodes by name. The value is `None` if several nodes have the name.
+    /// Nodes by name. Of several with one name, it is the one with geometry. The value is `None` if several
+    /// of them have geometry, or none has.
     pub(crate) fn nodes_by_name(&self) -> BTreeMap<&str, Option<usize>> {
-        let mut found = BTreeMap::new();
-        for (i, node) in self.nodes.iter().enumerate() {
-            found.entry(node.name.as_str()).and_modify(|known| *known = None).or_insert(Some(i));
-        }
+        let named = |nodes: &mut dyn Iterator<Item = usize>| {
+            let mut found = BTreeMap::new();
+            for node in nodes {
+                let name = self.nodes[node].name.as_str();
+                found.entry(name).and_modify(|known| *known = None).or_insert(Some(node));
+            }
+            found
+        };
+        let with_geometry: BTreeSet<usize> = self.parts.iter().map(|part| part.node).collect();
+        let mut found = named(&mut (0..self.nodes.len()));
+        found.extend(named(&mut with_geometry.into_iter()));
         found
     }
 

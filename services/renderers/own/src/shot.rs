@@ -117,7 +117,7 @@ impl OwnShot {
     }
 
     pub(crate) fn view_of(&self, frame: u32, world: &Frame) -> Result<Frame, RenderError> {
-        let camera = self.scene.camera(frame)?.resized(world.camera.width, world.camera.height);
+        let camera = self.scene.camera_with(frame, (world.camera.width, world.camera.height))?;
         Ok(Frame { number: frame, camera, ..world.clone() })
     }
 

@@ -1,6 +1,7 @@
 //! Opens a glTF file: checks its JSON and reads its buffers through the bundle. The importer of the `gltf`
 //! crate reads any path and panics on some malformed files.
 
+use super::channels::without_nodeless;
 use super::extensions::Extensions;
 use crate::bundle::{Bundle, resolve};
 use crate::description::json_pointer;
@@ -12,13 +13,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
 /// Extensions that a file may require.
-pub(super) const UNDERSTOOD: [&str; 12] = [
+pub(super) const UNDERSTOOD: [&str; 13] = [
     "EXT_meshopt_compression",
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
+    "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_specular",
     "KHR_materials_transmission",
     "KHR_materials_volume",
@@ -34,6 +36,8 @@ pub(super) struct Opened {
     pub(super) document: Document,
     /// Contents of every buffer, each at least as long as the document says. Empty for a placeholder.
     buffers: Vec<Rc<Vec<u8>>>,
+    /// Whether animation channels that move no node were left out.
+    pub(super) nodeless_channels: bool,
     /// What the document's compressed parts are.
     pub(super) extensions: Extensions,
     /// Contents of compressed buffer views.
@@ -95,6 +99,9 @@ pub(super) fn open(bundle: &Bundle, file: &str) -> Result<Opened, SceneError> {
         (bytes.as_slice(), None)
     };
     let json = json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json);
+    let rest = without_nodeless(json);
+    let nodeless_channels = rest.is_some();
+    let json = rest.as_deref().unwrap_or(json);
     let mut deserializer = serde_json::Deserializer::from_slice(json);
     let mut root: Root = serde_path_to_error::deserialize(&mut deserializer)
         .map_err(|e| SceneError::pointer(file, json_pointer(e.path()), e.inner().to_string()))?;
@@ -119,8 +126,14 @@ pub(super) fn open(bundle: &Bundle, file: &str) -> Result<Opened, SceneError> {
     }
     let buffers = buffers(bundle, file, &root, &extensions, binary)?;
     let document = Document::from_json_without_validation(root);
-    let mut opened =
-        Opened { file: file.to_owned(), document, buffers, extensions, decoded: BTreeMap::new() };
+    let mut opened = Opened {
+        file: file.to_owned(),
+        document,
+        buffers,
+        nodeless_channels,
+        extensions,
+        decoded: BTreeMap::new(),
+    };
     opened.decode_views(bundle)?;
     Ok(opened)
 }

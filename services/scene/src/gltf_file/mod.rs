@@ -2,6 +2,8 @@
 //! first scene. Unsupported features give one warning.
 
 mod accessors;
+mod base;
+mod channels;
 mod document;
 mod draco;
 mod extensions;
@@ -11,21 +13,25 @@ mod primitive;
 mod surface;
 
 use crate::assembly::{Assembly, NodeLight, NodeLightKind};
-use crate::camera_source::{DEFAULT_ASPECT, DEFAULT_HEIGHT, NodeCamera};
+use crate::camera_source::{DEFAULT_ASPECT, DEFAULT_HEIGHT, FovAxis, NodeCamera};
 use crate::error::SceneError;
 use crate::limits::LARGEST_COORDINATE;
 use crate::shot::{Mesh, Node, Part, Placement};
 use document::{Opened, UNDERSTOOD};
-use glam::{DMat4, DQuat, DVec3, Vec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, DVec4, Vec3};
 use gltf::camera::Projection;
 use gltf::khr_lights_punctual::Kind;
 use gltf::scene::Transform;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
 /// Luminous efficacy in lm/W by the SI definition of the candela, which exporters use too.
 const LUMENS_PER_WATT: f32 = 683.0;
+
+/// How far an exporter's rounding may carry a value out of its range.
+const ROUNDING: f32 = 1e-5;
 
 /// Reads a `.gltf` or `.glb` file into the assembly.
 pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
@@ -39,10 +45,17 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
         materials: BTreeMap::new(),
         meshes: BTreeMap::new(),
         ignored: BTreeSet::new(),
+        renamed: Vec::new(),
+        means: BTreeMap::new(),
         elements: 0,
     };
+    reader.find_means();
     reader.hierarchy()?;
+    reader.warn_renamed();
     reader.animations()?;
+    if opened.nodeless_channels {
+        reader.ignore("animation channels that move no node");
+    }
     reader.note_unknown_extensions();
     let ignored: Vec<&str> = reader.ignored.iter().map(Cow::as_ref).collect();
     if !ignored.is_empty() {
@@ -65,6 +78,10 @@ struct Reader<'r, 'a> {
     meshes: BTreeMap<(usize, usize), Option<Arc<Mesh>>>,
     /// Features of the file that are not fully supported.
     ignored: BTreeSet<Cow<'static, str>>,
+    /// Names of the objects that were renamed, because others have their names.
+    renamed: Vec<String>,
+    /// Mean roughness and metalness in the images that give them. `None` if one cannot be read.
+    means: BTreeMap<usize, Option<(f32, f32)>>,
     /// Number of elements read from accessors so far.
     elements: u64,
 }
@@ -85,6 +102,20 @@ impl Reader<'_, '_> {
         let used = self.opened.document.extensions_used();
         let unknown = used.filter(|name| !UNDERSTOOD.contains(name)).filter(is_name).take(MOST);
         self.ignored.extend(unknown.map(|name| format!("the extension `{name}`").into()));
+    }
+
+    /// Gives one warning for all objects that were renamed.
+    fn warn_renamed(&mut self) {
+        const SHOWN: usize = 3;
+        let (file, count) = (&self.opened.file, self.renamed.len());
+        let shown = self.renamed.iter().take(SHOWN).map(|name| format!("`{name}`")).collect::<Vec<_>>();
+        let (shown, more) = (shown.join(", "), if count > SHOWN { ", …" } else { "" });
+        let warning = match count {
+            0 => return,
+            1 => format!("{file}: an object has the name of another; it is renamed to {shown}"),
+            _ => format!("{file}: {count} objects have names of others; they are renamed to {shown}{more}"),
+        };
+        self.assembly.warn(warning);
     }
 
     /// Counts elements read from accessors, and returns how many more may be read. A small file can name a
@@ -141,12 +172,15 @@ impl Reader<'_, '_> {
         let fits = |v: &f32| v.is_finite() && f64::from(v.abs()) <= LARGEST_COORDINATE;
         match node.transform() {
             Transform::Matrix { matrix } => {
-                let matrix = DMat4::from_cols_array_2d(&matrix.map(|column| column.map(f64::from)));
+                let mut matrix = DMat4::from_cols_array_2d(&matrix.map(|column| column.map(f64::from)));
                 if !matrix.to_cols_array().iter().all(|&v| fits(&(v as f32))) {
                     return self.opened.fail(&format!("{at}/matrix"), "a number is not finite or too large");
                 }
-                if matrix.row(3) != glam::DVec4::W {
+                if !matrix.row(3).abs_diff_eq(DVec4::W, ROUNDING.into()) {
                     return self.opened.fail(&format!("{at}/matrix"), "the last row must be 0 0 0 1");
+                }
+                if matrix.row(3) != DVec4::W {
+                    matrix = DMat4::from_mat3_translation(DMat3::from_mat4(matrix), matrix.w_axis.truncate());
                 }
                 Ok(Placement::Matrix(matrix))
             }
@@ -173,9 +207,7 @@ impl Reader<'_, '_> {
         let (object, renamed) = self.assembly.shot.add_object(&name);
         if renamed {
             let unique = self.assembly.shot.strata.objects[object as usize].clone();
-            let warning =
-                format!("{}: another object is named `{name}`; this one is `{unique}`", self.opened.file);
-            self.assembly.warn(warning);
+            self.renamed.push(unique.clone());
             self.assembly.shot.nodes[node].name = unique;
         }
         for primitive in mesh.primitives() {
@@ -220,7 +252,9 @@ impl Reader<'_, '_> {
             let reason = format!("an aspect ratio of {aspect} gives an image that is empty or too large");
             return self.opened.fail(&format!("{at}/perspective/aspectRatio"), reason);
         }
-        self.assembly.cameras.push(NodeCamera { node, yfov, width: width as u32, height: DEFAULT_HEIGHT });
+        let kept_axis = perspective.aspect_ratio().map_or(FovAxis::Y, |_| FovAxis::X);
+        let (width, height) = (width as u32, DEFAULT_HEIGHT);
+        self.assembly.cameras.push(NodeCamera { node, yfov, kept_axis, width, height });
         Ok(())
     }
 
@@ -235,8 +269,9 @@ impl Reader<'_, '_> {
             Kind::Point => NodeLightKind::Point { intensity: power, cone: None },
             Kind::Spot { inner_cone_angle, outer_cone_angle } => {
                 let (inner, outer) = (f64::from(inner_cone_angle), f64::from(outer_cone_angle));
-                if !(0.0 <= inner && inner < outer && outer <= std::f64::consts::FRAC_PI_2 + 1e-6) {
-                    let reason = "the cone angles must satisfy 0 ≤ inner < outer ≤ pi/2";
+                // Equal angles are a cone with a sharp edge.
+                if !(0.0 <= inner && inner <= outer && 0.0 < outer && outer <= FRAC_PI_2 + 1e-6) {
+                    let reason = "the cone angles must satisfy 0 ≤ inner ≤ outer ≤ pi/2, and 0 < outer";
                     return self.opened.fail(&format!("{at}/spot"), reason);
                 }
                 let cone = Some((libm::cos(inner) as f32, libm::cos(outer) as f32));

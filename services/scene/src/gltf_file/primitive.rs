@@ -2,6 +2,7 @@
 
 use super::Reader;
 use super::accessors::fraction;
+use super::base::{base_texture, has_image};
 use super::document::Opened;
 use super::draco::Decoded;
 use crate::error::SceneError;
@@ -70,8 +71,7 @@ impl Reader<'_, '_> {
         count: usize,
     ) -> Result<Vec<Vec2>, SceneError> {
         let material = source.primitive.material();
-        let base = material.pbr_metallic_roughness().base_color_texture();
-        let info = base.or_else(|| material.emissive_texture());
+        let info = base_texture(&material).or_else(|| material.emissive_texture().filter(has_image));
         let transform = info.as_ref().and_then(|info| info.texture_transform());
         let own_set = transform.as_ref().and_then(TextureTransform::tex_coord);
         let set = own_set.or(info.as_ref().map(|info| info.tex_coord())).unwrap_or(0);

@@ -4,15 +4,17 @@
 //! | --- | --- |
 //! | transmission ≥ ½, with a volume thickness | glass; transmittance is base colour × transmission |
 //! | transmission ≥ ½, without a volume thickness | thin glass with the same transmittance |
-//! | metallic ≥ ½ | metal; base colour is the reflectance at normal incidence |
+//! | metallic ≥ ½ (see [`base`](super::base)) | metal; base colour is the reflectance at normal incidence |
 //! | specular factor or colour 0, or index of refraction 1 | Lambert |
 //! | otherwise | plastic with the given index of refraction |
 //!
 //! GGX alpha is roughness². `MASK` is a cut-out by the texture's alpha. `BLEND` becomes constant opacity from
 //! the base colour's alpha, and a cut-out at one half from the texture's. The extra `priority` ranks
-//! overlapping solids. Other textures than base colour and emission are ignored with a warning.
+//! overlapping solids. Other textures than base colour and emission are ignored with a warning, apart from
+//! the means of metalness and roughness.
 
 use super::Reader;
+use super::base::{Base, base_texture, unit};
 use super::document::{resource, resource_path};
 use crate::assembly::plain_material;
 use crate::error::{Place, SceneError};
@@ -47,22 +49,19 @@ impl Reader<'_, '_> {
 
     fn read_material(&mut self, source: &gltf::Material<'_>, index: usize) -> Result<Material, SceneError> {
         let at = format!("/materials/{index}");
-        let pbr = source.pbr_metallic_roughness();
-        let [r, g, b, alpha] = pbr.base_color_factor();
-        let unit = |value: f32| (0.0..=1.0).contains(&value);
-        if ![r, g, b, alpha, pbr.roughness_factor(), pbr.metallic_factor()].into_iter().all(unit) {
-            return self
-                .opened
-                .fail(&at, "a base colour, roughness or metallic factor is not in the range 0 to 1");
-        }
-        let texture = pbr.base_color_texture().map(|info| self.texture(&info.texture())).transpose()?;
+        let base = self.base(source, &at)?;
+        let [r, g, b, alpha] = base.factor;
+        let texture = match &base.texture {
+            Some(info) => self.texture(&info.texture())?,
+            None => None,
+        };
         if let Some(texture) = texture {
             let checked = self.assembly.textures.check_reflectance(texture);
             let place = Place::Pointer(format!("{at}/pbrMetallicRoughness/baseColorTexture"));
             checked.map_err(|e| e.within(&self.opened.file, place, "the base colour"))?;
         }
-        let base = Color { factor: Vec3::new(r, g, b), texture };
-        let surface = self.surface(source, &at, base)?;
+        let colour = Color { factor: Vec3::new(r, g, b), texture };
+        let surface = self.surface(source, &at, &base, colour)?;
         let name = source.name().map_or_else(|| format!("material {index}"), str::to_owned);
         let mut material = plain_material(&name, surface);
         material.emission = self.emission(source, &at)?;
@@ -82,9 +81,14 @@ impl Reader<'_, '_> {
         Ok(material)
     }
 
-    fn surface(&mut self, source: &gltf::Material<'_>, at: &str, base: Color) -> Result<Surface, SceneError> {
-        let pbr = source.pbr_metallic_roughness();
-        let alpha = pbr.roughness_factor() * pbr.roughness_factor();
+    fn surface(
+        &mut self,
+        source: &gltf::Material<'_>,
+        at: &str,
+        base: &Base<'_>,
+        colour: Color,
+    ) -> Result<Surface, SceneError> {
+        let alpha = base.roughness * base.roughness;
         let ior = match source.ior() {
             None => DEFAULT_IOR,
             // In `KHR_materials_ior`, 0 means full reflection, for compatibility with older materials.
@@ -97,13 +101,13 @@ impl Reader<'_, '_> {
             }
         };
         let transmission = source.transmission().map_or(0.0, |t| t.transmission_factor());
-        if !(0.0..=1.0).contains(&transmission) {
+        let Some(transmission) = unit(transmission) else {
             return self.opened.fail(at, "the transmission factor is not in the range 0 to 1");
-        }
+        };
         let no_coat = source.specular().is_some_and(|specular| {
             specular.specular_factor() == 0.0 || specular.specular_color_factor() == [0.0; 3]
         });
-        let transmittance = Color { factor: base.factor * transmission, texture: base.texture };
+        let transmittance = Color { factor: colour.factor * transmission, texture: colour.texture };
         Ok(if transmission >= 0.5 {
             match source.volume() {
                 Some(volume) if volume.thickness_factor() > 0.0 => {
@@ -114,12 +118,12 @@ impl Reader<'_, '_> {
                 }
                 _ => Surface::ThinGlass { ior, transmittance },
             }
-        } else if pbr.metallic_factor() >= 0.5 {
-            Surface::Metal { f0: base, alpha }
+        } else if base.metallic >= 0.5 {
+            Surface::Metal { f0: colour, alpha }
         } else if no_coat || ior == 1.0 {
-            Surface::Lambert { albedo: base }
+            Surface::Lambert { albedo: colour }
         } else {
-            Surface::Plastic { albedo: base, ior, alpha }
+            Surface::Plastic { albedo: colour, ior, alpha }
         })
     }
 
@@ -150,11 +154,11 @@ impl Reader<'_, '_> {
         }
         let texture = match source.emissive_texture() {
             Some(info) if factor != Vec3::ZERO => {
-                let base = source.pbr_metallic_roughness().base_color_texture();
+                let base = base_texture(source);
                 if base.is_some_and(|base| placed(&base) != placed(&info)) {
                     self.ignore("an emission texture's own coordinates");
                 }
-                Some(self.texture(&info.texture())?)
+                self.texture(&info.texture())?
             }
             _ => None,
         };
@@ -162,10 +166,8 @@ impl Reader<'_, '_> {
     }
 
     fn note_ignored_textures(&mut self, source: &gltf::Material<'_>) {
-        let pbr = source.pbr_metallic_roughness();
         let specular = source.specular();
         for (what, given) in [
-            ("metallic-roughness textures", pbr.metallic_roughness_texture().is_some()),
             ("normal textures", source.normal_texture().is_some()),
             (
                 "transmission textures",
@@ -184,18 +186,22 @@ impl Reader<'_, '_> {
         }
     }
 
-    fn texture(&mut self, texture: &gltf::Texture<'_>) -> Result<TextureId, SceneError> {
+    /// The image of a texture. `None` if it has none, or only one of an extension that is not read.
+    fn texture(&mut self, texture: &gltf::Texture<'_>) -> Result<Option<TextureId>, SceneError> {
+        let Some(image) = texture.source() else {
+            self.ignore("textures without an image (left out)");
+            return Ok(None);
+        };
         let sampler = texture.sampler();
         if sampler.wrap_s() != WrappingMode::Repeat || sampler.wrap_t() != WrappingMode::Repeat {
             self.ignore("texture wrapping other than repeat");
         }
-        let image = texture.source();
         let index = image.index();
         let pointer = format!("/images/{index}");
         let opened = self.opened;
         let embedded = format!("{}#image{index}", opened.file);
         if let Some(known) = self.assembly.textures.known(&embedded) {
-            return Ok(known);
+            return Ok(Some(known));
         }
         let source = &opened.document.as_json().images[index];
         let context = "the image";
@@ -212,7 +218,7 @@ impl Reader<'_, '_> {
             (None, Some(view)) => self.assembly.textures.decode(&embedded, opened.view(view.value())?),
             (None, None) => return opened.fail(&pointer, "has neither a `uri` nor a `bufferView`"),
         };
-        loaded.map_err(|e| e.within(&opened.file, Place::Pointer(pointer), context))
+        loaded.map(Some).map_err(|e| e.within(&opened.file, Place::Pointer(pointer), context))
     }
 }
 

@@ -3,6 +3,8 @@
 mod bundles;
 mod compressed_gltf;
 mod damaged;
+mod exporters_gltf;
+mod exporters_obj;
 mod hostile;
 mod made;
 mod malformed_description;

@@ -1,6 +1,6 @@
 //! Every bundle that is no readable folder or archive gets one clear line that names the file and the reason.
 
-use crate::made::{Files, line, load_zip, zip};
+use crate::made::{Files, line, load_zip, triangle_glb, zip};
 use forelight_scene::{Limits, Scene};
 use std::path::Path;
 
@@ -13,7 +13,25 @@ fn a_path_that_does_not_exist() {
 #[test]
 fn a_file_that_is_no_archive() {
     let error = line(load_zip(b"this is not a zip archive", &Limits::default()));
-    assert!(error.contains("bundle.zip: is neither a folder nor a readable .zip"), "{error}");
+    assert!(error.contains("bundle.zip: is neither a folder nor a readable .zip: "), "{error}");
+    let read = "this program reads a .glb or .gltf file, a folder with a `scene.json`, or a .zip of one";
+    let single = "is a single glTF or JSON file; put it into a folder, with the files that it names";
+    let folder = Files::good()
+        .with("x.usd", "#usda")
+        .with("hall", "#")
+        .with("upload", triangle_glb())
+        .with("upload2", " {}")
+        .folder();
+    for (name, reason) in [
+        ("x.usd", &*format!("is a .usd file; {read}")),
+        ("hall", &format!("is neither a folder nor a readable .zip; {read}")),
+        ("scene.obj", "is a single .obj file; put it into a folder with a `scene.json` that names it"),
+        ("upload", single),
+        ("upload2", single),
+    ] {
+        let error = line(Scene::load(&folder.path().join(name), &Limits::default()));
+        assert!(error.ends_with(&format!("/{name}: {reason}")), "{error}");
+    }
 }
 
 #[test]
@@ -48,9 +66,25 @@ fn an_archive_entry_with_an_absolute_path() {
 
 #[test]
 fn an_archive_entry_with_backslashes_or_a_drive() {
-    for name in ["..\\evil", "C:/evil", "a//b", "a/./b"] {
+    for (name, reason) in [
+        ("..\\evil", "may not have (`:`, `\\` or NUL); rename the file"),
+        ("C:/evil", "may not have (`:`, `\\` or NUL); rename the file"),
+        ("a//b", "is outside the bundle"),
+        ("a/./b", "is outside the bundle"),
+    ] {
         let error = line(load_zip(&zip(&[(name, b"v")]), &Limits::default()));
-        assert!(error.contains("is outside the bundle"), "{error}");
+        assert!(error.ends_with(reason), "{error}");
+    }
+}
+
+#[test]
+fn a_file_whose_name_is_not_allowed_in_a_bundle() {
+    let folder = Files::good().with("a:b.gltf", "{}").with("a\\b.gltf", "{}").folder();
+    for name in ["a:b.gltf", "a\\b.gltf"] {
+        let error = line(Scene::load(&folder.path().join(name), &Limits::default()));
+        let reason =
+            "has a character that names in a bundle may not have (`:`, `\\` or NUL); rename the file";
+        assert_eq!(error, format!("{name}: the path {reason}"));
     }
 }
 

@@ -294,7 +294,7 @@ fn cameras_that_see_nothing() {
 fn materials_out_of_range() {
     assert_eq!(
         triangle_with("/materials/0/pbrMetallicRoughness/roughnessFactor", json!(2)).error(),
-        "tri.gltf: /materials/0: a base colour, roughness or metallic factor is not in the range 0 to 1"
+        "tri.gltf: /materials/0: a base colour, roughness, metallic or glossiness factor is not in the range 0 to 1"
     );
     assert_eq!(
         triangle_with("/materials/0/emissiveFactor", json!([-1, 0, 0])).error(),
@@ -340,8 +340,9 @@ fn lights_that_are_none() {
     );
     assert_eq!(
         with(json!({"type": "spot", "spot": {"innerConeAngle": 1, "outerConeAngle": 0.5}})),
-        format!("{at}/spot: the cone angles must satisfy 0 ≤ inner < outer ≤ pi/2")
+        format!("{at}/spot: the cone angles must satisfy 0 ≤ inner ≤ outer ≤ pi/2, and 0 < outer")
     );
+    assert!(with(json!({"type": "spot", "spot": {"outerConeAngle": 0}})).contains("the cone angles"));
     let error = triangle_with("/nodes/1/extensions", json!({"KHR_lights_punctual": {"light": 0}})).error();
     assert!(error.starts_with("tri.gltf: /nodes/1/extensions"), "{error}");
     assert!(

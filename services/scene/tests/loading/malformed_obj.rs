@@ -1,6 +1,7 @@
 //! Malformed geometry, materials and textures give one clear line with file, place and reason.
 
 use crate::made::{Files, OBJ, encoded, line, png};
+use exr::prelude::{Encoding, Image, Layer, LayerAttributes, SpecificChannels, Vec2, WritableImage};
 use forelight_scene::Limits;
 
 #[test]
@@ -76,16 +77,37 @@ fn textures_of_more_texels_than_the_limit() {
 }
 
 #[test]
+fn pixels_outside_of_an_image_s_window_count_as_texels() {
+    let pixels = SpecificChannels::rgb(|_| (0.5f32, 0.5f32, 0.5f32));
+    let layer = Layer::new((64, 32), LayerAttributes::default(), Encoding::FAST_LOSSLESS, pixels);
+    let mut image = Image::from_layer(layer);
+    image.attributes.display_window.size = Vec2(1, 1);
+    let mut exr = std::io::Cursor::new(Vec::new());
+    image.write().to_buffered(&mut exr).unwrap();
+    let files =
+        Files::good().with("scene.mtl", "newmtl white\nmap_Kd a.exr\n").with("a.exr", exr.into_inner());
+    let within = |texture_pixels| files.load_within(&Limits { texture_pixels, ..Limits::default() });
+    let texture = within(64 * 32).unwrap().frame(0).unwrap().textures[0].clone();
+    assert_eq!((texture.width, texture.height), (1, 1));
+    let error = line(within(64 * 32 - 1));
+    assert_eq!(error, "a.exr: texels of all textures: 2048 is more than the limit of 2047");
+}
+
+#[test]
 fn material_values_out_of_range() {
     for (text, expected) in [
         ("Kd 0.5 1.5 0.5", "`Kd`: 1.5 is not in the range 0 to 1"),
         ("Kd nan 0 0", "`Kd`: NaN is not in the range 0 to 1"),
         ("Ke -1 0 0", "`Ke`: -1 is not in the range 0 to 1000000000000"),
-        ("Ni 0", "`Ni`: 0 is not in the range 0.1 to 10"),
+        ("Ni 0.05", "`Ni`: 0.05 is not in the range 0.1 to 10"),
         ("Pr 2", "`Pr`: 2 is not in the range 0 to 1"),
         ("d x", "`d`: `x` is not a number"),
-        ("illum 9", "`illum 9` is not one of 0, 1, 2, 3, 4, 7"),
-        ("map_Kd -s 2 2 2 a.png", "`map_Kd -s 2 2 2 a.png`: texture options are not supported"),
+        ("d -halo x", "`d`: `x` is not a number"),
+        ("illum 11", "`illum 11` is not a whole number from 0 to 10"),
+        ("map_Kd -wood a.png", "`map_Kd`: `-wood` is not an option of a texture"),
+        ("map_Kd -mm 1", "`map_Kd`: `-mm` needs 2 or more values"),
+        ("map_Kd -s a.png", "`map_Kd`: `-s` needs 1 or more values"),
+        ("map_Kd -s 1 1 1", "`map_Kd` needs a name"),
         ("map_Kd", "`map_Kd` needs a name"),
         ("newmtl", "`newmtl` needs a name"),
     ] {
@@ -118,8 +140,7 @@ fn malformed_lines_of_an_obj_file() {
         ("v a b c", "`v`: `a` is not a number"),
         ("vt nan 0", "`vt`: nan is not finite"),
         ("vn 1 0", "`vn` takes 3 to 3 numbers, not 2"),
-        ("f 1 2", "`f`: a face has at least 3 corners, not 2"),
-        ("f", "`f`: a face has at least 3 corners, not 0"),
+        ("f 1 9", "`f`: there is no vertex 9; there are 4 so far"),
         ("f 1 2 99999999999", "`f`: there is no vertex 99999999999; there are 4 so far"),
         ("f 1 2 999999999999999999999", "`f`: `999999999999999999999` is not an index"),
         ("f 1 2 -5", "`f`: there is no vertex -5; there are 4 so far"),
@@ -158,8 +179,8 @@ fn faces_with_thousands_of_corners_have_to_be_convex() {
 
 #[test]
 fn an_obj_file_that_is_no_text() {
-    let error = Files::good().with("scene.obj", b"v 0 0 0\n\xff\xfe\n").error();
-    assert_eq!(error, "scene.obj: line 2: is not UTF-8 text");
+    let error = Files::good().with("scene.obj", b"v 0 0 0\n\xff\xfe\0\n").error();
+    assert_eq!(error, "scene.obj: line 2: is not UTF-8 text; save the file as UTF-8");
 }
 
 #[test]

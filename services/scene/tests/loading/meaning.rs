@@ -404,6 +404,16 @@ fn camera_tracks_move_the_view_and_change_its_angle() {
 }
 
 #[test]
+fn another_shape_keeps_the_angle_of_view_that_is_given() {
+    for (axis, x, y) in [("x", 1.0, 4.0 / 3.0), ("y", 0.75, 1.0)] {
+        let scene = Files::good().set("/camera/fov_axis", json!(axis)).scene();
+        let (given, square) = (scene.camera(0).unwrap(), scene.camera_with(0, (9, 9)).unwrap());
+        assert!((square.tan_half_x / given.tan_half_x - x).abs() < 1e-6, "{axis}");
+        assert!((square.tan_half_y / given.tan_half_y - y).abs() < 1e-6, "{axis}");
+    }
+}
+
+#[test]
 fn frames_can_be_made_from_several_threads_at_once() {
     let track = json!({"target": "object:wall", "property": "translation", "interpolation": "linear", "keys": [
         {"frame": 0, "value": [0, 0, 0]}, {"frame": 39, "value": [39, 0, 0]}]});

@@ -303,7 +303,37 @@ pub(super) const LAST_BIT: f64 = 1.0 / (1 << 24) as f64;
 /// Fraction of a spot light's intensity that arrives from `direction` (unit, towards the light).
 pub(super) fn falloff(light: &PointLight, direction: Vec3) -> f32 {
     light.cone.map_or(1.0, |(axis, inner, outer)| {
-        let t = ((-direction.dot(axis) - outer) / (inner - outer)).clamp(0.0, 1.0);
-        t * t // the falloff that KHR_lights_punctual recommends
+        let cosine = -direction.dot(axis);
+        if inner > outer {
+            let t = ((cosine - outer) / (inner - outer)).clamp(0.0, 1.0);
+            t * t // the falloff that KHR_lights_punctual recommends
+        } else if cosine >= outer {
+            1.0
+        } else {
+            0.0
+        }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cone_with_equal_angles_has_a_sharp_edge() {
+        let light = |inner, outer| PointLight {
+            position: Vec3::ZERO,
+            intensity: Vec3::ONE,
+            cone: Some((Vec3::X, inner, outer)),
+        };
+        let towards = |cosine: f32| Vec3::new(-cosine, (1.0 - cosine * cosine).sqrt(), 0.0);
+        let sharp = light(0.5, 0.5);
+        for (cosine, expected) in [(1.0, 1.0), (0.6, 1.0), (0.5, 1.0), (0.499, 0.0), (-1.0, 0.0)] {
+            assert_eq!(falloff(&sharp, towards(cosine)), expected, "{cosine}");
+        }
+        let soft = light(0.75, 0.5);
+        for (cosine, expected) in [(0.8, 1.0), (0.75, 1.0), (0.625, 0.25), (0.5, 0.0), (0.4, 0.0)] {
+            assert_eq!(falloff(&soft, towards(cosine)), expected, "{cosine}");
+        }
+    }
 }
