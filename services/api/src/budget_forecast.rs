@@ -14,6 +14,7 @@ mod scenarios;
 mod sums;
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use forelight_protocol::{
     BudgetChange, BudgetForecast, BudgetForecastRequest, JobId, Money, Night, NightRecord, Timestamp,
@@ -62,6 +63,7 @@ pub async fn budget_forecast(
     let basis = Basis { now, zone, nights: nights.clone(), nodes, jobs, ledger, budgets, projects };
     let basis = basis.of_its_projects();
     let mut forecast = tokio::task::spawn_blocking(move || work_out(&basis, &snapshot)).await??;
+    name_ended_jobs(store, &mut forecast).await?;
     if is_of_all {
         let past = store.budget_forecasts_before(&request.zone, first.from, REMEMBERED).await?;
         forecast.track_record = track_record(store, &past, now).await?;
@@ -81,6 +83,23 @@ pub async fn budget_forecast(
         forecast.unknown.clear();
     }
     Ok(forecast)
+}
+
+/// Gives ended jobs their names: the forecast rests on open ones, and knows of others only what they cost.
+async fn name_ended_jobs(store: &Store, forecast: &mut BudgetForecast) -> Result<(), StoreError> {
+    let mut names: BTreeMap<JobId, String> = BTreeMap::new();
+    for line in forecast.nights.iter_mut().flat_map(|night| &mut night.jobs) {
+        let Some(id) = line.job_id.filter(|id| line.name == id.to_string()) else { continue };
+        if let Entry::Vacant(unknown) = names.entry(id) {
+            match store.job(id).await {
+                Ok(job) => drop(unknown.insert(job.name)),
+                Err(StoreError::NotFound(_)) => continue,
+                Err(error) => return Err(error),
+            }
+        }
+        line.name.clone_from(&names[&id]);
+    }
+    Ok(())
 }
 
 fn nights(request: &BudgetForecastRequest, now: Timestamp) -> Result<Vec<Night>, BudgetForecastError> {

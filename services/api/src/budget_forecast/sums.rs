@@ -91,7 +91,7 @@ impl Sums {
                 Group::Project(name) => projects.push(line(name.clone(), None, place)),
                 Group::Job(id) => {
                     let open = basis.jobs.iter().find(|open| open.job.id == *id);
-                    // Of finished jobs only the cost is known here.
+                    // Of ended jobs only the cost is known here.
                     let name = open.map_or_else(|| id.to_string(), |open| open.job.name.clone());
                     jobs.push(line(name, Some(*id), place));
                 }

@@ -237,6 +237,24 @@ async fn the_service_looks_after_budgets_by_itself() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_has_ended_tonight_has_its_name_beside_its_cost() {
+    let (farm, clock) = farm().await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", None).await;
+    for _ in 0..10 {
+        let lease = farm.next_task(&node).await;
+        clock.advance_micros(900_000);
+        farm.finish(&lease).await;
+    }
+    let lines = &forecast(&farm, &json!({})).await.nights[0].jobs;
+    assert_eq!(
+        (lines.len(), lines[0].name.as_str(), lines[0].job_id),
+        (1, film.name.as_str(), Some(film.id))
+    );
+    assert!(lines[0].spent > Money(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_track_record_counts_nights_that_were_forecast_before_and_changes_are_told() {
     let (farm, clock) = farm().await;
     let node = farm.node("a").await;

@@ -46,6 +46,8 @@ pub struct Args {
     preview: PreviewBackend,
 }
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    // What follows takes a while, and makes folders.
+    serve::check_address(&args.service)?;
     let folder = args.service.data.join("bundles");
     let (bundles, executor, capabilities) =
         equipment(&folder, args.preview, &args.renderers, secrets(&args.service.data))?;

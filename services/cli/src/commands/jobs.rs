@@ -50,13 +50,21 @@ pub async fn run(args: Args) -> Result<()> {
     let project = args.project.as_deref().map(|project| ("project", project));
     let filters: Vec<_> = state.into_iter().chain(project).collect();
     let jobs = client.newest_jobs(&filters, args.most).await.context("cannot list the jobs")?;
-    if args.json { output::json(&jobs) } else { output::print(&report(&jobs, Timestamp::now())) }
+    if args.json {
+        return output::json(&jobs);
+    }
+    if jobs.is_empty() {
+        let none = if filters.is_empty() {
+            "there are no jobs yet; `forelight submit` makes one"
+        } else {
+            "no jobs match"
+        };
+        return output::line(none);
+    }
+    output::print(&report(&jobs, Timestamp::now()))
 }
 
 fn report(jobs: &[Job], now: Timestamp) -> String {
-    if jobs.is_empty() {
-        return "no jobs match\n".into();
-    }
     let mut table = Table::new(&[
         ("job", Align::Left),
         ("project", Align::Left),

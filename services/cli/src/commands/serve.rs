@@ -10,11 +10,12 @@ use forelight_engine::slurm::Engine;
 use forelight_protocol::{Role, Timestamp};
 use forelight_store::{ArtifactPlace, Store, tokens};
 use forelight_terminal::atomic_file::write_secret;
+use forelight_terminal::failure::BadInput;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::duration;
 use forelight_terminal::output;
 use std::fs;
-use std::net::SocketAddr;
+use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -220,6 +221,14 @@ impl Running {
         let token = token_path(&self.data, Role::Operator);
         format!("listening on {}\noperator token in {}", self.address(), token.display())
     }
+}
+
+/// Fails if the service could not listen on its address now.
+pub fn check_address(options: &ServiceOptions) -> Result<(), BadInput> {
+    TcpListener::bind(options.listen).map(drop).map_err(|error| {
+        BadInput::new(format!("--listen: cannot listen on {}: {error}", options.listen))
+            .hint("another farm may run there; --listen 127.0.0.1:0 takes a free port")
+    })
 }
 
 /// Starts the service, and creates the first tokens if they are missing.

@@ -26,7 +26,11 @@ pub fn front_of_known(points: &[Option<(f64, f64)>]) -> Vec<(usize, Option<usize
     front(&points).into_iter().map(|step| (step.rung, step.next)).collect()
 }
 
-/// The Pareto front, by rising cost. The first of equal rungs is taken. Non-finite numbers are left out.
+/// An error that is not smaller by this share is no better: nobody sees it, and no estimate is that sure.
+const SEEN: f64 = 0.01;
+
+/// The Pareto front, by rising cost. Of rungs that are equally good, the cheapest is taken. Non-finite numbers are
+/// left out.
 pub fn front(points: &[Point]) -> Vec<Step> {
     let mut order: Vec<usize> =
         (0..points.len()).filter(|&i| points[i].cost.is_finite() && points[i].error.is_finite()).collect();
@@ -36,7 +40,7 @@ pub fn front(points: &[Point]) -> Vec<Step> {
     });
     let mut rungs: Vec<usize> = Vec::new();
     for rung in order {
-        if rungs.last().is_none_or(|&best| points[rung].error < points[best].error) {
+        if rungs.last().is_none_or(|&best| points[rung].error < (1.0 - SEEN) * points[best].error) {
             rungs.push(rung);
         }
     }

@@ -193,6 +193,9 @@ fn render_here(args: &Args, interrupt: &Interrupt) -> Result<()> {
         output::json(&rendered.stats)?;
     } else {
         output::print(&report(&rendered.stats, args.effects))?;
+        if args.out.is_none() && args.cost_map.is_none() {
+            bars.note("the image was not written; --out FILE keeps it");
+        }
     }
     rendered.stats.allotted.as_deref().map_or(Ok(()), |allotted| args.allot.check_error(allotted))
 }
