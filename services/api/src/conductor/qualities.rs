@@ -137,7 +137,8 @@ fn in_words(other: &RenderSettings, own: &RenderSettings) -> String {
         words.push(format!("{width} × {height} pixels instead of {own_width} × {own_height}"));
     }
     if other.spp != own.spp || words.is_empty() {
-        words.push(format!("{} samples a pixel instead of {}", other.spp, own.spp));
+        let samples = if other.spp == 1 { "sample" } else { "samples" };
+        words.push(format!("{} {samples} a pixel instead of {}", other.spp, own.spp));
     }
     words.join(", ")
 }

@@ -42,7 +42,10 @@ pub async fn run(args: Args) -> Result<()> {
     if args.json {
         return output::json(&job);
     }
-    output::line(format!("{} ({id}): frames {} are rendered again", job.name, request.frames))
+    let frames = &request.frames;
+    let what =
+        if frames.count() == 1 { format!("frame {frames} is") } else { format!("frames {frames} are") };
+    output::line(format!("{} ({id}): {what} rendered again", job.name))
 }
 
 /// The frames of the job that failed.
