@@ -199,9 +199,14 @@ impl Control {
 
     /// Reports progress, 0 to 1. Blocks while the task is paused, so every thread should call it often.
     pub fn set_progress(&self, fraction: f64) {
+        self.note_progress(fraction);
+        self.wait();
+    }
+
+    /// Reports progress, 0 to 1, without standing still.
+    pub fn note_progress(&self, fraction: f64) {
         let fraction = if fraction.is_finite() { fraction.clamp(0.0, 1.0) } else { 0.0 };
         self.progress.store(fraction.to_bits(), Ordering::Relaxed);
-        self.wait();
     }
 
     /// Progress, 0 to 1.

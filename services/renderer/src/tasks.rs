@@ -62,7 +62,8 @@ impl ShotRunner {
     fn open(&self, path: &Path, run: &Run<'_>) -> Result<Arc<OpenShot>, RendererError> {
         // The file is hashed first: if it changes while it is read, its next opening finds another hash.
         let digest = scene_digest(path)?;
-        let shot = self.renderer.open(path, run)?;
+        // Others wait until it is open, and are not to wait for a pause.
+        let shot = self.renderer.open(path, &Run { pause: None, ..*run })?;
         Ok(Arc::new(OpenShot { shot, digest }))
     }
 }
@@ -347,7 +348,8 @@ pub fn with_run<T>(
     let folder = sandbox.map_or_else(std::env::temp_dir, |sandbox| sandbox.folder().to_owned());
     let no_place = |error| failure(RendererError::io("temporary folder")(error), assignment);
     let scratch = tempfile::tempdir_in(folder).map_err(no_place)?;
-    let progress = |share: f64| control.set_progress(share);
+    // Only who has stopped the program may stand still.
+    let progress = |share: f64| control.note_progress(share);
     let log = |line: &str| control.log(LogLevel::Info, line);
     let limits = Limits {
         memory_bytes: assignment.limits.memory_bytes,

@@ -1,7 +1,9 @@
 //! Real programs, held to limits: none of them outlives its run.
 
+use forelight_protocol::{JobId, TaskSpec, VideoSpec};
 use forelight_renderer::door::{Ending, Limits, Pause, RendererError, Run};
 use forelight_renderer::process::{Finished, Line, Program, Session, run};
+use forelight_renderer::{Assignment, Control, ExecuteError, with_run};
 use parking_lot::Mutex;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -163,6 +165,38 @@ fn a_paused_program_stands_still_and_the_pause_does_not_count() {
     });
     assert_eq!(finished.unwrap().last_lines, ["done"]);
     assert!(interruption.had_stopped.into_inner(), "the system did not stop it");
+}
+
+#[test]
+fn a_program_that_prints_all_the_time_is_stopped_too() {
+    let outside = Outside::new();
+    let (job_id, pictures) = (JobId::new(), Vec::new());
+    let video = VideoSpec { job_id, pictures, frames_per_second: "24".parse().unwrap() };
+    let task = Assignment::new(TaskSpec::Video(video), "".into());
+    let script = "echo $$ >new; mv new pid; until [ -e go ]; do echo 1; sleep 0.001; done";
+    let program = Program::new("/bin/sh", outside.folder.path()).arg("-c").arg(script);
+    let control = Control::default();
+    std::thread::scope(|scope| {
+        let running = scope.spawn(|| {
+            with_run(&task, &control, None, |outside| {
+                let finished = run(&program, &[], outside, &mut |_| (outside.progress)(0.5));
+                finished.map_err(|error| ExecuteError::Transient(error.to_string()))
+            })
+        });
+        let until = |what: &dyn Fn() -> bool| {
+            (0..1000).any(|_| {
+                std::thread::sleep(Duration::from_millis(10));
+                what()
+            })
+        };
+        let stat = |pid: u32| std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        assert!(until(&|| !outside.pids("pid").is_empty()));
+        control.pause(true);
+        assert!(until(&|| control.stands_still() && stat(outside.pids("pid")[0]).contains(") T ")));
+        std::fs::write(outside.folder.path().join("go"), "").unwrap();
+        control.pause(false);
+        running.join().unwrap().unwrap();
+    });
 }
 
 #[test]

@@ -17,7 +17,8 @@ const BWRAP: &str = "bwrap";
 const GRAPHICS: [&str; 3] = ["dri", "kfd", "nvidia"];
 
 /// Where other services of the machine listen: a read-only folder does not keep programs from asking them.
-const SERVICES: [&str; 7] = [
+const SERVICES: [&str; 8] = [
+    "/tmp/.X11-unix",
     "/run/user",
     "/run/dbus",
     "/run/docker.sock",

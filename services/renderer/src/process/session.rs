@@ -27,6 +27,9 @@ const LOOK: Duration = Duration::from_millis(20);
 /// What is added to a signal's number in the exit code of a sandbox.
 const SIGNALS: i32 = 128;
 
+/// The largest number of a signal.
+const LAST_SIGNAL: i32 = 64;
+
 /// Output is read for so long after the end of the program. Only a process that hides could write then.
 const OUTPUT_AFTER_END: Duration = Duration::from_secs(1);
 
@@ -288,7 +291,9 @@ impl Session {
         }
         let ending = match (ended.status.code(), ended.status.signal()) {
             // A sandbox ends with the code that a shell would.
-            (Some(code), _) if self.is_inside && code > SIGNALS => Ending::Signal(code - SIGNALS),
+            (Some(code), _) if self.is_inside && (1..=LAST_SIGNAL).contains(&(code - SIGNALS)) => {
+                Ending::Signal(code - SIGNALS)
+            }
             (Some(code), _) => Ending::Code(code),
             (None, signal) => Ending::Signal(signal.unwrap_or(0)),
         };

@@ -6,7 +6,8 @@ use crate::template::Template;
 use toml::Spanned;
 
 /// Names of shells.
-const SHELLS: [&str; 7] = ["sh", "ash", "bash", "dash", "ksh", "mksh", "zsh"];
+const SHELLS: [&str; 11] =
+    ["sh", "ash", "bash", "csh", "dash", "fish", "ksh", "mksh", "rbash", "tcsh", "zsh"];
 
 /// Long options of bash, which may have one hyphen, and whether a value comes after them.
 const LONG: [(&str, bool); 9] = [
@@ -132,6 +133,7 @@ mod tests {
             "bash -ceuo pipefail draw{x}",
             "dash -c -e -- draw{x}",
             "zsh -lc draw{x}",
+            "tcsh -c draw{x}",
             "ksh +e -c draw{x}",
             "zsh -O -c draw{x}",
             "bash --norc --rcfile {x} -c draw{x}",

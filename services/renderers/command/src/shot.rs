@@ -217,12 +217,14 @@ impl CommandShot {
     /// Path of the image. A setting of the job may be part of its name, and the name part of a script.
     fn output(&self, piece: &Piece<'_>, folder: &Path) -> Result<PathBuf, RendererError> {
         let (name, values) = self.name(piece);
-        let is_free = |name: &&str| self.renderer.file.is_free(name);
+        let takes_name = |script: &Script<'_>| script.text.names().any(|name| name == "out");
+        let is_in_script = self.renderer.file.scripts().iter().any(takes_name);
+        let is_free = |name: &&str| is_in_script && self.renderer.file.is_free(name);
         let output = self.renderer.file.output.get_ref();
         let is_odd = |name: &&str| values.get(*name).is_none_or(|text| !is_plain(text));
         if let Some(wrong) = output.names().filter(is_free).find(is_odd) {
             let reason = format!(
-                "it is part of the image's name: it may have ASCII letters, digits and {PLAIN} only, unless the \
+                "it is part of the image's name, which a script takes: it may have ASCII letters, digits and {PLAIN} only, unless the \
                  renderer's file gives it `choices`"
             );
             return Err(SettingsError { path: format!("/own/{wrong}"), reason }.into());
