@@ -33,7 +33,12 @@ struct Checked {
     ignored: BTreeMap<String, usize>,
     /// Number of faces with fewer than 3 corners.
     small_faces: usize,
+    /// Largest coordinate.
+    farthest: f32,
 }
+
+/// Coordinates are 32-bit floats. Beyond this distance, in metres, they are steps of 8 millimetres and more.
+const FAR: f32 = 65_536.0;
 
 /// Reads an OBJ file and its material libraries into the assembly.
 pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneError> {
@@ -47,6 +52,13 @@ pub(crate) fn load(assembly: &mut Assembly<'_>, path: &str) -> Result<(), SceneE
     if checked.small_faces > 0 {
         let count = checked.small_faces;
         assembly.warn(format!("{path}: faces of fewer than 3 corners are left out ({count}×)"));
+    }
+    if checked.farthest > FAR {
+        let (far, step) = (checked.farthest, 1000.0 * (checked.farthest.next_up() - checked.farthest));
+        assembly.warn(format!(
+            "{path}: vertices are {far:.0} m from the origin, where coordinates have steps of {step:.0} mm; move the \
+             model to the origin"
+        ));
     }
     let libraries = load_libraries(assembly, path, &checked.libraries)?;
     let mut sources: Vec<(String, tobj::Material)> = Vec::new();
@@ -215,6 +227,7 @@ fn check(bundle: &Bundle, file: &str, bytes: &[u8], out: PipedText) -> Result<Ch
         materials: BTreeMap::new(),
         ignored: BTreeMap::new(),
         small_faces: 0,
+        farthest: 0.0,
     };
     for (i, line) in text.lines().enumerate() {
         check.line(line.trim(), i + 1).map_err(|reason| SceneError::line(file, i + 1, reason))?;
@@ -223,8 +236,8 @@ fn check(bundle: &Bundle, file: &str, bytes: &[u8], out: PipedText) -> Result<Ch
             return Err(SceneError::Limit { file: file.to_owned(), what: "triangles", found, limit });
         }
     }
-    let Check { libraries, materials, ignored, small_faces, .. } = check;
-    Ok(Checked { libraries, materials, ignored, small_faces })
+    let Check { libraries, materials, ignored, small_faces, farthest, .. } = check;
+    Ok(Checked { libraries, materials, ignored, small_faces, farthest })
 }
 
 struct Check<'a> {
@@ -250,6 +263,7 @@ struct Check<'a> {
     materials: BTreeMap<String, usize>,
     ignored: BTreeMap<String, usize>,
     small_faces: usize,
+    farthest: f32,
 }
 
 impl<'a> Check<'a> {
@@ -323,7 +337,9 @@ impl<'a> Check<'a> {
     fn position(&mut self, rest: &str) -> Result<(), String> {
         let (words, [x, y, z, weight, ..]) = numbers::<6>("v", rest, 3)?;
         let weight = if words == 4 { weight } else { 1.0 };
-        self.positions.push([x, y, z].map(|coordinate| coordinate / weight));
+        let position = [x, y, z].map(|coordinate| coordinate / weight);
+        self.farthest = position.iter().fold(self.farthest, |far, coordinate| far.max(coordinate.abs()));
+        self.positions.push(position);
         match words {
             3 => self.write(&["v ", rest]),
             4 if weight == 0.0 => return Err("`v`: the weight is zero".into()),

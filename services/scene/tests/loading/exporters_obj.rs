@@ -129,3 +129,14 @@ fn without_a_library_all_faces_are_grey() {
     assert_eq!(albedo.factor, Vec3::splat(0.5));
     assert_eq!(scene.warnings(), ["scene.obj: faces of `wall` have no material and are rendered grey"]);
 }
+
+#[test]
+fn vertices_that_lose_their_digits_far_out_are_told() {
+    let obj = |x: f64| {
+        format!("mtllib scene.mtl\nusemtl white\nv {x} 0 0\nv {} 0 0\nv {x} 1 0\nf 1 2 3\n", x + 1.0)
+    };
+    let warnings = |x: f64| Files::good().with("scene.obj", obj(x)).scene().warnings().to_vec();
+    assert!(warnings(60_000.0).iter().all(|warning| !warning.contains("from the origin")));
+    let told = warnings(432_099.0);
+    assert!(told.iter().any(|warning| warning.contains("432100 m") && warning.contains("31 mm")), "{told:?}");
+}
