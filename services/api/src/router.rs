@@ -118,7 +118,7 @@ fn routes_of_people() -> OpenApiRouter<App> {
         .routes(routes!(forecasts::track_record_svg))
         .routes(routes!(forecasts::calibration))
         .routes(routes!(events::of_farm))
-        .routes(routes!(budgets::list, budgets::set))
+        .routes(routes!(budgets::list, budgets::set, budgets::remove))
         .routes(routes!(budgets::forecast))
         .routes(routes!(projects::list, projects::set))
         .routes(routes!(quotas::list, quotas::set))

@@ -81,6 +81,8 @@ actions!(
     QuotaSet = "quota_set",
     /// A budget was set.
     BudgetSet = "budget_set",
+    /// A budget was removed.
+    BudgetRemoved = "budget_removed",
     /// A webhook was added.
     WebhookAdded = "webhook_added",
     /// A webhook was removed.

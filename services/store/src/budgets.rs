@@ -15,11 +15,12 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
-    AuditAction, Budget, BudgetAction, BudgetRequest, Event, EventKind, LeaseId, Money, Timestamp,
+    AuditAction, Budget, BudgetAction, BudgetPeriod, BudgetRequest, Event, EventKind, LeaseId, Money,
+    Timestamp,
 };
 use sqlx::SqliteConnection;
 
-use crate::audit::{Deed, note};
+use crate::audit::{Deed, note, note_only};
 use crate::budgets::ledger::{committed, spent_by_project};
 use crate::columns::{Json, corrupt};
 use crate::database::{Store, Write};
@@ -67,6 +68,22 @@ impl Store {
         let budget = found.ok_or(StoreError::NotFound("budget"))?;
         self.commit(write).await?;
         Ok(budget)
+    }
+
+    /// Removes a project's budget. What it held goes on, unless another budget of the project holds it.
+    pub async fn remove_budget(&self, project: &str, period: BudgetPeriod, now: Timestamp) -> Result<()> {
+        let mut write = self.write().await?;
+        let removed =
+            run!(write, "DELETE FROM budgets WHERE project = ? AND period = ?", project, period.name());
+        if removed == 0 {
+            return Err(StoreError::NotFound("budget"));
+        }
+        note_only(&mut write, Deed::new(AuditAction::BudgetRemoved, project).of_project(project), now);
+        let of_budget = Event { project: Some(project.to_owned()), ..event(EventKind::Budget, now) };
+        let message = format!("{project}: the budget {} is removed", policy::per(period));
+        append(&mut write, Event { message: Some(message), ..of_budget });
+        enforce(&mut write, now).await?;
+        self.commit(write).await
     }
 
     /// All budgets with their current spending, by project and period.
@@ -191,6 +208,11 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32> {
     .fetch_all(write.connection().await?)
     .await?;
     let held: BTreeSet<String> = held.into_iter().collect();
+    // Their budgets were removed.
+    for project in held.iter().filter(|project| !in_force.contains_key(*project)) {
+        let_go(write, project).await?;
+        write.made_work = true;
+    }
     for (project, action) in in_force {
         match action {
             Some(BudgetAction::Drain | BudgetAction::Stop) => {

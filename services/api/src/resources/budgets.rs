@@ -2,11 +2,14 @@
 
 use axum::Json;
 use axum::extract::State;
-use axum::http::HeaderMap;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{
-    Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest, Money, Night, ProblemKind,
+    Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetPeriod, BudgetRequest, Money, Night,
+    ProblemKind,
 };
+use serde::Deserialize;
+use utoipa::IntoParams;
 
 use super::checks::{HIGHEST_SUM, check_name};
 use super::responses::tagged;
@@ -14,7 +17,7 @@ use crate::budget_forecast::{BudgetForecastError, budget_forecast};
 use crate::costly::key;
 use crate::document::Document;
 use crate::error::{ApiError, ApiResult, Problems};
-use crate::extract::{JsonBody, Operator, Reader};
+use crate::extract::{JsonBody, Operator, QueryParameters, Reader};
 use crate::state::App;
 
 const MOST_THRESHOLDS: usize = 10;
@@ -65,6 +68,30 @@ pub(crate) async fn set(
         ));
     }
     Ok(Json(app.by(&caller).set_budget(&request, app.now()).await?))
+}
+
+/// Names a budget.
+#[derive(Clone, Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct BudgetQuery {
+    /// The project.
+    #[param(min_length = 1, max_length = 200)]
+    pub project: String,
+    /// The period of the budget.
+    pub period: BudgetPeriod,
+}
+
+/// Removes a project's budget. What it held goes on, unless another budget of the project holds it.
+#[utoipa::path(delete, path = "/v1/budgets", operation_id = "budget_remove", tag = "farm", params(BudgetQuery),
+    responses((status = 204, description = "It is removed"), Problems))]
+pub(crate) async fn remove(
+    State(app): State<App>,
+    Operator(caller): Operator,
+    QueryParameters(BudgetQuery { project, period }): QueryParameters<BudgetQuery>,
+) -> ApiResult<StatusCode> {
+    app.by(&caller).remove_budget(&project, period, app.now()).await?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// Forecasts the cost of tonight and the following nights, by project, job and class of nodes.

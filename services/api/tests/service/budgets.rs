@@ -237,6 +237,28 @@ async fn the_service_looks_after_budgets_by_itself() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_a_removed_budget_held_goes_on() {
+    let (farm, _) = farm_with_leases_of(Duration::from_millis(800)).await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", None).await;
+    let stop = json!([{"percent": 100, "action": "stop"}]);
+    set(&farm, &budget("film", 1_000, stop)).await;
+    farm.next_task(&node).await;
+    soon_in_force(&farm, Some(BudgetAction::Stop)).await;
+    assert!(soon_waits(&farm, &film).await.waits.is_some_and(|waits| waits.is_for_money()));
+    let path = "/v1/budgets?project=film&period=night";
+    let by_viewer = farm.viewer.request(reqwest::Method::DELETE, path).send().await.unwrap();
+    assert_eq!(by_viewer.status(), StatusCode::FORBIDDEN);
+    let other = farm.delete("/v1/budgets?project=film&period=month").await;
+    assert_eq!(other.status(), StatusCode::NOT_FOUND);
+    assert_eq!(farm.delete(path).await.status(), StatusCode::NO_CONTENT);
+    assert_eq!(farm.delete(path).await.status(), StatusCode::NOT_FOUND);
+    let left: BudgetList = farm.viewer.get("/v1/budgets").await.parsed(StatusCode::OK).await;
+    assert!(left.items.is_empty());
+    farm.next_task(&node).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_job_that_has_ended_tonight_has_its_name_beside_its_cost() {
     let (farm, clock) = farm().await;
     let node = farm.node("a").await;

@@ -2,11 +2,11 @@
 
 use crate::client::Client;
 use crate::error::ClientError;
-use crate::transport::Request;
+use crate::transport::{Request, parameters};
 use forelight_protocol::{
-    Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetRequest, PlanDifference, PlanId,
-    PlanPage, PlanSummary, ProjectList, ProjectRequest, ProjectShare, PruneRequest, Pruned, Retention,
-    RetentionRule,
+    Budget, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetPeriod, BudgetRequest, PlanDifference,
+    PlanId, PlanPage, PlanSummary, ProjectList, ProjectRequest, ProjectShare, PruneRequest, Pruned,
+    Retention, RetentionRule,
 };
 use reqwest::Method;
 use std::time::Duration;
@@ -44,6 +44,12 @@ impl Client {
     /// Sets a project's budget.
     pub async fn set_budget(&self, budget: &BudgetRequest) -> Result<Budget, ClientError> {
         self.transport.json(&Request::json(Method::POST, "/v1/budgets", budget)).await
+    }
+
+    /// Removes a project's budget.
+    pub async fn remove_budget(&self, project: &str, period: BudgetPeriod) -> Result<(), ClientError> {
+        let path = format!("/v1/budgets?period={}{}", period.name(), parameters(&[("project", project)]));
+        self.transport.send(&Request::new(Method::DELETE, path)).await.map(drop)
     }
 
     /// How long things are kept.

@@ -178,7 +178,8 @@ export interface paths {
         /** Sets a project's budget. Setting it again replaces it and ends the actions in force, so repeating is
          *     harmless. */
         post: operations["budget_set"];
-        delete?: never;
+        /** Removes a project's budget. What it held goes on, unless another budget of the project holds it. */
+        delete: operations["budget_remove"];
         options?: never;
         head?: never;
         patch?: never;
@@ -1568,7 +1569,7 @@ export interface components {
          * @description What somebody did.
          * @enum {string}
          */
-        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "job_deleted" | "job_left_out" | "job_counted" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "retention_set" | "audit_pruned" | "quota_set" | "budget_set" | "webhook_added" | "webhook_removed";
+        AuditAction: "job_submitted" | "job_changed" | "job_accepted" | "job_cancelled" | "job_deleted" | "job_left_out" | "job_counted" | "frames_retried" | "frames_cancelled" | "bundle_uploaded" | "node_joined" | "node_changed" | "node_removed" | "join_token_created" | "token_created" | "token_changed" | "token_rotated" | "token_revoked" | "session_begun" | "session_ended" | "project_set" | "retention_set" | "audit_pruned" | "quota_set" | "budget_set" | "budget_removed" | "webhook_added" | "webhook_removed";
         /** @description One entry: who did what, when, and from where. Entries never change. */
         AuditEntry: {
             /** @description What was done. */
@@ -7049,6 +7050,47 @@ export interface operations {
                 content: {
                     "application/json": components["schemas"]["Budget"];
                 };
+            };
+            /** @description The request is refused; `type` says why */
+            "4XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The service cannot do it now; 503 has `Retry-After` */
+            "5XX": {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    budget_remove: {
+        parameters: {
+            query: {
+                /** @description The project. */
+                project: string;
+                /** @description The period of the budget. */
+                period: components["schemas"]["BudgetPeriod"];
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description It is removed */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             /** @description The request is refused; `type` says why */
             "4XX": {

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{Budget, BudgetAction, BudgetThreshold, LedgerLine, Money, TaskKind, Timestamp};
+use forelight_protocol::{
+    Budget, BudgetAction, BudgetPeriod, BudgetThreshold, LedgerLine, Money, TaskKind, Timestamp,
+};
 
 /// The strongest action that this much spending calls for.
 fn called_for(thresholds: &[BudgetThreshold], amount: Money, used: Money) -> Option<BudgetAction> {
@@ -38,6 +40,14 @@ pub(crate) fn message(budget: &Budget, action: Option<BudgetAction>) -> String {
         None => return format!("{project}: the budget's new {period} begins"),
     };
     format!("{project}: {spent} spent and {committed} committed of {amount} a {period}: {what}")
+}
+
+/// Such as `per night` or `in all`.
+pub(crate) fn per(period: BudgetPeriod) -> String {
+    match period {
+        BudgetPeriod::Total => "in all".to_owned(),
+        period => format!("per {}", period.name()),
+    }
 }
 
 /// The strongest action in force for each project that has a budget.
@@ -128,7 +138,7 @@ pub(crate) fn spent_and_under_way(
 
 #[cfg(test)]
 mod tests {
-    use forelight_protocol::{BudgetPeriod, JobId, NodeId};
+    use forelight_protocol::{JobId, NodeId};
 
     use super::*;
 

@@ -72,6 +72,7 @@ struct Place {
 #[derive(Debug, Subcommand)]
 enum What {
     Set(SetArgs),
+    Remove(RemoveArgs),
     List(ListArgs),
 }
 
@@ -111,6 +112,22 @@ struct SetArgs {
     place: Place,
 }
 
+/// Remove a project's budget: what it held goes on
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  forelight budget remove hero-film --data farm-data
+  forelight budget remove hero-film --per month --server http://farm:7878 --token-file me.token")]
+struct RemoveArgs {
+    /// Name of the project
+    project: String,
+    /// Period of the budget
+    #[arg(long, value_enum, default_value_t = Per::Night)]
+    per: Per,
+    #[command(flatten)]
+    place: Place,
+}
+
 /// List all budgets with their use
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -134,6 +151,16 @@ enum Per {
     Total,
 }
 
+impl From<Per> for BudgetPeriod {
+    fn from(per: Per) -> Self {
+        match per {
+            Per::Night => Self::Night,
+            Per::Month => Self::Month,
+            Per::Total => Self::Total,
+        }
+    }
+}
+
 type Date = jiff::civil::Date;
 
 fn parse_date(text: &str) -> Result<Date, String> {
@@ -142,6 +169,7 @@ fn parse_date(text: &str) -> Result<Date, String> {
 pub async fn run(args: Args) -> Result<()> {
     match args.what {
         Some(What::Set(args)) => set(args).await,
+        Some(What::Remove(args)) => remove(args).await,
         Some(What::List(args)) => list(args).await,
         None => forecast(args).await,
     }
@@ -204,11 +232,7 @@ async fn set(args: SetArgs) -> Result<()> {
     }
     let request = BudgetRequest {
         project: args.project.trim().to_owned(),
-        period: match args.per {
-            Per::Night => BudgetPeriod::Night,
-            Per::Month => BudgetPeriod::Month,
-            Per::Total => BudgetPeriod::Total,
-        },
+        period: args.per.into(),
         amount: Money(args.amount),
         zone: zone(args.zone)?,
         thresholds,
@@ -223,6 +247,26 @@ async fn set(args: SetArgs) -> Result<()> {
         None => connect(&args.place.connection)?.set_budget(&request).await?,
     };
     if args.json { output::json(&budget) } else { output::print(&table::budgets(&[budget])) }
+}
+
+async fn remove(args: RemoveArgs) -> Result<()> {
+    let (project, period) = (args.project.trim(), args.per.into());
+    match &args.place.database {
+        Some(folder) => {
+            let store = open(folder).await?;
+            let removed = store.remove_budget(project, period, Timestamp::now()).await;
+            store.close().await;
+            removed.with_context(|| format!("cannot remove the budget of project {project}"))?;
+        }
+        None => {
+            let client = connect(&args.place.connection)?;
+            let removed = client.remove_budget(project, period).await;
+            removed.with_context(|| format!("cannot remove the budget of project {project}"))?;
+        }
+    }
+    output::line(format!(
+        "the budget of project {project} is removed; `forelight budget list` shows the others"
+    ))
 }
 
 async fn list(args: ListArgs) -> Result<()> {

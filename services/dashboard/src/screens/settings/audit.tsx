@@ -39,6 +39,7 @@ const ACTIONS: Record<Action, true> = {
   audit_pruned: true,
   quota_set: true,
   budget_set: true,
+  budget_removed: true,
   webhook_added: true,
   webhook_removed: true,
 };
