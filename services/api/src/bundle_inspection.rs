@@ -93,7 +93,7 @@ pub(crate) fn is_unknown(scene: &SceneSummary) -> bool {
 pub(crate) async fn resolve(app: &App, path: &str) -> ApiResult<PathBuf> {
     let refused = || {
         let reason = if app.bundle_roots.is_empty() {
-            "this service takes no bundles by path; upload it"
+            "this service takes no bundles by path: upload it, or have the service started with --bundle-root"
         } else {
             "there is no such bundle under the service's bundle roots"
         };

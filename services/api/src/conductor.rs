@@ -16,7 +16,7 @@
 
 pub(crate) mod answers;
 pub(crate) mod book;
-pub(crate) mod bookable;
+mod bookable;
 mod demands;
 pub(crate) mod effects;
 pub(crate) mod farm;

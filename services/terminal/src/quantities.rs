@@ -3,7 +3,7 @@
 //! Time is integer microseconds UTC, and money integer micro-units. No amount passes through a float before a
 //! comparison.
 
-use jiff::civil::Time;
+use jiff::civil::{DateTime, Time};
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, ToSpan as _, Unit};
 use regex::Regex;
@@ -44,6 +44,21 @@ impl Deadline {
     }
 }
 
+/// A time of day, and a date with one.
+static TIME: LazyLock<Regex> = LazyLock::new(|| pattern(r"^\d\d:\d\d(:\d\d)?$"));
+static DATE_AND_TIME: LazyLock<Regex> = LazyLock::new(|| pattern(r"^\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d)?$"));
+
+/// Compiles a pattern of this file.
+fn pattern(text: &str) -> Regex {
+    Regex::new(text).expect("it is a regular expression")
+}
+
+/// The instant at which clocks here show a date and a time.
+fn local_instant(text: &str) -> Option<Timestamp> {
+    let local: DateTime = text.parse().ok()?;
+    Some(local.to_zoned(TimeZone::system()).ok()?.timestamp())
+}
+
 /// The instant at which clocks here show a time, so many days after today.
 fn on_the_clock(time: Time, now: Timestamp, days: i64) -> Option<Timestamp> {
     let day = now.to_zoned(TimeZone::system()).checked_add(days.days()).ok()?;
@@ -56,16 +71,22 @@ pub fn parse_deadline(text: &str) -> Result<Deadline, String> {
     if let Ok(instant) = text.parse::<Timestamp>() {
         return Ok(Deadline::At(instant));
     }
-    let time = |text: &str| text.contains(':').then(|| text.trim().parse().ok()).flatten();
+    // Without an offset, it is a time here.
+    if let Some(instant) = DATE_AND_TIME.is_match(text).then(|| local_instant(text)).flatten() {
+        return Ok(Deadline::At(instant));
+    }
+    let time = |text: &str| TIME.is_match(text).then(|| text.parse().ok()).flatten();
     if let Some(time) = time(text) {
         return Ok(Deadline::Next(time));
     }
-    if let Some(time) = text.trim().strip_prefix("tomorrow").and_then(time) {
+    if let Some(time) = text.strip_prefix("tomorrow ").and_then(time) {
         return Ok(Deadline::Tomorrow(time));
     }
     match parse_duration(text) {
         Ok(duration) => Ok(Deadline::In(duration)),
-        Err(_) if text.starts_with('-') => Err("it must be in the future, such as 45m, 2h or 06:00".into()),
+        Err(_) if text.starts_with('-') && text[1..].starts_with(|c: char| c.is_ascii_digit()) => {
+            Err("it must be in the future, such as 45m, 2h or 06:00".into())
+        }
         Err(_) => {
             Err("expected a duration such as 2h, 45m or 1h30m, a time such as 06:00 or `tomorrow 06:00`, or \
             an instant such as 2030-03-01T06:00:00Z"
@@ -199,10 +220,7 @@ pub fn clock(at: forelight_protocol::Timestamp, now: forelight_protocol::Timesta
 
 /// Text of the service with its instants as clocks here show them.
 pub fn with_local_times(text: &str, now: forelight_protocol::Timestamp) -> String {
-    static INSTANT: LazyLock<Regex> = LazyLock::new(|| {
-        let pattern = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z";
-        Regex::new(pattern).expect("it is a regular expression")
-    });
+    static INSTANT: LazyLock<Regex> = LazyLock::new(|| pattern(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z"));
     let local = |found: &regex::Captures<'_>| {
         found[0].parse().map_or_else(|_| found[0].to_owned(), |instant| clock(instant, now))
     };
@@ -240,6 +258,11 @@ mod tests {
         assert_eq!(at("06:00"), "30 06:00:00");
         assert_eq!(at("12:00"), "30 12:00:00", "that is now");
         assert_eq!(at("tomorrow 18:30:15"), "30 18:30:15");
+        assert_eq!(at("2026-12-05 06:00"), "05 06:00:00");
+        assert_eq!(at("2026-12-05T06:00:30"), "05 06:00:30");
+        for wrong in ["06:00+02:00", "6:00", "06:00:00.5", "tomorrow 2027-01-01T06:00", "--json"] {
+            assert!(parse_deadline(wrong).unwrap_err().contains("expected"), "{wrong}");
+        }
         assert!(parse_deadline("-2h").unwrap_err().contains("in the future"));
     }
 

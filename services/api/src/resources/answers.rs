@@ -14,7 +14,6 @@ use utoipa::IntoParams;
 
 use crate::conductor::answers::{Question, answers, curve_svg};
 use crate::conductor::book::quoted;
-use crate::conductor::bookable::bookable;
 use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::job_profile::JobProfile;
 use crate::conductor::what_if::what_if;
@@ -29,8 +28,7 @@ use crate::schema::FileContent;
 use crate::seen::in_effect;
 use crate::state::App;
 
-/// Answers are computed for the end of the current minute: they can be reused for a minute, and nothing in them has
-/// passed.
+/// Answers are reused within the same minute, if nothing was planned anew.
 const MINUTE: i64 = 60_000_000;
 /// Time limit for a job's answers. Further questions are left out.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -100,7 +98,7 @@ async fn answered(app: &App, job: JobId, query: AnswersQuery) -> ApiResult<Docum
 /// The key of an answer about a job's plan: the plan, what happened since, and the minute.
 async fn question_key(app: &App, asked: &Job, question: &impl Serialize) -> ApiResult<Key> {
     let (plan, wanted) = (app.store.newest_plan().await?, app.store.wanted_plan().await?);
-    Ok(key(&("plan", asked.id, asked.state, plan, wanted.count, next_minute(app), question)))
+    Ok(key(&("plan", asked.id, asked.state, plan, wanted.count, this_minute(app), question)))
 }
 
 async fn found(app: &App, asked: Job, query: &AnswersQuery) -> ApiResult<AnswersDoc> {
@@ -128,24 +126,17 @@ fn must_have_plan(job: &Job) -> ApiResult<()> {
     Err(ApiError::new(ProblemKind::Conflict, reason))
 }
 
-fn next_minute(app: &App) -> Timestamp {
+fn this_minute(app: &App) -> Timestamp {
     let now = app.now().micros();
-    Timestamp::from_micros(now - now.rem_euclid(MINUTE)).plus_micros(MINUTE)
+    Timestamp::from_micros(now - now.rem_euclid(MINUTE))
 }
 
-/// The farm for questions about a job, as it will stand at the end of this minute.
+/// The farm for questions about a job, as it stands now.
 async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
-    let minute = next_minute(app);
-    let mut snapshot = Snapshot::with_all_nodes(&app.store, minute).await?;
-    // No node has been heard of then.
-    snapshot.nodes = bookable(snapshot.nodes, minute.plus_micros(-MINUTE), app.started);
-    // Progress moves the expected ends all the time. Rounded to the minute, they stay the same for a while.
-    for frame in snapshot.projected.frames.iter_mut().filter(|frame| frame.under_way) {
-        let end = frame.end.micros();
-        frame.end = Timestamp::from_micros(end.saturating_add(MINUTE - 1) / MINUTE * MINUTE);
-    }
+    let now = app.now();
+    let mut snapshot = Snapshot::read(&app.store, now, app.started).await?;
     if job.state == JobState::Quoted {
-        snapshot.jobs.extend(quoted(&app.store, job.id, minute).await?);
+        snapshot.jobs.extend(quoted(&app.store, job.id, now).await?);
     }
     Ok(snapshot)
 }

@@ -264,7 +264,7 @@ async fn a_job_that_is_late_is_offered_other_settings_that_would_be_in_time() {
     let (settings, words) = way.unwrap_or_else(|| panic!("{:?}", verdict.ways_out));
     assert_eq!((settings.cache, settings.spp), (CacheMode::On, 1));
     assert!(
-        words.starts_with("an irradiance cache of accuracy 0.2, 1 samples a pixel instead of 16"),
+        words.starts_with("an irradiance cache of accuracy 0.2, 1 sample a pixel instead of 16"),
         "{words}"
     );
 }

@@ -6,8 +6,8 @@ use crate::support::{Answer, Farm, eventually, until};
 use forelight_api::Clock as _;
 use forelight_protocol::{
     AnswersDoc, Dashboard, Event, EventKind, Job, JobState, Lease, Node, Plan, PlanChange, PlanDifference,
-    PlanPage, PlanReason, PowerState, ProblemKind, ProjectList, Renewal, TaskKind, Timestamp, Verdict,
-    WaitKind,
+    PlanEffect, PlanPage, PlanReason, PowerState, ProblemKind, ProjectList, Renewal, TaskKind, Timestamp,
+    Verdict, WaitKind,
 };
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
@@ -243,6 +243,17 @@ async fn a_job_is_answered_by_when_for_how_much_and_what_would_change_it() {
     let nothing = farm.answers(&job, "?budget=1").await;
     assert_eq!(nothing.for_budget.unwrap().offer, None);
     assert!(nothing.why_not.iter().any(|reason| reason.contains("budget")), "{:?}", nothing.why_not);
+    // A quality fits if it costs no more than the budget that was asked about, and only such a one is a way out.
+    let half = cheapest.cost.0 / 2;
+    let tight = farm.answers(&job, &format!("?budget={half}")).await;
+    let of_quality = |way: &&PlanEffect| matches!(way.change, PlanChange::Quality { .. });
+    assert!(
+        tight.qualities.iter().any(|offer| offer.fits) && !tight.qualities.iter().all(|offer| offer.fits)
+    );
+    assert!(tight.qualities.iter().all(|offer| !offer.fits || offer.cost.0 <= half), "{:?}", tight.qualities);
+    assert!(tight.ways_out.iter().any(|way| of_quality(&way)), "{:?}", tight.ways_out);
+    assert!(tight.ways_out.iter().filter(of_quality).all(|way| way.added_cost.0 < 0), "{:?}", tight.ways_out);
+    assert!(found.outlook.iter().all(|line| line.finish.is_some_and(|finish| finish > found.at)));
     let soon = Timestamp::now().plus_micros(20 * SECOND);
     let late = farm.answers(&job, &format!("?deadline={soon}")).await;
     assert!(late.outlook.iter().all(|line| line.in_time == Some(false)) && late.cheapest.is_none());

@@ -18,7 +18,7 @@ Examples:
 What you leave out stays as it was submitted. `forelight ask` says what the job would cost and when it would be \
 ready; `forelight cancel` drops it.")]
 pub struct Args {
-    /// Id of the job. A name works if only one open job has it
+    /// Id or name of the job. Of several jobs with the name, the only open one is meant
     job: String,
     /// Time by which all frames must be ready: 2h, 06:00, 'tomorrow 06:00', or 2030-03-01T06:00:00Z
     #[arg(long, value_name = "WHEN", value_parser = parse_deadline, allow_hyphen_values = true)]

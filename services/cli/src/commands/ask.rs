@@ -52,6 +52,10 @@ pub struct Args {
     #[command(flatten)]
     connection: ConnectionOptions,
 }
+
+/// Answers of this age, in microseconds, say how old they are. The service makes them once a minute.
+const OLD: i64 = 5_000_000;
+
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let job = find(&client, &args.job).await?;
@@ -82,7 +86,7 @@ async fn find(client: &Client, text: &str) -> Result<Job> {
 
 fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
     let at = |instant: Timestamp| clock(instant, now);
-    let mut text = heading(job, found, at);
+    let mut text = heading(job, found, (now, &at));
     text += &outlook(&found.outlook, at);
     text += &offers(found, at);
     let ways = if is_late(found) { "Ways to keep the deadline" } else { "Ways out" };
@@ -103,11 +107,14 @@ fn is_late(found: &AnswersDoc) -> bool {
 }
 
 /// The deadline, the reason for waiting, and the risk.
-fn heading(job: &Job, found: &AnswersDoc, at: impl Fn(Timestamp) -> String) -> String {
+fn heading(job: &Job, found: &AnswersDoc, (now, at): (Timestamp, &dyn Fn(Timestamp) -> String)) -> String {
     let mut text = match found.deadline {
         Some(deadline) => format!("{}, deadline {}\n", job.name, at(deadline)),
         None => format!("{}, without a deadline\n", job.name),
     };
+    if now.micros_since(found.at) >= OLD {
+        text += &format!("as the farm stood at {}\n", at(found.at));
+    }
     if let Some(probability) = found.probability {
         text += &format!("in time with a probability of {}\n", probability_in_words(probability));
     }

@@ -19,7 +19,7 @@ Examples:
 Finished frames stay available. A cancelled job cannot continue; submit it again instead. Cancelling a job \
 again changes nothing.")]
 pub struct Args {
-    /// Ids of the jobs. A name works if only one open job has it
+    /// Ids or names of the jobs. Of several jobs with a name, the only open one is meant
     #[arg(required = true, value_name = "JOB")]
     jobs: Vec<String>,
     /// Print the cancelled jobs as JSON to standard output
@@ -55,7 +55,7 @@ const JOBS: Kind =
 
 const OPEN_JOBS: Kind = Kind { several: "open jobs have this name", ..JOBS };
 
-/// The id of the job with this id, or of the only open job with this name.
+/// The id of the job with this id, or of the only open job with this name, or of the only one.
 pub(super) async fn find(client: &Client, wanted: &str) -> Result<JobId> {
     if let Ok(id) = wanted.parse() {
         return Ok(id);
@@ -74,12 +74,13 @@ pub(super) async fn find_any(client: &Client, wanted: &str) -> Result<JobId> {
 }
 
 fn only_one(wanted: &str, named: Vec<Job>) -> Result<JobId, BadInput> {
-    let is_named = !named.is_empty();
-    let open: Vec<Job> = named.into_iter().filter(|job| !job.state.is_final()).collect();
-    if open.is_empty() && is_named {
-        return Err(OPEN_JOBS.missing(wanted, "all jobs with this name have ended"));
+    let (open, ended): (Vec<Job>, Vec<Job>) = named.into_iter().partition(|job| !job.state.is_final());
+    match (open.is_empty(), ended.as_slice()) {
+        // The service says what can be done with it.
+        (true, [only]) => Ok(only.id),
+        (true, [_, ..]) => Err(OPEN_JOBS.missing(wanted, "all jobs with this name have ended")),
+        _ => id_of(wanted, open, &OPEN_JOBS),
     }
-    id_of(wanted, open, &OPEN_JOBS)
 }
 
 fn id_of(wanted: &str, found: Vec<Job>, kind: &Kind) -> Result<JobId, BadInput> {
@@ -105,7 +106,8 @@ mod tests {
         );
         let refused = |jobs: &[Job]| only_one("kitchen", jobs.to_vec()).unwrap_err().to_string();
         assert_eq!(refused(&[]), "kitchen: no job has this name");
-        assert_eq!(refused(&[done]), "kitchen: all jobs with this name have ended");
+        assert_eq!(only_one("kitchen", vec![done.clone()]).map_err(|error| error.to_string()), Ok(done.id));
+        assert_eq!(refused(&[done.clone(), done]), "kitchen: all jobs with this name have ended");
         assert_eq!(refused(&[open.clone(), of(JobState::Previewing)]), "kitchen: 2 open jobs have this name");
     }
 }

@@ -17,7 +17,7 @@ Examples:
 
 What you leave out stays. `forelight ask kitchen --deadline 3h` says first what another deadline would cost.")]
 pub struct Args {
-    /// Id of the job. A name works if only one open job has it
+    /// Id or name of the job. Of several jobs with the name, the only open one is meant
     job: String,
     #[command(flatten)]
     terms: Terms,

@@ -4,7 +4,7 @@ use super::cancel::find_any;
 use crate::connection::{ConnectionOptions, connect};
 use anyhow::{Context, Result};
 use forelight_client::Client;
-use forelight_protocol::{FrameSet, FrameState, FramesRequest, JobId};
+use forelight_protocol::{FrameSet, FrameState, FramesRequest, JobId, JobState};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
 
@@ -35,7 +35,7 @@ pub async fn run(args: Args) -> Result<()> {
     let id = find_any(&client, &args.job).await?;
     let frames = match args.frames {
         Some(frames) => frames,
-        None => failed(&client, id).await?,
+        None => left(&client, id).await?,
     };
     let request = FramesRequest { frames };
     let job = client.retry_frames(id, &request).await.with_context(|| format!("cannot retry job {id}"))?;
@@ -48,12 +48,24 @@ pub async fn run(args: Args) -> Result<()> {
     output::line(format!("{} ({id}): {what} rendered again", job.name))
 }
 
-/// The frames of the job that failed.
-async fn failed(client: &Client, id: JobId) -> Result<FrameSet> {
+/// The frames that failed. Of a job that failed, also those that it had left: a part of them may have failed, or their
+/// shared cache.
+async fn left(client: &Client, id: JobId) -> Result<FrameSet> {
+    let job = client.job(id).await.with_context(|| format!("cannot read job {id}"))?;
     let rows = client.frames(id).await.with_context(|| format!("cannot list the frames of job {id}"))?;
-    let failed = rows.iter().filter(|row| row.state == FrameState::Failed).map(|row| row.frame);
-    FrameSet::from_frames(failed).ok_or_else(|| {
-        let hint = "--frames names frames to render again, finished ones too";
-        BadInput::new(format!("no frame of job {id} failed")).hint(hint).into()
+    let has_failed = job.state == JobState::Failed;
+    let is_left = |state: FrameState| match state {
+        FrameState::Failed => true,
+        FrameState::Cancelled => has_failed,
+        _ => false,
+    };
+    let left = rows.iter().filter(|row| is_left(row.state)).map(|row| row.frame);
+    FrameSet::from_frames(left).ok_or_else(|| {
+        let (why, hint) = if has_failed {
+            ("failed before its frames were booked", "submit it again once the reason in its error is mended")
+        } else {
+            ("has no frame that failed", "--frames names frames to render again, finished ones too")
+        };
+        BadInput::new(format!("job {id} {why}")).hint(hint).into()
     })
 }

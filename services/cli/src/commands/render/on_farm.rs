@@ -19,7 +19,7 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::json_file;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
-use forelight_terminal::quantities::with_local_times;
+use forelight_terminal::quantities::{seconds, with_local_times};
 use image::{ImageFormat, Rgb, RgbImage};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -118,7 +118,10 @@ pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     if args.json {
         output::json(&stats)?
     } else {
-        output::print(&super::report(&stats, args.effects))?
+        let since = done.finished_at.map_or(0, |at| at.micros_since(done.created_at));
+        let all = seconds(since as f64 * 1e-6);
+        output::print(&super::report(&stats, args.effects))?;
+        output::line(format!("on the farm {all} from the submission to the image"))?
     }
     stats.allotted.iter().try_for_each(|allotted| args.allot.check_error(allotted))
 }
