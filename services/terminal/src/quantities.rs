@@ -83,11 +83,12 @@ pub fn parse_deadline(text: &str) -> Result<Deadline, String> {
         return Ok(Deadline::Tomorrow(time));
     }
     match parse_duration(text) {
-        Ok(duration) => Ok(Deadline::In(duration)),
+        // 6:00:00 would be six hours.
+        Ok(duration) if !text.contains(':') => Ok(Deadline::In(duration)),
         Err(_) if text.starts_with('-') && text[1..].starts_with(|c: char| c.is_ascii_digit()) => {
             Err("it must be in the future, such as 45m, 2h or 06:00".into())
         }
-        Err(_) => {
+        _ => {
             Err("expected a duration such as 2h, 45m or 1h30m, a time such as 06:00 or `tomorrow 06:00`, or \
             an instant such as 2030-03-01T06:00:00Z"
                 .into())

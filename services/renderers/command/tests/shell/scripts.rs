@@ -33,7 +33,8 @@ fn the_name_of_an_image_has_no_text_that_a_script_would_run() {
                 shot.measure(3, &settings, &fewer, run).err().unwrap(),
                 shot.render(3, &settings, &[], run).err().unwrap(),
             ] {
-                let said = "setting /own/camera: it is part of the image's name: it may have ASCII letters";
+                let said =
+                    "setting /own/camera: it is part of the image's name, which a script takes: it may have ASCII";
                 assert!(error.is_permanent() && error.to_string().starts_with(said), "{error}");
             }
         }
