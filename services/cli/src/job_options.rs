@@ -1,6 +1,19 @@
 //! Options that several commands share.
 
+use forelight_protocol::Timestamp;
+use forelight_terminal::failure::BadInput;
+use forelight_terminal::quantities::Deadline;
 use std::path::PathBuf;
+
+/// The instant of a deadline that was typed now, if one was.
+///
+/// # Errors
+/// If it is beyond the calendar.
+pub fn deadline(typed: Option<Deadline>, now: jiff::Timestamp) -> Result<Option<Timestamp>, BadInput> {
+    let instant = typed.map(|typed| typed.instant(now)).transpose();
+    let instant = instant.map_err(|reason| BadInput::new(format!("--deadline: {reason}")))?;
+    Ok(instant.map(|instant| Timestamp::from_micros(instant.as_microsecond())))
+}
 
 /// Parses the name of a PNG file to write.
 pub fn png_file(text: &str) -> Result<PathBuf, String> {

@@ -330,12 +330,7 @@ fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
             ..input
         })?;
         let finish = end(farm, &after, job);
-        let deadline = match change {
-            Change::Later { by, .. } => farm.jobs[job].job.deadline.map(|deadline| deadline.plus_micros(*by)),
-            _ => farm.jobs[job].job.deadline,
-        };
-        let in_time =
-            finish.is_some_and(|finish| deadline.is_none_or(|deadline| finish <= deadline.micros()));
+        let in_time = farm.is_kept_after(change, job, finish);
         let effect = planner::effect(change, &before, &after);
         found.extend(farm.told(change, effect.added_cost, finish, in_time, &farm.moved(&effect, own), job));
     }

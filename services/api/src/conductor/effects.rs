@@ -89,16 +89,19 @@ impl Farm {
 
     pub fn effect(&self, effect: &Effect, job: usize) -> Option<PlanEffect> {
         let own = job as u64;
-        let asked = &self.jobs[job];
         // The planner does not see the frames under way.
-        let finish = asked.finish(effect.end(own));
-        let later = match effect.change {
-            Change::Later { job: id, by } if id == own => by,
+        let finish = self.jobs[job].finish(effect.end(own));
+        let in_time = !effect.broken.contains(&own) && self.is_kept_after(&effect.change, job, finish);
+        self.told(&effect.change, effect.added_cost, finish, in_time, &self.moved(effect, own), job)
+    }
+
+    /// Whether a job that ends then after a change keeps its deadline, which the change may have moved.
+    pub fn is_kept_after(&self, change: &Change, job: usize, finish: Option<i64>) -> bool {
+        let later = match change {
+            Change::Later { job: id, by } if *id == job as u64 => *by,
             _ => 0,
         };
-        let in_time =
-            !effect.broken.contains(&own) && asked.is_kept(finish.map(|finish| finish.saturating_sub(later)));
-        self.told(&effect.change, effect.added_cost, finish, in_time, &self.moved(effect, own), job)
+        self.jobs[job].is_kept(finish.map(|finish| finish.saturating_sub(later)))
     }
 
     pub fn moved(&self, effect: &Effect, own: u64) -> Vec<MovedJob> {

@@ -2,9 +2,9 @@
 
 use super::cancel::find;
 use crate::connection::{ConnectionOptions, connect};
+use crate::job_options::deadline;
 use anyhow::{Context, Result};
-use forelight_protocol::{AcceptRequest, Confidence, Money, Timestamp};
-use forelight_terminal::failure::BadInput;
+use forelight_protocol::{AcceptRequest, Confidence, Money};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{Deadline, parse_deadline, parse_money};
 
@@ -39,13 +39,8 @@ pub struct Args {
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let id = find(&client, &args.job).await?;
-    let deadline = args.deadline.map(|deadline| deadline.instant(jiff::Timestamp::now()));
-    let deadline = deadline.transpose().map_err(|reason| BadInput::new(format!("--deadline: {reason}")))?;
-    let request = AcceptRequest {
-        deadline: deadline.map(|instant| Timestamp::from_micros(instant.as_microsecond())),
-        budget: args.budget.map(Money),
-        confidence: args.confidence,
-    };
+    let deadline = deadline(args.deadline, jiff::Timestamp::now())?;
+    let request = AcceptRequest { deadline, budget: args.budget.map(Money), confidence: args.confidence };
     let job = client.accept(id, &request).await.with_context(|| format!("cannot accept job {id}"))?;
     if args.json {
         return output::json(&job);

@@ -2,6 +2,7 @@
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::job_options::deadline;
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{
@@ -59,9 +60,7 @@ const OLD: i64 = 5_000_000;
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
     let job = find(&client, &args.job).await?;
-    let deadline = args.deadline.map(|deadline| deadline.instant(jiff::Timestamp::now()));
-    let deadline = deadline.transpose().map_err(|reason| BadInput::new(format!("--deadline: {reason}")))?;
-    let deadline = deadline.map(|instant| Timestamp::from_micros(instant.as_microsecond()));
+    let deadline = deadline(args.deadline, jiff::Timestamp::now())?;
     let found = client.answers(job.id, deadline, args.budget.map(Money)).await;
     let found = found.with_context(|| format!("cannot ask about {}", job.name))?;
     if let Some(path) = &args.curve {

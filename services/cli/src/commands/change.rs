@@ -2,8 +2,9 @@
 
 use super::cancel::find;
 use crate::connection::{ConnectionOptions, connect};
+use crate::job_options::deadline;
 use anyhow::{Context, Result};
-use forelight_protocol::{Confidence, JobChange, Money, Timestamp};
+use forelight_protocol::{Confidence, JobChange, Money};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
 use forelight_terminal::quantities::{Deadline, parse_deadline, parse_money};
@@ -60,11 +61,9 @@ pub async fn run(args: Args) -> Result<()> {
 }
 
 fn change(terms: &Terms, now: jiff::Timestamp) -> Result<JobChange, BadInput> {
-    let deadline = terms.deadline.map(|deadline| deadline.instant(now)).transpose();
-    let deadline = deadline.map_err(|reason| BadInput::new(format!("--deadline: {reason}")))?;
-    let deadline = deadline.map(|instant| Some(Timestamp::from_micros(instant.as_microsecond())));
+    let deadline = deadline(terms.deadline, now)?;
     Ok(JobChange {
-        deadline: if terms.no_deadline { Some(None) } else { deadline },
+        deadline: if terms.no_deadline { Some(None) } else { deadline.map(Some) },
         budget: if terms.no_budget { Some(None) } else { terms.budget.map(|budget| Some(Money(budget))) },
         confidence: terms.confidence,
     })
@@ -73,6 +72,7 @@ fn change(terms: &Terms, now: jiff::Timestamp) -> Result<JobChange, BadInput> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_protocol::Timestamp;
 
     #[test]
     fn terms_that_are_left_out_stay_and_others_are_set_or_removed() {

@@ -5,6 +5,7 @@ use super::asset::{Asset, AssetState};
 use super::error::RendererError;
 use super::settings::Settings;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 
 /// Frames of a shot by the scene's own numbers: `first`, `first + step`, …, at most `last`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,6 +22,21 @@ impl Frames {
     /// All numbers, ascending.
     pub fn numbers(&self) -> impl Iterator<Item = i32> + use<> {
         (self.first..=self.last).step_by(self.step.max(1) as usize)
+    }
+
+    /// Whether the shot has this frame.
+    pub fn contains(&self, frame: i32) -> bool {
+        (self.first..=self.last).contains(&frame)
+            && frame.abs_diff(self.first).is_multiple_of(self.step.max(1))
+    }
+}
+
+/// Such as `2 to 10 in steps of 4`.
+impl fmt::Display for Frames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, last, step } = self;
+        write!(f, "{first} to {last}")?;
+        if *step > 1 { write!(f, " in steps of {step}") } else { Ok(()) }
     }
 }
 

@@ -106,6 +106,14 @@ impl RendererError {
         move |source| Self::Io { path, source }
     }
 
+    /// The error of a program that failed with this one and had printed a message that tells of another. A
+    /// program that crashes or is killed did not end because it misses a file, whatever it said before.
+    #[must_use]
+    pub fn explained_by(self, told: Self) -> Self {
+        let was_killed = matches!(self, Self::Ended { ending: Ending::Signal(_), .. });
+        if was_killed && told.is_permanent() { self } else { told }
+    }
+
     /// Whether trying again with the same input, here or on a like machine, would give the same error.
     pub fn is_permanent(&self) -> bool {
         matches!(

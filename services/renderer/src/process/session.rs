@@ -298,12 +298,11 @@ impl Session {
             (None, signal) => Ending::Signal(signal.unwrap_or(0)),
         };
         let lines: Vec<String> = self.last_lines.iter().cloned().collect();
-        // A program that crashes or is killed did not end because it misses a file, whatever it said before.
-        let was_killed = matches!(ending, Ending::Signal(_));
-        match meaning(&lines, self.known).filter(|error| !(was_killed && error.is_permanent())) {
-            Some(error) => Err(error),
-            None => Err(self.ended(ending)),
-        }
+        let error = self.ended(ending);
+        Err(match meaning(&lines, self.known) {
+            Some(told) => error.explained_by(told),
+            None => error,
+        })
     }
 
     fn ended(&self, ending: Ending) -> RendererError {

@@ -1,7 +1,7 @@
 //! What a command prints: progress, and messages of known meaning.
 
 use crate::file::{CommandFile, ProgressUnit};
-use forelight_renderer::door::{Ending, RendererError, Run};
+use forelight_renderer::door::{RendererError, Run};
 use forelight_renderer::process::Meaning;
 
 /// Listens to one run.
@@ -41,10 +41,9 @@ impl<'a> Listener<'a> {
                 | RendererError::Licence(_)
                 | RendererError::Gpu(_)
         );
-        // A program that crashes or is killed did not end because it misses a file, whatever it said before.
-        let was_killed = matches!(error, RendererError::Ended { ending: Ending::Signal(_), .. });
-        let heard = self.heard.as_ref().filter(|_| is_vague);
-        let meant = heard.map(|(meaning, line)| meaning.error(line.clone()));
-        meant.filter(|meant| !(was_killed && meant.is_permanent())).unwrap_or(error)
+        match &self.heard {
+            Some((meaning, line)) if is_vague => error.explained_by(meaning.error(line.clone())),
+            _ => error,
+        }
     }
 }

@@ -71,14 +71,13 @@ impl CommandShot {
 
     /// Checks that the shot has a frame.
     fn check_frame(&self, frame: i32) -> Result<(), RendererError> {
-        let Some(Frames { first, last, step }) = self.frames else { return Ok(()) };
-        if (first..=last).contains(&frame) && frame.abs_diff(first).is_multiple_of(step) {
-            return Ok(());
+        match self.frames.filter(|frames| !frames.contains(frame)) {
+            Some(frames) => {
+                let reason = format!("frame {frame} is outside of the shot, which has frames {frames}");
+                Err(RendererError::Unsupported(reason))
+            }
+            None => Ok(()),
         }
-        let steps = if step == 1 { String::new() } else { format!(" in steps of {step}") };
-        let reason =
-            format!("frame {frame} is outside of the shot, which has frames {first} to {last}{steps}");
-        Err(RendererError::Unsupported(reason))
     }
 
     /// Starts the program once. The image is written to `out`.

@@ -77,10 +77,8 @@ impl Scene {
     /// The frame of this number.
     pub fn frame(&self, number: i32) -> Result<&SceneFrame, RendererError> {
         self.frames.iter().find(|frame| frame.number == number).ok_or_else(|| {
-            let Frames { first, last, step } = self.numbers();
-            let steps = if step == 1 { String::new() } else { format!(" in steps of {step}") };
-            let reason = format!("there is no frame {number}; the scene has {first} to {last}{steps}");
-            RendererError::Unsupported(reason)
+            let frames = self.numbers();
+            RendererError::Unsupported(format!("there is no frame {number}; the scene has {frames}"))
         })
     }
 

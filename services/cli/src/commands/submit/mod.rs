@@ -13,6 +13,7 @@ use super::video;
 use super::worker::task_limits;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::job_options::deadline;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
@@ -284,15 +285,7 @@ fn request(
     frames: FrameSet,
     settings: RenderSettingsRequest,
 ) -> Result<JobRequest> {
-    let deadline = match args.deadline {
-        None => None,
-        Some(deadline) => {
-            let instant = deadline
-                .instant(jiff::Timestamp::now())
-                .map_err(|reason| BadInput::new(format!("--deadline: {reason}")))?;
-            Some(Timestamp::from_micros(instant.as_microsecond()))
-        }
-    };
+    let deadline = deadline(args.deadline, jiff::Timestamp::now())?;
     Ok(JobRequest {
         name: args.name.clone().unwrap_or(scene_name),
         project: args.project.clone(),
