@@ -21,7 +21,7 @@ pub enum ClientError {
         /// The address, without secrets.
         url: String,
         /// The last failure.
-        source: reqwest::Error,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The service refused the request and said why.
     #[error("{0}")]

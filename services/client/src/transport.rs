@@ -12,12 +12,14 @@ use crate::error::ClientError;
 use crate::token::Token;
 use bytes::Bytes;
 use forelight_protocol::{Problem, WORKER_PROTOCOL, WORKER_PROTOCOL_HEADER};
+use futures::{Stream, StreamExt as _, stream};
 use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Certificate, Method, Response, StatusCode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::PathBuf;
 use std::time::Duration;
+use tokio::sync::watch;
 use tokio_util::io::ReaderStream;
 use uuid::Uuid;
 
@@ -40,6 +42,13 @@ pub(crate) struct Request {
     pub headers: HeaderMap,
     /// Limit of one attempt. `None` if the length of the transfer is unknown.
     pub timeout: Option<Duration>,
+}
+
+impl Payload {
+    /// Whether it is as long as a file may be.
+    fn is_long(&self) -> bool {
+        matches!(self, Payload::Bytes(_) | Payload::File(..))
+    }
 }
 
 impl Request {
@@ -65,7 +74,7 @@ impl Request {
     }
 
     pub fn payload(mut self, payload: Payload) -> Self {
-        if matches!(payload, Payload::Bytes(_) | Payload::File(..)) {
+        if payload.is_long() {
             self.timeout = None;
         }
         self.payload = payload;
@@ -97,6 +106,8 @@ impl Request {
 const SHORT_REQUEST: Duration = Duration::from_secs(30);
 /// A transfer that is silent for this long has lost its connection.
 const SILENCE: Duration = Duration::from_secs(75);
+/// What was uploaded is still under way for a while, and then looked at: of a large scene, this takes minutes.
+const ANSWER_TO_UPLOAD: Duration = Duration::from_secs(900);
 
 /// An idle connection is closed after this, before the service closes it: a request could meet its end.
 const KEPT_IDLE: Duration = Duration::from_secs(45);
@@ -105,6 +116,9 @@ const KEPT_IDLE: Duration = Duration::from_secs(45);
 #[derive(Debug, Clone)]
 pub(crate) struct Transport {
     http: reqwest::Client,
+    /// For requests with long bodies, whose silence [`upload`] measures: a client's own limit would count the
+    /// whole upload as silence of the service.
+    uploads: reqwest::Client,
     /// The address, without a trailing slash.
     base: String,
     token: Option<Token>,
@@ -133,28 +147,28 @@ impl Transport {
             None => None,
         };
         let host = url.host_str().ok_or_else(|| wrong("it names no host".into()))?;
-        let mut builder = reqwest::Client::builder()
-            .connect_timeout(Duration::from_secs(5))
-            .read_timeout(SILENCE)
-            .pool_idle_timeout(KEPT_IDLE)
-            // A worker has one request at a time, and a stream of events is one for hours.
-            .http1_only()
-            // A redirect could carry the token to another host.
-            .redirect(reqwest::redirect::Policy::none())
-            .user_agent(concat!("forelight/", env!("CARGO_PKG_VERSION")));
-        builder = match roots {
-            Some(roots) => builder.tls_certs_only(roots),
-            None if url.scheme() == "https" => builder,
-            // Without TLS, the client loads no certificates, so it also works on machines without any.
-            None => builder.tls_certs_only([]),
+        let is_local = host == "localhost"
+            || host.trim_matches(['[', ']']).parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback());
+        let builder = || {
+            let mut builder = reqwest::Client::builder()
+                .connect_timeout(Duration::from_secs(5))
+                .pool_idle_timeout(KEPT_IDLE)
+                // A worker has one request at a time, and a stream of events is one for hours.
+                .http1_only()
+                // A redirect could carry the token to another host.
+                .redirect(reqwest::redirect::Policy::none())
+                .user_agent(concat!("forelight/", env!("CARGO_PKG_VERSION")));
+            builder = match &roots {
+                Some(roots) => builder.tls_certs_only(roots.clone()),
+                None if url.scheme() == "https" => builder,
+                // Without TLS, the client loads no certificates, so it also works on machines without any.
+                None => builder.tls_certs_only([]),
+            };
+            if is_local { builder.no_proxy() } else { builder }
         };
-        if host == "localhost"
-            || host.trim_matches(['[', ']']).parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
-        {
-            builder = builder.no_proxy();
-        }
-        let http = builder.build().map_err(|e| wrong(e.to_string()))?;
-        Ok(Self { http, base: address.trim_end_matches('/').to_owned(), token, backoff })
+        let built = |builder: reqwest::ClientBuilder| builder.build().map_err(|e| wrong(e.to_string()));
+        let (http, uploads) = (built(builder().read_timeout(SILENCE))?, built(builder())?);
+        Ok(Self { http, uploads, base: address.trim_end_matches('/').to_owned(), token, backoff })
     }
 
     pub fn base(&self) -> &str {
@@ -186,7 +200,7 @@ impl Transport {
                     }
                     (error, asked)
                 }
-                Err(source) => (self.unreachable(request, source), None),
+                Err(source) => (self.no_answer(request, source), None),
             };
             failures += 1;
             let Some(wait) = self.backoff.jittered(failures, asked) else { return Err(error) };
@@ -197,12 +211,18 @@ impl Transport {
 
     /// Sends, and reads the answer as JSON. An answer that breaks off is a failed attempt.
     pub async fn json<T: DeserializeOwned>(&self, request: &Request) -> Result<T, ClientError> {
+        let (status, _, body) = self.whole(request).await?;
+        self.parse(request, status, &body)
+    }
+
+    /// Sends, and reads the whole answer. An answer that breaks off is a failed attempt.
+    pub async fn whole(&self, request: &Request) -> Result<(StatusCode, HeaderMap, Bytes), ClientError> {
         let mut failures = 0;
         loop {
             let response = self.send(request).await?;
-            let status = response.status();
+            let (status, headers) = (response.status(), response.headers().clone());
             match response.bytes().await {
-                Ok(body) => return self.parse(request, status, &body),
+                Ok(body) => return Ok((status, headers, body)),
                 Err(source) => {
                     failures += 1;
                     let Some(wait) = self.backoff.jittered(failures, None) else {
@@ -235,7 +255,11 @@ impl Transport {
 
     /// The error of an answer that did not come or broke off.
     pub fn unreachable(&self, request: &Request, source: reqwest::Error) -> ClientError {
-        ClientError::Unreachable { url: self.url(request), source: source.without_url() }
+        self.no_answer(request, source.without_url().into())
+    }
+
+    fn no_answer(&self, request: &Request, source: BoxError) -> ClientError {
+        ClientError::Unreachable { url: self.url(request), source }
     }
 
     /// Whether the token's file holds another token than the one that was sent: it was rotated.
@@ -252,8 +276,9 @@ impl Transport {
         &self,
         request: &Request,
         token: Option<&str>,
-    ) -> Result<Result<Response, reqwest::Error>, ClientError> {
-        let mut builder = self.http.request(request.method.clone(), self.url(request));
+    ) -> Result<Result<Response, BoxError>, ClientError> {
+        let http = if request.payload.is_long() { &self.uploads } else { &self.http };
+        let mut builder = http.request(request.method.clone(), self.url(request));
         if let Some(token) = token {
             builder = builder.bearer_auth(token);
         }
@@ -261,21 +286,67 @@ impl Transport {
             builder = builder.timeout(timeout);
         }
         builder = builder.headers(request.headers.clone());
-        builder = match &request.payload {
-            Payload::Empty => builder,
-            Payload::Json(body) => builder.header(CONTENT_TYPE, "application/json").body(body.clone()),
+        Ok(match &request.payload {
+            Payload::Empty => answer(builder.send()).await,
+            Payload::Json(body) => {
+                answer(builder.header(CONTENT_TYPE, "application/json").body(body.clone()).send()).await
+            }
             Payload::Bytes(body) => {
-                builder.header(CONTENT_TYPE, "application/octet-stream").body(body.clone())
+                let pieces = pieces(body.clone());
+                let builder = builder.header(CONTENT_TYPE, "application/octet-stream");
+                upload(builder.header(CONTENT_LENGTH, body.len()), stream::iter(pieces), SILENCE).await
             }
             Payload::File(path, media_type) => {
                 let failed = |source| ClientError::File { path: path.clone(), source };
                 let file = tokio::fs::File::open(path).await.map_err(failed)?;
                 let length = file.metadata().await.map_err(failed)?.len();
-                let stream = reqwest::Body::wrap_stream(ReaderStream::with_capacity(file, 1 << 16));
-                builder.header(CONTENT_TYPE, *media_type).header(CONTENT_LENGTH, length).body(stream)
+                let builder = builder.header(CONTENT_TYPE, *media_type).header(CONTENT_LENGTH, length);
+                upload(builder, ReaderStream::with_capacity(file, PIECE), SILENCE).await
             }
-        };
-        Ok(builder.send().await)
+        })
+    }
+}
+
+type BoxError = Box<dyn std::error::Error + Send + Sync>;
+
+async fn answer(sent: impl Future<Output = Result<Response, reqwest::Error>>) -> Result<Response, BoxError> {
+    sent.await.map_err(|error| error.without_url().into())
+}
+
+/// Bytes of an upload that are handed to the connection at a time.
+const PIECE: usize = 1 << 16;
+
+fn pieces(mut body: Bytes) -> impl Iterator<Item = std::io::Result<Bytes>> {
+    std::iter::from_fn(move || {
+        let length = body.len().min(PIECE);
+        (length > 0).then(|| Ok(body.split_to(length)))
+    })
+}
+
+/// Sends a long body. It may take as long as it will, but no piece of it longer than `silence`.
+async fn upload(
+    request: reqwest::RequestBuilder,
+    body: impl Stream<Item = std::io::Result<Bytes>> + Send + 'static,
+    silence: Duration,
+) -> Result<Response, BoxError> {
+    // The sender goes with the body: once all of it is handed over.
+    let (progress, mut watched) = watch::channel(());
+    let body = body.inspect(move |_| progress.send_replace(()));
+    let sent = answer(request.body(reqwest::Body::wrap_stream(body)).send());
+    tokio::pin!(sent);
+    let mut limit = silence;
+    loop {
+        tokio::select! {
+            answer = &mut sent => return answer,
+            changed = watched.changed(), if limit == silence => {
+                if changed.is_err() {
+                    limit = ANSWER_TO_UPLOAD;
+                }
+            }
+            () = tokio::time::sleep(limit) => {
+                return Err(format!("the connection was silent for {} s", limit.as_secs()).into());
+            }
+        }
     }
 }
 
@@ -302,4 +373,54 @@ async fn refusal(response: Response) -> ClientError {
 /// The wait in `Retry-After`, whole seconds. The service does not use the header's date form.
 pub(crate) fn retry_after(headers: &HeaderMap) -> Option<Duration> {
     headers.get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    use tokio::net::TcpListener;
+
+    /// More than the system keeps for a connection.
+    const BODY: usize = 32 << 20;
+    const SILENCE: Duration = Duration::from_secs(3);
+
+    /// Uploads to a server that reads a fifteenth of the body in each half second, `times` times. Then it waits,
+    /// and answers only if it has read everything.
+    async fn uploaded(times: usize) -> Result<Response, BoxError> {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = format!("http://{}", listener.local_addr().unwrap());
+        let server = tokio::spawn(async move {
+            let (mut connection, _) = listener.accept().await.unwrap();
+            let (mut buffer, mut read) = (vec![0; BODY.div_ceil(15)], 0);
+            for _ in 0..times {
+                tokio::time::sleep(Duration::from_millis(500)).await;
+                let mut filled = 0;
+                while filled < buffer.len() && read < BODY {
+                    let more = connection.read(&mut buffer[filled..]).await.unwrap();
+                    (filled, read) = (filled + more, read + more);
+                }
+            }
+            if read >= BODY {
+                connection.write_all(b"HTTP/1.1 204 No Content\r\n\r\n").await.unwrap();
+            }
+            connection
+        });
+        let http = reqwest::Client::builder().no_proxy().tls_certs_only([]).build().unwrap();
+        let body = stream::iter(pieces(vec![7; BODY].into()));
+        let sent = upload(http.put(address).header(CONTENT_LENGTH, BODY), body, SILENCE).await;
+        server.abort();
+        sent
+    }
+
+    #[tokio::test]
+    async fn an_upload_may_take_longer_than_its_connection_may_be_silent() {
+        assert_eq!(uploaded(16).await.unwrap().status(), StatusCode::NO_CONTENT);
+    }
+
+    #[tokio::test]
+    async fn an_upload_that_nobody_reads_is_given_up() {
+        let error = uploaded(2).await.unwrap_err().to_string();
+        assert_eq!(error, "the connection was silent for 3 s");
+    }
 }

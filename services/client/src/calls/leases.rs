@@ -42,12 +42,10 @@ impl Client {
         let patience = Duration::from_millis(u64::from(claim.wait_ms)) + Duration::from_secs(15);
         let request = Request::json(Method::POST, "/v1/leases", claim).of_worker();
         let request = request.timeout(Some(patience)).with_key(key);
-        let response = self.transport.send(&request).await?;
-        let status = response.status();
+        let (status, headers, body) = self.transport.whole(&request).await?;
         if status == StatusCode::NO_CONTENT {
-            return Ok(retry_after(response.headers()).map_or(Claimed::Nothing, Claimed::Asleep));
+            return Ok(retry_after(&headers).map_or(Claimed::Nothing, Claimed::Asleep));
         }
-        let body = self.transport.body(&request, response).await?;
         self.transport.parse(&request, status, &body).map(Claimed::Lease)
     }
 
