@@ -126,7 +126,7 @@ struct Book {
 
 impl Control {
     /// Most lines in one message.
-    const LINES_AT_ONCE: usize = 100;
+    pub const LINES_AT_ONCE: usize = 100;
 
     /// For a task that should offer checkpoints at this interval.
     pub fn with_checkpoints(interval: Duration) -> Self {

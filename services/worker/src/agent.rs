@@ -28,10 +28,10 @@ use forelight_protocol::{
     ClaimRequest, Lease, LeaseOrder, LogLevel, NodeId, NodeRegistration, ProblemKind, RenewRequest, Renewal,
     TaskId, TaskLimits, Timestamp,
 };
-use forelight_renderer::{Control, Execute, ExecuteError, Outcome};
+use forelight_renderer::{Control, Execute, ExecuteError, Outcome, resident_bytes};
 use parking_lot::Mutex;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
@@ -61,7 +61,7 @@ pub struct Agent {
     limits: TaskLimits,
     checkpoints: Duration,
     /// Until when this worker sleeps, by this machine's clock.
-    asleep: Mutex<Option<Timestamp>>,
+    asleep: Mutex<Option<(Timestamp, Instant)>>,
 }
 
 /// Why a worker ended by itself.
@@ -252,8 +252,9 @@ impl Agent {
 
     /// Sets this worker to sleep for this many microseconds.
     fn go_to_sleep(&self, micros: i64) {
-        let until = Timestamp::now().plus_micros(micros.max(0));
-        *self.asleep.lock() = Some(until);
+        let micros = micros.max(0);
+        let until = Timestamp::now().plus_micros(micros);
+        *self.asleep.lock() = Some((until, Instant::now() + Duration::from_micros(micros.unsigned_abs())));
     }
 
     /// Follows the sleep order of a renewal. Its times are by the service's clock.
@@ -267,18 +268,21 @@ impl Agent {
         }
     }
 
-    /// Sleeps if ordered. Checks the clock regularly, since timers stop while the machine is suspended.
+    /// Sleeps if ordered. Looks at both clocks regularly: timers stop while the machine is suspended, and the
+    /// system's clock may be set back.
     async fn sleep(&self, stop: &CancellationToken) {
         let until = self.asleep.lock().take();
-        let Some(until) = until else { return };
+        let Some((until, by_timer)) = until else { return };
         tracing::info!(node = self.registration.name, %until, "asleep by its calendar");
         while !stop.is_cancelled() {
-            let left = until.micros_since(Timestamp::now());
-            if left <= 0 {
+            let left = until.micros_since(Timestamp::now()).max(0);
+            let left = Duration::from_micros(left.unsigned_abs())
+                .min(by_timer.saturating_duration_since(Instant::now()));
+            if left.is_zero() {
                 tracing::info!(node = self.registration.name, "awake");
                 return;
             }
-            pause(Duration::from_micros(left.unsigned_abs()).min(GLANCE), stop).await;
+            pause(left.min(GLANCE), stop).await;
         }
     }
 
@@ -300,13 +304,14 @@ impl Agent {
         let name = &self.registration.name;
         control.log(LogLevel::Info, format!("{kind} started on {name}, attempt {}", lease.fence));
         let limits = lease.limits.and(self.limits);
+        let before = resident_bytes();
         let ending = {
             let given_up = CancellationToken::new();
             let work = self.perform(&lease, control.clone(), &given_up);
             tokio::pin!(work);
             let ending = tokio::select! {
                 done = &mut work => Ending::Finished(Box::new(done)),
-                error = gone_beyond(limits, &control) => Ending::Beyond(error),
+                error = gone_beyond(limits, before, &control) => Ending::Beyond(error),
                 () = self.hold(&lease, &control) => Ending::Lost,
                 () = stop.cancelled() => Ending::Stopped,
             };
@@ -371,6 +376,7 @@ impl Agent {
         let interval = Duration::from_millis((lease.ttl_ms / 3).max(50));
         let once = self.client.with_backoff(Backoff { attempts: Some(1), ..Backoff::PATIENT });
         let mut order = LeaseOrder::Continue;
+        let mut unwanted_since = None;
         loop {
             tokio::time::sleep(interval).await;
             if let Some(tiles) = control.take_checkpoint() {
@@ -414,6 +420,14 @@ impl Agent {
                 }
                 Err(error) if is_lost(&error) => return,
                 Err(error) => {
+                    // The token was revoked, and no other came in time. The lease has run out.
+                    let lifetime = Duration::from_millis(lease.ttl_ms);
+                    let since = *unwanted_since.get_or_insert_with(Instant::now);
+                    if !is_unwanted(&error) {
+                        unwanted_since = None;
+                    } else if since.elapsed() > 2 * lifetime {
+                        return;
+                    }
                     tracing::warn!(task = %lease.task_id, %error, "the lease was not renewed");
                     control.log(LogLevel::Warn, format!("the lease was not renewed: {}", describe(&error)));
                 }

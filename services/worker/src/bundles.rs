@@ -61,7 +61,14 @@ impl Bundles {
             .tempfile_in(self.folder.path())
             .map_err(failed)?
             .into_temp_path();
-        client.artifact_to_file(hash, &partial).await?;
+        match client.artifact_to_file(hash, &partial).await {
+            Err(ClientError::File { source, .. }) if is_full(&source) => {
+                tracing::warn!(%source, "the disk is full: all other kept bundles are deleted");
+                self.folder.make_room("zip", &path, 0);
+                client.artifact_to_file(hash, &partial).await?;
+            }
+            fetched => fetched?,
+        }
         partial.persist(&path).map_err(|error| failed(error.error))?;
         self.folder.make_room("zip", &path, DISK_BYTES);
         Ok(path)
@@ -78,6 +85,11 @@ fn remove_left_pictures(folder: &Path) {
             let _ = fs::remove_dir_all(entry.path());
         }
     }
+}
+
+/// Whether there is no space left, or none for this user.
+fn is_full(error: &std::io::Error) -> bool {
+    matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded)
 }
 
 /// Whether a file is there and has the hash that it is named by.

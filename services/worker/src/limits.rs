@@ -8,8 +8,9 @@ use std::time::{Duration, Instant};
 /// Time between two checks.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Returns an error once the task of `control` exceeds a limit. Paused time does not count.
-pub(crate) async fn gone_beyond(limits: TaskLimits, control: &Control) -> ExecuteError {
+/// Returns an error once the task of `control` exceeds a limit. Paused time does not count, nor does what the
+/// process had in memory `before` the task: other scenes, and the tasks of other workers.
+pub(crate) async fn gone_beyond(limits: TaskLimits, before: u64, control: &Control) -> ExecuteError {
     if limits.are_none() {
         return std::future::pending().await;
     }
@@ -22,13 +23,13 @@ pub(crate) async fn gone_beyond(limits: TaskLimits, control: &Control) -> Execut
             worked += now - last;
         }
         last = now;
-        if let Some(error) = beyond(limits, worked, resident_bytes()) {
+        if let Some(error) = beyond(limits, worked, resident_bytes().saturating_sub(before)) {
             return error;
         }
     }
 }
 
-/// The error of a task that exceeds a limit, given its working time and memory in bytes.
+/// The error of a task that exceeds a limit, given its working time and the memory that it added, in bytes.
 fn beyond(limits: TaskLimits, worked: Duration, memory: u64) -> Option<ExecuteError> {
     let mebibytes = |bytes: u64| bytes.div_ceil(1 << 20);
     if let Some(limit) = limits.wall_ms.filter(|&limit| worked.as_millis() > u128::from(limit)) {
@@ -40,7 +41,7 @@ fn beyond(limits: TaskLimits, worked: Duration, memory: u64) -> Option<ExecuteEr
     }
     let limit = limits.memory_bytes.filter(|&limit| memory > limit)?;
     let message = format!(
-        "the task exceeded its memory limit of {} MiB (limits.memory_bytes = {limit}): the worker used {} MiB",
+        "the task exceeded its memory limit of {} MiB (limits.memory_bytes = {limit}): it used {} MiB",
         mebibytes(limit),
         mebibytes(memory)
     );

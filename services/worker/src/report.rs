@@ -4,7 +4,8 @@ use crate::agent::{Agent, Errand};
 use crate::errors::{describe, is_lost};
 use forelight_client::{Backoff, Client, ClientError};
 use forelight_protocol::{
-    FailureKind, Lease, LogLevel, ProblemKind, RenewRequest, ResultRequest, TaskError, without_secrets,
+    FailureKind, Lease, LogLevel, LogLine, ProblemKind, RenewRequest, ResultRequest, TaskError,
+    without_secrets,
 };
 use forelight_renderer::{Control, ExecuteError, Outcome};
 use std::time::Duration;
@@ -65,6 +66,7 @@ impl Agent {
         outcome: Outcome,
         control: &Control,
     ) -> Result<(), ClientError> {
+        self.send_log(client, lease, control, |unsent| unsent.len() == Control::LINES_AT_ONCE).await?;
         let result = ResultRequest {
             fence: lease.fence,
             result: Some(outcome.result),
@@ -100,8 +102,26 @@ impl Agent {
         control.log(LogLevel::Error, message.clone());
         let error = TaskError { message: one_line(message), ..error.clone() };
         // The lines that lead to the error belong to it, however many there are.
-        while control.unsent().last().is_some_and(|line| line.level != LogLevel::Error) {
+        let is_before = |unsent: &[LogLine]| unsent.last().is_some_and(|line| line.level != LogLevel::Error);
+        self.send_log(client, lease, control, is_before).await?;
+        let log = control.unsent();
+        let end = ResultRequest { fence: lease.fence, result: None, error: Some(error), log };
+        client.report(lease.lease_id, &end).await.map(drop)
+    }
+
+    /// Sends lines of the task's log by renewals, while `is_more` says of the next ones that others follow.
+    async fn send_log(
+        &self,
+        client: &Client,
+        lease: &Lease,
+        control: &Control,
+        is_more: impl Fn(&[LogLine]) -> bool,
+    ) -> Result<(), ClientError> {
+        loop {
             let log = control.unsent();
+            if !is_more(&log) {
+                return Ok(());
+            }
             let renewal = RenewRequest {
                 fence: lease.fence,
                 progress: control.progress(),
@@ -111,9 +131,6 @@ impl Agent {
             client.renew(lease.lease_id, &renewal, Duration::from_secs(30)).await?;
             control.sent(&renewal.log);
         }
-        let log = control.unsent();
-        let end = ResultRequest { fence: lease.fence, result: None, error: Some(error), log };
-        client.report(lease.lease_id, &end).await.map(drop)
     }
 
     /// Gives the lease back. If the service does not answer soon, the lease expires by itself.
