@@ -319,3 +319,17 @@ fn a_session_answers_lines_until_it_is_closed() {
         assert!(!lives(outside.pids("pid")[0]));
     });
 }
+
+#[test]
+fn a_session_whose_program_closes_its_output_and_goes_on_is_ended() {
+    let outside = Outside::new();
+    let script = "echo $$ >pid; echo last words; exec >/dev/null 2>&1 <&-; sleep 1000";
+    let program = Program::new("/bin/sh", Path::new(outside.folder.path())).arg("-c").arg(script);
+    outside.with(quick(100), |o| {
+        let mut session = Session::start(&program, &[], o).unwrap();
+        while session.next(Instant::now(), o).unwrap().is_some() {}
+        let RendererError::Ended { last_lines, .. } = session.failure() else { panic!() };
+        assert_eq!(last_lines, ["last words"]);
+        assert!(!lives(outside.pids("pid")[0]));
+    });
+}

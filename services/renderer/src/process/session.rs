@@ -24,6 +24,9 @@ const LAST_LINES: usize = 12;
 /// Time between two looks at orders while no line comes.
 const LOOK: Duration = Duration::from_millis(20);
 
+/// How long a program that closed its input or output may go on.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
 /// What is added to a signal's number in the exit code of a sandbox.
 const SIGNALS: i32 = 128;
 
@@ -239,13 +242,22 @@ impl Session {
         self.end(Stop::Closed).map(|ended| ended.usage).unwrap_or_default()
     }
 
-    /// The error of a program that ended by itself, and should not have.
+    /// The error of a program that closed its input or output, and should not have. Most have ended. One that has
+    /// not is ended soon.
     pub fn failure(&mut self) -> RendererError {
-        // What it still had to say.
-        while let Ok(line) = self.lines.recv_timeout(LOOK) {
-            self.last_lines.push_back(line.text);
+        let until = Instant::now() + LAST_WORDS;
+        while self.supervisor.as_ref().is_some_and(|thread| !thread.is_finished()) && Instant::now() < until {
+            match self.lines.recv_timeout(LOOK) {
+                Ok(line) => self.keep(&line),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(LOOK),
+            }
         }
-        match self.join() {
+        // What it said before it ended.
+        while let Ok(line) = self.lines.try_recv() {
+            self.keep(&line);
+        }
+        match self.end(Stop::Closed) {
             Some(ended) => self.verdict(&ended).err().unwrap_or_else(|| self.ended(Ending::Code(0))),
             None => self.ended(Ending::Code(-1)),
         }
