@@ -16,6 +16,7 @@ Beside each NAME.blend, NAME.json says what is in it, as a renderer should descr
 | `caches.blend` | it refers to a mesh cache and a light profile that do not exist, and to an empty folder of a simulation |
 | `catcher.blend` | an object catches shadows |
 | `stereo.blend` | it is rendered for two eyes |
+| `counted.blend` | its images tell how many samples pixels took, at which they stop by their noise |
 | `markers.blend` | markers choose the camera; the size is 70 % of one that is no multiple of ten |
 | `points.blend` | geometry nodes make points, and scatter a hidden object |
 
@@ -324,6 +325,14 @@ def stereo():
     bpy.context.scene.render.use_multiview = True
 
 
+def counted():
+    # Soft shadows are noisy, and the rest is not.
+    for light in bpy.data.lights:
+        light.shadow_soft_size, light.energy = 3.0, 3000.0
+    for layer in bpy.context.scene.view_layers:
+        layer.cycles.pass_debug_sample_count = True
+
+
 def markers():
     """Two cameras, of which one looks away, and a text without a mesh: its nodes make nothing."""
     scene = bpy.context.scene
@@ -382,6 +391,7 @@ def main():
     small(out, "clipped", clipped)
     small(out, "leaf", leaf)
     small(out, "layers", layers)
+    small(out, "counted", counted)
     small(out, "markers", markers)
     small(out, "points", points)
 

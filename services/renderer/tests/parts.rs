@@ -102,6 +102,7 @@ impl Shot for ListedShot {
             blocks: None,
             ids: None,
             artefact: Some(artefact).filter(|artefact| artefact.settings.common.seed == 0),
+            stopping: None,
         })
     }
 

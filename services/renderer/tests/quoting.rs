@@ -5,7 +5,7 @@ use forelight_renderer::door::RendererId;
 use forelight_renderer::door::{
     Artefact, BlockCosts, Capabilities, Capability, Common, Cost, Description, FixedCosts, FrameCounts,
     Frames, Limits, Measured, Part, PieceCost, PixelCount, PreviewBackend, Region, Rendered, RendererError,
-    Run, Settings, Shot,
+    Run, Settings, Shot, Stopping,
 };
 use forelight_renderer::{ShotQuote, Wanted, locates_costs, quote_shot};
 use std::path::Path;
@@ -20,6 +20,8 @@ struct Known {
     can: Capabilities,
     /// Cost of a sample of a pixel in frame 0, nanoseconds.
     unit: u64,
+    /// Samples of a pixel if pixels stop by their noise.
+    stops_at: Option<u32>,
     asked: Mutex<Vec<Part>>,
 }
 
@@ -40,7 +42,13 @@ impl Known {
             notes: Vec::new(),
             opening: Cost::default(),
         };
-        Self { description, can: can.iter().copied().collect(), unit, asked: Mutex::default() }
+        Self {
+            description,
+            can: can.iter().copied().collect(),
+            unit,
+            stops_at: None,
+            asked: Mutex::default(),
+        }
     }
 
     /// A region's pixels cost more at the right.
@@ -54,6 +62,7 @@ impl Known {
     fn truth(&self) -> f64 {
         let Common { width, height, samples, .. } = self.description.settings.common;
         let whole = Region { x: 0, y: 0, width, height };
+        let samples = self.stops_at.unwrap_or(samples);
         (0..24).map(|frame| self.cost(frame, samples, whole, width) as f64).sum()
     }
 
@@ -130,6 +139,12 @@ impl Shot for Known {
             }),
             ids: None,
             artefact: None,
+            stopping: self.stops_at.filter(|_| matches!(part, Part::Samples { offset: 0, .. })).map(
+                |samples| Stopping {
+                    samples: f64::from(samples) + 0.3,
+                    cost: Cost { cpu_nanos: START, ..Cost::default() },
+                },
+            ),
         })
     }
 
@@ -160,6 +175,20 @@ fn any_renderer_is_quoted_by_what_it_can() {
         println!("{varied:?}: error {error:+.4}, {share:.3} of the cost");
         assert!(share < if varied == Varied::Nothing { 0.25 } else { 0.05 }, "{varied:?}: {share}");
     }
+}
+
+#[test]
+fn a_renderer_whose_pixels_stop_by_their_noise_is_quoted_by_the_samples_that_they_take() {
+    let shot = Known { stops_at: Some(20), ..Known::new(&[Capability::MeasureSamples], 1000) };
+    let quote = shot.quote();
+    let error = quote.document.total.cpu_seconds.mean / (shot.truth() * 1e-9) - 1.0;
+    assert!(error.abs() < 0.01, "{error}");
+    let whole: Vec<u32> = quote.measured.iter().map(|frame| frame.result.whole).collect();
+    assert_eq!(whole, [20; 5]);
+    // What it costs to know that is part of the quote.
+    let spent: u64 = quote.measured.iter().map(|frame| frame.result.spent.cpu_nanos).sum();
+    let asked = |part: &Part| matches!(part, Part::Samples { count, .. } if *count <= 20 / 4);
+    assert!(spent > 5 * 2 * START && shot.asked.lock().unwrap().iter().all(asked), "{spent}");
 }
 
 #[test]

@@ -113,7 +113,7 @@ pub struct PieceCost {
 }
 
 /// The cost of a part of a frame.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
     /// Cost of the part, with what is in `fixed`.
     pub cost: Cost,
@@ -129,6 +129,17 @@ pub struct Measured {
     pub ids: Option<RgbImage>,
     /// What a render may take over.
     pub artefact: Option<Artefact>,
+    /// For a share of the samples of a frame whose pixels stop by their noise: how many they take. `None`: all.
+    pub stopping: Option<Stopping>,
+}
+
+/// How many samples pixels take if each stops by its noise. The share beside it was measured without stopping.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stopping {
+    /// Mean number of samples of a pixel, weighted by what a sample of it costs.
+    pub samples: f64,
+    /// What it cost to find that out.
+    pub cost: Cost,
 }
 
 impl Measured {

@@ -23,8 +23,8 @@ mod run;
 mod settings;
 
 pub use answers::{
-    BlockCosts, Cost, FixedCosts, FrameCounts, Measured, PieceCost, PixelCount, Rendered, StratumCost,
-    TakenOver,
+    BlockCosts, Cost, FixedCosts, FrameCounts, Measured, PieceCost, PixelCount, Rendered, Stopping,
+    StratumCost, TakenOver,
 };
 pub use artefact::Artefact;
 pub use asset::{Asset, AssetState};

@@ -24,6 +24,7 @@ pub(crate) use previews::{as_spent, own_number};
 
 use crate::door::{
     Artefact, BlockCosts, Capability, Cost, FixedCosts, Part, RendererError, RendererId, Run, Settings, Shot,
+    Stopping,
 };
 use forelight_protocol::{FixedPart, MeasuredFrame, MeasuredShare, StratumTime, Varied};
 use image::RgbImage;
@@ -70,12 +71,20 @@ pub fn measure_frame(
     let (mut times, mut spent) = (BTreeMap::new(), Cost::default());
     let mut known_fixed: Vec<FixedCosts> = Vec::new();
     let (mut blocks, mut ids) = (None, None);
-    for probe in probes(varied, &can, settings, turn) {
+    let mut whole = whole(varied, settings);
+    let mut done = 0;
+    while let Some(probe) = probes(varied, &can, settings, whole, turn).into_iter().nth(done) {
+        done += 1;
         if probe.in_addition && !hide(&measured) {
             continue;
         }
         let part = shot.measure(number, &probe.settings, &probe.part, run)?;
         spent += &part.cost;
+        if let Some(Stopping { samples, cost }) = &part.stopping {
+            // Of so many samples, fewer are a small share.
+            whole = (samples.round() as u32).clamp(1, whole);
+            spent += cost;
+        }
         measured.extend(costs(varied, &probe, &part));
         let cpu_nanos = part.sample_nanos();
         if let (Some(artefact), Part::Samples { offset, count }) = (part.artefact, &probe.part) {
@@ -94,7 +103,7 @@ pub fn measure_frame(
         frame,
         renderer: renderer.clone(),
         varied,
-        whole: whole(varied, settings),
+        whole,
         costs: measured,
         fixed: mean(&known_fixed),
         strata: times.into_iter().map(time).collect(),

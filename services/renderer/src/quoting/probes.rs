@@ -72,17 +72,23 @@ pub(super) fn whole(varied: Varied, settings: &Settings) -> u32 {
     }
 }
 
-/// The parts to measure, cheap ones first. `turn` is the number of frames that are measured before this one:
+/// The parts to measure of a frame that has so much of what is varied, cheap ones first. `turn` is the number of frames that are measured before this one:
 /// regions are spread over the measured frames together.
-pub(super) fn probes(varied: Varied, can: &Capabilities, settings: &Settings, turn: u32) -> Vec<Probe> {
+pub(super) fn probes(
+    varied: Varied,
+    can: &Capabilities,
+    settings: &Settings,
+    whole: u32,
+    turn: u32,
+) -> Vec<Probe> {
     let probe =
         |part, amount| Probe { settings: settings.clone(), part, amount, pieces: 1, in_addition: false };
     let samples = settings.common.samples;
     match varied {
         Varied::Samples => {
-            let more = (samples / SHARE).saturating_sub(1);
+            let more = (whole / SHARE).saturating_sub(1);
             let counts = [(1, false), (more, false)].into_iter();
-            let counts = counts.chain(LARGER_SHARES.map(|divisor| ((samples / divisor).max(2), true)));
+            let counts = counts.chain(LARGER_SHARES.map(|divisor| ((whole / divisor).max(2), true)));
             let mut end = 0;
             let mut shares = Vec::new();
             for (count, in_addition) in counts {
@@ -211,7 +217,7 @@ mod tests {
     fn shares_of_the_samples_have_no_gaps() {
         for samples in [1, 2, 3, 4, 16, 256] {
             let mut end = 0;
-            for probe in probes(Varied::Samples, &Capabilities::new(), &settings(8, 8, samples), 0) {
+            for probe in probes(Varied::Samples, &Capabilities::new(), &settings(8, 8, samples), samples, 0) {
                 let Part::Samples { offset, count } = probe.part else { panic!("{probe:?}") };
                 assert_eq!((offset, count), (end, probe.amount));
                 end += count;
@@ -224,8 +230,13 @@ mod tests {
     fn regions_lie_in_the_image_and_do_not_overlap() {
         for (width, height) in [(96, 54), (1920, 1080), (33, 7), (3, 1)] {
             for turn in 0..4 {
-                for probe in probes(Varied::Regions, &Capabilities::new(), &settings(width, height, 1), turn)
-                {
+                for probe in probes(
+                    Varied::Regions,
+                    &Capabilities::new(),
+                    &settings(width, height, 1),
+                    width * height,
+                    turn,
+                ) {
                     let Part::Regions(regions) = probe.part else { panic!() };
                     assert_eq!(regions.len(), probe.pieces);
                     for (i, r) in regions.iter().enumerate() {
@@ -252,7 +263,8 @@ mod tests {
     fn many_regions_are_small_and_cover_a_fiftieth_of_the_image() {
         let can = Capabilities::from([Capability::MeasureRegions, Capability::MeasureManyRegions]);
         for (width, height, count) in [(256, 256, 20), (1920, 1080, 81), (96, 96, 16), (4, 4, 1)] {
-            let [probe] = &probes(Varied::Regions, &can, &settings(width, height, 64), 3)[..] else {
+            let [probe] = &probes(Varied::Regions, &can, &settings(width, height, 64), width * height, 3)[..]
+            else {
                 panic!()
             };
             let Part::Regions(regions) = &probe.part else { panic!() };

@@ -17,6 +17,7 @@ const BLOCK: u32 = 8;
 const OBJECT: [&str; 2] = ["Object Index", "IndexOB"];
 const MATERIAL: [&str; 2] = ["Material Index", "IndexMA"];
 const TIME: [&str; 1] = ["Render Time"];
+const SAMPLES: &str = "Debug Sample Count";
 const COMBINED: &str = "Combined";
 
 /// Passes that hold the first sample alone.
@@ -75,6 +76,31 @@ impl Image {
             sums.iter_mut().zip(layer).for_each(|(sum, &time)| *sum += f64::from(time));
         }
         Some(sums)
+    }
+
+    /// Mean number of samples of a pixel, weighted by what a sample of it costs, where the image holds times.
+    /// `rendered`: how many samples the image has, by view layer; `most` where that is not known.
+    pub fn mean_samples(&self, rendered: &BTreeMap<String, u32>, most: u32) -> Result<f64, RendererError> {
+        let channels = || self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
+        let (mut all, mut single) = (0.0, 0.0);
+        for counted in channels().filter(|c| pass_of(c) == SAMPLES) {
+            let of = view_layer(counted);
+            let mut times = channels().filter(|c| TIME.contains(&pass_of(c)) && view_layer(c) == of);
+            let times = times.find_map(floats);
+            // Cycles writes shares of the samples that the image has.
+            let rendered = f64::from(rendered.get(of).copied().unwrap_or(most));
+            for (pixel, &share) in floats(counted).unwrap_or_default().iter().enumerate() {
+                let samples = (f64::from(share) * rendered).max(1.0);
+                let time = times.map_or(samples, |times| f64::from(times[pixel]));
+                all += time;
+                single += time / samples;
+            }
+        }
+        if single > 0.0 {
+            Ok(all / single)
+        } else {
+            Err(RendererError::Answer("the image does not say how many samples its pixels took".to_owned()))
+        }
     }
 
     /// The image for viewing. Black where the file has no image.
@@ -351,6 +377,12 @@ fn cryptomattes(image: &FlatImage) -> Vec<Vec<(usize, [usize; 2])>> {
 fn pass_of(channel: &AnyChannel<FlatSamples>) -> &str {
     let name = channel.name.as_slice();
     std::str::from_utf8(name).ok().and_then(|name| name.rsplit('.').nth(1)).unwrap_or("")
+}
+
+/// `ViewLayer` of `ViewLayer.Object Index.X`.
+fn view_layer(channel: &AnyChannel<FlatSamples>) -> &str {
+    let name = std::str::from_utf8(channel.name.as_slice()).unwrap_or("");
+    name.rsplitn(3, '.').nth(2).unwrap_or("")
 }
 
 /// `X` of `ViewLayer.Object Index.X`.

@@ -9,11 +9,13 @@ use crate::settings::{SCHEMA, is_on, why_indivisible};
 use forelight_preview::SharedPreviewer;
 use forelight_renderer::door::{
     Artefact, Asset, Capabilities, Capability, Cost, Description, FixedCosts, FrameCounts, Measured, Part,
-    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, SettingsError, Shot, TakenOver,
+    PieceCost, Region, Rendered, Renderer as _, RendererError, Run, Settings, SettingsError, Shot, Stopping,
+    TakenOver,
 };
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A Blender file, open in as many processes as there are questions at a time.
@@ -42,6 +44,15 @@ pub(crate) struct Costs {
     pub fixed: FixedCosts,
     #[serde(default)]
     pub pieces: Vec<PieceCost>,
+    stopping: Option<Stopped>,
+}
+
+/// An image of few pixels, which shows at how many samples they stop.
+#[derive(Deserialize)]
+struct Stopped {
+    cost: Cost,
+    /// Samples after which all pixels had stopped, by view layer.
+    rendered: BTreeMap<String, u32>,
 }
 
 /// Answer of the driver to the wish for a copy.
@@ -119,6 +130,9 @@ impl BlenderShot {
         if let Some((offset, count)) = share {
             question["offset"] = offset.into();
             question["count"] = count.into();
+            if offset == 0 && is_on(settings, "adaptive_sampling") {
+                question["stopping"] = json!(stopping_file(out));
+            }
         }
         self.ask(&question, run)
     }
@@ -131,8 +145,10 @@ impl BlenderShot {
         run: &Run<'_>,
     ) -> Result<Measured, RendererError> {
         let path = run.scratch.join(format!("frame-{frame:04}-samples-{offset}-{count}.exr"));
-        let Costs { cost, fixed, .. } = self.samples(frame, settings, Some((offset, count)), &path, run)?;
+        let Costs { cost, fixed, stopping, .. } =
+            self.samples(frame, settings, Some((offset, count)), &path, run)?;
         let image = Image::read(&path)?;
+        let stopping = stopping.map(|stopped| stopping_at(stopped, &path, settings)).transpose()?;
         let strata = image.stratum_costs();
         // Nobody knows how long denoising and compositing take. Both are part of every share, like all that
         // is fixed, so that a line through two shares knows.
@@ -149,7 +165,7 @@ impl BlenderShot {
             std::fs::remove_file(&path).map_err(RendererError::io(&path))?;
             None
         };
-        Ok(Measured { cost, fixed, pieces: Vec::new(), strata, blocks, ids, artefact })
+        Ok(Measured { cost, fixed, pieces: Vec::new(), strata, blocks, ids, artefact, stopping })
     }
 
     fn measure_regions(
@@ -162,12 +178,21 @@ impl BlenderShot {
         let path = run.scratch.join(format!("frame-{frame:04}-regions.exr"));
         let mut question = question("regions", frame, settings, &path, run);
         question["regions"] = json!(regions);
-        let Costs { cost, fixed, pieces } = self.ask(&question, run)?;
+        let Costs { cost, fixed, pieces, .. } = self.ask(&question, run)?;
         // Only the first frame is written.
         if path.exists() {
             std::fs::remove_file(&path).map_err(RendererError::io(&path))?;
         }
-        Ok(Measured { cost, fixed, pieces, strata: Vec::new(), blocks: None, ids: None, artefact: None })
+        Ok(Measured {
+            cost,
+            fixed,
+            pieces,
+            strata: Vec::new(),
+            blocks: None,
+            ids: None,
+            artefact: None,
+            stopping: None,
+        })
     }
 
     /// Shares of the samples in order, without gaps from the first sample on: their files, and how many samples
@@ -205,6 +230,19 @@ impl BlenderShot {
 
 pub(crate) fn question(name: &str, frame: i32, settings: &Settings, out: &Path, run: &Run<'_>) -> Value {
     json!({"do": name, "frame": frame, "settings": settings, "threads": run.limits.threads, "out": out})
+}
+
+/// The file of the image of few pixels beside that of a share.
+fn stopping_file(share: &Path) -> PathBuf {
+    share.with_extension("stopping.exr")
+}
+
+fn stopping_at(stopped: Stopped, share: &Path, settings: &Settings) -> Result<Stopping, RendererError> {
+    let Stopped { cost, rendered } = stopped;
+    let path = stopping_file(share);
+    let samples = Image::read(&path)?.mean_samples(&rendered, settings.common.samples)?;
+    std::fs::remove_file(&path).map_err(RendererError::io(&path))?;
+    Ok(Stopping { samples, cost })
 }
 
 /// Largest seed of Blender.
@@ -246,8 +284,8 @@ impl Shot for BlenderShot {
             all.remove(&Capability::TakeOverSamples);
         }
         if is_on(settings, "adaptive_sampling") {
-            // Few samples do not tell at which of them a pixel will stop. Regions do, with all samples.
-            all.remove(&Capability::MeasureSamples);
+            // Few samples of all pixels do not tell which of them will take how many.
+            all.remove(&Capability::LocateCosts);
         }
         all
     }

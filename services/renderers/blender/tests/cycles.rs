@@ -198,6 +198,39 @@ fn a_share_of_the_samples_says_what_is_fixed_and_where_time_goes() {
 
 #[test]
 #[ignore = "tests/peers/blender.sh makes its files"]
+fn the_samples_at_which_pixels_stop_by_their_noise_are_known_from_few_of_them() {
+    ask("counted", |shot, run| {
+        let mut settings = shot.description().settings.clone();
+        (settings.common.width, settings.common.height, settings.common.samples) = (128, 96, 256);
+        settings.own.insert("adaptive_sampling".to_owned(), true.into());
+        settings.own.insert("noise_threshold".to_owned(), 0.006.into());
+        let measured = shot.measure(1, &settings, &Part::Samples { offset: 0, count: 1 }, run).unwrap();
+        let stopping = measured.stopping.unwrap();
+        let whole = shot.render(1, &settings, &[], run).unwrap();
+        let image = channels(&whole.files[0]);
+        let pass = |name: &str| image.iter().find_map(|(c, values)| c.contains(name).then_some(values));
+        // Shares of the samples of the image. At this threshold, the first pixels stop after 80.
+        let shares = pass("Debug Sample Count").unwrap();
+        let first = shares.iter().copied().fold(f32::INFINITY, f32::min);
+        let samples: Vec<f64> = shares.iter().map(|share| 80.0 * f64::from(share / first)).collect();
+        let times: Vec<f64> = match pass("Render Time") {
+            Some(times) => times.iter().copied().map(f64::from).collect(),
+            None => samples.clone(),
+        };
+        let single: f64 = times.iter().zip(&samples).map(|(time, samples)| time / samples).sum();
+        let truth = times.iter().sum::<f64>() / single;
+        println!("{:.1} samples of a pixel, {truth:.1} in the image", stopping.samples);
+        // Few pixels are noisy, in thin edges of shadows, so few of them are looked at. Times have noise, too.
+        assert!((85.0..200.0).contains(&truth) && (stopping.samples / truth - 1.0).abs() < 0.25, "{truth}");
+        assert!(stopping.cost.cpu_nanos > 0);
+        // A later share does not look again.
+        let later = shot.measure(1, &settings, &Part::Samples { offset: 1, count: 2 }, run).unwrap();
+        assert_eq!(later.stopping, None);
+    });
+}
+
+#[test]
+#[ignore = "tests/peers/blender.sh makes its files"]
 fn the_samples_of_all_view_layers_count() {
     ask("layers", |shot, run| {
         let mut settings = shot.description().settings.clone();

@@ -340,6 +340,7 @@ impl Shot for CommandShot {
             blocks: None,
             ids: None,
             artefact: None,
+            stopping: None,
         })
     }
 

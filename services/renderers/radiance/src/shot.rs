@@ -226,6 +226,7 @@ impl Shot for RadianceShot {
             blocks,
             ids: None,
             artefact: None,
+            stopping: None,
         })
     }
 

@@ -51,6 +51,8 @@ class Clock:
         self.prepared = {}
         self.preparing = None
         self.preparing_since = 0
+        # How far the samples of each view layer came. Cycles begins each at 0, and ends one that stopped so.
+        self.reached = []
 
     def __enter__(self):
         forelight_describe.peak_memory_bytes(reset=True)
@@ -71,9 +73,13 @@ class Clock:
             self.prepare(preparing, now)
         sample = None if preparing else SAMPLE.search(text)
         if sample:
+            done = int(sample[1])
+            if not self.reached or done < self.reached[-1]:
+                self.reached.append(done)
+            self.reached[-1] = done
             if self.sampling_since is None:
                 self.sampling_since = now
-            self.tell(int(sample[1]), int(sample[2]))
+            self.tell(done, int(sample[2]))
         elif self.sampling_since is not None:
             self.sampling += now - self.sampling_since
             self.sampling_since = None
@@ -193,13 +199,14 @@ def write(scene, out):
         raise RuntimeError("Blender cancelled the render")
 
 
-def samples(frame, settings, threads, out, progress, offset=None, count=None):
+def samples(frame, settings, threads, out, progress, offset=None, count=None, stopping=None):
     """A frame, or with `offset` and `count` a share of its samples, into the file `out`.
 
-    A share that is denoised or composited tells what that costs. It cannot be merged with others.
+    A share that is denoised or composited tells what that costs. It cannot be merged with others. In a share, no
+    pixel stops by its noise: the file `stopping` tells at how many samples they would.
     """
     with Clock(progress) as clock:
-        scene = prepare(frame, settings, threads)
+        scene = prepare(frame, settings, threads, keep=stopping is not None)
         if count is None:
             write(scene, out)
         else:
@@ -210,9 +217,47 @@ def samples(frame, settings, threads, out, progress, offset=None, count=None):
             else:
                 # Other samples than those of one render, for the same cost.
                 cycles.samples = count
-            with no_other_files(scene):
+            with no_other_files(scene), changed(cycles, use_adaptive_sampling=False):
                 write(scene, out)
-    return clock.cost()
+    answer = clock.cost()
+    if stopping is not None:
+        answer["stopping"] = stopped(scene, settings, stopping)
+        scene.render.use_persistent_data = False
+    return answer
+
+
+def stopped(scene, settings, out):
+    """Renders few pixels of a prepared frame with all samples, until their noise is low, into the file `out`.
+
+    The image is smaller, and so is the filter, in its pixels: each of them sees as little as one of the frame.
+    """
+    render, cycles = scene.render, scene.cycles
+    width, height = settings["width"], settings["height"]
+    divisor = max(1, min(MOST_DIVISOR, min(width, height) // LEAST_SIDE))
+    filter_width = 1.0 if cycles.pixel_filter_type == "BOX" else cycles.filter_width
+    all_samples = {"samples": settings["samples"], "sample_offset": 0}
+    if has_subsets(cycles):
+        all_samples["use_sample_subset"] = False
+    layers = [layer for layer in scene.view_layers if layer.use]
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(no_other_files(scene))
+        for layer in layers:
+            stack.enter_context(changed(layer.cycles, pass_debug_sample_count=True))
+        small = {"resolution_x": -(-width // divisor), "resolution_y": -(-height // divisor)}
+        stack.enter_context(changed(render, use_compositing=False, **small))
+        narrow = {"pixel_filter_type": "BLACKMAN_HARRIS", "filter_width": max(0.01, filter_width / divisor)}
+        stack.enter_context(changed(cycles, use_denoising=False, **narrow, **all_samples))
+        clock = stack.enter_context(Clock())
+        write(scene, out)
+    reached = [samples for samples in clock.reached if samples > 0]
+    return {"cost": clock.cost()["cost"], "rendered": dict(zip((layer.name for layer in layers), reached))}
+
+
+# Of the image that tells how many samples pixels take: least width and height, and the most by which it is
+# smaller than the frame. So it has 576 pixels at least, if the frame has. In five rooms, their mean was off by 0.2
+# to 2.9 %; in a scene whose noise is in thin edges, by 8 %: there, pixels go on because their neighbours do, and
+# neighbours in a small image lie further apart.
+LEAST_SIDE, MOST_DIVISOR = 24, 16
 
 
 @contextlib.contextmanager
